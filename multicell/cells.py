@@ -211,11 +211,8 @@ def rows_of(known: IntArray, ids: IntArray) -> IntArray:
 
     A table of all identities up to the largest where that is in proportion, else by sorting.
 
-    Parameters
-    ----------
-    known : (n,)
-        Identities, none twice.
-    ids : of any shape
+    - ``known``, (n,): identities, none twice
+    - ``ids``, of any shape
     """
     ids = np.asarray(ids)
     if len(known) == 0 or ids.size == 0:

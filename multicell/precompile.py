@@ -33,17 +33,10 @@ MAX_WAIT: Final = 30.0
 class Precompilation:
     """The process that compiles for a run; it never outlives the run.
 
-    Parameters
-    ----------
-    scene
-        What the run simulates.
-    threads
-        Of the run; with one thread no second core is used.
+    - ``scene``: what the run simulates
+    - ``threads``: of the run; with one thread no second core is used
 
-    Attributes
-    ----------
-    process
-        None where nothing needs to be compiled, or no core is free for it.
+    - ``process``: None where nothing needs to be compiled, or no core is free for it
     """
 
     def __init__(self, scene: Scene, threads: int) -> None:

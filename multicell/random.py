@@ -55,17 +55,11 @@ class Purpose(IntEnum):
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:
     """Return the Philox4x64-10 block of each counter.
 
-    Parameters
-    ----------
-    counter : (4, ...) uint64
-        Four words a block.
-    key
-        Two words, each in 0 ... 2**64 - 1.
+    - ``counter``, (4, ...) uint64: four words a block
+    - ``key``: two words, each in 0 ... 2**64 - 1
 
-    Returns
-    -------
-    (4, ...) uint64
-        Four random words a block, bit for bit those of ``numpy.random.Philox``.
+    Returns (4, ...) uint64: four random words a block, bit for bit those of
+    ``numpy.random.Philox``.
     """
     # numba is loaded by what draws numbers, not by what only names their purposes
     from multicell.philox import blocks
@@ -81,31 +75,17 @@ def uniform(
 ) -> FloatArray:
     """Return uniform random numbers in [0, 1) with 53 bits.
 
-    Parameters
-    ----------
-    seed
-        Seed of the run, 0 ... 2**64 - 1.
-    purpose
-        What the numbers are for: purposes are independent of each other.
-    step
-        Index of the coupling step, 0 or more.
-    ids : (n,) int64
-        Identities of the cells, 0 or more.
-    count
-        Numbers a cell.
-    attempt
-        Tells repeated draws for the same cell, step and purpose apart.
+    - ``seed``: seed of the run, 0 ... 2**64 - 1
+    - ``purpose``: what the numbers are for: purposes are independent of each other
+    - ``step``: index of the coupling step, 0 or more
+    - ``ids``, (n,) int64: identities of the cells, 0 or more
+    - ``count``: numbers a cell
+    - ``attempt``: tells repeated draws for the same cell, step and purpose apart
 
-    Returns
-    -------
-    (n, count) float64
+    Returns (n, count) float64.
 
-    Raises
-    ------
-    SceneError
-        If the seed does not fit into 64 bits.
-    ValueError
-        If ``step``, ``count``, ``attempt`` or an identity is negative.
+    Raises SceneError if the seed does not fit into 64 bits; ValueError if ``step``, ``count``,
+    ``attempt`` or an identity is negative.
     """
     ids = np.asarray(ids, dtype=np.int64)
     if not 0 <= seed < _WORD:

@@ -82,26 +82,15 @@ _RUNAWAY = re.compile(r"[\d)]\s*(?:\^|\*\*)|\d\d|\.\d")
 def to_base(value: object, unit: str, path: str = "") -> float:
     """Return a quantity as a number of base units.
 
-    Parameters
-    ----------
-    value
-        A number, taken to be in ``unit`` already, or a string of a number and a unit.
-    unit
-        The wanted unit, a product of base units such as ``"um^2/s"``.
-    path
-        Where the value stands, for the error.
+    - ``value``: a number, taken to be in ``unit`` already, or a string of a number and a unit
+    - ``unit``: the wanted unit, a product of base units such as ``"um^2/s"``
+    - ``path``: where the value stands, for the error
 
-    Returns
-    -------
-    float
-        The value in ``unit``. The product with the unit's factor is rounded once, so that
-        ``"1.1 h"`` is exactly 3960 s.
+    Returns float: the value in ``unit``. The product with the unit's factor is rounded once, so
+    that ``"1.1 h"`` is exactly 3960 s.
 
-    Raises
-    ------
-    SceneError
-        For a wrong type, nan, inf, a string without a unit, an unknown unit or one of another
-        dimension.
+    Raises SceneError for a wrong type, nan, inf, a string without a unit, an unknown unit or one of
+    another dimension.
     """
     if isinstance(value, str):
         return _from_text(value, unit, path)
@@ -111,10 +100,8 @@ def to_base(value: object, unit: str, path: str = "") -> float:
 def finite(value: object, path: str, wanted: str, hint: str = "") -> float:
     """Return a real, finite number as a float.
 
-    Raises
-    ------
-    SceneError
-        For any other type (booleans too), nan, inf and numbers beyond a float's range.
+    Raises SceneError for any other type (booleans too), nan, inf and numbers beyond a float's
+    range.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise SceneError(path, f"is {shown(value)}, must be {wanted}", hint)
@@ -145,13 +132,8 @@ def shown(value: object) -> str:
 def oxygen_solubility(temperature: float) -> float:
     """Return how much oxygen pure water dissolves at a partial pressure, mM/kPa.
 
-    Parameters
-    ----------
-    temperature : float, °C
-        From 0 to 60.
+    - ``temperature``, float, °C: from 0 to 60
 
-    Notes
-    -----
     ln x = -66.73538 + 87.47547/τ + 24.45264 ln τ, τ = T/(100 K), is the mole fraction at
     101.325 kPa (Battino, Rettich & Tominaga 1983, J. Phys. Chem. Ref. Data 12, 163); it is
     proportional to the pressure (Henry). The density is that of

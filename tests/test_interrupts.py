@@ -207,7 +207,7 @@ def _commands(folder):
         "sensitivity": ["sensitivity", "growth", *SMALL, "-o", folder / "indices", *free],
         "fit": ["fit", "growth", *SMALL[:2], "-o", folder / "fit", "--data", folder / "data.csv",
                 *free],
-        "explain": ["explain", "spheroid", "--first-step"],
+        "explain": ["explain", "spheroid"],
     }  # fmt: skip
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import DataError, SceneError
+from multicell.scene.scene import Scene
 from multicell.schema import specs
 from multicell.studies.observed import (
     at_the_end,
@@ -19,9 +20,6 @@ from multicell.tables.fields import Table
 from multicell.tables.titles import split_title
 from multicell.units import to_base
 
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
-
 _ERRORS: Final = ("sd", "sem")
 _NO_CONDITIONS: Final = ("title", "seed")
 
@@ -31,19 +29,12 @@ _NO_CONDITIONS: Final = ("title", "seed")
 class Column:
     """One column.
 
-    Attributes
-    ----------
-    kind
-        ``"time"``, ``"start"``, ``"at"``, ``"value"``, ``"sd"``, ``"sem"``, ``"n"``,
-        ``"condition"``, ``"label"`` or ``"remark"``.
-    name
-        Of the observable, or key of the scene.
-    unit
-        As the title states it.
-    base
-        Base unit of the numbers.
-    title
-        As it stands in the header.
+    - ``kind``: ``"time"``, ``"start"``, ``"at"``, ``"value"``, ``"sd"``, ``"sem"``, ``"n"``,
+      ``"condition"``, ``"label"`` or ``"remark"``
+    - ``name``: of the observable, or key of the scene
+    - ``unit``: as the title states it
+    - ``base``: base unit of the numbers
+    - ``title``: as it stands in the header
     """
 
     kind: str
@@ -58,13 +49,7 @@ class Column:
         return self.kind in _ERRORS and self.unit == "%"
 
     def number(self, text: str, place: str) -> float:
-        """Return a field as a number of base units.
-
-        Raises
-        ------
-        DataError
-            If it is none.
-        """
+        """Return a field as a number of base units; raises DataError if it is none."""
         try:
             number = float(text)
         except ValueError:
@@ -98,11 +83,8 @@ class Column:
 def columns_of(table: Table, scene: Scene) -> list[Column]:
     """Return what the columns of a table hold.
 
-    Raises
-    ------
-    DataError
-        For a title that names nothing, has no unit or one of another dimension, for two columns
-        of the same, and where nothing is measured.
+    Raises DataError for a title that names nothing, has no unit or one of another dimension, for
+    two columns of the same, and where nothing is measured.
     """
     columns = [_column(title, scene, table.name) for title in table.titles]
     seen: dict[tuple[str, str], str] = {}

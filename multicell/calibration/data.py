@@ -36,20 +36,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.calibration.columns import Column, columns_of
 from multicell.errors import DataError, SceneError
+from multicell.scene.scene import Scene
 from multicell.schema import leaves
 from multicell.studies.observed import at_the_end, in_history, suggest
 from multicell.tables.fields import Table, read_table
 from multicell.units import to_base
 
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
-
-MAX_BYTES: Final = 10_000_000
-"""Of a file of measured data."""
+MAX_BYTES: Final = 10_000_000  # of a file of measured data
 
 ASSUMED: Final = 0.1
 """Relative standard deviation of data that come without one, unless another one is given."""
@@ -60,30 +57,19 @@ ASSUMED: Final = 0.1
 class Datum:
     """One measured number, and what to compare with it.
 
-    Attributes
-    ----------
-    observable
-        Name in the history of a run, or in its summary (dots between names).
-    value
-        Measured, in base units.
-    sigma
-        Standard deviation of the measurement: in base units, or of the logarithm of the value
-        where ``log``.
-    log
-        Whether logarithms are compared. They are for numbers of cells whose deviation is relative
-        (or assumed): populations grow over decades.
-    assumed
-        Whether the data do not state a standard deviation.
-    time
-        Simulated time in s; None: at the end, or ``at``.
-    at
-        Observable and its value (base unit) that state when; or None.
-    condition
-        Number of the condition.
-    place
-        Row in the source, in words.
-    tissues
-        How many tissues the value is the mean of; infinite where ``sigma`` holds their scatter.
+    - ``observable``: name in the history of a run, or in its summary (dots between names)
+    - ``value``: measured, in base units
+    - ``sigma``: standard deviation of the measurement: in base units, or of the logarithm of the
+      value where ``log``
+    - ``log``: whether logarithms are compared. They are for numbers of cells whose deviation is
+      relative (or assumed): populations grow over decades.
+    - ``assumed``: whether the data do not state a standard deviation
+    - ``time``: simulated time in s; None: at the end, or ``at``
+    - ``at``: observable and its value (base unit) that state when; or None
+    - ``condition``: number of the condition
+    - ``place``: row in the source, in words
+    - ``tissues``: how many tissues the value is the mean of; infinite where ``sigma`` holds their
+      scatter
     """
 
     observable: str
@@ -114,14 +100,10 @@ class Datum:
 class Condition:
     """What some of the data were measured under.
 
-    Attributes
-    ----------
-    label
-        For pictures and tables.
-    changes
-        Dotted keys of the scene with their values, as :meth:`Scene.with_changes` takes them.
-    scene
-        The scene of this condition; it lasts as long as its data need.
+    - ``label``: for pictures and tables
+    - ``changes``: dotted keys of the scene with their values, as :meth:`Scene.with_changes` takes
+      them
+    - ``scene``: the scene of this condition; it lasts as long as its data need
     """
 
     label: str
@@ -134,16 +116,10 @@ class Condition:
 class Measured:
     """All data of a fit.
 
-    Attributes
-    ----------
-    data
-        In the order of rows and columns.
-    conditions
-        In the order in which the rows name them.
-    units
-        Base unit by observable.
-    source
-        Name of the file, or what the table was.
+    - ``data``: in the order of rows and columns
+    - ``conditions``: in the order in which the rows name them
+    - ``units``: base unit by observable
+    - ``source``: name of the file, or what the table was
     """
 
     data: tuple[Datum, ...]
@@ -168,29 +144,16 @@ def read_data(
 ) -> Measured:
     """Read measured data of a scene.
 
-    Parameters
-    ----------
-    source
-        Path of a CSV file, a pandas ``DataFrame`` with the same titles, or a mapping of titles to
-        columns.
-    scene
-        What is fitted. A condition's runs end with its last datum, be that before the scene's end
-        or after it; where a row has no time, with the scene.
-    start
-        Time of the data at which runs begin, in s or with a unit, where no column says so.
-    sd
-        Relative standard deviation of data without one.
+    - ``source``: path of a CSV file, a pandas ``DataFrame`` with the same titles, or a mapping of
+      titles to columns
+    - ``scene``: what is fitted. A condition's runs end with its last datum, be that before the
+      scene's end or after it; where a row has no time, with the scene.
+    - ``start``: time of the data at which runs begin, in s or with a unit, where no column says so
+    - ``sd``: relative standard deviation of data without one
 
-    Returns
-    -------
-    Measured
-
-    Raises
-    ------
-    DataError
-        With row and column, for a title without a unit, a column that is no observable of the
-        scene and no key of it, text or NaN in place of a number, a standard deviation that is
-        not above 0, a time outside the run, and a table without data.
+    Raises DataError with row and column, for a title without a unit, a column that is no observable
+    of the scene and no key of it, text or NaN in place of a number, a standard deviation that is
+    not above 0, a time outside the run, and a table without data.
     """
     if not (isinstance(sd, int | float) and 0.0 < sd < math.inf):
         raise DataError("sd", f"is {sd!r}, must be a relative standard deviation above 0")

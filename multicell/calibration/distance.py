@@ -49,16 +49,11 @@ Array = NDArray[np.float64]
 class Misfit:
     """How runs with the same parameters differ from the data.
 
-    Attributes
-    ----------
-    means : (n,)
-        Of the runs, on the scales of the data; NaN where a run has nothing.
-    scatter : (n,)
-        Variance s² over the runs; 0 for one run.
-    residuals : (n,)
-        (m - y) / √v, positive where the runs have more; ABSENT where they have nothing.
-    loss
-        -2 ln L up to a constant: 0 for a perfect fit without scatter.
+    - ``means``, (n,): of the runs, on the scales of the data; NaN where a run has nothing
+    - ``scatter``, (n,): variance s² over the runs; 0 for one run
+    - ``residuals``, (n,): (m - y) / √v, positive where the runs have more; ABSENT where they have
+      nothing
+    - ``loss``: -2 ln L up to a constant: 0 for a perfect fit without scatter
     """
 
     means: Array
@@ -109,16 +104,11 @@ def misfit(
 ) -> Misfit:
     """Compare runs that differ in their random numbers with data.
 
-    Parameters
-    ----------
-    observed, sigma : (n,)
-        Data and their standard deviations.
-    runs : (K, n)
-        Readings on the same scales, NaN where a run has nothing.
-    groups
-        Which data share their scatter (:func:`groups_of`); None: none do.
-    tissues : (n,)
-        How many tissues each datum is the mean of; infinite where σ holds their scatter.
+    - ``observed``, ``sigma``, (n,): data and their standard deviations
+    - ``runs``, (K, n): readings on the same scales, NaN where a run has nothing
+    - ``groups``: which data share their scatter (:func:`groups_of`); None: none do
+    - ``tissues``, (n,): how many tissues each datum is the mean of; infinite where σ holds their
+      scatter
     """
     count = len(runs)
     means = runs.mean(axis=0)

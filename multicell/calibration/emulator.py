@@ -22,16 +22,13 @@ from numpy.typing import NDArray
 
 from multicell.calibration.distance import Array
 
-PARTICLES: Final = 2000
-"""Draws from a posterior."""
-FEW: Final = 500
-"""Draws that are enough to see where a posterior is, if not where its tails end."""
+PARTICLES: Final = 2000  # draws from a posterior
+FEW: Final = 500  # draws that are enough to see where a posterior is, if not where its tails end
 _MOVES: Final = 8
 _MAX_POINTS: Final = 100
 """Points that a process is fitted to, the nearest ones: its cost is their number cubed."""
 
-Loss = Callable[[Array], Array]
-"""From parameters (k, d) to -2 ln L, (k,)."""
+Loss = Callable[[Array], Array]  # from parameters (k, d) to -2 ln L, (k,)
 
 
 @final
@@ -39,14 +36,9 @@ Loss = Callable[[Array], Array]
 class Process:
     """Gaussian processes of some data, which share their hyperparameters.
 
-    Attributes
-    ----------
-    columns : (m,)
-        Numbers of the data.
-    fitted
-        Scikit-learn's ``GaussianProcessRegressor`` of the scaled values.
-    centre, width : (m,)
-        Origin and scale of the values.
+    - ``columns``, (m,): numbers of the data
+    - ``fitted``: scikit-learn's ``GaussianProcessRegressor`` of the scaled values
+    - ``centre``, ``width``, (m,): origin and scale of the values
     """
 
     columns: NDArray[np.int64]
@@ -71,14 +63,10 @@ class Process:
 class Emulator:
     """Gaussian processes in place of runs.
 
-    Attributes
-    ----------
-    processes
-        One for each observable.
-    lowest : (n,)
-        Of (mean - datum) / σ: where the observable is 0 and cannot be negative; else -inf.
-    scatter : (n,)
-        Variance over runs and of their mean, s² (1 + 1/K) / σ².
+    - ``processes``: one for each observable
+    - ``lowest``, (n,): of (mean - datum) / σ: where the observable is 0 and cannot be negative;
+      else -inf
+    - ``scatter``, (n,): variance over runs and of their mean, s² (1 + 1/K) / σ²
     """
 
     processes: tuple[Process, ...]
@@ -121,20 +109,12 @@ def emulator(
 ) -> Emulator | None:
     """Return processes through the best of the points that were tried, None if these are too few.
 
-    Parameters
-    ----------
-    shares : (k, d)
-        The points.
-    residuals : (k, n)
-        (mean - datum) / σ; points with NaN are left out.
-    scatter : (k, n)
-        s² (1 + 1/K) / σ².
-    loss : (k,)
-        -2 ln L of the runs.
-    observables
-        Of the data; None: all are of one.
-    lowest : (n,)
-        See :class:`Emulator`; None: no datum has a lowest value.
+    - ``shares``, (k, d): the points
+    - ``residuals``, (k, n): (mean - datum) / σ; points with NaN are left out
+    - ``scatter``, (k, n): s² (1 + 1/K) / σ²
+    - ``loss``, (k,): -2 ln L of the runs
+    - ``observables``: of the data; None: all are of one
+    - ``lowest``, (n,): see :class:`Emulator`; None: no datum has a lowest value
     """
     whole = np.isfinite(residuals).all(axis=1)
     shares, residuals, scatter, loss = (x[whole] for x in (shares, residuals, scatter, loss))

@@ -32,10 +32,8 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 METHODS: Final = ("best", "posterior")
-_LEAST: Final = 10
-"""Sets of parameters that a search must be able to try."""
-_SEARCHED: Final = 0.8
-"""Part of a budget of time that the search takes; the rest is for fresh runs."""
+_LEAST: Final = 10  # sets of parameters that a search must be able to try
+_SEARCHED: Final = 0.8  # part of a budget of time that the search takes; the rest is for fresh runs
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how much of it is done and how much is wanted."""
@@ -132,14 +130,9 @@ def fit(
 class FitPlan:
     """A fit that was checked and not begun.
 
-    Attributes
-    ----------
-    points
-        Sets of parameters that the search will try.
-    draws
-        Most draws of the posterior.
-    seconds
-        Time in s that the budget allows; infinite where it is a number of runs.
+    - ``points``: sets of parameters that the search will try
+    - ``draws``: most draws of the posterior
+    - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
     """
 
     problem: Problem

@@ -25,16 +25,14 @@ from multicell.results.start_copy import with_copy
 from multicell.scene.start_table import COPIES
 from multicell.studies.runs import MODEL_VERSION, canonical
 from multicell.tables.fields import Table
-from multicell.tables.text import csv_text
+from multicell.tables.text import csv_text, table_text
 
 if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
     from multicell.scene.scene import Scene
 
-FIT: Final = "fit.json"
-"""What the folder is a fit of."""
-SEARCH: Final = "search.log"
-"""Points and readings of the search, and of fresh runs."""
+FIT: Final = "fit.json"  # what the folder is a fit of
+SEARCH: Final = "search.log"  # points and readings of the search, and of fresh runs
 _JOURNAL: Final = "posterior.journal"
 FILES: Final = (
     FIT, "scene.toml", "data.csv", SEARCH, "posterior.db", _JOURNAL,
@@ -72,11 +70,8 @@ def open_folder(
 ) -> Iterator[Path]:
     """Make the folder of a fit, or open that of the same fit, and keep other processes out of it.
 
-    Raises
-    ------
-    OutputError
-        If the folder holds something else and may not be overwritten, another process works on
-        it, or it cannot be used.
+    Raises OutputError if the folder holds something else and may not be overwritten, another
+    process works on it, or it cannot be used.
     """
     folder = Path(folder)
     asked = json.loads(to_json(problem))
@@ -133,17 +128,13 @@ def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int,
 def write_result(fit: Fit, folder: Path) -> None:
     """Write what was found: ``result.json``, ``best.toml`` and the tables.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
+    Raises OutputError if it cannot be written.
     """
     about = {**versions(), **{name: package_version(name) for name in _PACKAGES}}
     write_text(folder / "result.json", to_json({**fit.summary(), "versions": about}) + "\n")
     best = with_copy(fit.best.scene, folder)
     write_text(folder / "best.toml", best.to_toml(beside=folder))
-    rows = fit.rows()
-    write_text(folder / "residuals.csv", csv_text(rows[0], (row.values() for row in rows)))
+    write_text(folder / "residuals.csv", table_text(fit.rows()))
     if fit.sample is not None:
         frame = fit.posterior
         units = frame.attrs["units"]

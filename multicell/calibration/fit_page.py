@@ -28,10 +28,7 @@ _POSTERIOR: Final = (
 def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
     """Write ``report.html`` and its pictures, and return the page.
 
-    Raises
-    ------
-    OutputError
-        If there is no folder, or it cannot be written to.
+    Raises OutputError if there is no folder, or it cannot be written to.
     """
     place = fit.folder if folder is None else Path(folder)
     if place is None:

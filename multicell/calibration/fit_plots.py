@@ -25,12 +25,9 @@ if TYPE_CHECKING:
 _COLOURS: Final = (
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
 )  # fmt: skip
-_MAX_PAIRED: Final = 6
-"""Parameters that are drawn pairwise; of more the first ones."""
-_UPRIGHT: Final = 9
-"""Single data whose labels stand beside each other."""
-_ZOOMED: Final = 0.35
-"""Part of a range below which only that is drawn."""
+_MAX_PAIRED: Final = 6  # parameters that are drawn pairwise; of more the first ones
+_UPRIGHT: Final = 9  # single data whose labels stand beside each other
+_ZOOMED: Final = 0.35  # part of a range below which only that is drawn
 _BAND: Final = (0.025, 0.5, 0.975)
 
 
@@ -41,13 +38,11 @@ class FitPlots:
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
 
-    def __call__(self) -> Figure:
-        """Draw the data with their deviations, the best runs and the posterior's band."""
-        return data(self._fit)
-
     def data(self) -> Figure:
         """Draw the data with their deviations, the best runs and the posterior's band."""
         return data(self._fit)
+
+    __call__ = data
 
     def parameters(self) -> Figure:
         """Draw the posterior: each parameter, and each pair of them."""

@@ -44,24 +44,14 @@ class Best:
     No single lucky run decides it, and the runs that stand for it have seeds that had no part in
     finding it.
 
-    Attributes
-    ----------
-    values
-        By key of the scene, in base units.
-    units
-        Base unit by key; empty for a number without.
-    words
-        By key: value and unit for people, ``"15.2 h"``.
-    readings : (n,)
-        What fresh runs have in place of each datum (their mean), base units.
-    residuals : (n,)
-        In standard deviations; positive where the runs have more.
-    chi_squared
-        The sum of their squares.
-    per_datum
-        χ² over the number of data.
-    settings
-        By key: the values as :meth:`Scene.with_changes` takes them.
+    - ``values``: by key of the scene, in base units
+    - ``units``: base unit by key; empty for a number without
+    - ``words``: by key: value and unit for people, ``"15.2 h"``
+    - ``readings``, (n,): what fresh runs have in place of each datum (their mean), base units
+    - ``residuals``, (n,): in standard deviations; positive where the runs have more
+    - ``chi_squared``: the sum of their squares
+    - ``per_datum``: χ² over the number of data
+    - ``settings``: by key: the values as :meth:`Scene.with_changes` takes them
     """
 
     values: Mapping[str, float]

@@ -27,14 +27,10 @@ from multicell.calibration.posterior import Draws
 from multicell.calibration.problem import Problem
 from multicell.calibration.search import Search
 
-DEFAULT_REPEATS: Final = 12
-"""Fresh runs at the best point."""
-MAX_REPEATS: Final = 1000
-"""Most of them."""
-CHECKS: Final = 6
-"""Draws from the intervals that are run."""
-_CHANCE: Final = 0.01
-"""Chance at which a check finds an error at a datum that is none."""
+DEFAULT_REPEATS: Final = 12  # fresh runs at the best point
+MAX_REPEATS: Final = 1000  # most of them
+CHECKS: Final = 6  # draws from the intervals that are run
+_CHANCE: Final = 0.01  # chance at which a check finds an error at a datum that is none
 
 
 @final
@@ -42,14 +38,9 @@ _CHANCE: Final = 0.01
 class Checks:
     """What runs at draws from the intervals say of the emulator, in σ of the data, (n,) each.
 
-    Attributes
-    ----------
-    found
-        Root mean square of run less emulator.
-    expected
-        What scatter of runs and the emulator's own error explain of it.
-    off
-        Where it is more than chance explains.
+    - ``found``: root mean square of run less emulator
+    - ``expected``: what scatter of runs and the emulator's own error explain of it
+    - ``off``: where it is more than chance explains
     """
 
     found: Array
@@ -62,20 +53,12 @@ class Checks:
 class Fresh:
     """What fresh runs have shown.
 
-    Attributes
-    ----------
-    shares : (d,)
-        The best point.
-    runs : (R, n)
-        Readings there, on the scales of the data; NaN where a run has nothing.
-    reasons
-        Why runs failed.
-    scatter
-        Their mean and covariance; None of fewer than four whole runs.
-    likelihood
-        Of the parameters; None without an emulator or without scatter.
-    checks
-        Of the emulator; None without a likelihood.
+    - ``shares``, (d,): the best point
+    - ``runs``, (R, n): readings there, on the scales of the data; NaN where a run has nothing
+    - ``reasons``: why runs failed
+    - ``scatter``: their mean and covariance; None of fewer than four whole runs
+    - ``likelihood``: of the parameters; None without an emulator or without scatter
+    - ``checks``: of the emulator; None without a likelihood
     """
 
     shares: Array
@@ -97,22 +80,13 @@ def fresh(
 ) -> Fresh:
     """Run the best point, and draws from the intervals that follow, with fresh seeds.
 
-    Parameters
-    ----------
-    problem
-        What is fitted.
-    search
-        Of the same problem; keeps the runs.
-    pool
-        Where runs are made.
-    emulator
-        Of the search; None where too few points were tried, or none.
-    drawn
-        From the posterior sampled with runs, whose mean is the best point; None: the emulator's.
-    count
-        Runs at the best point.
-    progress
-        Called with the numbers of runs done and wanted after each run.
+    - ``search``: of the same problem; keeps the runs
+    - ``pool``: where runs are made
+    - ``emulator``: of the search; None where too few points were tried, or none
+    - ``drawn``: from the posterior sampled with runs, whose mean is the best point; None: the
+      emulator's
+    - ``count``: runs at the best point
+    - ``progress``: called with the numbers of runs done and wanted after each run
     """
     best = _best(search, emulator, drawn)
     first = max(problem.seeds) + 1

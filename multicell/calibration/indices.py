@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 METHODS: Final = ("morris", "sobol")
 MIN_SIZE: Final = {"morris": 4, "sobol": 8}
 """Fewest trajectories, or base points, of which intervals mean anything."""
-RELIABLE: Final = 6
-"""Trajectories from which 95 % intervals of Morris cover as much."""
+RELIABLE: Final = 6  # trajectories from which 95 % intervals of Morris cover as much
 DEFAULT_SIZE: Final = {"morris": 10, "sobol": 64}
 _LEVELS: Final = 4  # of the grid of Morris
 _STEP: Final = _LEVELS / (2.0 * (_LEVELS - 1.0))  # of a parameter, in parts of its range
@@ -64,18 +63,14 @@ CLEAR, NOISE, ZERO, CLEAR_SINGLE, UNKNOWN = (
 class Index:
     """The sensitivity of one observable to one parameter.
 
-    Attributes
-    ----------
-    mu, mu_star, mu_star_conf, sigma
-        Of Morris, in the unit of the observable, for the whole range of the parameter; else NaN.
-    s1, s1_conf, st, st_conf
-        Of Sobol', parts of the variance; else NaN.
-    noise
-        What noise over the seeds alone gives to ``mu_star``, or adds to ``ST``; NaN for one seed.
-    verdict
-        :data:`CLEAR` if the index less its half width is above the noise; :data:`NOISE` if not,
-        :data:`ZERO` where there is no noise; :data:`CLEAR_SINGLE` if it is above zero and the noise
-        is unknown; :data:`UNKNOWN` without an index.
+    - ``mu``, ``mu_star``, ``mu_star_conf``, ``sigma``: of Morris, in the unit of the observable,
+      for the whole range of the parameter; else NaN
+    - ``s1``, ``s1_conf``, ``st``, ``st_conf``: of Sobol', parts of the variance; else NaN
+    - ``noise``: what noise over the seeds alone gives to ``mu_star``, or adds to ``ST``; NaN for
+      one seed
+    - ``verdict``: :data:`CLEAR` if the index less its half width is above the noise; :data:`NOISE`
+      if not, :data:`ZERO` where there is no noise; :data:`CLEAR_SINGLE` if it is above zero and the
+      noise is unknown; :data:`UNKNOWN` without an index
     """
 
     mu: float = math.nan
@@ -95,14 +90,9 @@ class Index:
 class Analysis:
     """The indices of one observable.
 
-    Attributes
-    ----------
-    indices
-        One for each parameter.
-    used
-        Trajectories, or base points, of which all runs have a value.
-    constant
-        Whether the observable is the same in all of them: then every index is zero.
+    - ``indices``: one for each parameter
+    - ``used``: trajectories, or base points, of which all runs have a value
+    - ``constant``: whether the observable is the same in all of them: then every index is zero
     """
 
     indices: tuple[Index, ...]
@@ -113,10 +103,7 @@ class Analysis:
 def check_size(method: str, size: int) -> None:
     """Refuse an unknown method and a size with which it tells nothing.
 
-    Raises
-    ------
-    SceneError
-        With what is allowed.
+    Raises SceneError with what is allowed.
     """
     if method not in METHODS:
         raise SceneError("method", f"is {method!r}, must be one of {', '.join(METHODS)}")
@@ -157,17 +144,11 @@ def analyse(
 ) -> Analysis:  # fmt: skip
     """Return the indices of one observable.
 
-    Parameters
-    ----------
-    method
-        ``"morris"`` or ``"sobol"``.
-    names
-        Of the parameters.
-    shares : (n, parameters)
-        As :func:`sample` gives them.
-    values : (n, seeds)
-        The observable; NaN where a run has none. A trajectory or base point is left out with the
-        seeds that lack a value at one of its points.
+    - ``method``: ``"morris"`` or ``"sobol"``
+    - ``names``: of the parameters
+    - ``shares``, (n, parameters): as :func:`sample` gives them
+    - ``values``, (n, seeds): the observable; NaN where a run has none. A trajectory or base point
+      is left out with the seeds that lack a value at one of its points.
     """
     wide = block(method, len(names))
     blocks = values.reshape(-1, wide, values.shape[1])
@@ -251,18 +232,11 @@ def _sobol(
 def _noise(method: str, shares: FloatArray, blocks: FloatArray, whole: Mask) -> FloatArray:
     """Return the mean variance, by noise over seeds, of the differences made by each parameter.
 
-    Parameters
-    ----------
-    method
-    shares : (blocks * points, parameters)
-    blocks : (blocks, points, seeds)
-    whole : (blocks, seeds) bool
-        Which seeds count.
+    - ``shares``, (blocks * points, parameters)
+    - ``blocks``, (blocks, points, seeds)
+    - ``whole``, (blocks, seeds) bool: which seeds count
 
-    Returns
-    -------
-    (parameters,)
-        NaN if no block has two seeds.
+    Returns (parameters,): NaN if no block has two seeds.
     """
     count = shares.shape[1]
     places = shares.reshape(len(blocks), -1, count)

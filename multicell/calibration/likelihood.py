@@ -34,13 +34,11 @@ import numpy as np
 from multicell.calibration.distance import Array
 from multicell.calibration.emulator import FEW, PARTICLES, Emulator, draws
 
-MIN_REPEATS: Final = 4
-"""Fresh runs of which a covariance can be estimated."""
+MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
 _SHRINKAGE: Final = 0.1
 _STILL: Final = 0.02
 """Standard deviations below which a direction of the data does not depend on the parameters."""
-_EXACT: Final = 1e6
-"""Degrees of freedom that stand for a variance that is known."""
+_EXACT: Final = 1e6  # degrees of freedom that stand for a variance that is known
 
 
 @final
@@ -48,14 +46,9 @@ _EXACT: Final = 1e6
 class Scatter:
     """What fresh runs at one point show, in σ of the data.
 
-    Attributes
-    ----------
-    mean : (n,)
-        Of (reading - datum) / σ.
-    variance : (n,)
-        Of one run.
-    away : (R, n)
-        The runs less their mean.
+    - ``mean``, (n,): of (reading - datum) / σ
+    - ``variance``, (n,): of one run
+    - ``away``, (R, n): the runs less their mean
     """
 
     mean: Array
@@ -94,22 +87,14 @@ def _shrink(away: Array) -> Array:
 class Likelihood:
     """-2 ln L of parameters by an emulator and fresh runs.
 
-    Attributes
-    ----------
-    emulator
-        Of the search.
-    shift : (n,)
-        What is added to its means, in σ.
-    error : (n,)
-        Variance that is added to the emulator's own, in σ².
-    whitening : (n, n)
-        Takes data to the scale where C is one.
-    directions : (n, k)
-        Of whitened data, orthonormal, along which the parameters move them; k may be 0.
-    spread : (k, k)
-        Scale of the Student distribution along them, at the best point.
-    freedom
-        Its degrees of freedom.
+    - ``emulator``: of the search
+    - ``shift``, (n,): what is added to its means, in σ
+    - ``error``, (n,): variance that is added to the emulator's own, in σ²
+    - ``whitening``, (n, n): takes data to the scale where C is one
+    - ``directions``, (n, k): of whitened data, orthonormal, along which the parameters move them; k
+      may be 0
+    - ``spread``, (k, k): scale of the Student distribution along them, at the best point
+    - ``freedom``: its degrees of freedom
     """
 
     emulator: Emulator
@@ -152,18 +137,11 @@ def likelihood(
 ) -> Likelihood:
     """Return the likelihood with the scatter of fresh runs at the best point.
 
-    Parameters
-    ----------
-    emulator
-        Of the search.
-    tissues : (n,)
-        How many tissues each datum is the mean of.
-    best : (d,)
-        Where the fresh runs were made.
-    scatter
-        What they show.
-    error : (n,)
-        Variance that check runs have found beyond the emulator's own, in σ².
+    - ``emulator``: of the search
+    - ``tissues``, (n,): how many tissues each datum is the mean of
+    - ``best``, (d,): where the fresh runs were made
+    - ``scatter``: what they show
+    - ``error``, (n,): variance that check runs have found beyond the emulator's own, in σ²
     """
     means, variances = emulator.predict(best[None])
     error = np.broadcast_to(np.asarray(error, dtype=float), tissues.shape)

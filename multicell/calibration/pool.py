@@ -34,12 +34,8 @@ class InProcessExecutor(Executor):
 class Pool:
     """An executor, and how many calls it makes at the same time.
 
-    Parameters
-    ----------
-    executor
-        Makes the calls; by default this process.
-    threads
-        Counts the workers, which may come and go; by default there is one.
+    - ``executor``: makes the calls; by default this process
+    - ``threads``: counts the workers, which may come and go; by default there is one
     """
 
     def __init__(
@@ -59,12 +55,8 @@ class Pool:
         Calls are taken one by one as workers come free, so that their iterator may depend on the
         results so far. Those under way are cancelled where this iterator is closed.
 
-        Raises
-        ------
-        FitFailed
-            If the process that made a call died time after time.
-        ClusterError
-            If the scheduler is lost.
+        Raises FitFailed if the process that made a call died time after time; ClusterError if the
+        scheduler is lost.
         """
         ended: SimpleQueue[Future[Any]] = SimpleQueue()
         pending: dict[Future[Any], Any] = {}
@@ -110,12 +102,8 @@ def _result(future: Future[Any]) -> Any:
 def open_pool(cores: int | None, scheduler: str | None) -> Iterator[Pool]:
     """Yield a pool: with one core and no scheduler this process, else workers of Dask.
 
-    Parameters
-    ----------
-    cores
-        Number of worker processes on this machine; None: as many as it has cores.
-    scheduler
-        Address of a Dask scheduler whose workers are used instead.
+    - ``cores``: number of worker processes on this machine; None: as many as it has cores
+    - ``scheduler``: address of a Dask scheduler whose workers are used instead
     """
     if cores == 1 and scheduler is None:
         yield Pool()

@@ -32,20 +32,12 @@ from multicell.host.extras import needs, quiet
 class Draws:
     """Weighted draws from a posterior.
 
-    Attributes
-    ----------
-    shares : (k, d)
-        Places in the ranges.
-    weights : (k,)
-        Their sum is 1.
-    residuals : (k, n)
-        (reading - datum) / σ of the run of each draw.
-    temperature
-        Of the sample; 1 for the posterior itself.
-    generations
-        How many were sampled.
-    drawn
-        How many draws all of them took; each is one run of every condition.
+    - ``shares``, (k, d): places in the ranges
+    - ``weights``, (k,): their sum is 1
+    - ``residuals``, (k, n): (reading - datum) / σ of the run of each draw
+    - ``temperature``: of the sample; 1 for the posterior itself
+    - ``generations``: how many were sampled
+    - ``drawn``: how many draws all of them took; each is one run of every condition
     """
 
     shares: Array
@@ -69,31 +61,16 @@ def posterior(
 ) -> Draws:
     """Sample the posterior of a problem, or continue with it.
 
-    Parameters
-    ----------
-    problem
-        What to fit.
-    pool
-        Where runs are made.
-    folder
-        Where pyABC's database and the journal of the generation under way are kept.
-    seed
-        Of all random numbers. The sample does not depend on the number of workers.
-    population
-        Number of draws in a generation.
-    most
-        Number of draws after which no generation is begun or finished.
-    deadline
-        The same by time (as of ``time.monotonic``).
-    progress
-        Called with generation, accepted, wanted and drawn.
+    - ``pool``: where runs are made
+    - ``folder``: where pyABC's database and the journal of the generation under way are kept
+    - ``seed``: of all random numbers. The sample does not depend on the number of workers.
+    - ``population``: number of draws in a generation
+    - ``most``: number of draws after which no generation is begun or finished
+    - ``deadline``: the same by time (as of ``time.monotonic``)
+    - ``progress``: called with generation, accepted, wanted and drawn
 
-    Raises
-    ------
-    FitFailed
-        If a limit came before the first generation was complete.
-    OutputError
-        If the database cannot be read.
+    Raises FitFailed if a limit came before the first generation was complete; OutputError if the
+    database cannot be read.
     """
     needs("pyabc", "sqlalchemy")  # they set the levels of their loggers as they are loaded
     with quiet("ABC", "pyabc"), warnings.catch_warnings():

@@ -31,17 +31,10 @@ from multicell.studies.observed import may_be_negative
 class Problem:
     """Data and how runs are compared with them.
 
-    Attributes
-    ----------
-    measured
-        The data.
-    ranges
-        The free parameters; all of them are uniform a priori (on a logarithmic range: in the
-        logarithm).
-    simulator
-        Gives the readings of one run.
-    seeds
-        Random numbers of the runs that are averaged, the same ones for all parameters.
+    - ``ranges``: the free parameters; all of them are uniform a priori (on a logarithmic range: in
+      the logarithm)
+    - ``simulator``: gives the readings of one run
+    - ``seeds``: random numbers of the runs that are averaged, the same ones for all parameters
     """
 
     measured: Measured
@@ -121,11 +114,8 @@ class Problem:
 def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) -> tuple[Range, ...]:
     """Return the ranges of free parameters.
 
-    Raises
-    ------
-    SceneError
-        If there are none, one is no key of the scene of every condition, one is a condition of
-        the data, or the end of a range is refused by the scene.
+    Raises SceneError if there are none, one is no key of the scene of every condition, one is a
+    condition of the data, or the end of a range is refused by the scene.
     """
     for condition in measured.conditions:
         for key in free:
@@ -153,16 +143,10 @@ def problem_of(
 ) -> Problem:
     """Return the problem of fitting a scene to data.
 
-    Parameters
-    ----------
-    measured, ranges
-        Data and free parameters.
-    seeds
-        Number of runs with different random numbers for each set of parameters.
-    first_seed
-        Of these runs.
-    simulator
-        What stands for the scene's runs; by default they themselves.
+    - ``measured``, ``ranges``: data and free parameters
+    - ``seeds``: number of runs with different random numbers for each set of parameters
+    - ``first_seed``: of these runs
+    - ``simulator``: what stands for the scene's runs; by default they themselves
     """
     chosen = SceneSimulator.of(measured, ranges) if simulator is None else simulator
     return Problem(measured, tuple(ranges), chosen, tuple(range(first_seed, first_seed + seeds)))

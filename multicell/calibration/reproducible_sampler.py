@@ -33,20 +33,12 @@ from multicell.results.documents import Lines
 class ReproducibleSampler(Sampler):  # type: ignore[misc]
     """Draws particles by numbers.
 
-    Parameters
-    ----------
-    pool
-        Where draws are made.
-    seed
-        Of all draws.
-    most
-        Number of draws after which no generation is finished; that of earlier ones included.
-    deadline
-        The same by time (as of ``time.monotonic``).
-    journal
-        File that keeps what the draws of the current generation came to; or None.
-    progress
-        Called with generation, accepted, wanted and drawn.
+    - ``pool``: where draws are made
+    - ``seed``: of all draws
+    - ``most``: number of draws after which no generation is finished; that of earlier ones included
+    - ``deadline``: the same by time (as of ``time.monotonic``)
+    - ``journal``: file that keeps what the draws of the current generation came to; or None
+    - ``progress``: called with generation, accepted, wanted and drawn
     """
 
     def __init__(
@@ -159,8 +151,7 @@ def _draw(work: bytes, seed: int, generation: int, number: int) -> Any:
     return simulate_one()
 
 
-KNOWN: Final[dict[str, list[float]]] = {}
-"""In a worker: what draws with some key came to before."""
+KNOWN: Final[dict[str, list[float]]] = {}  # in a worker: what draws with some key came to before
 
 
 @final

@@ -32,13 +32,11 @@ from multicell.errors import FitFailed, OutputError
 from multicell.host.extras import needs, quiet
 from multicell.results.documents import Lines
 
-Point = tuple[float, ...]
-"""Places in the ranges."""
+Point = tuple[float, ...]  # places in the ranges
 Run = tuple[Point, int, int]
 """A point, the number of a condition, and a seed: what decides a reading."""
 
-BATCH: Final = 5
-"""Points that are tried together, at least."""
+BATCH: Final = 5  # points that are tried together, at least
 
 
 @final
@@ -46,16 +44,10 @@ BATCH: Final = 5
 class Evaluation:
     """What was found for one set of parameters.
 
-    Attributes
-    ----------
-    number
-        In the order in which they were asked for.
-    shares : (d,)
-        Places in the ranges.
-    misfit
-        Of its runs.
-    reasons
-        Why runs failed; empty if none did.
+    - ``number``: in the order in which they were asked for
+    - ``shares``, (d,): places in the ranges
+    - ``misfit``: of its runs
+    - ``reasons``: why runs failed; empty if none did
     """
 
     number: int
@@ -68,14 +60,8 @@ class Evaluation:
 class Search:
     """All that has been tried for a problem.
 
-    Parameters
-    ----------
-    problem
-        What to fit.
-    path
-        File that keeps what was tried; None keeps it in memory.
-    seed
-        Of the choice of points.
+    - ``path``: file that keeps what was tried; None keeps it in memory
+    - ``seed``: of the choice of points
     """
 
     def __init__(self, problem: Problem, path: Path | None, seed: int = 0) -> None:
@@ -109,21 +95,12 @@ class Search:
     ) -> list[Evaluation]:
         """Go on until there are so many points; return all of them.
 
-        Parameters
-        ----------
-        pool
-            Where runs are made.
-        points
-            Number of points that are wanted in all.
-        deadline
-            Time (as of ``time.monotonic``) after which no batch is begun.
-        progress
-            Called with the numbers of runs done and wanted after each run.
+        - ``pool``: where runs are made
+        - ``points``: number of points that are wanted in all
+        - ``deadline``: time (as of ``time.monotonic``) after which no batch is begun
+        - ``progress``: called with the numbers of runs done and wanted after each run
 
-        Raises
-        ------
-        FitFailed
-            If all runs of the first points fail.
+        Raises FitFailed if all runs of the first points fail.
         """
         import optuna
 
@@ -147,21 +124,12 @@ class Search:
     ) -> tuple[Array, list[str]]:
         """Run all conditions once at each of some points, with a seed each.
 
-        Parameters
-        ----------
-        pool
-            Where runs are made.
-        points
-            Places in the ranges, and the seed there.
-        progress
-            Called with the numbers of runs done and wanted after each run.
+        - ``pool``: where runs are made
+        - ``points``: places in the ranges, and the seed there
+        - ``progress``: called with the numbers of runs done and wanted after each run
 
-        Returns
-        -------
-        readings : (points, n)
-            On the scales of the data; NaN where a run has nothing.
-        reasons
-            Why runs failed.
+        Returns readings, (points, n): on the scales of the data; NaN where a run has nothing;
+        reasons: why runs failed.
         """
         conditions = range(len(self._problem.measured.conditions))
         runs = [(_point(shares), k, seed) for shares, seed in points for k in conditions]

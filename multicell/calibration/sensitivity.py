@@ -119,14 +119,9 @@ def sensitivity(
 class SensitivityPlan:
     """An analysis that was checked and has not run.
 
-    Attributes
-    ----------
-    scene, method, ranges, size, observables
-        As in :func:`sensitivity`.
-    study
-        The plan of its runs: the points that differ, as a list.
-    rows : (n,)
-        The number of each point of the sample in the study.
+    - ``scene``, ``method``, ``ranges``, ``size``, ``observables``: as in :func:`sensitivity`
+    - ``study``: the plan of its runs: the points that differ, as a list
+    - ``rows``, (n,): the number of each point of the sample in the study
     """
 
     scene: Scene
@@ -222,14 +217,10 @@ def result_of(
 ) -> Sensitivity:
     """Return the sensitivity of whatever has values at the points of a sample.
 
-    Parameters
-    ----------
-    scene, method, ranges, seeds
-        As in :func:`sensitivity`, checked.
-    values : observable -> (n, seeds)
-        At the points of :func:`multicell.calibration.indices.sample`; NaN where there is none.
-    failures
-        Name of a run that failed -> reason.
+    - ``scene``, ``method``, ``ranges``, ``seeds``: as in :func:`sensitivity`, checked
+    - ``values``, observable -> (n, seeds): at the points of
+      :func:`multicell.calibration.indices.sample`; NaN where there is none
+    - ``failures``: name of a run that failed -> reason
     """
     names = [free.name for free in ranges]
     size = len(next(iter(values.values()))) // block(method, len(names))
@@ -252,21 +243,12 @@ def read_final(
     The viable rim of a population without a necrotic core is its radius, which is what it tends to
     as a core vanishes.
 
-    Parameters
-    ----------
-    outcomes
-        Of all runs of a study, n.
-    folder
-        Of the study.
-    observables
-        Columns of histories, or dotted names of entries of summaries.
+    - ``outcomes``: of all runs of a study, n
+    - ``folder``: of the study
+    - ``observables``: columns of histories, or dotted names of entries of summaries
 
-    Returns
-    -------
-    dict of str to (n,)
-        NaN where a run failed or lacks the observable.
-    dict of str to str
-        Name of a run -> reason.
+    Returns dict of str to (n,): NaN where a run failed or lacks the observable; dict of str to str:
+    name of a run -> reason.
     """
     failures = {o.name: o.reason for o in outcomes if o.state == "failed"}
     final = {name: np.full(len(outcomes), np.nan) for name in observables}
@@ -298,10 +280,7 @@ def _read_end(place: Path, observables: Sequence[str]) -> dict[str, float]:
 def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
     """Return the observables that are asked for, or the usual ones of a scene.
 
-    Raises
-    ------
-    SceneError
-        For a name that no run of the scene has.
+    Raises SceneError for a name that no run of the scene has.
     """
     history = in_history(scene)
     known = {**history, **at_the_end(scene)}

@@ -19,10 +19,7 @@ if TYPE_CHECKING:
 def write_report(result: Sensitivity, folder: Path) -> Path:
     """Write ``report.html`` and its pictures, and return the page.
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written to.
+    Raises OutputError if the folder cannot be written to.
     """
     pictures: dict[str, Drawing] = {}
     index, first = "parts of the variance", "st"

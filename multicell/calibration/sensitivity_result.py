@@ -11,7 +11,7 @@ from multicell.errors import OutputError, SceneError
 from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
 from multicell.results.quantities import known_unit
 from multicell.studies.observed import suggest
-from multicell.tables.text import csv_text
+from multicell.tables.text import table_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.studies.axes import Range
 
-Row = dict[str, Any]
-"""One row of a table: column -> value."""
+Row = dict[str, Any]  # one row of a table: column -> value
 
 COLUMNS: Final = {
     "morris": ("mu", "mu_star", "mu_star_conf", "sigma"),
@@ -96,9 +95,9 @@ class Sensitivity:
 
         return indices(self, observable or self.observables[0])
 
-    def tocsv_text(self) -> str:
+    def to_csv(self) -> str:
         """Return the table as CSV."""
-        return _csv(self.table)
+        return table_text(self.table)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
@@ -147,15 +146,11 @@ class Sensitivity:
             raise OutputError("the analysis has no output folder: say where the report shall go")
         with file_errors("use the output folder", place):
             place.mkdir(parents=True, exist_ok=True)
-        texts = {"sensitivity.csv": self.tocsv_text(), "sensitivity.json": self.to_json()}
-        texts |= {"runs.csv": _csv(self.runs)} if self.runs else {}
+        texts = {"sensitivity.csv": self.to_csv(), "sensitivity.json": self.to_json()}
+        texts |= {"runs.csv": table_text(self.runs)} if self.runs else {}
         for name, text in texts.items():
             write_text(place / name, text)
         return write_report(self, place)
-
-
-def _csv(rows: Sequence[Row]) -> str:
-    return csv_text(rows[0], (row.values() for row in rows))
 
 
 def _table_lines(method: str, rows: Sequence[Row]) -> list[str]:

@@ -28,12 +28,8 @@ OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
 class Reading:
     """What a run has in place of each datum.
 
-    Attributes
-    ----------
-    values
-        One for each datum of the condition, in base units; NaN where the run has none.
-    reason
-        Why a run failed; empty for one that did not.
+    - ``values``: one for each datum of the condition, in base units; NaN where the run has none
+    - ``reason``: why a run failed; empty for one that did not
     """
 
     values: tuple[float, ...]
@@ -46,14 +42,9 @@ class Simulator(Protocol):
     def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:
         """Return what a run gives.
 
-        Parameters
-        ----------
-        shares
-            Place of each free parameter in its range, from 0 to 1.
-        condition
-            Number of the condition.
-        seed
-            Of the run's random numbers.
+        - ``shares``: place of each free parameter in its range, from 0 to 1
+        - ``condition``: number of the condition
+        - ``seed``: of the run's random numbers
         """
         ...
 
@@ -63,14 +54,9 @@ class Simulator(Protocol):
 class SceneSimulator:
     """Runs of a scene under the conditions of measured data.
 
-    Attributes
-    ----------
-    scenes
-        The scene of each condition.
-    data
-        The data of each condition.
-    ranges
-        The free parameters.
+    - ``scenes``: the scene of each condition
+    - ``data``: the data of each condition
+    - ``ranges``: the free parameters
     """
 
     scenes: tuple[PlainScene, ...]

@@ -16,8 +16,7 @@ OPEN: Final = 0.7
 """Part of its range from which a 95 % interval says that a parameter is not determined."""
 RIDGE: Final = 0.9
 """Size of a correlation from which only a combination of two parameters is determined."""
-EDGE: Final = 0.02
-"""Part of a range next to its end in which half of the posterior is too much."""
+EDGE: Final = 0.02  # part of a range next to its end in which half of the posterior is too much
 
 
 @final
@@ -25,12 +24,8 @@ EDGE: Final = 0.02
 class Interval:
     """A credible interval of one parameter, base units.
 
-    Attributes
-    ----------
-    low, median, high
-        Of the posterior.
-    part
-        Of the range (of its logarithm where that is logarithmic) that the interval covers.
+    - ``low``, ``median``, ``high``: of the posterior
+    - ``part``: of the range (of its logarithm where that is logarithmic) that the interval covers
     """
 
     low: float
@@ -47,15 +42,10 @@ class Interval:
 class Undetermined:
     """Something that the data do not determine.
 
-    Attributes
-    ----------
-    names
-        Of one parameter, or of two that only have a combination.
-    kind
-        ``"open"``: its interval covers most of its range; ``"ridge"``: a strong correlation;
-        ``"edge"``: the posterior presses against an end of the range.
-    words
-        In words.
+    - ``names``: of one parameter, or of two that only have a combination
+    - ``kind``: ``"open"``: its interval covers most of its range; ``"ridge"``: a strong
+      correlation; ``"edge"``: the posterior presses against an end of the range
+    - ``words``: in words
     """
 
     names: tuple[str, ...]

@@ -8,22 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.cli.options import (
-    as_json_option,
-    changes_option,
-    console,
-    grouped,
-    law_option,
-    output_option,
-    overwrite_option,
-    quiet_option,
-    scene_of,
-    threads_option,
-)
+from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json
 
 if TYPE_CHECKING:
-    from multicell.comparison import StabilityMap, WorkPrecision
+    from multicell.comparison.result import WorkPrecision
+    from multicell.comparison.stability_limits.result import StabilityMap
 
 
 def _positive(context: click.Context, option: click.Parameter, value: float | None) -> float | None:
@@ -47,11 +37,11 @@ def _seconds(name: str, help: str, default: float | None = None) -> Callable[[An
     return click.option(name, type=float, default=default, callback=_positive, help=help)
 
 
-_comparing = grouped(
+_comparing = shared.grouped(
     click.argument("scene"),
-    output_option("Folder for the results; it must be empty or new."),
-    law_option,
-    changes_option,
+    shared.output_option("Folder for the results; it must be empty or new."),
+    shared.law_option,
+    shared.changes_option,
     click.option(
         "--methods",
         metavar="NAMES",
@@ -59,10 +49,10 @@ _comparing = grouped(
         help="Methods to compare, separated by commas; by default all that can hold the scene. "
         "One of your own is named as mine.py:Midpoint.",
     ),
-    threads_option,
-    overwrite_option("Replace earlier results."),
-    quiet_option,
-    as_json_option,
+    shared.threads_option,
+    shared.overwrite_option("Replace earlier results."),
+    shared.quiet_option,
+    shared.as_json_option,
 )
 """What both commands take."""
 
@@ -110,10 +100,10 @@ def compare(
     its uncertainty is part of the chart. Trajectories of a growing or driven population diverge
     with any method: compare those with --stepwise.
     """
-    described = scene_of(scene, changes, law)
-    from multicell import comparison
+    described = shared.scene_of(scene, changes, law)
+    from multicell.comparison.work_precision import compare as compared
 
-    result = comparison.compare(
+    result = compared(
         described, stepwise=stepwise or False, progress=None if quiet else complain, **options
     )
     _show(result, options["output"], quiet, as_json)
@@ -129,12 +119,7 @@ def compare(
     help="What the cells start from: settled, growing, compressed, divided, or snap (exact JKR).",
 )
 def stability(
-    scene: str,
-    law: str | None,
-    changes: Sequence[str],
-    quiet: bool,
-    as_json: bool,
-    **options: Any,
+    scene: str, law: str | None, changes: Sequence[str], quiet: bool, as_json: bool, **options: Any
 ) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
@@ -142,10 +127,10 @@ def stability(
     coupling step, and a method that suppresses unstable modes of the true motion is reported to
     damp a real instability.
     """
-    described = scene_of(scene, changes, law)
-    from multicell import comparison
+    described = shared.scene_of(scene, changes, law)
+    from multicell.comparison.stability_limits.search import stability as limits_of
 
-    result = comparison.stability(described, progress=None if quiet else complain, **options)
+    result = limits_of(described, progress=None if quiet else complain, **options)
     _show(result, options["output"], quiet, as_json)
 
 
@@ -154,4 +139,4 @@ def _show(result: WorkPrecision | StabilityMap, output: Path, quiet: bool, as_js
     if as_json:
         print_json(result.table)
     elif not quiet:
-        console().print(f"Results are in '{output}'.", markup=False)
+        shared.console().print(f"Results are in '{output}'.", markup=False)

@@ -9,29 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from multicell.cli.options import (
-    as_json_option,
-    changes_option,
-    console,
-    law_option,
-    observable_option,
-    output_option,
-    overwrite_option,
-    quiet_option,
-    scene_of,
-)
+from multicell.cli import options as shared
+from multicell.cli import study as studies
 from multicell.cli.process import complain, print_json
 from multicell.cli.progress import display
-from multicell.cli.study import (
-    confirm,
-    cores_option,
-    cores_wanted,
-    free_option,
-    key_values,
-    planning,
-    scheduler_option,
-    yes_option,
-)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,8 +39,8 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     help="CSV file with a column for each quantity and its unit in the title, as 'time / h', "
     "'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
 )
-@free_option
-@output_option("Folder of the fit; the same fit there is continued.")
+@studies.free_option
+@shared.output_option("Folder of the fit; the same fit there is continued.")
 @click.option(
     "--method",
     default="best",
@@ -103,15 +84,15 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     show_default=True,
     help="Relative standard deviation of data that come without one.",
 )
-@changes_option
-@law_option
-@observable_option
-@cores_option
-@scheduler_option
-@yes_option
-@overwrite_option("Replace another fit in the folder.")
-@quiet_option
-@as_json_option
+@shared.changes_option
+@shared.law_option
+@shared.observable_option
+@studies.cores_option
+@studies.scheduler_option
+@studies.yes_option
+@shared.overwrite_option("Replace another fit in the folder.")
+@shared.quiet_option
+@shared.as_json_option
 def fit(
     scene: str,
     data: Path,
@@ -132,14 +113,14 @@ def fit(
     The result states how far each parameter is determined, and what the data leave open. A fit that
     was stopped continues with the same command; a larger --budget adds to it.
     """
-    pairs = key_values(free, "--free")
-    described = scene_of(scene, changes, law)
+    pairs = studies.key_values(free, "--free")
+    described = shared.scene_of(scene, changes, law)
     from multicell.calibration.fit import carry_out, plan_of
 
-    with planning():
+    with studies.planning():
         plan = plan_of(described, data, pairs, **options)
-    count = cores_wanted(cores, scheduler)
-    confirm(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
+    count = studies.cores_wanted(cores, scheduler)
+    studies.confirm(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
     try:
         with _reporter(show=not quiet) as progress:
             found = carry_out(
@@ -152,7 +133,7 @@ def fit(
     if as_json:
         print_json(found.summary())
     elif not quiet:
-        _print(console(), found, output)
+        _print(shared.console(), found, output)
 
 
 def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:

@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from multicell.cli.options import (
-    as_json_option,
-    console,
-    output_option,
-    overwrite_option,
-    quiet_option,
-)
+from multicell.cli import options as shared
 from multicell.cli.process import print_json
 from multicell.cli.tables import bare_table, plain
 
@@ -28,10 +22,10 @@ if TYPE_CHECKING:
 @click.command("import")
 @click.argument("program", type=click.Choice(["physicell"]))
 @click.argument("settings", type=click.Path(path_type=Path))
-@output_option("Folder for scene.toml, cells.csv and account.md.")
-@overwrite_option("Replace files of these names.")
-@quiet_option
-@as_json_option
+@shared.output_option("Folder for scene.toml, cells.csv and account.md.")
+@shared.overwrite_option("Replace files of these names.")
+@shared.quiet_option
+@shared.as_json_option
 def importing(
     program: str, settings: Path, output: Path, overwrite: bool, quiet: bool, as_json: bool
 ) -> None:
@@ -63,7 +57,7 @@ def _print(made: Imported, output: Path) -> None:
         for entry in made.of(fate):
             line = "" if entry.line is None else str(entry.line)
             table.add_row(*map(plain, (line, _short(entry.path), entry.value[:20], entry.note)))
-        console().print(table)
+        shared.console().print(table)
     counts = ", ".join(f"{number} {fate}" for fate, number in made.counts().items())
     click.echo(f"\n{counts}: see '{output / 'account.md'}'.", file=sys.stdout)
     scene = shlex.quote(str(output / "scene.toml"))

@@ -16,28 +16,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from multicell import __version__
+from multicell.cli import options as shared
 from multicell.cli.compare import compare, stability
 from multicell.cli.dose_response import dose_response
 from multicell.cli.fit import fit
 from multicell.cli.importing import importing
 from multicell.cli.movie import movie
-from multicell.cli.options import (
-    as_json_option,
-    changes_option,
-    console,
-    grouped,
-    integrator_option,
-    law_option,
-    loaded_law_option,
-    no_report_option,
-    observable_option,
-    output_option,
-    overwrite_option,
-    parse_changes,
-    quiet_option,
-    scene_of,
-    threads_option,
-)
 from multicell.cli.plot import plot
 from multicell.cli.process import Commands, complain, print_json
 from multicell.cli.scenes import init, scenes, schema
@@ -66,48 +50,43 @@ def main() -> None:
 
 @main.command()
 @click.argument("scene")
-@law_option
-@changes_option
-@click.option(
-    "--first-step", is_flag=True, help="Also show what `auto` chooses for the first coupling step."
-)
-@as_json_option
-def explain(
-    scene: str, law: str | None, changes: Sequence[str], first_step: bool, as_json: bool
-) -> None:
+@shared.law_option
+@shared.changes_option
+@shared.as_json_option
+def explain(scene: str, law: str | None, changes: Sequence[str], as_json: bool) -> None:
     """Explain what a SCENE uses and why, without running it."""
     from multicell.report.explain.scene import explain as explained
 
-    facts = explained(scene_of(scene, changes, law), first_step=first_step)
+    facts = explained(shared.scene_of(scene, changes, law))
     if as_json:
         print_json({"scene": scene, **facts})
     else:
-        _print_facts(console(), scene, facts)
+        _print_facts(shared.console(), scene, facts)
 
 
-_run_options = grouped(
-    observable_option,
-    changes_option,
-    integrator_option,
-    overwrite_option("Replace the results of an earlier run."),
-    threads_option,
-    no_report_option,
-    quiet_option,
-    as_json_option,
+_run_options = shared.grouped(
+    shared.observable_option,
+    shared.changes_option,
+    shared.integrator_option,
+    shared.overwrite_option("Replace the results of an earlier run."),
+    shared.threads_option,
+    shared.no_report_option,
+    shared.quiet_option,
+    shared.as_json_option,
 )
 """What ``run`` and ``resume`` take."""
 
 
 @main.command()
 @click.argument("scene")
-@output_option("Folder for the results; it must be empty or new.")
+@shared.output_option("Folder for the results; it must be empty or new.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of the random numbers.")
 @click.option(
     "--cells",
     metavar="FILE",
     help="Cells to start with, a CSV or Parquet table (--set initial.cells=FILE).",
 )
-@law_option
+@shared.law_option
 @_run_options
 def run(
     scene: str,
@@ -120,7 +99,7 @@ def run(
     **options: Any,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    described = scene_of(
+    described = shared.scene_of(
         scene, changes if cells is None else [f"initial.cells={cells}", *changes], law
     )
     if seed is not None:
@@ -137,8 +116,8 @@ def run(
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--frame", type=int, default=-1, show_default=True, help="Frame to resume from.")
-@output_option("Folder for the whole run; by default FOLDER itself.", required=False)
-@loaded_law_option
+@shared.output_option("Folder for the whole run; by default FOLDER itself.", required=False)
+@shared.loaded_law_option
 @_run_options
 def resume(
     folder: Path,
@@ -153,7 +132,7 @@ def resume(
     Without changes the result is bitwise identical to one longer run on the same machine. --set
     may change what can change during a run: duration, stop_cells, output and the medium.
     """
-    parsed = parse_changes(changes)
+    parsed = shared.parse_changes(changes)
     from multicell.runner import resume as resumed
     from multicell.scene.scene import load_scene
 
@@ -164,7 +143,7 @@ def resume(
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@output_option("Folder for the files.")
+@shared.output_option("Folder for the files.")
 @click.option(
     "--format",
     default="csv",
@@ -179,9 +158,9 @@ def resume(
     "by default all.",
 )
 @click.option("--frame", type=int, help="This frame only; -1 is the last.")
-@loaded_law_option
-@overwrite_option("Replace files of the same names.")
-@as_json_option
+@shared.loaded_law_option
+@shared.overwrite_option("Replace files of the same names.")
+@shared.as_json_option
 def export(
     folder: Path,
     output: Path,
@@ -236,7 +215,7 @@ def _simulate(
     if as_json:
         print_json(result.summary())
     elif not quiet:
-        _print_summary(console(), result.summary(), output)
+        _print_summary(shared.console(), result.summary(), output)
 
 
 def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: bool) -> None:

@@ -6,30 +6,21 @@ from pathlib import Path
 
 import click
 
-from multicell.cli.options import (
-    as_json_option,
-    cut_option,
-    loaded_law_option,
-    output_option,
-    overwrite_option,
-    quiet_option,
-    refuse_existing,
-    section_option,
-)
+from multicell.cli import options as shared
 from multicell.cli.process import print_file
 from multicell.cli.progress import count_progress
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@output_option("File for the movie: .gif, .webp, or .mp4 with multicell[movie].")
-@section_option
+@shared.output_option("File for the movie: .gif, .webp, or .mp4 with multicell[movie].")
+@shared.section_option
 @click.option("--colour", "--color", metavar="NAME", help="Of the cells, as for plot.")
 @click.option(
     "--rate", type=float, default=8.0, show_default=True, help="Frames in a second, at most 60."
 )
 @click.option("--space", is_flag=True, help="Whole cells in space instead of a section.")
-@cut_option
+@shared.cut_option
 @click.option(
     "--turn",
     type=float,
@@ -39,10 +30,10 @@ from multicell.cli.progress import count_progress
 @click.option(
     "--transparent", is_flag=True, help="Without background: a .webp of cells in space only."
 )
-@loaded_law_option
-@overwrite_option("Replace the file.")
-@quiet_option
-@as_json_option
+@shared.loaded_law_option
+@shared.overwrite_option("Replace the file.")
+@shared.quiet_option
+@shared.as_json_option
 def movie(
     folder: Path,
     output: Path,
@@ -64,7 +55,7 @@ def movie(
     from multicell.report.plots.movie import movie as written
     from multicell.report.result import load_result
 
-    refuse_existing(output, overwrite=overwrite)
+    shared.refuse_existing(output, overwrite=overwrite)
     run = load_result(folder)
     with count_progress("pictures", show=not quiet) as progress:
         written(

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from multicell.scene.scene import Scene
 
-Option = Callable[[Any], Any]
-"""A decorator of click."""
+Option = Callable[[Any], Any]  # a decorator of click
 
 
 def grouped(*options: Option) -> Option:
@@ -33,8 +32,7 @@ def grouped(*options: Option) -> Option:
     return add
 
 
-_MAX_DEPTH = 20
-"""Tables and lists of a scene stand at most five deep."""
+_MAX_DEPTH = 20  # tables and lists of a scene stand at most five deep
 
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 
@@ -146,10 +144,7 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Scene:
     """Return the scene that SCENE, ``--law`` and ``--set`` describe.
 
-    Raises
-    ------
-    SceneError
-        If there is no such scene or law, or a change makes no sense.
+    Raises SceneError if there is no such scene or law, or a change makes no sense.
     """
     parsed = parse_changes(changes)
     named = {} if law is None else name_law(law)
@@ -191,12 +186,8 @@ def parse_changes(items: Sequence[str]) -> dict[str, Any]:
     A value that is valid TOML (number, true, quoted text, table) is taken as such, any other
     text as a string; an empty one becomes None.
 
-    Raises
-    ------
-    click.BadParameter
-        If an item has no ``=`` or no key.
-    SceneError
-        For a value that cannot be read, with its key.
+    Raises click.BadParameter if an item has no ``=`` or no key; SceneError for a value that cannot
+    be read, with its key.
     """
     changes: dict[str, Any] = {}
     for item in items:

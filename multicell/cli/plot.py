@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.cli.options import (
-    as_json_option,
-    cut_option,
-    loaded_law_option,
-    output_option,
-    overwrite_option,
-    refuse_existing,
-    section_option,
-)
+from multicell.cli import options as shared
 from multicell.cli.process import print_file
 from multicell.errors import OutputError
 from multicell.report.plots.run import PICTURES
@@ -32,13 +24,13 @@ _OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": 
 
 @click.command()
 @click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path))
-@output_option("File for the picture: .png, .svg or .pdf.")
+@shared.output_option("File for the picture: .png, .svg or .pdf.")
 @click.option(
     "--picture",
     type=click.Choice(list(PICTURES)),
     help="One of those of the report.  [default: section]",
 )
-@section_option
+@shared.section_option
 @click.option(
     "--colour",
     "--color",
@@ -46,7 +38,7 @@ _OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": 
     help="Of the cells in a section or in space: state, type, phase, clone, a quantity such as "
     "pressure, radius or age, or the name of a field.",
 )
-@cut_option
+@shared.cut_option
 @click.option(
     "--turn", type=float, metavar="DEGREES", help="Where the eye stands round the cells in space."
 )
@@ -57,9 +49,9 @@ _OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": 
     metavar="NAME",
     help="Draw a column of the history against time, such as diameter; of several runs in one.",
 )
-@loaded_law_option
-@overwrite_option("Replace the file.")
-@as_json_option
+@shared.loaded_law_option
+@shared.overwrite_option("Replace the file.")
+@shared.as_json_option
 def plot(
     folders: Sequence[Path],
     output: Path,
@@ -81,7 +73,7 @@ def plot(
     from multicell.report.plots.style import save
     from multicell.report.result import load_result
 
-    refuse_existing(output, overwrite=overwrite)
+    shared.refuse_existing(output, overwrite=overwrite)
     runs = [load_result(folder) for folder in folders]
     if quantity is not None:
         figure = _quantity(folders, runs, quantity)

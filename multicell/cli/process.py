@@ -46,12 +46,10 @@ def print_file(path: object, as_json: bool) -> None:
         click.echo(path)
 
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+INTERRUPTED = 130  # exit code after Ctrl-C
 PIPE_CLOSED = 1
 """Exit code where the reader of our output has gone: click's and rich's, without words."""
-DEBUG = "MULTICELL_DEBUG"
-"""Environment variable that shows the traceback of an unexpected error."""
+DEBUG = "MULTICELL_DEBUG"  # environment variable that shows the traceback of an unexpected error
 
 
 @final

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-Progress = Callable[[Any], None]
-"""Called after every coupling step with the simulation."""
+Progress = Callable[[Any], None]  # called after every coupling step with the simulation
 
 
 @contextmanager
@@ -48,14 +47,9 @@ def display(
 ) -> Iterator[Callable[[float], None]]:
     """Yield what is called with the part that is done.
 
-    Parameters
-    ----------
-    words
-        Returns what stands beside the bar, or in a line.
-    refresh
-        How often a terminal is drawn anew, 1/s.
-    lines
-        How many lines are printed in all where there is no terminal.
+    - ``words``: returns what stands beside the bar, or in a line
+    - ``refresh``: how often a terminal is drawn anew, 1/s
+    - ``lines``: how many lines are printed in all where there is no terminal
     """
     console = on_stderr()
     if not console.is_terminal:
@@ -135,10 +129,8 @@ def status(simulation: Any, wall: float, left: float | None = None) -> str:
     )
 
 
-_UPDATE_EVERY: Final = 0.5
-"""Wall time between two predictions, s."""
-_FORECAST_AFTER: Final = 10.0
-"""Wall time of a run after which its end is predicted, s."""
+_UPDATE_EVERY: Final = 0.5  # wall time between two predictions, s
+_FORECAST_AFTER: Final = 10.0  # wall time of a run after which its end is predicted, s
 
 
 @final

@@ -21,12 +21,8 @@ if TYPE_CHECKING:
 class Forecast:
     """Expected cost of a run.
 
-    Attributes
-    ----------
-    times : (k,)
-        Simulated times from 0 to the end, s.
-    cost : (k,)
-        Of all coupling steps up to then, in any unit.
+    - ``times``, (k,): simulated times from 0 to the end, s
+    - ``cost``, (k,): of all coupling steps up to then, in any unit
     """
 
     times: FloatArray
@@ -60,10 +56,7 @@ class Forecast:
     def left(self, begin: float, now: float, wall: float) -> float | None:
         """Return the wall time that is left, s; None where the forecast does not know.
 
-        Parameters
-        ----------
-        begin, now : s
-            Simulated times between which the wall time ``wall``, s, has passed.
+        - ``begin``, ``now``, s: simulated times between which the wall time ``wall``, s, has passed
         """
         before, here = np.interp([begin, now], self.times, self.cost)
         if not here > before:

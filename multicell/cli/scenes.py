@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.cli.options import (
-    as_json_option,
-    console,
-    output_option,
-    overwrite_option,
-    refuse_existing,
-)
+from multicell.cli import options as shared
 from multicell.cli.process import print_json
 from multicell.cli.tables import bare_table, plain, time_text
 from multicell.errors import OutputError
@@ -27,7 +21,7 @@ if TYPE_CHECKING:
 @click.argument("name", required=False)
 @click.option("--show", is_flag=True, help="Print the scene NAME as TOML, with units and remarks.")
 @click.option("--full", is_flag=True, help="Print it with every key that it could have left out.")
-@as_json_option
+@shared.as_json_option
 def scenes(name: str | None, show: bool, full: bool, as_json: bool) -> None:
     """List the built-in scenes, or print the one called NAME."""
     from multicell.scene.scene import load_scene, scene_names
@@ -47,7 +41,7 @@ def scenes(name: str | None, show: bool, full: bool, as_json: bool) -> None:
     for row in rows:
         time = time_text(row["duration"])
         table.add_row(*map(plain, (row["name"], time, ", ".join(row["parts"]), row["title"])))
-    console().print(table)
+    shared.console().print(table)
 
 
 def _print_scene(name: str, full: bool, as_json: bool) -> None:
@@ -62,10 +56,10 @@ def _print_scene(name: str, full: bool, as_json: bool) -> None:
 
 @click.command()
 @click.argument("name")
-@output_option("File to write, by default NAME.toml here.", required=False)
+@shared.output_option("File to write, by default NAME.toml here.", required=False)
 @click.option("--full", is_flag=True, help="Write every key, also those that could be left out.")
-@overwrite_option("Replace the file.")
-@as_json_option
+@shared.overwrite_option("Replace the file.")
+@shared.as_json_option
 def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: bool) -> None:
     """Write a copy of the built-in scene NAME, to edit and run as a scene of your own."""
     from multicell.results.folder import write_text
@@ -75,7 +69,7 @@ def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: b
     if name not in scene_names():
         raise OutputError(f"there is no built-in scene {name!r}. {near_miss(name, scene_names())}")
     path = output or Path(f"{name}.toml")
-    refuse_existing(path, overwrite=overwrite)
+    shared.refuse_existing(path, overwrite=overwrite)
     write_text(path, load_scene(name).to_toml() if full else scene_text(name))
     if as_json:
         print_json({"file": str(path)})
@@ -84,7 +78,7 @@ def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: b
 
 
 @click.command()
-@as_json_option
+@shared.as_json_option
 def schema(as_json: bool) -> None:
     """Print the JSON Schema of scene files, for editors that complete and check them.
 

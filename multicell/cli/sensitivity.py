@@ -8,35 +8,15 @@ from typing import Any
 
 import click
 
-from multicell.cli.options import (
-    as_json_option,
-    changes_option,
-    console,
-    law_option,
-    no_report_option,
-    observable_names,
-    output_option,
-    overwrite_option,
-    quiet_option,
-    scene_of,
-)
+from multicell.cli import options as shared
+from multicell.cli import study as studies
 from multicell.cli.process import complain, print_json
-from multicell.cli.study import (
-    confirm,
-    cores_option,
-    cores_wanted,
-    free_option,
-    key_values,
-    planning,
-    scheduler_option,
-    yes_option,
-)
 
 
 @click.command()
 @click.argument("scene")
-@output_option("Folder of the analysis; its runs are kept there.")
-@free_option
+@shared.output_option("Folder of the analysis; its runs are kept there.")
+@studies.free_option
 @click.option(
     "--method",
     default="morris",
@@ -63,22 +43,22 @@ from multicell.cli.study import (
     "--observable",
     "observables",
     multiple=True,
-    callback=observable_names,
+    callback=shared.observable_names,
     metavar="NAME",
     help="What the indices are of, at the end of the runs: a column of the history, as diameter, "
     "or one of your own, as mine.py:rim_area. May be given several times; by default the usual "
     "ones of the scene.",
 )
-@changes_option
-@law_option
-@cores_option
-@scheduler_option
-@yes_option
+@shared.changes_option
+@shared.law_option
+@studies.cores_option
+@studies.scheduler_option
+@studies.yes_option
 @click.option("--retry", is_flag=True, help="Try again what has failed.")
-@overwrite_option("Replace another analysis in the folder; its runs stay.")
-@no_report_option
-@quiet_option
-@as_json_option
+@shared.overwrite_option("Replace another analysis in the folder; its runs stay.")
+@shared.no_report_option
+@shared.quiet_option
+@shared.as_json_option
 def sensitivity(
     scene: str,
     output: Path,
@@ -103,16 +83,16 @@ def sensitivity(
     An analysis that was stopped continues with the same command; a larger --size or more --seeds
     take the runs that are there.
     """
-    pairs = key_values(free, "--free")
-    described = scene_of(scene, changes, law)
+    pairs = studies.key_values(free, "--free")
+    described = shared.scene_of(scene, changes, law)
     from multicell.calibration.sensitivity import carry_out, plan_of
     from multicell.studies.study import write_study
 
-    with planning():
+    with studies.planning():
         plan = plan_of(described, pairs, observables=observables or None, **options)
-    count = cores_wanted(cores, scheduler)
+    count = studies.cores_wanted(cores, scheduler)
     study = write_study(plan.study, output, overwrite=overwrite)
-    confirm(study.expected(count or 1), count, yes, quiet or as_json)
+    studies.confirm(study.expected(count or 1), count, yes, quiet or as_json)
     from multicell.cli.study_progress import reporter
 
     try:
@@ -127,7 +107,7 @@ def sensitivity(
     if as_json:
         print_json(result.to_dict())
     elif not quiet:
-        out = console()
+        out = shared.console()
         out.print(result.text(), markup=False, highlight=False, soft_wrap=True)
         if page is not None:
             out.print(f"The report is '{page}'.", markup=False, soft_wrap=True)

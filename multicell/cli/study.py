@@ -13,20 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from multicell.cli.options import (
-    as_json_option,
-    changes_option,
-    console,
-    integrator_option,
-    law_option,
-    name_law,
-    observable_option,
-    output_option,
-    overwrite_option,
-    quiet_option,
-    scene_of,
-    with_values,
-)
+from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json, words_after
 from multicell.errors import MissingPackage
 
@@ -36,10 +23,8 @@ if TYPE_CHECKING:
     from multicell.studies.study import Study
     from multicell.studies.task import Outcome
 
-_ASKED: Final = 3600.0
-"""Expected time in s above which a study is asked for."""
-_LISTED: Final = 20
-"""Failed or running runs that are listed."""
+_ASKED: Final = 3600.0  # expected time in s above which a study is asked for
+_LISTED: Final = 20  # failed or running runs that are listed
 
 folder_argument = click.argument("folder", type=click.Path(path_type=Path))
 cores_option = click.option(
@@ -51,7 +36,7 @@ scheduler_option = click.option(
 free_option = click.option(
     "--free",
     multiple=True,
-    callback=with_values,
+    callback=shared.with_values,
     metavar="KEY=LOW:HIGH",
     help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
     "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
@@ -68,11 +53,11 @@ def study() -> None:
 
 @study.command()
 @click.argument("scene")
-@output_option("Folder of the study.")
+@shared.output_option("Folder of the study.")
 @click.option(
     "--vary",
     multiple=True,
-    callback=with_values,
+    callback=shared.with_values,
     metavar="KEY=VALUES",
     help="Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "
     "of them) or contact.law=jkr,hertz; with lhs and sobol a range, '8:25 h' or "
@@ -102,13 +87,13 @@ def study() -> None:
     help="Runs of each point, with the same seeds at all points.",
 )
 @click.option("--every", metavar="TIME", help="Between rows of the table of results, as '6 h'.")
-@changes_option
-@law_option
-@observable_option
-@integrator_option
-@overwrite_option("Replace the plan of another study; its runs stay.")
-@quiet_option
-@as_json_option
+@shared.changes_option
+@shared.law_option
+@shared.observable_option
+@shared.integrator_option
+@shared.overwrite_option("Replace the plan of another study; its runs stay.")
+@shared.quiet_option
+@shared.as_json_option
 def new(
     scene: str,
     output: Path,
@@ -124,16 +109,12 @@ def new(
 
     A folder that holds the same study, or a part of it, is widened: what has run stays.
     """
-    base = scene_of(scene, changes, law)
+    base = shared.scene_of(scene, changes, law)
     from multicell.studies.study import study as planned
 
     with planning():
         made = planned(
-            base,
-            key_values(vary, "--vary"),
-            output=output,
-            integrator=integrator or "",
-            **options,
+            base, key_values(vary, "--vary"), output=output, integrator=integrator or "", **options
         )
         made.expected(1)
     _print_plan(made, quiet, as_json)
@@ -174,7 +155,7 @@ def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
         return
     if quiet:
         return
-    out = console()
+    out = shared.console()
     for axis in made.plan.design.axes:
         out.print(f"{axis.key}: {_values(axis)}", markup=False, soft_wrap=True)
     plan = made.plan
@@ -236,12 +217,12 @@ def _bytes(number: float) -> str:
 @scheduler_option
 @yes_option
 @click.option("--retry", is_flag=True, help="Try again what has failed.")
-@law_option
-@observable_option
-@integrator_option
+@shared.law_option
+@shared.observable_option
+@shared.integrator_option
 @click.option("--no-report", is_flag=True, help="Write no report and no table.")
-@quiet_option
-@as_json_option
+@shared.quiet_option
+@shared.as_json_option
 def run(
     folder: Path,
     cores: int | None,
@@ -286,7 +267,7 @@ def run(
 def _open_study(folder: Path, law: str | None, integrator: str | None) -> Study:
     """Return the study in a folder; a law of the user's own is loaded first."""
     if law is not None:
-        name_law(law)
+        shared.name_law(law)
     from multicell.studies.study import load_study
 
     with planning():
@@ -362,7 +343,7 @@ def _print_outcomes(
         print_json({"folder": str(made.folder), "failed": len(failed), "runs": runs})
     elif not quiet:
         reused = sum(outcome.reused for outcome in outcomes)
-        out = console()
+        out = shared.console()
         out.print(
             f"{_count(len(outcomes), 'run')}: {len(outcomes) - len(failed):,} done"
             f"{f', {len(failed):,} failed' if failed else ''}"
@@ -383,9 +364,9 @@ def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
     units = {axis.name: axis.unit for axis in made.plan.design.axes}
     for coordinates, reason in failed[:_LISTED]:
         where = _where(coordinates, units)
-        console().print(f"  failed at {where}: {reason}", markup=False, soft_wrap=True)
+        shared.console().print(f"  failed at {where}: {reason}", markup=False, soft_wrap=True)
     if len(failed) > _LISTED:
-        console().print(f"  and {len(failed) - _LISTED:,} more", markup=False)
+        shared.console().print(f"  and {len(failed) - _LISTED:,} more", markup=False)
 
 
 def _where(coordinates: Any, units: Any) -> str:
@@ -400,10 +381,10 @@ def _where(coordinates: Any, units: Any) -> str:
 
 @study.command()
 @folder_argument
-@law_option
-@observable_option
-@integrator_option
-@as_json_option
+@shared.law_option
+@shared.observable_option
+@shared.integrator_option
+@shared.as_json_option
 def status(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
     """Report the state of all runs of the study in FOLDER, why runs failed, and the time left."""
     made = _open_study(folder, law, integrator)
@@ -419,7 +400,7 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
             {"folder": str(folder), "counts": counts, "core_seconds_left": left, "runs": runs}
         )
         return
-    out = console()
+    out = shared.console()
     words = {"partial": "begun"}
     shown = [
         f"{counts[name]:,} {words.get(name, name)}"
@@ -442,7 +423,7 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
 def _print_running(made: Study, run: Any, state: RunStatus) -> None:
     units = {axis.name: axis.unit for axis in made.plan.design.axes}
     share = 100.0 * state.time / run.scene.duration
-    console().print(
+    shared.console().print(
         f"  running at {_where(run.coordinates, units)}: {share:.0f} % of the time, "
         f"{_count(state.cells, 'cell')}",
         markup=False, soft_wrap=True,
@@ -466,10 +447,10 @@ def _time_left(made: Study, states: Sequence[RunStatus]) -> float:
 
 @study.command()
 @folder_argument
-@law_option
-@observable_option
-@integrator_option
-@as_json_option
+@shared.law_option
+@shared.observable_option
+@shared.integrator_option
+@shared.as_json_option
 def report(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
     """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from multicell.studies.task import Outcome
 
 Progress = Callable[["Outcome"], None]
-_LINES: Final = 20
-"""Lines of a log."""
+_LINES: Final = 20  # lines of a log
 
 
 @final
@@ -27,14 +26,9 @@ class Pace:
     What runs are expected to take is corrected by the ratio of what those that ended took to what
     they were expected to; the expectation counts as much as one more run.
 
-    Parameters
-    ----------
-    runs
-        All of the study.
-    cores
-        On which they go; None if that is not known.
-    now
-        Of the clock, s.
+    - ``runs``: all of the study
+    - ``cores``: on which they go; None if that is not known
+    - ``now``: of the clock, s
     """
 
     def __init__(self, runs: Sequence[Run], cores: int | None, now: float) -> None:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.comparison.files import Row, to_csv
-from multicell.errors import OutputError
-from multicell.results.documents import read_table, write_table
-from multicell.results.folder import file_errors, to_json, write_text
-from multicell.results.records import parse_table
+from multicell.comparison.files import Row
+from multicell.results.folder import file_errors, write_text
 from multicell.scene.scene import Scene
+from multicell.tables.text import table_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,7 +61,7 @@ class Comparison(ABC):
 
     def to_csv(self) -> str:
         """Return the table as CSV; NaN is written as ``nan``."""
-        return to_csv(self.table)
+        return table_text(self.table)
 
     def save(self, folder: str | Path) -> Path:
         """Write tables, pictures and ``report.html`` and return the page.
@@ -80,81 +77,8 @@ class Comparison(ABC):
         with file_errors("use the output folder", folder):
             folder.mkdir(parents=True, exist_ok=True)
         for name, rows in self.tables().items():
-            write_text(folder / name, to_csv(rows))
+            write_text(folder / name, table_text(rows))
         return write_page(
             folder / "report.html", self.template, scene=self.scene, result=self,
             pictures=self.pictures(), **self.page(),
         )  # fmt: skip
-
-
-class StoredComparison(Comparison):
-    """A comparison that is also written as JSON, and can be read again."""
-
-    document: ClassVar[str]
-    """Name of the file."""
-
-    @abstractmethod
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as numbers, text, lists and tables."""
-
-    @classmethod
-    @abstractmethod
-    def from_dict(cls, table: Mapping[str, Any]) -> Self:
-        """Return what :meth:`to_dict` has described, in this or an earlier version.
-
-        Raises
-        ------
-        KeyError, ValueError
-            If the table describes something else.
-        """
-
-    def to_json(self) -> str:
-        """Return the result as JSON; NaN becomes null."""
-        return to_json(self.to_dict())
-
-    @classmethod
-    def from_json(cls, text: str) -> Self:
-        """Return what :meth:`to_json` has written, in this or an earlier version.
-
-        Raises
-        ------
-        OutputError
-            If the text is no JSON table.
-        KeyError, ValueError
-            If the table describes something else.
-        """
-        return cls.from_dict(parse_table(text))
-
-    @classmethod
-    def read(cls, path: str | Path) -> Self:
-        """Return the result in a JSON file of :meth:`save`, checked by the checksum in it.
-
-        Raises
-        ------
-        OutputError
-            If the file is not there or is not what was written. Files of earlier versions have
-            no checksum: :meth:`from_json` reads their text.
-        KeyError, ValueError
-            If it describes something else.
-        """
-        table = read_table(Path(path))
-        if table is None:
-            raise OutputError(f"'{path}' is not there")
-        return cls.from_dict(table)
-
-    def save(self, folder: str | Path) -> Path:
-        """Write tables, pictures, the JSON file and ``report.html`` and return the page.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written to.
-        """
-        page = super().save(folder)
-        write_table(Path(folder) / self.document, self.to_dict())
-        return page
-
-
-def rows_from(table: Sequence[Row]) -> list[Row]:
-    """Return the rows of a table in JSON, in which NaN was written as null."""
-    return [{key: math.nan if x is None else x for key, x in row.items()} for row in table]

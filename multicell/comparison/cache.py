@@ -23,8 +23,7 @@ from multicell.mechanics.motion import Motion
 from multicell.results.folder import file_errors, replace_file, versions
 from multicell.scene.scene import Scene
 
-FORMAT: Final = 5
-"""Counts up whenever a reference is computed or written in another way."""
+FORMAT: Final = 5  # counts up whenever a reference is computed or written in another way
 
 _NO_NUMBERS: Final = ("cli", "comparison", "report", "studies", "calibration")
 """Rooms that can change no number of a reference; for this one :data:`FORMAT` answers."""
@@ -42,10 +41,7 @@ def cache_folder() -> Path:
 def source_hash(folder: Path | None = None) -> str:
     """Return a hash of all sources that can change a number of a reference.
 
-    Parameters
-    ----------
-    folder
-        Folder of the package, by default that of multicell.
+    - ``folder``: folder of the package, by default that of multicell
     """
     root = Path(__file__).parent.parent if folder is None else folder
     digest = hashlib.sha256()
@@ -60,14 +56,9 @@ def source_hash(folder: Path | None = None) -> str:
 def key(scene: Scene, cells: Cells | None, pair: Any) -> str:
     """Return what a reference depends on as one hash: versions, scene, cells, pair of methods.
 
-    Parameters
-    ----------
-    scene
-        Its output and integrator have no part in a reference.
-    cells
-        Cells to start from, if not the scene's own.
-    pair
-        How the reference is computed, as JSON can hold it.
+    - ``scene``: its output and integrator have no part in a reference
+    - ``cells``: cells to start from, if not the scene's own
+    - ``pair``: how the reference is computed, as JSON can hold it
     """
     entries = scene.to_dict()
     entries.pop("output", None)
@@ -84,10 +75,7 @@ def key(scene: Scene, cells: Cells | None, pair: Any) -> str:
 def save(path: Path, problem: Problem, trajectory: Trajectory, about: Mapping[str, Any]) -> Path:
     """Write a problem and its reference, and what else is known about it; return the path.
 
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    Raises OutputError if the file cannot be written.
     """
     events = [step.before for step in problem.steps]
     columns: dict[str, Sequence[Any]] = {
@@ -116,12 +104,8 @@ def save(path: Path, problem: Problem, trajectory: Trajectory, about: Mapping[st
 def load(path: Path, blank: Problem) -> tuple[Problem, Trajectory, dict[str, Any]] | None:
     """Return what :func:`save` has written; None if there is no such file or it is damaged.
 
-    Parameters
-    ----------
-    path
-        The file.
-    blank
-        Problem with the scene and the mechanics; where it starts and its steps are still unknown.
+    - ``blank``: problem with the scene and the mechanics; where it starts and its steps are still
+      unknown
     """
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -13,19 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from multicell.comparison import panels
 from multicell.comparison.norms import NORMS
-from multicell.comparison.panels import (
-    UNCERTAIN,
-    Range,
-    decades,
-    draw_band,
-    draw_curves,
-    draw_failures,
-    draw_legend,
-    legend_lines,
-    log_range,
-    set_limits,
-)
 from multicell.comparison.styles import Style, appearance, points
 from multicell.report.plots.style import QUIET, RED, blank, styled
 from multicell.report.wording import cell_count, time_unit
@@ -53,21 +42,21 @@ _WIDTH, _TALLEST, _DECADE = 10.0, 6.2, 1.7  # inches: figure, tallest panel, lon
 def workprecision(result: WorkPrecision, norm: str) -> Figure:
     """Draw error in one norm over time and over evaluations."""
     costs = (result.clock, "cost")
-    errors = log_range(point.error for point in points(result, norm, result.clock))
-    least = _SLIMMEST * decades(errors)
-    spans = [log_range(_costs(result, norm, cost), least) for cost in costs]
+    errors = panels.log_range(point.error for point in points(result, norm, result.clock))
+    least = _SLIMMEST * panels.decades(errors)
+    spans = [panels.log_range(_costs(result, norm, cost), least) for cost in costs]
     room = _WIDTH - _LEFT - _GAP - _LEGEND
-    decade = min(room / sum(map(decades, spans)), _TALLEST / decades(errors), _DECADE)
+    decade = min(room / sum(map(panels.decades, spans)), _TALLEST / panels.decades(errors), _DECADE)
     strip = _STRIP if result.failures() else 0.0
     top = 1.1 if result.stepwise else 0.9
     styles = appearance(result, norm)
-    height = decade * decades(errors)
-    lines = legend_lines(styles) + bool(result.failures())
+    height = decade * panels.decades(errors)
+    lines = panels.legend_lines(styles) + bool(result.failures())
     tall = max(top + strip + height + _BOTTOM, top + 0.6 + 0.24 * lines)
     figure = _comparison_figure(result, result.norms[norm], tall)
     left, base = _LEFT, tall - top - strip - height
     for cost, span in zip(costs, spans, strict=True):
-        width = decade * decades(span)
+        width = decade * panels.decades(span)
         place = (left / _WIDTH, base / tall, width / _WIDTH, height / tall)
         axes = figure.add_axes(place, label=f"{norm} {'cost' if cost == 'cost' else 'wall'}")
         _panel(axes, result, norm, cost, (span, errors), styles)
@@ -84,7 +73,7 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
             axes.tick_params(labelleft=False)
         left += width + _GAP
     corner = ((left - 0.1) / _WIDTH, 1.0 - (top - 0.1) / tall)
-    draw_legend(figure, styles, corner, failures=bool(result.failures()))
+    panels.draw_legend(figure, styles, corner, failures=bool(result.failures()))
     _footnote(figure, result, norm, errors)
     return figure
 
@@ -102,12 +91,12 @@ def norms(result: WorkPrecision) -> Figure:
     figure = _comparison_figure(result, left_open, tall)
     styles = appearance(result)
     every = (point for name in NORMS for point in points(result, name, result.clock))
-    span = log_range(end for point in every for end in (point.shortest, point.longest))
+    span = panels.log_range(end for point in every for end in (point.shortest, point.longest))
     for k, (name, norm) in enumerate(NORMS.items()):
         row, column = divmod(k, columns)
-        errors = log_range(point.error for point in points(result, name, result.clock))
-        decade = min(1.9 / decades(span), 2.75 / decades(errors))
-        width, height = decade * decades(span), decade * decades(errors)
+        errors = panels.log_range(point.error for point in points(result, name, result.clock))
+        decade = min(1.9 / panels.decades(span), 2.75 / panels.decades(errors))
+        width, height = decade * panels.decades(span), decade * panels.decades(errors)
         left, base = 0.7 + 2.62 * column, tall - first - step * row - height
         place = (left / _WIDTH, base / tall, width / _WIDTH, height / tall)
         axes = figure.add_axes(place, label=f"{name} wall")
@@ -117,7 +106,7 @@ def norms(result: WorkPrecision) -> Figure:
         axes.set_title(norm.title(result.stepwise), fontsize=10)
         axes.tick_params(labelsize=8.5)
         axes.set_xlabel(_LABELS[result.clock], fontsize=9)
-    draw_legend(figure, styles, (0.82, 1.0 - (first - 0.3) / tall), failures=False)
+    panels.draw_legend(figure, styles, (0.82, 1.0 - (first - 0.3) / tall), failures=False)
     return figure
 
 
@@ -143,21 +132,23 @@ def _costs(result: WorkPrecision, norm: str, cost: str) -> list[float]:
 
 
 def _panel(
-    axes: Axes, result: WorkPrecision, norm: str, cost: str, ends: tuple[Range, Range],
-    styles: Mapping[str, Style], size: float = 6.0,
+    axes: Axes, result: WorkPrecision, norm: str, cost: str,
+    ends: tuple[panels.Range, panels.Range], styles: Mapping[str, Style], size: float = 6.0,
 ) -> None:  # fmt: skip
     """Draw the curves of one norm over one cost, with decades of the same length.
 
     Errors within the uncertainty of the reference, and within the effect of a shift, are shaded.
     """
     series = {method: points(result, norm, cost, method) for method in styles}
-    draw_curves(axes, series, styles, size)
-    set_limits(axes, *ends)
+    panels.draw_curves(axes, series, styles, size)
+    panels.set_limits(axes, *ends)
     axes.set_aspect("equal")
     known = result.conditioning
     if known is not None:
-        draw_band(axes, known.floor[norm], _FLOOR, "_floor")
-    draw_band(axes, result.uncertainty[norm], UNCERTAIN, "_uncertainty", known is not None)
+        panels.draw_band(axes, known.floor[norm], _FLOOR, "_floor")
+    panels.draw_band(
+        axes, result.uncertainty[norm], panels.UNCERTAIN, "_uncertainty", known is not None
+    )
 
 
 def _floor(known: Conditioning) -> str:
@@ -176,7 +167,7 @@ def _name_floor(axes: Axes, result: WorkPrecision, norm: str) -> None:
         )  # fmt: skip
 
 
-def _footnote(figure: Figure, result: WorkPrecision, norm: str, errors: Range) -> None:
+def _footnote(figure: Figure, result: WorkPrecision, norm: str, errors: panels.Range) -> None:
     """Say how far the reference is known, and where the floor is that no axis shows."""
     known, uncertainty = result.conditioning, result.uncertainty[norm]
     said = []
@@ -190,12 +181,14 @@ def _footnote(figure: Figure, result: WorkPrecision, norm: str, errors: Range) -
         figure.text(0.985, height, " · ".join(said), fontsize=9, color=QUIET, ha="right")
 
 
-def _failures(strip: Axes, result: WorkPrecision, styles: Mapping[str, Style], span: Range) -> None:
+def _failures(
+    strip: Axes, result: WorkPrecision, styles: Mapping[str, Style], span: panels.Range
+) -> None:
     """Draw the failed solves of all methods."""
     spent = {
         method: [row["spent"] for row in rows if row["spent"] > 0.0]
         for method in result.methods
         if (rows := result.rows(method, "failed"))
     }
-    draw_failures(strip, spent, styles, span)
+    panels.draw_failures(strip, spent, styles, span)
     strip.set_ylabel("failed", fontsize=9, color=RED, rotation=0, ha="right", va="center")

@@ -30,18 +30,13 @@ SHIFT: Final = online.SHIFT
 class Conditioning:
     """How far a random shift of all positions moves the end of each of m coupling steps.
 
-    Attributes
-    ----------
-    shift : float, µm
-        Root mean square of the shift of each coordinate at the beginning.
-    begin : (m,) float64, s
-        When each step begins.
-    rms : (m,) float64, µm
-        Displacement at the end of each step, root mean square over the cells.
-    worst_cell : (m,) float64, µm
-        The same of the worst cell.
-    floor : norm -> float
-        The change in every norm of :data:`multicell.comparison.norms.NORMS`, dimensionless.
+    - ``shift``, float, µm: root mean square of the shift of each coordinate at the beginning
+    - ``begin``, (m,) float64, s: when each step begins
+    - ``rms``, (m,) float64, µm: displacement at the end of each step, root mean square over the
+      cells
+    - ``worst_cell``, (m,) float64, µm: the same of the worst cell
+    - ``floor``, norm -> float: the change in every norm of
+      :data:`multicell.comparison.norms.NORMS`, dimensionless
     """
 
     shift: float
@@ -64,10 +59,7 @@ class Conditioning:
     def from_dict(cls, table: Mapping[str, Any] | None) -> Conditioning | None:
         """Return what :meth:`to_dict` has given; None for None.
 
-        Raises
-        ------
-        KeyError
-            If something is missing.
+        Raises KeyError if something is missing.
         """
         if table is None:
             return None
@@ -114,14 +106,9 @@ def conditioning_of(
 ) -> Conditioning:
     """Return the conditioning of the steps of a problem.
 
-    Parameters
-    ----------
-    problem
-        The step-wise problem.
-    shift
-        See :func:`shift_starts`.
-    found, exact
-        What is compared of the ends from shifted positions, and of those of the reference.
+    - ``shift``: see :func:`shift_starts`
+    - ``found``, ``exact``: what is compared of the ends from shifted positions, and of those of the
+      reference
     """
     begin = np.array([step.motion.begin for step in problem.steps])
     rms, worst = displacements(found.positions, exact.positions)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
 from multicell.results.folder import make_folder, remove
 
-Row = dict[str, Any]
-"""One row of a table: column -> value."""
+Row = dict[str, Any]  # one row of a table: column -> value
 
-DONE, FAILED, SKIPPED = "done", "failed", "skipped"
-"""How a solve went."""
+DONE, FAILED, SKIPPED = "done", "failed", "skipped"  # how a solve went
 
 CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
 """Column of the table that may judge -> what it is."""
@@ -23,28 +19,10 @@ CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
 def prepare(output: str | Path | None, names: Iterable[str], overwrite: bool) -> None:
     """Make sure that results can be written, before they are computed; without output do nothing.
 
-    Parameters
-    ----------
-    output
-        The folder.
-    names
-        Files of an earlier comparison, which are removed if ``overwrite``; nothing else is.
-    overwrite
-        Whether the folder may hold something.
+    - ``names``: files of an earlier comparison, which are removed if ``overwrite``; nothing else is
+    - ``overwrite``: whether the folder may hold something
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be used.
+    Raises OutputError if the folder cannot be used.
     """
     if output is not None:
         remove(make_folder(output, overwrite=overwrite), names)
-
-
-def to_csv(rows: Sequence[Row]) -> str:
-    """Return a table as CSV; NaN is written as ``nan``."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

@@ -37,16 +37,11 @@ _SOLVED = 1e-6
 class Method:
     """A method of integration with its setting.
 
-    Attributes
-    ----------
-    name : str
-        Name in tables and charts.
-    control : "tolerance" or "step"
-        What its setting means: a tolerance in mean radii, or a step in s.
-    make : callable
-        Setting -> integrator.
-    info : MethodInfo
-        What is known of it; by default what the registry knows by that name.
+    - ``name``, str: name in tables and charts
+    - ``control``, "tolerance" or "step": what its setting means: a tolerance in mean radii, or a
+      step in s
+    - ``make``, callable: setting -> integrator
+    - ``info``, MethodInfo: what is known of it; by default what the registry knows by that name
     """
 
     name: str
@@ -66,21 +61,13 @@ def find_method(method: Any, scene: Scene, radius: float) -> Method:
     that it matters little how far from the origin of coordinates a cell lies. What kind of
     setting a method has is part of what is known of it (:class:`MethodInfo`).
 
-    Parameters
-    ----------
-    method
-        A :class:`Method`; a name in :data:`multicell.integrators.registry.METHODS`, a variant of
-        one, or ``"file.py:Name"``; a class; or an integrator, of which all but the tolerance or
-        step stays as it is.
-    scene
-        Its ``integrator.max_displacement`` holds for all methods.
-    radius
-        Mean radius of the cells, µm.
+    - ``method``: a :class:`Method`; a name in :data:`multicell.integrators.registry.METHODS`, a
+      variant of one, or ``"file.py:Name"``; a class; or an integrator, of which all but the
+      tolerance or step stays as it is
+    - ``scene``: its ``integrator.max_displacement`` holds for all methods
+    - ``radius``: mean radius of the cells, µm
 
-    Raises
-    ------
-    SceneError
-        If there is no such method, or it has neither step nor tolerance.
+    Raises SceneError if there is no such method, or it has neither step nor tolerance.
     """
     if isinstance(method, Method):
         return method
@@ -133,23 +120,13 @@ def settings(
 ) -> list[float]:
     """Return the settings of a method from coarse to fine.
 
-    Parameters
-    ----------
-    method
-        The method.
-    ladder
-        Settings by name of the method, or by ``"tolerance"`` and ``"step"`` for all methods of
-        a kind; None, or what it lacks, means the default.
-    problem
-        Its coupling steps bound the steps.
-    stiffness
-        Largest decay rate, 1/s (:func:`stiffness`): default steps start at eight over it, four
-        times what Euler's method can take; those of implicit methods at the coupling step.
+    - ``ladder``: settings by name of the method, or by ``"tolerance"`` and ``"step"`` for all
+      methods of a kind; None, or what it lacks, means the default
+    - ``problem``: its coupling steps bound the steps
+    - ``stiffness``: largest decay rate, 1/s (:func:`stiffness`): default steps start at eight over
+      it, four times what Euler's method can take; those of implicit methods at the coupling step
 
-    Raises
-    ------
-    SceneError
-        For a setting that makes no sense.
+    Raises SceneError for a setting that makes no sense.
     """
     given = None if ladder is None else ladder.get(method.name, ladder.get(method.control))
     if given is None:

@@ -19,10 +19,8 @@ from multicell.mechanics.motion import Work
 
 _MAX_FAILURES = 3
 """Tolerances at which a method may fail before it counts as too slow for finer ones."""
-_SHORT = 0.02
-"""Wall time in s of a solve up to which an untimed one goes before it."""
-_COMPILATION = 20.0
-"""Wall time in s that a first coupling step may take in any case."""
+_SHORT = 0.02  # wall time in s of a solve up to which an untimed one goes before it
+_COMPILATION = 20.0  # wall time in s that a first coupling step may take in any case
 
 
 @final
@@ -30,16 +28,11 @@ _COMPILATION = 20.0
 class Effort:
     """How much time a comparison may take.
 
-    Attributes
-    ----------
-    repeats : int
-        Number of timed solves of a point.
-    patience : float, s
-        Wall time of one solve.
-    budget : float, s
-        Wall time of all solves of one method.
-    points : int
-        Number of points of that method: repeats end when they have taken a fair share.
+    - ``repeats``, int: number of timed solves of a point
+    - ``patience``, float, s: wall time of one solve
+    - ``budget``, float, s: wall time of all solves of one method
+    - ``points``, int: number of points of that method: repeats end when they have taken a fair
+      share
     """
 
     repeats: int

@@ -39,16 +39,12 @@ _SHORT: Final = {
 class Observed:
     """What is compared of a trajectory.
 
-    Attributes
-    ----------
-    positions : list of (n, 3) float64, µm
-        At every common time.
-    energy : (k,) float64, fJ
-        Contact energy at up to 100 common times, the last one among them.
-    gyration : (m,) float64, µm
-        Radius of gyration at every common time.
-    distances : (p,) float64, µm
-        Sorted distances of pairs at the end, among at most 1,500 cells.
+    - ``positions``, list of (n, 3) float64, µm: at every common time
+    - ``energy``, (k,) float64, fJ: contact energy at up to 100 common times, the last one among
+      them
+    - ``gyration``, (m,) float64, µm: radius of gyration at every common time
+    - ``distances``, (p,) float64, µm: sorted distances of pairs at the end, among at most 1,500
+      cells
     """
 
     positions: list[FloatArray]
@@ -62,18 +58,11 @@ class Observed:
 class Norm:
     """One measure of the distance between two trajectories, dimensionless.
 
-    Attributes
-    ----------
-    name : str
-        Name in tables (``error_<name>``).
-    quantity : str
-        What is compared.
-    moment : str
-        Where: ``"worst"``, ``"median"`` or ``"last"`` of the common times or steps.
-    scale : str
-        What the difference is divided by.
-    measure : callable
-        Observed, exact, mean radius in µm -> error.
+    - ``name``, str: name in tables (``error_<name>``)
+    - ``quantity``, str: what is compared
+    - ``moment``, str: where: ``"worst"``, ``"median"`` or ``"last"`` of the common times or steps
+    - ``scale``, str: what the difference is divided by
+    - ``measure``, callable: observed, exact, mean radius in µm -> error
     """
 
     name: str
@@ -157,25 +146,16 @@ def displacements(
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far cells are from other places at each of m times.
 
-    Parameters
-    ----------
-    positions, others
-        (n, 3) µm each, m of them; n may differ from time to time.
+    - ``positions``, ``others``: (n, 3) µm each, m of them; n may differ from time to time
 
-    Returns
-    -------
-    (m,) µm
-        Root mean square over the cells.
-    (m,) µm
-        The worst cell.
+    Returns (m,) µm: root mean square over the cells; (m,) µm: the worst cell.
     """
     pairs = list(zip(positions, others, strict=True))
     return np.array([_rms(a, b) for a, b in pairs]), np.array([_worst(a, b) for a, b in pairs])
 
 
 def _position(
-    over: Callable[[FloatArray], float],
-    of: Callable[[FloatArray, FloatArray], float] = _rms,
+    over: Callable[[FloatArray], float], of: Callable[[FloatArray, FloatArray], float] = _rms
 ) -> Callable[[Observed, Observed, float], float]:
     """Return the error of positions: ``of`` the cells of one time, then ``over`` the times."""
 
@@ -212,11 +192,7 @@ NORMS: Final = {
         Norm("position_final", "positions", "last", "mean radius", _position(lambda x: x[-1])),
         Norm("worst_cell", "worst cell", "worst", "mean radius", _position(np.max, _worst)),
         Norm(
-            "worst_cell_median",
-            "worst cell",
-            "median",
-            "mean radius",
-            _position(np.median, _worst),
+            "worst_cell_median", "worst cell", "median", "mean radius", _position(np.median, _worst)
         ),
         Norm("energy", "contact energy", "worst", "its largest value", _energy),
         Norm("gyration", "radius of gyration", "worst", "itself", _gyration),

@@ -6,8 +6,9 @@ import itertools
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -18,11 +19,7 @@ from multicell.comparison.styles import Point, Style
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import INK, QUIET, RED, few_decades
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-Range = tuple[float, float]
-"""Smallest and largest value on a logarithmic axis."""
+Range = tuple[float, float]  # smallest and largest value on a logarithmic axis
 
 UNCERTAIN: Final = "#e9edf0"
 """Colour of errors within the uncertainty of the reference."""
@@ -174,18 +171,10 @@ def draw_strips(
 ) -> None:
     """Draw how trials end over their settings, one strip for each name.
 
-    Parameters
-    ----------
-    axes
-        Empty axes.
-    strips
-        Name -> trials, from small to large settings.
-    colours
-        Kind of end -> colour.
-    limits
-        Name -> largest stable setting in theory; infinite ones and NaN are left out.
-    scale
-        What settings and limits are divided by.
+    - ``strips``: name -> trials, from small to large settings
+    - ``colours``: kind of end -> colour
+    - ``limits``: name -> largest stable setting in theory; infinite ones and NaN are left out
+    - ``scale``: what settings and limits are divided by
     """
     for level, (name, rows) in enumerate(strips.items()):
         settings = [row["setting"] / scale for row in rows]

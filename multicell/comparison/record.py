@@ -28,8 +28,7 @@ from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
-SAMPLES: Final = 24
-"""Number of coupling steps that are compared unless another one is asked for."""
+SAMPLES: Final = 24  # number of coupling steps that are compared unless another one is asked for
 
 _SPARE = 16  # times as many states are stored during the run as the sample has
 
@@ -37,10 +36,7 @@ _SPARE = 16  # times as many states are stored during the run as the sample has
 def sample_size(stepwise: bool | int | None) -> int | None:
     """Return the number of steps that is asked for; None if the whole run is compared.
 
-    Raises
-    ------
-    SceneError
-        If it is no whole number above zero.
+    Raises SceneError if it is no whole number above zero.
     """
     if stepwise is None or stepwise is False:
         return None
@@ -66,12 +62,8 @@ class Recorder:
     The number of steps is not known before the end. For a sample every step is stored at first;
     whenever there are too many, every second one is dropped.
 
-    Parameters
-    ----------
-    inner
-        The method that moves the cells.
-    samples
-        Number of steps that :meth:`select` returns; None to keep all.
+    - ``inner``: the method that moves the cells
+    - ``samples``: number of steps that :meth:`select` returns; None to keep all
     """
 
     def __init__(self, inner: Integrator, samples: int | None = None) -> None:
@@ -122,29 +114,17 @@ def record(
     Coupling steps in which nothing can move (no cell, or one on which nothing acts) are left out:
     the problem begins with the first step that a method has to solve.
 
-    Parameters
-    ----------
-    scene
-        What to simulate; its own integrator is not used.
-    integrator
-        The method that moves the cells; of a sample it decides which states occur, and has no
-        part in any error.
-    samples
-        None for the whole run; or the number of steps of a step-wise problem, one from the
-        middle of each of so many equal parts of the run (all steps if there are fewer).
-    cells
-        Cells to start from instead of the scene's initial ones.
-    threads
-        See :class:`multicell.simulation.Simulation`.
-    progress
-        Called after each coupling step with the part of the duration that is done.
+    - ``scene``: what to simulate; its own integrator is not used
+    - ``integrator``: the method that moves the cells; of a sample it decides which states occur,
+      and has no part in any error
+    - ``samples``: None for the whole run; or the number of steps of a step-wise problem, one from
+      the middle of each of so many equal parts of the run (all steps if there are fewer)
+    - ``cells``: cells to start from instead of the scene's initial ones
+    - ``threads``: see :class:`multicell.simulation.Simulation`
+    - ``progress``: called after each coupling step with the part of the duration that is done
 
-    Raises
-    ------
-    StepFailed
-        If a step cannot be solved.
-    SceneError
-        If there is nothing to move in any step.
+    Raises StepFailed if a step cannot be solved; SceneError if there is nothing to move in any
+    step.
     """
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
     recorder = Recorder(integrator, samples)

@@ -39,22 +39,16 @@ _RECORDED: Final = ("cvode", 1e-2)  # method and tolerance that lead through a s
 class Reference:
     """A problem with its solution.
 
-    Attributes
-    ----------
-    problem : Problem
-    trajectory : Trajectory
-    observed : Observed
-    uncertainty : norm -> float
-        Difference from the second solution, in the norms of :data:`multicell.comparison.norms`.
-    wall : float, s
-        What it cost when it was computed.
-    words : str
-        How the two were computed.
-    cached : bool
-        Whether it comes from the cache.
-    conditioning : Conditioning or None
-        What a shift at the beginning of each coupling step does to its end; None of a whole run,
-        or if it was not asked for.
+    - ``problem``, Problem
+    - ``trajectory``, Trajectory
+    - ``observed``, Observed
+    - ``uncertainty``, norm -> float: difference from the second solution, in the norms of
+      :data:`multicell.comparison.norms`
+    - ``wall``, float, s: what it cost when it was computed
+    - ``words``, str: how the two were computed
+    - ``cached``, bool: whether it comes from the cache
+    - ``conditioning``, Conditioning or None: what a shift at the beginning of each coupling step
+      does to its end; None of a whole run, or if it was not asked for
     """
 
     problem: Problem
@@ -80,37 +74,23 @@ def reference(
 ) -> Reference:
     """Return the reference solution of a scene, from the cache if it is there.
 
-    Parameters
-    ----------
-    scene
-        The scene; its integrator is not used.
-    pair
-        Two methods with their settings, by default :func:`default_pairs`. The first one records
-        the events and gives the reference, the second one replays them. Step-wise both solve
-        every step from its recorded state.
-    stepwise
-        Number of coupling steps to compare, each from its own recorded state
-        (:mod:`multicell.comparison.record`); None for the whole run. The states are those that
-        ``cvode`` leads to with a tolerance of a hundredth of a cell radius.
-    shift
-        Size in µm of the shift that shows the conditioning of single steps, root mean square of
-        each coordinate; 0 to leave it out.
-    cells
-        Cells to start from instead of the scene's initial ones.
-    cache
-        Folder of the cache; True for that of the user
-        (:func:`multicell.comparison.cache.cache_folder`), False for none.
-    threads
-        See :class:`multicell.simulation.Simulation`.
-    progress
-        Called with a few words about what is being done.
+    - ``scene``: the scene; its integrator is not used
+    - ``pair``: two methods with their settings, by default :func:`default_pairs`. The first one
+      records the events and gives the reference, the second one replays them. Step-wise both solve
+      every step from its recorded state.
+    - ``stepwise``: number of coupling steps to compare, each from its own recorded state
+      (:mod:`multicell.comparison.record`); None for the whole run. The states are those that
+      ``cvode`` leads to with a tolerance of a hundredth of a cell radius.
+    - ``shift``: size in µm of the shift that shows the conditioning of single steps, root mean
+      square of each coordinate; 0 to leave it out
+    - ``cells``: cells to start from instead of the scene's initial ones
+    - ``cache``: folder of the cache; True for that of the user
+      (:func:`multicell.comparison.cache.cache_folder`), False for none
+    - ``threads``: see :class:`multicell.simulation.Simulation`
+    - ``progress``: called with a few words about what is being done
 
-    Raises
-    ------
-    StepFailed
-        If one of the two cannot be computed.
-    OutputError
-        If the cache cannot be written.
+    Raises StepFailed if one of the two cannot be computed; OutputError if the cache cannot be
+    written.
     """
     tell = progress or (lambda _: None)
     unsolved = unsolved_problem(scene, cells, threads)
@@ -182,11 +162,7 @@ def method_pair(
 
 
 def key(
-    scene: Scene,
-    cells: Cells | None,
-    pair: Pair,
-    stepwise: int | None = None,
-    shift: float = SHIFT,
+    scene: Scene, cells: Cells | None, pair: Pair, stepwise: int | None = None, shift: float = SHIFT
 ) -> str:
     """Return what a reference depends on as one hash (:func:`multicell.comparison.cache.key`)."""
     solved_by = [(method.name, method.control, setting) for method, setting in pair]

@@ -32,13 +32,10 @@ T = TypeVar("T")
 class Events:
     """What happened to the cells between two coupling steps.
 
-    Attributes
-    ----------
-    source : (n,) int64
-        For each cell after the events the index of the cell before them that it was, or that
-        was its mother.
-    offset : (n, 3) float64, µm
-        Displacement from that cell: zero, or a daughter's place beside her mother's centre.
+    - ``source``, (n,) int64: for each cell after the events the index of the cell before them that
+      it was, or that was its mother
+    - ``offset``, (n, 3) float64, µm: displacement from that cell: zero, or a daughter's place
+      beside her mother's centre
     """
 
     source: IntArray
@@ -63,22 +60,14 @@ class Step:
 class Problem:
     """Coupling steps and events that every method goes through.
 
-    Attributes
-    ----------
-    scene : Scene
-        The scene that was recorded.
-    template : Mechanics
-        Mechanics with the scene's law and drag; each replay works on a copy.
-    start : (n, 3) float64, µm
-        Positions at the beginning.
-    radius : (n,) float64, µm
-        Radii at the beginning.
-    steps : sequence of Step
-    starts : sequence of (n, 3) float64, µm, or None
-        Where each step starts from in a step-wise comparison; None where a step starts from
-        the end of the one before.
-    total : int
-        Number of coupling steps of the run that ``steps`` is a sample of, or of all.
+    - ``scene``, Scene: the scene that was recorded
+    - ``template``, Mechanics: mechanics with the scene's law and drag; each replay works on a copy
+    - ``start``, (n, 3) float64, µm: positions at the beginning
+    - ``radius``, (n,) float64, µm: radii at the beginning
+    - ``steps``, sequence of Step
+    - ``starts``, sequence of (n, 3) float64, µm, or None: where each step starts from in a
+      step-wise comparison; None where a step starts from the end of the one before
+    - ``total``, int: number of coupling steps of the run that ``steps`` is a sample of, or of all
     """
 
     scene: Scene
@@ -119,12 +108,8 @@ class Problem:
     def beginning(self, k: int, reached: FloatArray) -> FloatArray:
         """Return the positions from which step ``k`` starts, (n, 3) µm.
 
-        Parameters
-        ----------
-        k
-            Index of the step.
-        reached
-            Where the step before it ended; of no account in a step-wise problem.
+        - ``k``: index of the step
+        - ``reached``: where the step before it ended; of no account in a step-wise problem
         """
         if self.starts is not None:
             return self.starts[k]
@@ -141,19 +126,13 @@ class Problem:
 class Trajectory:
     """Where a method led.
 
-    Attributes
-    ----------
-    positions : list of (n, 3) float64, µm
-        Positions at the end of each coupling step, before the events there.
-    work : Work
-        What it cost in counts.
-    wall : float, s
-        What it cost in time.
-    cpu : float, s
-        What it cost in time of the processors, summed over the threads; other load on the
-        machine adds little to it.
-    problem : str
-        Why it ended early, in words; empty if it reached the end.
+    - ``positions``, list of (n, 3) float64, µm: positions at the end of each coupling step, before
+      the events there
+    - ``work``, Work: what it cost in counts
+    - ``wall``, float, s: what it cost in time
+    - ``cpu``, float, s: what it cost in time of the processors, summed over the threads; other load
+      on the machine adds little to it
+    - ``problem``, str: why it ended early, in words; empty if it reached the end
     """
 
     positions: list[FloatArray]
@@ -171,21 +150,11 @@ class Trajectory:
 def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> Trajectory:
     """Carry the cells of a problem through all its coupling steps and events.
 
-    Parameters
-    ----------
-    problem
-        What to go through.
-    integrator
-        The method.
-    limit
-        Wall time in s after which the replay ends, at the next coupling step or at the next
-        evaluation that a method asks for from Python (those compiled as a whole ask for none).
+    - ``limit``: wall time in s after which the replay ends, at the next coupling step or at the
+      next evaluation that a method asks for from Python (those compiled as a whole ask for none)
 
-    Returns
-    -------
-    Trajectory
-        A failure is returned in words, whatever it was: in a chart of many methods the fault of
-        one must not lose the others.
+    Returns Trajectory: a failure is returned in words, whatever it was: in a chart of many methods
+    the fault of one must not lose the others.
     """
     system = problem.system()
     position = problem.start
@@ -249,12 +218,8 @@ def advance(
 ) -> tuple[str, FloatArray]:
     """Integrate over the coupling step of ``system``, whatever happens.
 
-    Returns
-    -------
-    str
-        Words of a failure; empty if there was none.
-    (n, 3) float64, µm
-        Where the step ended.
+    Returns str: words of a failure; empty if there was none; (n, 3) float64, µm: where the step
+    ended.
     """
     begin = system.motion.begin
     try:

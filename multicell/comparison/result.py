@@ -6,14 +6,19 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self, final
 
 import numpy as np
 
-from multicell.comparison.base import Pictures, StoredComparison, rows_from
+from multicell.comparison.base import Comparison, Pictures
 from multicell.comparison.conditioning import Conditioning
 from multicell.comparison.files import DONE, FAILED, Row
 from multicell.comparison.norms import NORMS, WORST_CELL
+from multicell.errors import OutputError
+from multicell.results.documents import read_table, write_table
+from multicell.results.folder import to_json
+from multicell.results.records import parse_table
 from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -34,7 +39,7 @@ FILES: Final = (
 
 @final
 @dataclass(frozen=True, eq=False)
-class WorkPrecision(StoredComparison):
+class WorkPrecision(Comparison):
     """What each method reached, and at what cost.
 
     Attributes
@@ -73,7 +78,6 @@ class WorkPrecision(StoredComparison):
     conditioning: Conditioning | None = None
 
     template: ClassVar[str] = "compare.html"
-    document: ClassVar[str] = "workprecision.json"
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Self:
@@ -86,10 +90,10 @@ class WorkPrecision(StoredComparison):
         """
         late = (*(f"error_{norm}" for norm in NORMS), *WORST_CELL.values(), "worst_cell_over_shift")
         unknown = dict.fromkeys(late, math.nan)
-        (uncertainty,) = rows_from([table["uncertainty"]])
+        (uncertainty,) = _rows_from([table["uncertainty"]])
         return cls(
             Scene.from_dict(table["scene"]),
-            [row | unknown | row for row in rows_from(table["table"])],
+            [row | unknown | row for row in _rows_from(table["table"])],
             dict.fromkeys(NORMS, math.nan) | uncertainty,
             table["facts"],
             table["clock"],
@@ -107,6 +111,52 @@ class WorkPrecision(StoredComparison):
             "facts": self.facts,
             "table": self.table,
         }
+
+    def to_json(self) -> str:
+        """Return the result as JSON; NaN becomes null."""
+        return to_json(self.to_dict())
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Return what :meth:`to_json` has written, in this or an earlier version.
+
+        Raises
+        ------
+        OutputError
+            If the text is no JSON table.
+        KeyError, ValueError
+            If the table describes something else.
+        """
+        return cls.from_dict(parse_table(text))
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Return the result in a JSON file of :meth:`save`, checked by the checksum in it.
+
+        Raises
+        ------
+        OutputError
+            If the file is not there or is not what was written. Files of earlier versions have no
+            checksum: :meth:`from_json` reads their text.
+        KeyError, ValueError
+            If it describes something else.
+        """
+        table = read_table(Path(path))
+        if table is None:
+            raise OutputError(f"'{path}' is not there")
+        return cls.from_dict(table)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write tables, pictures, the JSON file and ``report.html`` and return the page.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written to.
+        """
+        page = super().save(folder)
+        write_table(Path(folder) / "workprecision.json", self.to_dict())
+        return page
 
     @property
     def stepwise(self) -> bool:
@@ -238,3 +288,8 @@ class WorkPrecision(StoredComparison):
     def _check(self, norm: str) -> None:
         if norm not in NORMS:
             raise ValueError(f"there is no norm {norm!r}: choose from {', '.join(NORMS)}")
+
+
+def _rows_from(table: Sequence[Row]) -> list[Row]:
+    """Return the rows of a table in JSON, in which NaN was written as null."""
+    return [{key: math.nan if x is None else x for key, x in row.items()} for row in table]

@@ -124,8 +124,7 @@ def arithmetic(body: Callable[..., Any]) -> Any:
     return outside
 
 
-COMPILATION = _WithoutCollector()
-"""What this process has compiled: ``seconds`` of wall time so far."""
+COMPILATION = _WithoutCollector()  # what this process has compiled: ``seconds`` of wall time so far
 event.register("numba:compile", COMPILATION)  # type: ignore[no-untyped-call]
 
 
@@ -208,8 +207,7 @@ def fingerprint_of(*modules: ModuleType) -> str:
 _typeof: Any = typeof
 
 
-_OWNED = 0x4
-"""Flag of arrays whose memory is their own, which is no part of their type."""
+_OWNED = 0x4  # flag of arrays whose memory is their own, which is no part of their type
 
 
 def kind_of(value: Any) -> Any:
@@ -230,19 +228,11 @@ _ADDRESSES: dict[Any, int] = {}
 def address_of(function: Any, result: Any, *arguments: Any) -> int:
     """Return where a jitted function is that takes values like these; compile it if need be.
 
-    Parameters
-    ----------
-    function
-        A jitted function of a module.
-    result
-        A value of the type that it must return.
-    arguments
-        Values of the types of its arguments.
+    - ``function``: a jitted function of a module
+    - ``result``: a value of the type that it must return
+    - ``arguments``: values of the types of its arguments
 
-    Raises
-    ------
-    TypeError
-        If it returns something else.
+    Raises TypeError if it returns something else.
     """
     key = (function, kind_of(result), kind_of(arguments))
     if key not in _ADDRESSES:

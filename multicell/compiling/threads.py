@@ -18,15 +18,9 @@ if TYPE_CHECKING:
 def thread_count(wanted: int | None) -> int:
     """Return the number of threads to use, and let numba know it.
 
-    Parameters
-    ----------
-    wanted
-        Number of threads, or None for all that there are.
+    - ``wanted``: number of threads, or None for all that there are
 
-    Raises
-    ------
-    SceneError
-        If there are not as many.
+    Raises SceneError if there are not as many.
     """
     import numba
 
@@ -67,10 +61,7 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     that write to their own cells only give the same bits in both. Neither is compiled before it
     is called.
 
-    Parameters
-    ----------
-    body
-        A module-level function that numba can compile.
+    - ``body``: a module-level function that numba can compile
     """
     from numba import njit
 
@@ -92,10 +83,7 @@ class Team:
     that waits for another one sleeps, and loses little beside a process that occupies all cores. A
     context, at whose end the threads are gone.
 
-    Parameters
-    ----------
-    threads
-        How many; with one, all is done by the caller.
+    - ``threads``: how many; with one, all is done by the caller
     """
 
     def __init__(self, threads: int = 1) -> None:

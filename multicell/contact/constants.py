@@ -35,8 +35,7 @@ Function = Callable[..., Any]
 
 TINY = 1e-300
 """Keeps 0 / 0 out of a law's function where there is no overlap, and numerator and all are zero."""
-BASIC = ("overlap", "modulus", "radius", "p")
-"""The first arguments of the function of a law."""
+BASIC = ("overlap", "modulus", "radius", "p")  # the first arguments of the function of a law
 FURTHER = ((), ("rest",), ("adhesion",), ("rest", "adhesion"), ("adhesion", "unit", "onset"))
 """What the arguments after those may be."""
 
@@ -71,20 +70,12 @@ def constants_of(
 ) -> Any:
     """Return the type of a law's constants: a NamedTuple of floats with these fields.
 
-    Parameters
-    ----------
-    function
-        The function of the law.
-    fields
-        Names of the constants.
-    without_energy, force_alone
-        See :class:`LawFunction`.
+    - ``function``: the function of the law
+    - ``fields``: names of the constants
+    - ``without_energy``, ``force_alone``: see :class:`LawFunction`
 
-    Raises
-    ------
-    TypeError
-        If the function does not have the arguments that the function of a law has, or for a name
-        that is taken.
+    Raises TypeError if the function does not have the arguments that the function of a law has, or
+    for a name that is taken.
     """
     for name in fields:
         if name in SHARED or name.startswith("_") or "__" in name:

@@ -63,10 +63,7 @@ class UserLaw(OwnLaw, PairLaw):
     def evaluate(self, *given: Any, **named: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return force (nN), stiffness (nN/µm) and energy (fJ) as :meth:`PairLaw.evaluate`.
 
-        Raises
-        ------
-        SceneError
-            With file and line, where the user's function fails or returns no numbers.
+        Raises SceneError with file and line, where the user's function fails or returns no numbers.
         """
         with own_code("contact.law"):
             try:

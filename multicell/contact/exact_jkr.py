@@ -48,10 +48,7 @@ def beyond_turning(excess: float) -> float:
     root to lose digits at. A rational start (within 1.7 % everywhere) and two Halley steps, each
     of which cubes the error: no branch and no count that depends on the data.
 
-    Parameters
-    ----------
-    excess
-        Overlap beyond the turning point in units of k, h / k + 3 >= 0.
+    - ``excess``: overlap beyond the turning point in units of k, h / k + 3 >= 0
     """
     q = math.sqrt(excess)
     r = math.sqrt(q)

@@ -152,10 +152,7 @@ class PairLaw(ABC):
 
         The law's function is called as it is, once for each element.
 
-        Raises
-        ------
-        TypeError
-            For a law that needs ``rest`` where it is not given.
+        Raises TypeError for a law that needs ``rest`` where it is not given.
         """
         constants = self.constants()
         function = function_of(constants)

@@ -23,14 +23,9 @@ _ROUNDING = 4e-16
 class Pair:
     """Two cells with all that pulls and pushes them along the line of their centres.
 
-    Attributes
-    ----------
-    law
-        Contact law, with the surface energy of these two types.
-    modulus, radius, rest : float
-        E_ij in kPa, r_ij and r_i + r_j in µm.
-    bonds : float, kPa
-        Adhesive force per contact area of receptors and ligands (eq. 3.7).
+    - ``law``: contact law, with the surface energy of these two types
+    - ``modulus``, ``radius``, ``rest``, float: E_ij in kPa, r_ij and r_i + r_j in µm
+    - ``bonds``, float, kPa: adhesive force per contact area of receptors and ligands (eq. 3.7).
     """
 
     law: PairLaw
@@ -89,12 +84,8 @@ def rest_overlap(
 
     By Newton's method from above, kept in a bracket by bisection.
 
-    Parameters
-    ----------
-    law
-        The contact law of all these pairs.
-    modulus, radius, rest, bonds
-        See :class:`Pair`.
+    - ``law``: the contact law of all these pairs
+    - ``modulus``, ``radius``, ``rest``, ``bonds``: see :class:`Pair`
     """
     arrays = [np.asarray(part, dtype=float) for part in (modulus, radius, rest, bonds)]
     modulus, radius, rest, bonds = np.broadcast_arrays(*arrays)

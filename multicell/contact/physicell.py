@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 
-_SIX_PI = 18.84955592153876
-"""What √(6πσ) of a pair holds besides σ."""
+_SIX_PI = 18.84955592153876  # what √(6πσ) of a pair holds besides σ
 
 
 def adhesion_repulsion(

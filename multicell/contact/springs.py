@@ -120,13 +120,7 @@ class Spring(PairLaw):
     def reach(
         self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None
     ) -> FloatArray:
-        """Return H = (cutoff - 1) s in µm.
-
-        Raises
-        ------
-        TypeError
-            Without ``rest``.
-        """
+        """Return H = (cutoff - 1) s in µm; raises TypeError without ``rest``."""
         if rest is None:
             raise TypeError(f"{type(self).__name__} needs rest=..., the sum r_i + r_j in µm")
         length, _, _ = np.broadcast_arrays(np.asarray(rest, dtype=float), modulus, radius)

@@ -19,15 +19,9 @@ EXTRAS: Final = {
 def needs(*packages: str) -> None:
     """Raise an error unless some packages are installed.
 
-    Parameters
-    ----------
-    packages
-        Names as they are imported, such as ``"pyvista"``.
+    - ``packages``: names as they are imported, such as ``"pyvista"``
 
-    Raises
-    ------
-    MissingPackage
-        If one of them is not installed; the text says how to install them all.
+    Raises MissingPackage if one of them is not installed; the text says how to install them all.
     """
     absent = [name for name in packages if not _there(name)]
     if absent:
@@ -49,10 +43,8 @@ def _there(name: str) -> bool:
 def quiet(*packages: str) -> Iterator[None]:
     """Let packages log nothing: what matters of it is said by errors and notes of our own.
 
-    Parameters
-    ----------
-    packages
-        Names of their loggers. Those below them that there are have levels of their own, perhaps.
+    - ``packages``: names of their loggers. Those below them that there are have levels of their
+      own, perhaps.
     """
     import logging
 

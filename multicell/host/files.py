@@ -9,8 +9,7 @@ import stat
 from pathlib import Path
 from typing import Any, Final
 
-DEEPEST: Final = 20
-"""Parts of a dotted key of TOML; those of a scene have at most seven."""
+DEEPEST: Final = 20  # parts of a dotted key of TOML; those of a scene have at most seven
 
 _NAME: Final = (
     r"""(?:"{3}(?:[^"\\]|\\.|"(?!""))*+(?:"{3})?"""
@@ -26,17 +25,11 @@ _DEEP: Final = re.compile(
 def read_regular(path: Path, largest: int) -> bytes:
     """Return the content of a regular file.
 
-    Parameters
-    ----------
-    path
-        The file. A link to one is one; a pipe or a device, which may never end, is none.
-    largest
-        Number of bytes that it may have.
+    - ``path``: the file. A link to one is one; a pipe or a device, which may never end, is none.
+    - ``largest``: number of bytes that it may have
 
-    Raises
-    ------
-    OSError
-        If it is missing, something else or larger, or cannot be read; ``strerror`` says which.
+    Raises OSError if it is missing, something else or larger, or cannot be read; ``strerror`` says
+    which.
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     descriptor = os.open(path, flags)
@@ -58,12 +51,7 @@ def read_regular(path: Path, largest: int) -> bytes:
 def read_text(path: Path, largest: int) -> str:
     r"""Return the text of a regular file, its lines ending in ``\n``, as :func:`read_regular`.
 
-    Raises
-    ------
-    OSError
-        As there.
-    UnicodeDecodeError
-        For text that is not UTF-8.
+    Raises OSError as there; UnicodeDecodeError for text that is not UTF-8.
     """
     text = read_regular(path, largest).decode("utf-8-sig")
     return text.replace("\r\n", "\n").replace("\r", "\n")
@@ -72,11 +60,9 @@ def read_text(path: Path, largest: int) -> str:
 def parse_toml(text: str) -> dict[str, Any]:
     """Return the table that a TOML text describes.
 
-    Raises
-    ------
-    ValueError
-        With words: for text that is no TOML, and for keys of more parts than any of ours, before
-        Python's parser sees them, whose time and memory grow with the square of their number.
+    Raises ValueError with words: for text that is no TOML, and for keys of more parts than any of
+    ours, before Python's parser sees them, whose time and memory grow with the square of their
+    number.
     """
     import tomllib
 

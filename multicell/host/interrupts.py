@@ -28,12 +28,9 @@ _URGENT: Final = 2
 _MAIN: Final = threading.main_thread()
 """A process that another thread forks has another one, and delays nothing."""
 
-_replaced: dict[int, Any] = {}
-"""Number of a signal -> its handler while it is replaced."""
-_counts: dict[int, int] = {}
-"""How often signals have come since the outermost block began."""
-_waiting: dict[int, bool] = {}
-"""Signals that have not been delivered, and whether that is urgent."""
+_replaced: dict[int, Any] = {}  # number of a signal -> its handler while it is replaced
+_counts: dict[int, int] = {}  # how often signals have come since the outermost block began
+_waiting: dict[int, bool] = {}  # signals that have not been delivered, and whether that is urgent
 
 
 def _note(number: int, _: FrameType | None) -> None:
@@ -61,10 +58,7 @@ def _deliver(*, urgent: bool) -> None:
 class Block:
     """A context in which signals are noted, and at whose outermost end their handlers are called.
 
-    Parameters
-    ----------
-    signals
-        Numbers; those without a handler of Python's stay as they are.
+    - ``signals``: numbers; those without a handler of Python's stay as they are
     """
 
     def __init__(self, signals: Iterable[int]) -> None:

@@ -11,8 +11,7 @@ import sys
 import time as clock
 from typing import Any, Final, final
 
-MANY: Final = 10_000
-"""Cells below which nothing is worth giving back."""
+MANY: Final = 10_000  # cells below which nothing is worth giving back
 
 _EVERY: Final = 0.5  # s of the wall clock: to give back and to get again takes some milliseconds
 

@@ -88,10 +88,7 @@ class _Loader:
 def _refuse_cache_of_others(folder: str) -> None:
     """Refuse a folder of compiled code where other users can put some, which would be run.
 
-    Raises
-    ------
-    PermissionError
-        If it belongs to another user, or all may write there.
+    Raises PermissionError if it belongs to another user, or all may write there.
     """
     if not folder or not hasattr(os, "geteuid") or not os.path.isdir(folder):
         return

@@ -39,13 +39,10 @@ class AdamsBashforth2(EqualSteps):
 class AdaptiveAdams(ErrorControl):
     """Adams-Bashforth of order 2 under error control, one evaluation a step; to 1/λ_max.
 
-    Parameters
-    ----------
-    rtol, atol, max_steps, max_displacement
-        As for :class:`~multicell.integrators.base.ErrorControl`.
-    patience
-        Largest number of evaluations that a coupling step may be expected to take; beyond, the
-        integration ends early, with ``problem`` set. Zero for any number.
+    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
+      :class:`~multicell.integrators.base.ErrorControl`
+    - ``patience``: largest number of evaluations that a coupling step may be expected to take;
+      beyond, the integration ends early, with ``problem`` set. Zero for any number.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(

@@ -63,36 +63,25 @@ if TYPE_CHECKING:
     from multicell.mechanics.system import Mechanics
 
 _ITERATIONS = 6
-PATIENCE = 150
-"""Evaluations up to which nothing but Adams-Bashforth is tried, by many cells."""
-_CHOICE = 5.0e3
-"""Evaluations times cells that a choice by the measured decay rate costs."""
-_LOOK_FROM = 200
-"""Number of cells from which a product J v is cheaper than a failed attempt."""
-_SUSPECT = 60.0
-"""λΔt, by the order of magnitude of λ, from which on such a look is worth while."""
+PATIENCE = 150  # evaluations up to which nothing but Adams-Bashforth is tried, by many cells
+_CHOICE = 5.0e3  # evaluations times cells that a choice by the measured decay rate costs
+_LOOK_FROM = 200  # number of cells from which a product J v is cheaper than a failed attempt
+_SUSPECT = 60.0  # λΔt, by the order of magnitude of λ, from which on such a look is worth while
 _IN_VAIN = 1.5
 """λΔt over the patience from which on an attempt is in vain: Adams-Bashforth would take λΔt / 0.8
 evaluations, and λ itself is measured for less than is lost."""
-_TENS = 10.0
-"""δ of a tissue of which nothing is known but that it is stiff."""
-_TIGHT = 0.03
-"""θ up to which a method of order 5 may cost less than Adams-Bashforth."""
-_CALL = 2.0e3
-"""Evaluations times cells that the calls of Python in a step of CVODE cost."""
+_TENS = 10.0  # δ of a tissue of which nothing is known but that it is stiff
+_TIGHT = 0.03  # θ up to which a method of order 5 may cost less than Adams-Bashforth
+_CALL = 2.0e3  # evaluations times cells that the calls of Python in a step of CVODE cost
 _SMOOTH, _CALLS = 73.0, 1.06e4
 """Evaluations that CVODE costs where there are no fast modes to follow, and those times cells."""
-_PRODUCT = 110.0
-"""The same of a product in the Rosenbrock method."""
-_START = 2900.0
-"""The same of its start."""
-_STAGE = 300.0
-"""The same for an evaluation of an explicit method that goes through Python."""
+_PRODUCT = 110.0  # the same of a product in the Rosenbrock method
+_START = 2900.0  # the same of its start
+_STAGE = 300.0  # the same for an evaluation of an explicit method that goes through Python
 _AS_EXACT = 0.1
 """Tolerance at which implicit methods are about as exact as RKC2 where there are fast modes to
 follow, over that of RKC2."""
-_CAUTION = 1.25
-"""By how much an implicit method has to be cheaper: what it is off by differs more."""
+_CAUTION = 1.25  # by how much an implicit method has to be cheaper: what it is off by differs more
 _QUIET, _SHAKEN = 1e-3, 0.3
 """δ up to which there are no fast modes to follow, and from which on there are."""
 
@@ -102,16 +91,10 @@ _QUIET, _SHAKEN = 1e-3, 0.3
 class Choice:
     """The chosen method and the reasons for it.
 
-    Attributes
-    ----------
-    rate : float
-        Estimate of the largest decay rate λ, 1/s.
-    stiffness : float
-        λ times the length of the coupling step.
-    costs : name -> float
-        Predicted cost of each candidate, in evaluations.
-    finer : float
-        Part of the tolerances that an implicit method is given.
+    - ``rate``, float: estimate of the largest decay rate λ, 1/s
+    - ``stiffness``, float: λ times the length of the coupling step
+    - ``costs``, name -> float: predicted cost of each candidate, in evaluations
+    - ``finer``, float: part of the tolerances that an implicit method is given
     """
 
     rate: float
@@ -134,15 +117,6 @@ class Choice:
         """Whether the best costs less than half of any other."""
         first, second, *_ = sorted(self.costs.values())
         return 2.0 * first < second
-
-    @property
-    def reason(self) -> str:
-        """One sentence for a person."""
-        costs = ", ".join(f"{name} {self.costs[name]:.0f}" for name in self.order)
-        return (
-            f"stiffness λΔt is {self.stiffness:.3g} (λ = {self.rate:.3g}/s); "
-            f"expected evaluations: {costs}"
-        )
 
 
 @final
@@ -226,8 +200,7 @@ CANDIDATES: dict[
     str, type[AdaptiveAdams] | type[Dopri5] | type[Rkc2] | type[Rosenbrock] | type[Cvode]
 ] = {kind.info.name: kind for kind in (AdaptiveAdams, Dopri5, Rkc2, Rosenbrock, Cvode)}
 """What is chosen from."""
-MILD = AdaptiveAdams.info.name
-"""What every coupling step is begun by."""
+MILD = AdaptiveAdams.info.name  # what every coupling step is begun by
 
 
 def candidates(system: Mechanics) -> list[str]:
@@ -309,16 +282,10 @@ def predict_costs(
 ) -> dict[str, float]:  # fmt: skip
     """Return what each candidate that can hold the scene is expected to cost, in evaluations.
 
-    Parameters
-    ----------
-    n, z, theta, fast
-        n, z, θ and δ of the module's description.
-    expected
-        What ``ab2-adaptive`` expects; zero where it is no candidate.
-    called
-        Share by which an evaluation through Python costs an explicit method more.
-    able
-        Names of the methods that can hold the scene; without them all.
+    - ``n``, ``z``, ``theta``, ``fast``: n, z, θ and δ of the module's description
+    - ``expected``: what ``ab2-adaptive`` expects; zero where it is no candidate
+    - ``called``: share by which an evaluation through Python costs an explicit method more
+    - ``able``: names of the methods that can hold the scene; without them all
     """
     able = CANDIDATES if able is None else able
     accurate, stable = 12.0 * theta**-0.1, z / 3.0

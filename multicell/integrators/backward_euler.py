@@ -4,14 +4,11 @@ Without friction between cells the end of a step minimises ½ ‖x - x_0‖² / 
 of the scalar product ⟨u, v⟩ = Σ_i Γ_i u_i·v_i of the drag coefficients at the end of the step;
 external forces add a linear part to the energy U. Times Δt, the gradient is the residual
 x - x_0 - Δt v and the second derivative I - ΔtJ, which is symmetric in that product.
-So Newton's method finds the minimum: conjugate gradients, a line search along the
-energy, and where a direction has no positive curvature (a compressed cluster buckles sideways)
-cells go along it as far as they may (Steihaug 1983). Where Δt is short enough for I - ΔtJ to be
-positive, the minimum is the only solution; beyond, it is one that the energy falls to.
+So Newton's method finds the minimum by conjugate gradients and a line search along the energy, and
+where a direction has no positive curvature cells go along it as far as they may (Steihaug 1983).
 
-With friction Γ is a matrix that depends on the positions, and there is no such energy. There, and
-where the energy of a user's law does not belong to its force closely enough, Newton's method with
-GMRES lowers the residual.
+With friction there is no such energy. There, and where the energy of a user's law does not belong
+to its force closely enough, Newton's method with GMRES lowers the residual.
 
 References
 ----------
@@ -31,7 +28,6 @@ from multicell.integrators.base import EqualSteps, MethodInfo, Outcome
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.mechanics.preconditioners import Preconditioner
     from multicell.mechanics.system import Mechanics
 
 _HALVINGS = 30
@@ -43,12 +39,10 @@ Since no eigenvalue of I - ΔtJ of a cluster at rest is below 1, the error is at
 The correction alone is not enough: where γλ is large, the linear solver's residual may hide a
 motion of the cluster as a whole.
 """
-_FINER = 1e-2
-"""What ``forcing`` is multiplied by where that residual is exceeded."""
+_FINER = 1e-2  # what ``forcing`` is multiplied by where that residual is exceeded
 _DECREASE = 1e-4
 """Least part of the promised decrease, of the residual or of the energy (Armijo's rule)."""
-_ROUNDING = 1e-14
-"""Of the energy, below which a difference of two energies is rounding."""
+_ROUNDING = 1e-14  # of the energy, below which a difference of two energies is rounding
 
 
 @final
@@ -56,20 +50,13 @@ _ROUNDING = 1e-14
 class BackwardEuler(EqualSteps):
     """x_{k+1} = x_k + Δt v(t_{k+1}, x_{k+1}), first order.
 
-    Parameters
-    ----------
-    step, max_displacement
-        As for :class:`~multicell.integrators.base.EqualSteps`.
-    tolerance
-        Newton's method ends when the largest correction of a coordinate is below this, µm.
-    preconditioner
-        A key of ``preconditioners.PRECONDITIONERS``.
-    newton
-        Most Newton iterations in a step.
-    forcing
-        Relative residual to which each linear system is solved.
-    softening
-        As for :class:`~multicell.integrators.cvode.Cvode`; with friction between cells only.
+    - ``step``, ``max_displacement``: as for :class:`~multicell.integrators.base.EqualSteps`
+    - ``tolerance``: Newton's method ends when the largest correction of a coordinate is below this,
+      µm
+    - ``newton``: most Newton iterations in a step
+    - ``forcing``: relative residual to which each linear system is solved
+    - ``softening``: as for :class:`~multicell.integrators.cvode.Cvode`; with friction between cells
+      only
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -81,7 +68,6 @@ class BackwardEuler(EqualSteps):
     )  # fmt: skip
 
     tolerance: float = 1e-4
-    preconditioner: str = "gauss-seidel"
     newton: int = 100
     forcing: float = 1e-2
     softening: float = 0.5
@@ -144,10 +130,8 @@ class _Step:
     def solve(self) -> str:
         """Find the end of the step; return what went wrong, if anything did."""
         from multicell.mechanics.jacobian import limited
-        from multicell.mechanics.preconditioners import preconditioner
 
         method, system = self.method, self.system
-        approximate = preconditioner(method.preconditioner, system)
         residual = self._residual(self.trial)
         self.energy = self._energy(self.trial) if self.descends else 0.0
         for _ in range(method.newton):
@@ -156,8 +140,8 @@ class _Step:
             self.linear = system.linearisation
             if not self.descends:
                 self.linear, _ = limited(system, method.softening)
-            approximate.setup(system, self.step, self.linear)
-            correction = self._correction(residual, approximate)
+            system.setup_preconditioner(self.step, self.linear)
+            correction = self._correction(residual)
             found = self._search(residual, correction)
             if found is None and self.descends:
                 self.descends, self.room = False, self.most_room
@@ -237,13 +221,13 @@ class _Step:
         self.system.jacobian_product(vector, out, self.linear)
         return np.asarray(vector - self.step * out)
 
-    def _correction(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
+    def _correction(self, residual: FloatArray) -> FloatArray:
         """Solve (I - ΔtJ) x = -residual as far as ``forcing`` asks, or find a way down."""
         if self.descends:
-            return self._conjugate_gradients(residual, approximate)
-        return self._gmres(residual, approximate)
+            return self._conjugate_gradients(residual)
+        return self._gmres(residual)
 
-    def _conjugate_gradients(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
+    def _conjugate_gradients(self, residual: FloatArray) -> FloatArray:
         """Return the solution, or a way down that ends where the curvature is not positive.
 
         The last direction is then followed as far as cells may move (Steihaug 1983).
@@ -255,7 +239,7 @@ class _Step:
         for _ in range(_MAX_ITERATIONS):
             if self._norm(left) <= target:
                 break
-            approximate.solve(self.system, left, better)
+            self.system.precondition(left, better)
             product = self._product(left, better)
             direction = better + product / before * direction
             before = product
@@ -269,7 +253,7 @@ class _Step:
                 break
         return solution
 
-    def _gmres(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
+    def _gmres(self, residual: FloatArray) -> FloatArray:
         from scipy.sparse.linalg import LinearOperator, gmres
 
         shape = (residual.size, residual.size)
@@ -279,7 +263,7 @@ class _Step:
 
         def approximately(vector: FloatArray) -> Any:
             out = np.empty_like(residual)
-            approximate.solve(self.system, vector.reshape(-1, 3), out)
+            self.system.precondition(vector.reshape(-1, 3), out)
             return out.ravel()
 
         solution, _ = gmres(

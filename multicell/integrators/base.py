@@ -102,13 +102,9 @@ class Integrator(Protocol):
 class EqualSteps:
     """Options of the methods with a fixed step; abstract.
 
-    Parameters
-    ----------
-    step
-        Largest step, s; a coupling step is cut into equal steps no longer than this.
-    max_displacement
-        Fraction of its radius that a cell may move in one step. The step is fixed, so a
-        cell that would move further ends the integration.
+    - ``step``: largest step, s; a coupling step is cut into equal steps no longer than this
+    - ``max_displacement``: fraction of its radius that a cell may move in one step. The step is
+      fixed, so a cell that would move further ends the integration.
     """
 
     step: float
@@ -124,21 +120,13 @@ def equal_steps(length: float, longest: float) -> int:
 class ErrorControl:
     """Options of the methods under error control; abstract.
 
-    Parameters
-    ----------
-    rtol, atol
-        Relative tolerance, and absolute tolerance in µm; a scene has defaults of its own for each
-        method (:attr:`MethodInfo.atol`).
-    max_steps
-        Largest number of steps in a coupling step.
-    max_displacement
-        Fraction of its radius that a cell may move in one step; a step that moves a cell
-        further is refused and tried shorter.
+    - ``rtol``, ``atol``: relative tolerance, and absolute tolerance in µm; a scene has defaults of
+      its own for each method (:attr:`MethodInfo.atol`)
+    - ``max_steps``: largest number of steps in a coupling step
+    - ``max_displacement``: fraction of its radius that a cell may move in one step; a step that
+      moves a cell further is refused and tried shorter
 
-    Raises
-    ------
-    ValueError
-        For a negative ``rtol``, or an ``atol`` that is not positive.
+    Raises ValueError for a negative ``rtol``, or an ``atol`` that is not positive.
     """
 
     rtol: float = 1e-6
@@ -275,10 +263,7 @@ def info_of(method: Any) -> MethodInfo:
 def build(info: MethodInfo, **options: Any) -> Integrator:
     """Return the integrator with those of the options that it takes.
 
-    Raises
-    ------
-    SceneError
-        If it cannot be made with them.
+    Raises SceneError if it cannot be made with them.
     """
     made = {name: value for name, value in options.items() if name in info.settings}
     try:

@@ -22,46 +22,25 @@ if TYPE_CHECKING:
 class Cvode(ErrorControl):
     """Variable-order, variable-step BDF with a preconditioned Krylov method.
 
-    The defaults are what ``tests/benchmarks/tune_cvode.py`` found best over its scenes.
+    The defaults are what ``tests/benchmarks/tune_cvode.py`` found best over its scenes: GMRES with
+    the 3 x 3 diagonal blocks on the right, where it measures the true residual, and without them
+    in mild steps, γλ < 3.
 
-    Parameters
-    ----------
-    rtol, atol, max_steps, max_displacement
-        As for :class:`~multicell.integrators.base.ErrorControl`.
-    krylov_dim
-        Dimension of the Krylov space.
-    preconditioner
-        A key of ``preconditioners.PRECONDITIONERS``, or ``"none"``. Mild steps, γλ < 3, go
-        without.
-    side
-        ``"left"``, ``"right"`` or ``"both"``. On the right the Krylov method measures the
-        true residual.
-    refresh
-        When the Jacobian is taken anew: ``"moved"``, where some coordinate has changed by
-        more than ``far`` since (further where the step is mild); ``"solve"``, before every
-        linear solve, with the preconditioner; ``"product"``, the same, but the
-        preconditioner only when SUNDIALS sets it up; ``"setup"``, both only then;
-        ``"asked"``, the Jacobian only when SUNDIALS asks for it (``jok`` is zero).
-    far
-        See ``refresh``, in mean radii.
-    max_order
-        Highest order.
-    linear
-        Krylov method: ``"gmres"``, ``"bicgstab"`` or ``"tfqmr"``.
-    newton
-        Most Newton iterations in a step.
-    softening
-        Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope tends to
-        -∞ at first contact); infinite for the true slope. It leaves the solution as it is.
-    formula
-        ``"BDF"`` or ``"Adams"``. Adams formulas are solved by the same Newton method.
-    light
-        Begin with difference quotients for products and no preconditioner, which costs least
-        while steps are mild, and go over to the settings above as soon as the evaluations of
-        the last steps say that they are not. False for the settings above from the start.
-    each_cell
-        Hold the tolerance for single cells. False for SUNDIALS's own norm, a mean over all
-        coordinates, in which one cell among many may be wrong by many tolerances.
+    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
+      :class:`~multicell.integrators.base.ErrorControl`
+    - ``krylov_dim``: dimension of the Krylov space
+    - ``far``: change of a coordinate from which on the Jacobian is taken anew, in mean radii; more
+      where the step is mild
+    - ``max_order``: highest order
+    - ``newton``: most Newton iterations in a step
+    - ``softening``: Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope
+      tends to -∞ at first contact); infinite for the true slope. It leaves the solution as it is.
+    - ``formula``: ``"BDF"`` or ``"Adams"``. Adams formulas are solved by the same Newton method.
+    - ``light``: begin with difference quotients for products and no preconditioner, which costs
+      least while steps are mild, and go over to the settings above as soon as the evaluations of
+      the last steps say that they are not. False for the settings above from the start.
+    - ``each_cell``: hold the tolerance for single cells. False for SUNDIALS's own norm, a mean over
+      all coordinates, in which one cell among many may be wrong by many tolerances.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -70,12 +49,8 @@ class Cvode(ErrorControl):
     )  # fmt: skip
 
     krylov_dim: int = 8
-    preconditioner: str = "blocks"
-    side: str = "right"
-    refresh: str = "moved"
     far: float = 0.003
     max_order: int = 5
-    linear: str = "gmres"
     newton: int = 3
     softening: float = 0.5
     formula: str = "BDF"

@@ -18,7 +18,6 @@ from multicell.compiling import KERNEL
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
-from multicell.mechanics.preconditioners import preconditioner
 
 if TYPE_CHECKING:
     from multicell.integrators.cvode import Cvode
@@ -26,8 +25,7 @@ if TYPE_CHECKING:
 _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
-_CONTACTS = 8.0
-"""Largest decay rate of packed cells, in stiffness of the stiffest pair over drag."""
+_CONTACTS = 8.0  # largest decay rate of packed cells, in stiffness of the stiffest pair over drag
 _SLOW_START = 5e-4
 """Share of the interval below which the first two steps of a mild start say that it is stiff."""
 _BUSY, _WINDOW = 6, 3
@@ -36,8 +34,7 @@ _LIGHT_KRYLOV = 5
 _FIRST = 1e-6
 """First step of a mild start over the interval. CVODE's own is about as long, and it takes two
 evaluations to find it; the second one may be ten thousand times longer."""
-_INCREMENT = 1e-5
-"""Largest change of a coordinate in a difference quotient, in mean radii."""
+_INCREMENT = 1e-5  # largest change of a coordinate in a difference quotient, in mean radii
 _MILD, _STIFF = 3.0, 10.0
 """Products γλ up to which there is no preconditioning, and beyond which J is kept fresh."""
 
@@ -80,7 +77,7 @@ class Light:
             atol=run.share * method.atol,
             max_order=method.max_order,
             max_nonlin_iters=method.newton,
-            linsolver=method.linear,
+            linsolver="gmres",
             krylov_dim=_LIGHT_KRYLOV,
             first_step=_FIRST * run.left,
             jactimes=CVODEJacTimes(None, self.product),
@@ -146,8 +143,7 @@ class Light:
         work = self.run.system.work
         others, self._others = direct - self._others, direct
         work.newton_iterations += others if len(self._counts) > 1 else 1
-        if self.method.linear == "gmres":
-            work.linear_iterations += work.evaluations - self._counts[-1] - others
+        work.linear_iterations += work.evaluations - self._counts[-1] - others
         self._counts.append(work.evaluations)
 
 
@@ -160,14 +156,10 @@ class Krylov:
         self.method = method
         self._fresh, self._stale = False, True
         self._reference = np.full(3 * len(run.position), np.inf)
-        # without a preconditioner γ is unknown: J is renewed as often as for stiff steps
+        # until γ is known J is renewed as often as for stiff steps
         self._gamma, self._rate = np.inf, 1.0
         self._used, self._reached = np.inf, 0.0
         self._far = method.far * float(run.system.motion.radius.mean())
-        options: dict[str, Any] = {}
-        if method.preconditioner != "none":
-            self._preconditioner = preconditioner(method.preconditioner, run.system)
-            options["precond"] = CVODEPrecond(self.setup, self.solve, side=method.side)
         self._predictor = Predictor(run)
         self.solver = CVODE(
             self._predictor.velocity,
@@ -177,10 +169,10 @@ class Krylov:
             max_step=ceiling,
             max_order=method.max_order,
             max_nonlin_iters=method.newton,
-            linsolver=method.linear,
+            linsolver="gmres",
             krylov_dim=method.krylov_dim,
             jactimes=CVODEJacTimes(self.linearise, self.product),
-            **options,
+            precond=CVODEPrecond(self.setup, self.solve, side="right"),
         )
         self.solver.init_step(0.0, run.position.ravel())
 
@@ -201,12 +193,10 @@ class Krylov:
     def linearise(self, t: float, y: FloatArray, yp: FloatArray) -> None:
         """Get ready for products before a linear solve."""
         self.system.work.newton_iterations += 1
-        refresh = self.method.refresh
         if self._fresh:
             self._fresh = False
-        elif refresh in ("solve", "product") or (refresh == "moved" and self._moved(y)):
+        elif self._moved(y):
             self._take_jacobian(t, y)
-            self._stale |= refresh == "solve"
 
     def _take_jacobian(self, t: float, y: FloatArray) -> None:
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
@@ -228,7 +218,7 @@ class Krylov:
         self, t: float, y: FloatArray, yp: FloatArray, v: FloatArray, jv: FloatArray
     ) -> None:
         """Jacobian times vector."""
-        self.system.work.linear_iterations += self.method.linear == "gmres"
+        self.system.work.linear_iterations += 1
         self.system.jacobian_product(v.reshape(-1, 3), jv.reshape(-1, 3), self._linear)
 
     def setup(
@@ -236,8 +226,7 @@ class Krylov:
     ) -> None:
         """Preconditioner for a new γ."""
         self._gamma = gamma
-        refresh = self.method.refresh
-        if not jok or refresh not in ("asked", "moved") or (refresh == "moved" and self._moved(y)):
+        if not jok or self._moved(y):
             self._take_jacobian(t, y)
             self._fresh = True
             jnew[0] = 1
@@ -253,6 +242,6 @@ class Krylov:
             z[:] = r
             return
         if self._stale:
-            self._preconditioner.setup(self.system, gamma, self._linear)
+            self.system.setup_preconditioner(gamma, self._linear)
             self._stale = False
-        self._preconditioner.solve(self.system, r.reshape(-1, 3), z.reshape(-1, 3))
+        self.system.precondition(r.reshape(-1, 3), z.reshape(-1, 3))

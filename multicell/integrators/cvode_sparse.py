@@ -28,12 +28,9 @@ if TYPE_CHECKING:
 class CvodeSparse(ErrorControl):
     """Variable-order, variable-step BDF with a direct sparse solver.
 
-    Parameters
-    ----------
-    rtol, atol, max_steps, max_displacement, softening
-        As for :class:`~multicell.integrators.cvode.Cvode`.
-    margin
-        Room of the pattern: surfaces closer than this times the mean radius have a place.
+    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``, ``softening``: as for
+      :class:`~multicell.integrators.cvode.Cvode`
+    - ``margin``: room of the pattern: surfaces closer than this times the mean radius have a place
     """
 
     # the factors of a solid tissue fill up: 5000 cells need ten million entries and 1.7 s for each
@@ -50,10 +47,7 @@ class CvodeSparse(ErrorControl):
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`.
 
-        Raises
-        ------
-        SceneError
-            If there are too many cells, or friction between them.
+        Raises SceneError if there are too many cells, or friction between them.
         """
         from multicell.integrators.restarts import Run
 

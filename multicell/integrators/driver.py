@@ -52,16 +52,10 @@ def needs_python(system: Mechanics) -> bool:
 def control(method: ErrorControl, system: Mechanics, order: float, lower: int) -> stepping.Control:
     """Return the settings of error control for a coupling step.
 
-    Parameters
-    ----------
-    method
-        Its tolerances and limits.
-    system
-        Made ready for the coupling step.
-    order
-        Exponent of the step in the estimated error.
-    lower
-        Order p of the result where it is below that of the estimate, else 0.
+    - ``method``: its tolerances and limits
+    - ``system``: made ready for the coupling step
+    - ``order``: exponent of the step in the estimated error
+    - ``lower``: order p of the result where it is below that of the estimate, else 0
     """
     radius = system.motion.radius
     # θ of the module's text; a sum costs a third of a mean, which matters with two cells

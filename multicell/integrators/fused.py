@@ -11,20 +11,17 @@ calls them for one thread.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numba import prange, types
 from numba.extending import intrinsic, overload
 
+from multicell.cells import FloatArray
 from multicell.compiling import address_of, arithmetic, call_at
 from multicell.compiling.threads import two_drivers
 
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
-
-_CHUNK = 4096
-"""Cells in a chunk."""
+_CHUNK = 4096  # cells in a chunk
 
 
 @arithmetic

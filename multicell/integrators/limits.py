@@ -56,14 +56,9 @@ def _stiffness_scale(system: Mechanics) -> float:
 def beyond(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcome | None:
     """Return how a coupling step ends that cannot be followed, or None if it can.
 
-    Parameters
-    ----------
-    system
-        Made ready for the coupling step.
-    position
-        (n, 3) µm, at its beginning.
-    atol
-        Absolute tolerance, µm; zero for methods without error control.
+    - ``system``: made ready for the coupling step
+    - ``position``: (n, 3) µm, at its beginning
+    - ``atol``: absolute tolerance, µm; zero for methods without error control
     """
     motion = system.motion
     finite = np.isfinite(position)

@@ -18,17 +18,10 @@ if TYPE_CHECKING:
 def method_info(method: Any, what: str = "integrator") -> MethodInfo:
     """Return what is known of a method of any kind.
 
-    Parameters
-    ----------
-    method
-        Name in the registry, ``file.py:Name``, a class or an object.
-    what
-        Where it was asked for, as the path of errors.
+    - ``method``: name in the registry, ``file.py:Name``, a class or an object
+    - ``what``: where it was asked for, as the path of errors
 
-    Raises
-    ------
-    SceneError
-        If there is no such method, or it is no integrator.
+    Raises SceneError if there is no such method, or it is no integrator.
     """
     if isinstance(method, str):
         info = find(method)
@@ -48,17 +41,10 @@ def own_integrator(method: Any, options: IntegratorOptions) -> tuple[IntegratorO
     What is recorded is the file and name that the method came from, its settings under the names
     that they have in a scene, and the others in brackets behind its name.
 
-    Parameters
-    ----------
-    method
-        ``file.py:Name``, a class, which is made with the options, or an object.
-    options
-        Of the scene.
+    - ``method``: ``file.py:Name``, a class, which is made with the options, or an object
+    - ``options``: of the scene
 
-    Raises
-    ------
-    SceneError
-        If there is no such method, it is no integrator or cannot be made.
+    Raises SceneError if there is no such method, it is no integrator or cannot be made.
     """
     found = load_object(method, "integrator") if isinstance(method, str) else method
     info = method_info(found)

@@ -57,10 +57,7 @@ def find(name: str) -> MethodInfo | None:
 def from_options(options: IntegratorOptions) -> Integrator:
     """Return the integrator that a scene asks for (see :class:`IntegratorOptions`).
 
-    Raises
-    ------
-    SceneError
-        If it is one of the user's own: what a scene names is never loaded.
+    Raises SceneError if it is one of the user's own: what a scene names is never loaded.
     """
     if options.method not in METHODS:
         place = options.method.partition("(")[0]

@@ -31,10 +31,8 @@ _STEPS_BEFORE_LIFT = 8
 _SHARE = 0.1
 """Share of the tolerance that a norm over many cells gets; few cells get 1/√(3n), with which the
 norm bounds each of them."""
-_MAX_ERROR = 3.0
-"""Estimated error of a cell in a step that is refused, in tolerances."""
-_SMALLER = 0.25
-"""By how much the share is made smaller then."""
+_MAX_ERROR = 3.0  # estimated error of a cell in a step that is refused, in tolerances
+_SMALLER = 0.25  # by how much the share is made smaller then
 
 
 class StepImpossible(Exception):  # noqa: N818 - what happened to a solver, not a fault
@@ -54,14 +52,9 @@ class Solver(Protocol):
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step.
 
-        Returns
-        -------
-        time : float
-            Since the start, s.
-        position : (n, 3)
-            There; the array stays valid.
-        error : float
-            The largest error that the step is expected to have made with a cell, µm, or NaN.
+        Returns time, float: since the start, s; position, (n, 3): there; the array stays valid;
+        error : float: the largest error that the step is expected to have made with a cell, µm, or
+        NaN.
         """
 
 

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-_MAX_STAGES = 200
-"""Under error control: a step that needs more is taken shorter."""
+_MAX_STAGES = 200  # under error control: a step that needs more is taken shorter
 _MAX_FIXED_STAGES = 5000
 
 
@@ -27,21 +26,14 @@ class Rkc2(ErrorControl):
 
     Under error control unless ``step`` is given. See :mod:`multicell.integrators.loops.chebyshev`.
 
-    Parameters
-    ----------
-    rtol, atol, max_steps, max_displacement
-        As for :class:`~multicell.integrators.base.ErrorControl`.
-    step
-        Fixed step, s, for studies of order and stability; zero for error control.
-    stages
-        Fixed number of stages, 2 or more, only with ``step``; zero for as many as the
-        stiffness asks for.
+    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
+      :class:`~multicell.integrators.base.ErrorControl`
+    - ``step``: fixed step, s, for studies of order and stability; zero for error control
+    - ``stages``: fixed number of stages, 2 or more, only with ``step``; zero for as many as the
+      stiffness asks for
 
-    Raises
-    ------
-    ValueError
-        For a number of stages that there is no method of, or one without ``step``; for
-        tolerances that are not positive.
+    Raises ValueError for a number of stages that there is no method of, or one without ``step``;
+    for tolerances that are not positive.
     """
 
     info: ClassVar[MethodInfo]

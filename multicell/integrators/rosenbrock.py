@@ -11,16 +11,10 @@ and the estimated error Δt (k₁ - 2 k₂ + k₃) / 6, of third order and bound
 L-stable for A = J, and of order 2 for every A.
 
 **What grows.** An implicit step damps a mode with eigenvalue μ > 0 once γΔtμ > 1, and no error
-estimate sees it. Here two things prevent that:
-
-- A is J without the steepest slopes: JKR's dF/dh tends to -∞ at first contact, and is taken as
-  -``softening`` E_ij r_ij at most. What is left out of A enters explicitly, by the factor
-  1 + z + z²/2, which damps no growth.
-- For the eigenvalues μ of A itself no step is tried with Δtμ > ``growth`` as far as conjugate
-  gradients see: each search direction p is a lower bound on μ, by its Rayleigh quotient; and every
-  few steps five iterations with I - (Δt/``growth``) A, from what was found slowest last, look for
-  such modes where the right-hand sides do not contain them. At Δtμ = 0.5 the factor of one step
-  is off by 0.5 %, at 1 by 4 %, at 2 by 44 %.
+estimate sees it. So A is J without JKR's slopes below -``softening`` E_ij r_ij, whose snap enters
+explicitly by the factor 1 + z + z²/2, and no step is tried with Δtμ > ``growth`` as far as
+conjugate gradients see: by the Rayleigh quotient of each search direction, and by five iterations
+every few steps from what was found slowest last. docs/theory/integrators.md measures it.
 
 References
 ----------
@@ -50,29 +44,19 @@ _MAX_GROWTH = 3.0
 class Rosenbrock(ErrorControl):
     """Rosenbrock method of order 2 with preconditioned conjugate gradients.
 
-    Parameters
-    ----------
-    rtol, atol, max_steps, max_displacement
-        As for :class:`~multicell.integrators.base.ErrorControl`.
-    worst
-        Error that a step may have in the worst cell, in tolerances times √θ, where θ is the
-        tolerance in mean radii (see :mod:`multicell.integrators.driver`): 4.5 tolerances at
-        0.01 µm. A root mean square over thousands of cells does not show a single one that goes
-        astray.
-    growth
-        Largest product of a step and an eigenvalue of the matrix, above which steps are refused;
-        at most 3, beyond 3.4 modes that grow would be damped.
-    softening
-        As for :class:`~multicell.integrators.cvode.Cvode`; the order does not depend on it.
-    preconditioner
-        A key of ``preconditioners.PRECONDITIONERS``.
-    forcing
-        Error that a linear system may leave in a position, in the error that a step may have.
+    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
+      :class:`~multicell.integrators.base.ErrorControl`
+    - ``worst``: error that a step may have in the worst cell, in tolerances times √θ, where θ is
+      the tolerance in mean radii (see :mod:`multicell.integrators.driver`): 4.5 tolerances at 0.01
+      µm. A root mean square over thousands of cells does not show a single one that goes astray.
+    - ``growth``: largest product of a step and an eigenvalue of the matrix, above which steps are
+      refused; at most 3, beyond 3.4 modes that grow would be damped
+    - ``softening``: as for :class:`~multicell.integrators.cvode.Cvode`; the order does not depend
+      on it
+    - ``forcing``: error that a linear system may leave in a position, in the error that a step may
+      have
 
-    Raises
-    ------
-    ValueError
-        For a ``growth`` out of its range, or tolerances that are not positive.
+    Raises ValueError for a ``growth`` out of its range, or tolerances that are not positive.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -84,7 +68,6 @@ class Rosenbrock(ErrorControl):
     worst: float = 100.0
     growth: float = 0.5
     softening: float = 1.0
-    preconditioner: str = "blocks"
     forcing: float = 0.03
 
     def __post_init__(self) -> None:

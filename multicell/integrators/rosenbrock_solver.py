@@ -28,7 +28,6 @@ from multicell.integrators.stepping import (
 )
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
-from multicell.mechanics.preconditioners import preconditioner
 from multicell.random import Purpose, normal
 
 if TYPE_CHECKING:
@@ -40,33 +39,23 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
 _D = 1.0 / (2.0 + math.sqrt(2.0))
-_E = 6.0 + math.sqrt(2.0)
-"""Coefficients of Shampine & Reichelt (1997)."""
-_ORDER = 3.0
-"""Exponent of the step in the estimated error."""
-_SHORTEST = 1e-13
-"""Steps below this fraction of the interval are lost in rounding."""
+_E = 6.0 + math.sqrt(2.0)  # coefficients of Shampine & Reichelt (1997)
+_ORDER = 3.0  # exponent of the step in the estimated error
+_SHORTEST = 1e-13  # steps below this fraction of the interval are lost in rounding
 _MOST_ITERATIONS = 200
-_PROBE = 5
-"""Iterations of the search for an eigenvalue above the bound."""
+_PROBE = 5  # iterations of the search for an eigenvalue above the bound
 _AGE, _LONGER = 10, 1.5
 """The search is repeated after so many steps, or once steps are so much longer."""
-_SHARE = 0.1
-"""Of its right-hand side that the residual of a linear system may have."""
-_FIRST = 0.5
-"""Tolerances that the fastest cell moves in the first step."""
+_SHARE = 0.1  # of its right-hand side that the residual of a linear system may have
+_FIRST = 0.5  # tolerances that the fastest cell moves in the first step
 _HINT = "Choose a shorter coupling_step or a tighter integrator.atol"
 
 
 class Refused(Exception):  # noqa: N818 - what happened to a step, not a fault
     """A step that must not be taken.
 
-    Attributes
-    ----------
-    factor : float
-        Of the step that is to be tried.
-    cell : int or None
-        Cell that shows the problem.
+    - ``factor``, float: of the step that is to be tried
+    - ``cell``, int or None: cell that shows the problem
     """
 
     def __init__(self, problem: str, factor: float, cell: int | None = None) -> None:
@@ -151,7 +140,6 @@ class Resolvent:
 
     def __init__(self, method: Rosenbrock, system: Mechanics) -> None:
         self.method, self.system = method, system
-        self.preconditioner = preconditioner(method.preconditioner, system)
         shape = (len(system), 3)
         self._left, self._better = np.empty(shape), np.empty(shape)
         self._direction, self._image = np.empty(shape), np.empty(shape)
@@ -167,17 +155,13 @@ class Resolvent:
     def setup(self, step: float) -> None:
         """Prepare for a step; refuse one that is too long for what grows."""
         self.step = step
-        self.preconditioner.setup(self.system, _D * step, self.linear)
+        self.system.setup_preconditioner(_D * step, self.linear)
         self._age += 1
         if self._age > _AGE or step > _LONGER * self._probed:
             self._probe()
 
     def solve(
-        self,
-        right: FloatArray,
-        guess: FloatArray | None,
-        allowed: float,
-        share: float = _SHARE,
+        self, right: FloatArray, guess: FloatArray | None, allowed: float, share: float = _SHARE
     ) -> FloatArray:
         """Return x with (I - γA) x = b, (n, 3).
 
@@ -222,7 +206,7 @@ class Resolvent:
         for _ in range(most):
             if size <= allowed:
                 break
-            self.preconditioner.solve(system, left, better)
+            system.precondition(left, better)
             product = _product(radius, left, better)
             if product == 0.0:
                 break

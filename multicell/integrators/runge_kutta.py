@@ -21,17 +21,11 @@ if TYPE_CHECKING:
 class Tableau(NamedTuple):
     """An explicit Runge-Kutta method.
 
-    Attributes
-    ----------
-    a : (s, s)
-        Stage i is at x + h Σ_j a_ij k_j, below the diagonal.
-    b : (s,)
-        Weights of the result.
-    c : (s,)
-        Times of the stages, in steps.
-    error : (s,)
-        Weights of the estimated error; no entries where there is no estimate. Methods with
-        one must be "first same as last": the last stage is at the result.
+    - ``a``, (s, s): stage i is at x + h Σ_j a_ij k_j, below the diagonal
+    - ``b``, (s,): weights of the result
+    - ``c``, (s,): times of the stages, in steps
+    - ``error``, (s,): weights of the estimated error; no entries where there is no estimate.
+      Methods with one must be "first same as last": the last stage is at the result.
     """
 
     a: NDArray[np.float64]

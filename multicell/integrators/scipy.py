@@ -55,17 +55,11 @@ _INFOS = {
 class Scipy:
     """A method of SciPy with its error control, and the analytic Jacobian where it takes one.
 
-    Parameters
-    ----------
-    name
-        Of SciPy's class: ``"RK45"``, ``"DOP853"``, ``"LSODA"``, ``"Radau"`` or ``"BDF"``.
-    rtol, atol, max_steps, max_displacement
-        As for :class:`~multicell.integrators.cvode.Cvode`.
+    - ``name``: of SciPy's class: ``"RK45"``, ``"DOP853"``, ``"LSODA"``, ``"Radau"`` or ``"BDF"``
+    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
+      :class:`~multicell.integrators.cvode.Cvode`
 
-    Raises
-    ------
-    SceneError
-        For a relative tolerance below what SciPy carries.
+    Raises SceneError for a relative tolerance below what SciPy carries.
     """
 
     name: str
@@ -90,10 +84,7 @@ class Scipy:
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`.
 
-        Raises
-        ------
-        SceneError
-            If the method cannot hold the scene.
+        Raises SceneError if the method cannot hold the scene.
         """
         from multicell.integrators.restarts import Run
 

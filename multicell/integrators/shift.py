@@ -1,14 +1,10 @@
 """Conditioning of coupling steps: the effect of a small shift of all positions.
 
-Fresh daughters and contacts that form are unstable: there a coupling step amplifies whatever is
-wrong at its beginning, and now and then a cell falls into another pocket. Elsewhere it forgets a
-shift. No method can place a cell better than that, and where the effect of a shift is large
-the errors of methods are large too, which their own estimates do not show: those are of
-single internal steps.
-
-So a run takes some of its coupling steps twice, the second time from shifted positions, whose end
-is compared with the first one and dropped. By the counted cost of the steps this takes at most
-a fiftieth of the integration: which steps are replayed depends on counts, not on clocks.
+Fresh daughters and contacts that form amplify whatever is wrong at the beginning of a coupling
+step, which no method can help and no estimate of a single internal step shows. So a run takes some
+of its coupling steps twice, the second time from shifted positions, whose end is compared with the
+first one and dropped. This takes at most a fiftieth of the integration; which steps are replayed
+depends on counted costs, not on clocks.
 """
 
 from __future__ import annotations
@@ -25,27 +21,21 @@ if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
     from multicell.mechanics.system import Mechanics
 
-SHIFT: Final = 0.01
-"""Root mean square of the shift of each coordinate, µm."""
+SHIFT: Final = 0.01  # root mean square of the shift of each coordinate, µm
 
-SHARE: Final = 0.02
-"""Part of the cost of the integration that checks may have."""
+SHARE: Final = 0.02  # part of the cost of the integration that checks may have
 
 
 @final
 class Replays(NamedTuple):
     """Results and cost of the replays of coupling steps from shifted positions.
 
-    Attributes
-    ----------
-    done : float
-        Number of coupling steps that were replayed to their end.
-    latest, largest : float, µm
-        How far the shift moved the end of the worst cell: in the last of them, and at most.
-    total, spent : float
-        Cost of all coupling steps so far, and of the replays, in evaluations of one cell.
-    step : float
-        Cost of the last coupling step.
+    - ``done``, float: number of coupling steps that were replayed to their end
+    - ``latest``, ``largest``, float, µm: how far the shift moved the end of the worst cell: in the
+      last of them, and at most
+    - ``total``, ``spent``, float: cost of all coupling steps so far, and of the replays, in
+      evaluations of one cell
+    - ``step``, float: cost of the last coupling step
     """
 
     done: float = 0.0
@@ -101,21 +91,12 @@ def replay_step(
 
     Counts of work stay as they were; the system is left made ready for the coupling step.
 
-    Parameters
-    ----------
-    integrator
-    system
-    start, end
-        Where it began and ended, (n, 3) µm.
-    shifted
-        Where it begins now, (n, 3) µm; cells whose motion is prescribed are left at ``start``.
+    - ``start``, ``end``: where it began and ended, (n, 3) µm
+    - ``shifted``: where it begins now, (n, 3) µm; cells whose motion is prescribed are left at
+      ``start``
 
-    Returns
-    -------
-    float or None
-        Largest distance of a cell from ``end``, µm; None if the end is not reached from there.
-    float
-        What it cost, in evaluations of one cell.
+    Returns float or None: largest distance of a cell from ``end``, µm; None if the end is not
+    reached from there; float: what it cost, in evaluations of one cell.
     """
     system.begin(system.motion)
     work, counts = system.work, vars(system.work).copy()

@@ -1,13 +1,10 @@
 """Check whether the fixed step of an explicit method stays below its limit of stability.
 
 Beyond stable / λ, with the largest decay rate λ of the motion, an explicit method makes the fastest
-motions grow instead of decay. Contacts that open bound that growth: cells then rattle about, and
-nothing else shows it. So λ is measured as a run begins, and again as often as a fiftieth of the
-counted cost allows. What has grown dominates the velocity v: |J v| / |v|, which is never above λ,
-is then near the limit itself. It costs an eighth and is evaluated that much more often; where it
-is near the limit λ is measured at once. A step that
-is beyond the limit at both ends of a coupling step is refused; one that is beyond it at one end
-only, as just after a division, is marked.
+motions grow, and contacts that open bound that growth: cells rattle about, and nothing else shows
+it. λ is measured as a run begins, and again as often as a fiftieth of the counted cost allows; |J
+v| / |v|, never above λ and an eighth of its cost, says when to look sooner. A step that is beyond
+the limit at both ends of a coupling step is refused; one at one end only is marked.
 """
 
 from __future__ import annotations
@@ -29,36 +26,26 @@ if TYPE_CHECKING:
 
 _PASSES = RECORDED + 20
 """Evaluations that a measurement of λ costs with many cells: products, and two neighbour lists."""
-_CALLS = 1.0e3
-"""The same times cells for each of these that is a call from Python."""
+_CALLS = 1.0e3  # the same times cells for each of these that is a call from Python
 _FIRST = 2
 """Coupling steps at the beginning of a run before each of which λ is measured: cells that are
 placed anew hardly press each other in the first."""
-_GLANCE = 5
-"""Evaluations that |J v| / |v| costs."""
+_GLANCE = 5  # evaluations that |J v| / |v| costs
 _NEAR = 0.8
 """|J v| / |v| over the limit from which on λ is measured; rattling cells have 0.88 to 0.96."""
-_SAFE = 0.9
-"""Part of the limit that is recommended."""
+_SAFE = 0.9  # part of the limit that is recommended
 
 
 @final
 class Stability(NamedTuple):
     """Results and cost of the measurements of λ in a run.
 
-    Attributes
-    ----------
-    rate : float, 1/s
-        λ as last measured.
-    measured : float
-        How often it was.
-    beyond : float
-        How often the step was beyond the limit, at the end of a coupling step too.
-    latest, largest : float
-        The step over the limit: as last measured, and at most.
-    total, spent, looked : float
-        Cost of all coupling steps so far, of the measurements, and of |J v| / |v|, in
-        evaluations of one cell.
+    - ``rate``, float, 1/s: λ as last measured
+    - ``measured``, float: how often it was
+    - ``beyond``, float: how often the step was beyond the limit, at the end of a coupling step too
+    - ``latest``, ``largest``, float: the step over the limit: as last measured, and at most
+    - ``total``, ``spent``, ``looked``, float: cost of all coupling steps so far, of the
+      measurements, and of |J v| / |v|, in evaluations of one cell
     """
 
     rate: float = 0.0

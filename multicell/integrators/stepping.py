@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numba import njit, types
@@ -25,6 +25,7 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
+from multicell.cells import FloatArray
 from multicell.compiling import (
     ADDRESSED,
     KERNEL,
@@ -39,25 +40,18 @@ from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
-
-
 DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
 """How a loop, or one evaluation, ended."""
-EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)
-"""Places in the array of counts."""
+EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)  # places in the array of counts
 ELAPSED, STEP, PREVIOUS, HELD = range(4)
 """Places in the state of error control: time since the beginning and next step, s; size of the last
 error; steps refused since the last accepted one."""
 
-_SHORTEST = 1e-13
-"""Steps below this fraction of the interval are lost in rounding."""
+_SHORTEST = 1e-13  # steps below this fraction of the interval are lost in rounding
 _MOST_REFUSALS = 200
 """Refused steps in a row; a method that makes each shorter by a tenth has stalled long before."""
 
-_BLOCK = 1024
-"""Numbers of an array that are worked on at a time."""
+_BLOCK = 1024  # numbers of an array that are worked on at a time
 
 
 class Source(NamedTuple):
@@ -221,12 +215,8 @@ def with_addresses(
 ) -> Source:
     """Return a source with the addresses of its kernels, which are compiled if need be.
 
-    Parameters
-    ----------
-    shared
-        Whether threads share them.
-    passes
-        Whether the loop uses :mod:`.fused`.
+    - ``shared``: whether threads share them
+    - ``passes``: whether the loop uses :mod:`.fused`
     """
     key = kind_of((source, pairs)), shared, passes
     if key not in _PLACES:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
+from multicell.cells import FloatArray
 
 OffsetArray = NDArray[np.int64]
 
@@ -16,18 +13,12 @@ OffsetArray = NDArray[np.int64]
 def spatial_order(position: FloatArray, width: float) -> OffsetArray:
     """Return the order of the cells along a Morton curve.
 
-    Parameters
-    ----------
-    position : (n, 3)
-        Finite centres, µm.
-    width
-        Edge of the boxes that the curve visits, µm; widened where more than 2²¹ of them
-        would be needed along an axis.
+    - ``position``, (n, 3): finite centres, µm
+    - ``width``: edge of the boxes that the curve visits, µm; widened where more than 2²¹ of them
+      would be needed along an axis
 
-    Returns
-    -------
-    (n,) int64
-        Cells that are close in space are close in this order; ties keep their order.
+    Returns (n,) int64: cells that are close in space are close in this order; ties keep their
+    order.
     """
     if len(position) == 0:
         return np.empty(0, dtype=np.int64)

@@ -6,8 +6,7 @@ from numba import njit
 
 from multicell.compiling import INLINED, KERNEL
 
-NEARLY_SINGULAR = 1e7
-"""Ratio of eigenvalues from which on cofactors of a block have no digits left."""
+NEARLY_SINGULAR = 1e7  # ratio of eigenvalues from which on cofactors of a block have no digits left
 
 
 @njit(**INLINED)

@@ -29,11 +29,8 @@ _NO_INDEX = np.empty(0, dtype=np.int64)
 class Offsets:
     """What :class:`~multicell.mechanics.system.Mechanics` keeps of pairs with an offset in a step.
 
-    Attributes
-    ----------
-    data
-        The pairs as the kernels take them, or None where pairs have no offsets. In a scene where
-        they may have, kernels are not compiled once more for the steps in which none has.
+    - ``data``: the pairs as the kernels take them, or None where pairs have no offsets. In a scene
+      where they may have, kernels are not compiled once more for the steps in which none has.
     """
 
     def __init__(self, data: forces.OffsetData | None) -> None:
@@ -51,20 +48,13 @@ class Offsets:
     ) -> Offsets:
         """Return the pairs with an offset of a coupling step among ``n`` cells.
 
-        Parameters
-        ----------
-        n
-            Number of cells.
-        pairs, offset
-            See :class:`~multicell.mechanics.motion.Motion`.
-        values
-            Returns for the two cells of each pair what the law keeps for it.
+        - ``n``: number of cells
+        - ``pairs``, ``offset``: see :class:`~multicell.mechanics.motion.Motion`
+        - ``values``: returns for the two cells of each pair what the law keeps for it
 
-        Raises
-        ------
-        ValueError
-            If only one of the two is given, if a pair is no pair of cells, stands twice or has
-            its larger index first, or if an offset is not finite or negative at the beginning.
+        Raises ValueError if only one of the two is given, if a pair is no pair of cells, stands
+        twice or has its larger index first, or if an offset is not finite or negative at the
+        beginning.
         """
         if pairs is None and offset is None:
             return cls(None)

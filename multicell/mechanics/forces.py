@@ -30,11 +30,9 @@ from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.pairs import pair_law
 
-BLOCK = 256
-"""Pairs that are gathered before the law is evaluated on them."""
+BLOCK = 256  # pairs that are gathered before the law is evaluated on them
 
-_TINY = 1e-300
-"""Keeps coincident centres finite: their direction, and so their force, is zero."""
+_TINY = 1e-300  # keeps coincident centres finite: their direction, and so their force, is zero
 
 
 class OffsetData(NamedTuple):

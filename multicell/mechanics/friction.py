@@ -56,27 +56,16 @@ class Listed(NamedTuple):
 class Gamma(NamedTuple):
     """Γ at one state, for kernels.
 
-    Attributes
-    ----------
-    chunk : int
-        Cells in a chunk.
-    sign : float
-        Of γ_n - γ_t.
-    start : (k,) int64
-        First place of each chunk's pairs.
-    ends : (k, 2) int64
-        Ends of its inner and of its outer pairs, which follow them.
-    near : (m, 2) int32
-        Cells of each touching pair, the chunk's own first.
-    link : (m, 1) or (m, 4)
-        A γ_t of each pair, nN s/µm, and where γ_n is another n √(A |γ_n - γ_t|): B_ij is the
-        first times the unit matrix, plus ``sign`` times the square of the rest.
-    stokes : (n,), nN s/µm
-        Stokes drag of each cell.
-    inverse : (n,), µm/(nN s)
-        One over the mean of each cell's three diagonal entries.
-    held : (n,) bool, or None
-        Cells whose velocity is given: the rows of Γ for them are zero.
+    - ``chunk``, int: cells in a chunk
+    - ``sign``, float: of γ_n - γ_t
+    - ``start``, (k,) int64: first place of each chunk's pairs
+    - ``ends``, (k, 2) int64: ends of its inner and of its outer pairs, which follow them
+    - ``near``, (m, 2) int32: cells of each touching pair, the chunk's own first
+    - ``link``, (m, 1) or (m, 4): a γ_t of each pair, nN s/µm, and where γ_n is another n √(A |γ_n -
+      γ_t|): B_ij is the first times the unit matrix, plus ``sign`` times the square of the rest
+    - ``stokes``, (n,), nN s/µm: Stokes drag of each cell
+    - ``inverse``, (n,), µm/(nN s): one over the mean of each cell's three diagonal entries
+    - ``held``, (n,) bool, or None: cells whose velocity is given: the rows of Γ for them are zero
     """
 
     chunk: int
@@ -328,14 +317,11 @@ class FrictionNotSolvedError(Exception):
 class Friction:
     """Friction between touching cells, proportional to the contact area.
 
-    Parameters
-    ----------
-    normal, tangential
-        Coefficients γ_n and γ_t against approach and against sliding, nN s/µm³, not negative.
-    tolerance
-        Γ v = F is solved to |F - Γ v| <= tolerance |F| (Euclidean norms over all cells).
-    most_iterations
-        Iterations after which the solution is given up.
+    - ``normal``, ``tangential``: coefficients γ_n and γ_t against approach and against sliding, nN
+      s/µm³, not negative
+    - ``tolerance``: Γ v = F is solved to |F - Γ v| <= tolerance |F| (Euclidean norms over all
+      cells)
+    - ``most_iterations``: iterations after which the solution is given up
     """
 
     normal: float
@@ -372,16 +358,11 @@ class FrictionMatrix:
     ) -> None:
         """Take Γ from centres and radii.
 
-        Parameters
-        ----------
-        rows : (n, 4 or more)
-            Centre and radius of each cell in the first four columns, µm.
-        pairs
-            Every pair that may touch.
-        shared
-            Whether chunks are shared among threads, here and in what follows; same bits.
-        offset
-            Part of the overlap of each pair of the list that makes no contact, µm; empty for none.
+        - ``rows``, (n, 4 or more): centre and radius of each cell in the first four columns, µm
+        - ``pairs``: every pair that may touch
+        - ``shared``: whether chunks are shared among threads, here and in what follows; same bits
+        - ``offset``: part of the overlap of each pair of the list that makes no contact, µm; empty
+          for none
         """
         normal, tangential = self.friction.normal, self.friction.tangential
         if self._gamma is None or self._pairs is not pairs:
@@ -415,25 +396,16 @@ class FrictionMatrix:
     ) -> int:
         """Solve Γ v = F and return the number of iterations.
 
-        Parameters
-        ----------
-        force
-            F, nN.
-        velocity
-            The guess that the iteration starts from, replaced by the solution, µm/s. The
-            last velocity of the same cells is a good one; the result depends on it within
-            the tolerance.
-        tolerance
-            Relative tolerance, if not that of the parameters.
-        warm
-            Whether ``velocity`` holds a guess; if not, the iteration starts from rest.
-        held
-            Cells that stand still: theirs are no unknowns, and have zero force and velocity.
+        - ``force``: F, nN
+        - ``velocity``: the guess that the iteration starts from, replaced by the solution, µm/s.
+          The last velocity of the same cells is a good one; the result depends on it within the
+          tolerance.
+        - ``tolerance``: relative tolerance, if not that of the parameters
+        - ``warm``: whether ``velocity`` holds a guess; if not, the iteration starts from rest
+        - ``held``: cells that stand still: theirs are no unknowns, and have zero force and velocity
 
-        Raises
-        ------
-        FrictionNotSolvedError
-            If the tolerance is not reached; ``velocity`` then has no meaning.
+        Raises FrictionNotSolvedError if the tolerance is not reached; ``velocity`` then has no
+        meaning.
         """
         gamma = self._measured() if held is None else self._measured()._replace(held=held)
         wanted = self.friction.tolerance if tolerance is None else tolerance
@@ -477,12 +449,8 @@ class PairFriction:
 
     One object serves one coupling step, so that nothing outlives it but the state.
 
-    Parameters
-    ----------
-    coefficients
-        Friction per contact area along the line of centres and across it, nN s/µm³.
-    n, drag, chunk
-        Number of cells, 6πη in kPa·s, and cells in a chunk.
+    - ``coefficients``: friction per contact area along the line of centres and across it, nN s/µm³
+    - ``n``, ``drag``, ``chunk``: number of cells, 6πη in kPa·s, and cells in a chunk
     """
 
     failure = FrictionNotSolvedError
@@ -529,10 +497,7 @@ class PairFriction:
 
         At the state last given to :meth:`linearise`, as a preconditioner of Γ - γK needs it.
 
-        Raises
-        ------
-        RuntimeError
-            Before the first linearisation.
+        Raises RuntimeError before the first linearisation.
         """
         return self._linearised.diagonal()
 

@@ -26,11 +26,9 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-PRODUCTS: Final = 40
-"""Products J·v that are spent unless another number is asked for."""
+PRODUCTS: Final = 40  # products J·v that are spent unless another number is asked for
 
-RECORDED: Final = 20
-"""Products that give the largest decay rate to what a limit of a step needs."""
+RECORDED: Final = 20  # products that give the largest decay rate to what a limit of a step needs
 
 _FEWEST = 5  # two vectors, and three products beside those of the sweep
 _ANY: Final = 1e30  # a relative tolerance at which ARPACK stops after its first sweep
@@ -41,18 +39,12 @@ _ANY: Final = 1e30  # a relative tolerance at which ARPACK stops after its first
 class GrowthRate:
     """The largest eigenvalue of the Jacobian.
 
-    Attributes
-    ----------
-    rate : float, 1/s
-        μ; NaN if it is not given. The true one is not below it, but for rounding. Without walls
-        it is not negative, since translations change nothing.
-    error : float, 1/s
-        Estimate of its error: norm of the residual of the approximate eigenvector, within which
-        of its Rayleigh quotient there is an eigenvalue.
-    products : int
-        Products J·v that were spent.
-    problem : str
-        Why it is not given, in words; empty if it is.
+    - ``rate``, float, 1/s: μ; NaN if it is not given. The true one is not below it, but for
+      rounding. Without walls it is not negative, since translations change nothing.
+    - ``error``, float, 1/s: estimate of its error: norm of the residual of the approximate
+      eigenvector, within which of its Rayleigh quotient there is an eigenvalue
+    - ``products``, int: products J·v that were spent
+    - ``problem``, str: why it is not given, in words; empty if it is
     """
 
     rate: float
@@ -74,26 +66,15 @@ def largest_growth_rate(
     One sweep of ARPACK without restarts, from a vector that is the same in every call. Small
     systems are solved as dense matrices.
 
-    Parameters
-    ----------
-    system
-        Made ready for the coupling step; its last linearisation is replaced.
-    time
-        Within the coupling step, s.
-    position
-        (n, 3) µm.
-    products
-        Largest number of products J·v, 5 or more. After division 20 give μ to many digits; that
-        it is zero they only tell within some hundredths of the largest decay rate.
-    dimensions
-        2 for cells that stay in a plane: motions out of it do not count.
+    - ``system``: made ready for the coupling step; its last linearisation is replaced
+    - ``time``: within the coupling step, s
+    - ``position``: (n, 3) µm
+    - ``products``: largest number of products J·v, 5 or more. After division 20 give μ to many
+      digits; that it is zero they only tell within some hundredths of the largest decay rate.
+    - ``dimensions``: 2 for cells that stay in a plane: motions out of it do not count
 
-    Raises
-    ------
-    ValueError
-        If ``products`` is below 5, or ``dimensions`` is neither 2 nor 3.
-    StateRejected
-        If the positions cannot be evaluated.
+    Raises ValueError if ``products`` is below 5, or ``dimensions`` is neither 2 nor 3;
+    StateRejected if the positions cannot be evaluated.
     """
     if products < _FEWEST:
         raise ValueError(f"products is {products}, must be {_FEWEST} or more")

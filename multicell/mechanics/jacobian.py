@@ -70,14 +70,10 @@ def limited(system: Mechanics, fraction: float) -> tuple[Linearisation, float]:
 class Pattern:
     """Which entries of the Jacobian may differ from zero, for one neighbour list.
 
-    Attributes
-    ----------
-    column : (n + 1,) int64
-        Where the 3 x 3 blocks of each column of blocks begin in ``row``.
-    row : (b,) int64
-        Row of each block, growing within a column.
-    pointer, index : (3 n + 1,), (9 b,) int32
-        The same for single entries, as SciPy's CSC format has them.
+    - ``column``, (n + 1,) int64: where the 3 x 3 blocks of each column of blocks begin in ``row``
+    - ``row``, (b,) int64: row of each block, growing within a column
+    - ``pointer``, ``index``, (3 n + 1,), (9 b,) int32: the same for single entries, as SciPy's CSC
+      format has them
     """
 
     column: NDArray[np.int64]
@@ -107,14 +103,9 @@ class Pattern:
     def near(cls, position: FloatArray, motion: Motion, margin: float) -> Pattern:
         """Return the pattern with room for pairs whose surfaces are closer than a margin.
 
-        Parameters
-        ----------
-        position
-            (n, 3) µm.
-        motion
-            The largest radii of the coupling step count.
-        margin
-            In mean radii.
+        - ``position``: (n, 3) µm
+        - ``motion``: the largest radii of the coupling step count
+        - ``margin``: in mean radii
         """
         length = motion.end - motion.begin
         largest = np.maximum(motion.radius, motion.radius + motion.radius_rate * length)
@@ -124,14 +115,9 @@ class Pattern:
     def fill(self, system: Mechanics, values: FloatArray, linear: Linearisation) -> int:
         """Write J at a linearisation, 1/s; return how many blocks have no place.
 
-        Parameters
-        ----------
-        system
-            Its ``rows`` belong to the same state.
-        values
-            (9 b,), the entries in the order of ``index``.
-        linear
-            The pairs' stiffness.
+        - ``system``: its ``rows`` belong to the same state
+        - ``values``: (9 b,), the entries in the order of ``index``
+        - ``linear``: the pairs' stiffness
         """
         place, inner = _places(linear.pairs)
         along, across = linear.along[place], -linear.across[place]
@@ -190,17 +176,11 @@ class Pattern:
 def sparse_jacobian(system: Mechanics) -> Any:
     """Return J = ∂ẋ/∂x of the last linearisation, 1/s.
 
-    Parameters
-    ----------
-    system
-        After :meth:`Mechanics.linearise`, without friction between cells.
+    - ``system``: after :meth:`Mechanics.linearise`, without friction between cells
 
-    Returns
-    -------
-    scipy.sparse.csc_matrix, (3 n, 3 n)
-        Entry (3 i + a, 3 j + b) is the derivative of component a of cell i's velocity by
-        component b of cell j's position. Pairs of the neighbour list that are out of contact
-        stand in it as zeros.
+    Returns scipy.sparse.csc_matrix, (3 n, 3 n): entry (3 i + a, 3 j + b) is the derivative of
+    component a of cell i's velocity by component b of cell j's position. Pairs of the neighbour
+    list that are out of contact stand in it as zeros.
     """
     linear = system.linearisation
     pattern = Pattern.of(linear.pairs)

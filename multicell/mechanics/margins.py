@@ -9,10 +9,8 @@ from numba import njit
 
 from multicell.compiling import KERNEL
 
-_WIDEST = 8.0
-"""Largest margin of a cell over the least."""
-_FORESIGHT = 6.0
-"""How many times as far as since the last list a cell may move until the next one."""
+_WIDEST = 8.0  # largest margin of a cell over the least
+_FORESIGHT = 6.0  # how many times as far as since the last list a cell may move until the next one
 
 
 @njit(**KERNEL)
@@ -23,21 +21,13 @@ def widened(position, reference, reach, least, margin):
     whom it is built again and again, and room round them costs little: each cell's margin is a
     multiple of its drift since the last list, but not below half of what it was.
 
-    Parameters
-    ----------
-    position, reference : (n, 3), µm
-        Now, and at the last list; not a number where there was none.
-    reach : (n,), µm
-        Half of the distance within which a pair matters.
-    least : float, µm
-        Smallest margin.
-    margin : (n,), µm
-        How far each cell may drift; changed in place.
+    - ``position``, ``reference``, (n, 3), µm: now, and at the last list; not a number where there
+      was none
+    - ``reach``, (n,), µm: half of the distance within which a pair matters
+    - ``least``, float, µm: smallest margin
+    - ``margin``, (n,), µm: how far each cell may drift; changed in place
 
-    Returns
-    -------
-    (n,), µm
-        ``reach`` + ``margin``.
+    Returns (n,), µm: ``reach`` + ``margin``.
     """
     wide = np.empty_like(reach)
     for i in range(reach.size):

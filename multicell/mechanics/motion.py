@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 
-_LIST = 7
-"""Evaluations that a neighbour list costs."""
+_LIST = 7  # evaluations that a neighbour list costs
 
 
 class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, not a fault
@@ -64,33 +63,24 @@ class Work:
 class Motion:
     """What is known of the cells during one coupling step, from ``begin`` to ``end``.
 
-    Attributes
-    ----------
-    radius, radius_rate : (n,)
-        Radius at ``begin``, µm, and its constant rate, µm/s.
-    young, poisson : (n,)
-        Elastic constants, kPa and dimensionless.
-    begin, end : float
-        Time, s.
-    bonds : (n, 4), optional
-        Receptors and ligands at ``begin`` and their constant rates, 1/s.
-    push : (n, 6), optional
-        External force on each cell at ``begin``, nN, and its constant rate, nN/s.
-    kind : (n,) int, optional
-        Type of each cell, an index into the matrix of surface energies.
-    touching : (m, 2) int, optional
-        Pairs in contact at ``begin``, smaller index first; only exact JKR asks.
-    offset_pairs : (m, 2) int, optional
-        Pairs that feel only the overlap beyond their offset, smaller index first, none twice; see
-        :mod:`multicell.mechanics.division_offset`.
-    offset : (m, 2), optional
-        Their offset at ``begin``, µm, and its constant rate, µm/s; it ends where it reaches zero.
-    held : (n,) bool, optional
-        Cells whose motion is prescribed. To integrators they stand still where they are at
-        ``begin``; forces are those at their places in time, see
-        :mod:`multicell.mechanics.prescribed`.
-    velocity : (n, 3), optional
-        Their prescribed velocity, µm/s, zero for all others; given where ``held`` is.
+    - ``radius``, ``radius_rate``, (n,): radius at ``begin``, µm, and its constant rate, µm/s
+    - ``young``, ``poisson``, (n,): elastic constants, kPa and dimensionless
+    - ``begin``, ``end``, float: time, s
+    - ``bonds``, (n, 4), optional: receptors and ligands at ``begin`` and their constant rates, 1/s
+    - ``push``, (n, 6), optional: external force on each cell at ``begin``, nN, and its constant
+      rate, nN/s
+    - ``kind``, (n,) int, optional: type of each cell, an index into the matrix of surface energies
+    - ``touching``, (m, 2) int, optional: pairs in contact at ``begin``, smaller index first; only
+      exact JKR asks
+    - ``offset_pairs``, (m, 2) int, optional: pairs that feel only the overlap beyond their offset,
+      smaller index first, none twice; see :mod:`multicell.mechanics.division_offset`
+    - ``offset``, (m, 2), optional: their offset at ``begin``, µm, and its constant rate, µm/s; it
+      ends where it reaches zero
+    - ``held``, (n,) bool, optional: cells whose motion is prescribed. To integrators they stand
+      still where they are at ``begin``; forces are those at their places in time, see
+      :mod:`multicell.mechanics.prescribed`.
+    - ``velocity``, (n, 3), optional: their prescribed velocity, µm/s, zero for all others; given
+      where ``held`` is
     """
 
     radius: FloatArray

@@ -16,31 +16,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER
 from multicell.compiling.threads import two_drivers
-
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
 
 IndexArray = NDArray[np.int32]
 OffsetArray = NDArray[np.int64]
 
-CHUNK = 2048
-"""Cells in a chunk. Larger ones share fewer pairs, smaller ones feed more threads."""
+CHUNK = 2048  # cells in a chunk. Larger ones share fewer pairs, smaller ones feed more threads.
 
 _BINS_PER_CELL = 24
 _SPARE_BINS = 4096
 _SPARE_PAIRS = 4_000_000
-_BLOCK = 512
-"""Candidates that are tested in one go."""
-_SLICES = 4
-"""Bins along x for each along y and z."""
+_BLOCK = 512  # candidates that are tested in one go
+_SLICES = 4  # bins along x for each along y and z
 
 
 class TooManyPairsError(Exception):
@@ -52,18 +47,12 @@ class TooManyPairsError(Exception):
 class PairList:
     """All pairs of ``n`` cells that are closer than ``r_i + r_j + skin``.
 
-    Attributes
-    ----------
-    first, second : (m,) int32
-        Cells of a pair, which of the two comes first is left open but for outer pairs. Only the
-        ranges named below hold pairs, the rest is spare room.
-    start, inner_end, outer_end : (k,) int64
-        For chunk ``c``, inner pairs are ``start[c]:inner_end[c]`` and outer pairs
-        ``inner_end[c]:outer_end[c]``.
-    chunk : int
-        Cells in a chunk.
-    n : int
-        Number of cells.
+    - ``first``, ``second``, (m,) int32: cells of a pair, which of the two comes first is left open
+      but for outer pairs. Only the ranges named below hold pairs, the rest is spare room.
+    - ``start``, ``inner_end``, ``outer_end``, (k,) int64: for chunk ``c``, inner pairs are
+      ``start[c]:inner_end[c]`` and outer pairs ``inner_end[c]:outer_end[c]``
+    - ``chunk``, int: cells in a chunk
+    - ``n``, int: number of cells
     """
 
     first: IndexArray
@@ -92,22 +81,12 @@ class PairList:
 def neighbour_pairs(position: FloatArray, cutoff: float) -> IndexArray:
     """Return all pairs of points no further apart than ``cutoff``.
 
-    Parameters
-    ----------
-    position : (n, 3)
-        Any finite points, µm.
-    cutoff
-        Largest distance, µm.
+    - ``position``, (n, 3): any finite points, µm
+    - ``cutoff``: largest distance, µm
 
-    Returns
-    -------
-    (m, 2) int32
-        Each pair once, smaller index first, in lexicographic order.
+    Returns (m, 2) int32: each pair once, smaller index first, in lexicographic order.
 
-    Raises
-    ------
-    TooManyPairsError
-        If the pairs would not fit into memory.
+    Raises TooManyPairsError if the pairs would not fit into memory.
     """
     radius = np.full(len(position), 0.5 * cutoff)
     return build(np.ascontiguousarray(position, dtype=float), radius, 0.0).pairs()
@@ -118,23 +97,14 @@ def build(
 ) -> PairList:
     """Build the list of all pairs closer than ``r_i + r_j + skin``.
 
-    Parameters
-    ----------
-    position : (n, 3)
-        Finite centres, µm.
-    radius : (n,)
-        Radii, µm.
-    skin
-        Added to the sum of the radii, µm.
-    threads
-        With more than one, chunks are searched in parallel (same result).
-    chunk
-        Cells in a chunk.
+    - ``position``, (n, 3): finite centres, µm
+    - ``radius``, (n,): radii, µm
+    - ``skin``: added to the sum of the radii, µm
+    - ``threads``: with more than one, chunks are searched in parallel (same result)
+    - ``chunk``: cells in a chunk
 
-    Raises
-    ------
-    TooManyPairsError
-        If there are more than 500 pairs per cell beyond the first four million.
+    Raises TooManyPairsError if there are more than 500 pairs per cell beyond the first four
+    million.
     """
     n = len(position)
     if n < 2:
@@ -159,28 +129,20 @@ class Bins(NamedTuple):
     is as short as its own reach allows. Each pair is found from one of its cells, the one that
     comes first.
 
-    Attributes
-    ----------
-    order : (n,) int32
-        Cells in the order of their bins.
-    place : (n,) int32
-        Where each cell stands in that order.
-    cells : (n, 4), µm
-        Centres and radii, half of the skin included, in that order: the search reads them in a
-        stream.
-    largest : float, µm
-        The largest of these radii.
-    low : (3,), µm
-        Dense: the corner of the grid.
-    shape : (3,) int64
-        Dense: the number of bins along x, y and z; zeros where the bins are sparse.
-    row : (n, 2) int32
-        Dense: the row of each cell along y and z.
-    start : (bins + 2,) int32
-        Dense: the first place of each bin, x running fastest, and the end.
-    ranges : (n, 5, 2) int64
-        Sparse: the first place and the end of the bins that may hold a cell's neighbours, in its
-        own row, where only what comes later counts, and in the four rows that come later.
+    - ``order``, (n,) int32: cells in the order of their bins
+    - ``place``, (n,) int32: where each cell stands in that order
+    - ``cells``, (n, 4), µm: centres and radii, half of the skin included, in that order: the search
+      reads them in a stream
+    - ``largest``, float, µm: the largest of these radii
+    - ``low``, (3,), µm: dense: the corner of the grid
+    - ``shape``, (3,) int64: dense: the number of bins along x, y and z; zeros where the bins are
+      sparse
+    - ``row``, (n, 2) int32: dense: the row of each cell along y and z
+    - ``start``, (bins + 2,) int32: dense: the first place of each bin, x running fastest, and the
+      end
+    - ``ranges``, (n, 5, 2) int64: sparse: the first place and the end of the bins that may hold a
+      cell's neighbours, in its own row, where only what comes later counts, and in the four rows
+      that come later
     """
 
     order: IndexArray
@@ -491,18 +453,12 @@ def _rebuild(position, radius, skin, chunk, first, second):
 
     One function, and loops in place of array expressions: so it compiles many times faster.
 
-    Parameters
-    ----------
-    first, second : (m,) int32
-        Of a list that nobody needs any more, or empty: written to where they are long enough. With
-        many cells the system takes longer to find new memory than the search to fill it.
+    - ``first``, ``second``, (m,) int32: of a list that nobody needs any more, or empty: written to
+      where they are long enough. With many cells the system takes longer to find new memory than
+      the search to fill it.
 
-    Returns
-    -------
-    crowded : bool
-        Whether there are too many pairs; the list is then of no use.
-    first, second, start, inner_end, outer_end
-        As in :class:`PairList`.
+    Returns crowded, bool: whether there are too many pairs; the list is then of no use; first,
+    second, start, inner_end, outer_end: as in :class:`PairList`.
     """
     found = _dense_bins(position, radius, skin)
     if found.shape[0] == 0:

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-_IMMENSE = 1e6
-"""Drag of held cells in a preconditioner, over their true one."""
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -44,12 +41,6 @@ class Prescribed:
         """Return a copy of an (n, 3) array with zeros for held cells."""
         return np.where(self.held[:, None], 0.0, vector)
 
-    def weighed(self, rows: FloatArray) -> FloatArray:
-        """Return a copy of rows in which the radius, of which drag is a multiple, is immense."""
-        found = rows.copy()
-        found[self.held, 3] *= _IMMENSE
-        return found
-
 
 def outside_force(system: Mechanics, time: float, position: FloatArray) -> FloatArray:
     """Return the force that the prescribed motion takes, (n, 3) nN, zero for free cells.
@@ -57,10 +48,7 @@ def outside_force(system: Mechanics, time: float, position: FloatArray) -> Float
     It is what is missing in Γ v = F with the prescribed velocities: the drag of the medium and the
     friction with other cells, less the force of contacts, walls and from outside.
 
-    Raises
-    ------
-    StateRejected
-        As :meth:`Mechanics.velocity`.
+    Raises StateRejected as :meth:`Mechanics.velocity`.
     """
     given = system.prescribed
     if given is None:

@@ -76,31 +76,21 @@ class Mechanics:
 
     Owns the neighbour list and all work arrays, which can be rebuilt from the state.
 
-    Parameters
-    ----------
-    law
-        Pair law.
-    viscosity
-        Viscosity η of the medium, kPa·s.
-    threads
-        With more than one, chunks of cells are shared among threads; same bits.
-    skin
-        Least distance between surfaces over which the neighbour list holds pairs beyond what the
-        law asks for, as a fraction of the mean radius; it widens round cells that move far.
-    chunk
-        Cells that one thread works on at a time; it decides the order of the sums.
-    shared_chunks
-        Number of chunks from which on threads are used: below, waking them costs more
-        than they save.
-    bond_strength
-        f_ad of differential adhesion (eq. 3.7), nN/µm²; felt by cells with receptors.
-    friction : (float, float)
-        Friction of touching cells per contact area, along the line of centres and across it,
-        nN s/µm³; see :mod:`multicell.mechanics.friction`.
-    surface_energies : (k, k), optional
-        Symmetric matrix over the cell types, nN/µm, in place of the law's surface energy.
-    walls : optional
-        Elastic walls that the cells press against.
+    - ``law``: pair law
+    - ``viscosity``: viscosity η of the medium, kPa·s
+    - ``threads``: with more than one, chunks of cells are shared among threads; same bits
+    - ``skin``: least distance between surfaces over which the neighbour list holds pairs beyond
+      what the law asks for, as a fraction of the mean radius; it widens round cells that move far
+    - ``chunk``: cells that one thread works on at a time; it decides the order of the sums
+    - ``shared_chunks``: number of chunks from which on threads are used: below, waking them costs
+      more than they save
+    - ``bond_strength``: f_ad of differential adhesion (eq. 3.7), nN/µm²; felt by cells with
+      receptors.
+    - ``friction``, (float, float): friction of touching cells per contact area, along the line of
+      centres and across it, nN s/µm³; see :mod:`multicell.mechanics.friction`
+    - ``surface_energies``, (k, k), optional: symmetric matrix over the cell types, nN/µm, in place
+      of the law's surface energy
+    - ``walls``, optional: elastic walls that the cells press against
     """
 
     law: PairLaw
@@ -132,10 +122,7 @@ class Mechanics:
     def begin(self, motion: Motion) -> None:
         """Take the radii and moduli for a coupling step; the old list is dropped.
 
-        Raises
-        ------
-        ValueError
-            If the motion's pairs with an offset or their offsets have no meaning.
+        Raises ValueError if the motion's pairs with an offset or their offsets have no meaning.
         """
         self.motion = motion
         self.stiffness_scale = None
@@ -170,11 +157,8 @@ class Mechanics:
     def velocity(self, time: float, position: FloatArray, out: FloatArray) -> None:
         """Write dx/dt, (n, 3) µm/s, at ``position``, (n, 3) µm, and ``time``, s.
 
-        Raises
-        ------
-        StateRejected
-            If the positions are not finite, too many cells overlap, or friction cannot be
-            solved for.
+        Raises StateRejected if the positions are not finite, too many cells overlap, or friction
+        cannot be solved for.
         """
         self.work.evaluations += 1
         friction, given = self._pair_friction, self.prescribed
@@ -228,11 +212,6 @@ class Mechanics:
         return self._linearised()
 
     @property
-    def weighed_rows(self) -> FloatArray:
-        """The :attr:`rows` for preconditioners, to which held cells have an immense drag."""
-        return self._rows if self.prescribed is None else self.prescribed.weighed(self._rows)
-
-    @property
     def rows(self) -> FloatArray:
         """The cells at the last state seen, as :mod:`multicell.mechanics.forces` takes them."""
         return self._rows
@@ -242,10 +221,7 @@ class Mechanics:
     ) -> None:
         """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation, or at one.
 
-        Raises
-        ------
-        StateRejected
-            If friction cannot be solved for.
+        Raises StateRejected if friction cannot be solved for.
         """
         self.work.jacobian_products += 1
         linear = self._linearised() if linear is None else linear

@@ -17,15 +17,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 from numba import njit
 
+from multicell.cells import FloatArray
 from multicell.compiling import KERNEL
-
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
 
 
 @njit(**KERNEL)
@@ -91,12 +89,9 @@ class Walls:
     Cells come as ``rows`` (n, 5 or more): centre, radius and compliance; see
     :mod:`multicell.mechanics.forces`.
 
-    Parameters
-    ----------
-    low, high : (3,), µm
-        Where the sides are; -inf and inf where there is none.
-    soft : float, 1/kPa
-        Compliance ¾ (1 - ν²)/E of the walls; see :func:`multicell.contact.law.compliance`.
+    - ``low``, ``high``, (3,), µm: where the sides are; -inf and inf where there is none
+    - ``soft``, float, 1/kPa: compliance ¾ (1 - ν²)/E of the walls; see
+      :func:`multicell.contact.law.compliance`
     """
 
     low: FloatArray
@@ -114,10 +109,8 @@ class Walls:
 
         Of the lower and the upper sides across x, y and z, which all have to be there.
 
-        Parameters
-        ----------
-        position, radius, softness : (n, 3), (n,) µm; (n,) 1/kPa
-            Of the cells; :func:`multicell.contact.law.compliance` is their softness.
+        - ``position``, ``radius``, ``softness``, (n, 3), (n,) µm; (n,) 1/kPa: of the cells;
+          :func:`multicell.contact.law.compliance` is their softness
         """
         distance = np.stack([position - self.low, self.high - position])
         pressed = np.maximum(radius[:, None] - distance, 0.0) ** 1.5

@@ -11,12 +11,8 @@ L = TypeVar("L")
 class OwnLaw:
     """What all laws of the user's own have: where they come from.
 
-    Attributes
-    ----------
-    source
-        ``file.py:name`` of the function.
-    fingerprint
-        Changes with the function and all that it reads.
+    - ``source``: ``file.py:name`` of the function
+    - ``fingerprint``: changes with the function and all that it reads
     """
 
     source: ClassVar[str]

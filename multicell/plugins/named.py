@@ -29,13 +29,11 @@ from multicell.errors import MulticellError, SceneError
 from multicell.host.files import read_regular
 from multicell.schema import near_miss
 
-_MAX_BYTES = 10_000_000
-"""Bytes of a file of the user's own."""
+_MAX_BYTES = 10_000_000  # bytes of a file of the user's own
 OWN_OBJECT = r"^.+\.py:[A-Za-z_].*$"
 """Pattern of how a scene names an object of the user's own, for editors."""
 _NAMED = re.compile(r"(?P<file>.+):(?P<name>[^\W\d]\w*(\.[^\W\d]\w*)*)")
-_COMPILED = re.compile(r'File "([^"]+)", line (\d+)')
-"""How numba names a line of what it compiles."""
+_COMPILED = re.compile(r'File "([^"]+)", line (\d+)')  # how numba names a line of what it compiles
 _MISSING = re.compile(r"(?:name|attribute) '(\w+)'")
 _RECORDED = re.compile(_NAMED.pattern + r"(\(.*\))?")
 
@@ -51,18 +49,11 @@ def load_object(spec: str, what: str) -> Any:
     The file runs once; a file that has changed since runs again. Its module has a name that
     depends on the path alone, so that numba finds its compiled functions in another process.
 
-    Parameters
-    ----------
-    spec
-        Path of a Python file, a colon and the name of something in it.
-    what
-        What it is for, as the path of errors: ``"integrator"``, ``"law"``.
+    - ``spec``: path of a Python file, a colon and the name of something in it
+    - ``what``: what it is for, as the path of errors: ``"integrator"``, ``"law"``
 
-    Raises
-    ------
-    SceneError
-        If the text has another form, there is no such file or no such name in it, or the file
-        raises an exception.
+    Raises SceneError if the text has another form, there is no such file or no such name in it, or
+    the file raises an exception.
     """
     match = _NAMED.fullmatch(spec)
     if match is None:
@@ -148,15 +139,10 @@ def own_fault(
 ) -> str | None:
     """Return in words where code of the user's has failed; None if it has no part in an error.
 
-    Parameters
-    ----------
-    error
-        Raised by that code, or by numba where it cannot be compiled.
-    own
-        Whether a file is the user's, by default those that :func:`load_object` has loaded, and
-        what they import from their folders.
-    function
-        What was compiled: numba does not always say in which line a name is missing.
+    - ``error``: raised by that code, or by numba where it cannot be compiled
+    - ``own``: whether a file is the user's, by default those that :func:`load_object` has loaded,
+      and what they import from their folders
+    - ``function``: what was compiled: numba does not always say in which line a name is missing
     """
     own = _is_loaded if own is None else own
     known: BaseException | None = error

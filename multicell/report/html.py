@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from multicell.scene.scene import Scene
 
-Drawing = tuple[Callable[[], "Figure"], str]
-"""A function that draws a picture, and its caption."""
+Drawing = tuple[Callable[[], "Figure"], str]  # a function that draws a picture, and its caption
 
 
 def write_page(
@@ -38,28 +37,16 @@ def write_page(
 ) -> Path:
     """Write one page with its pictures beside it, and return its path.
 
-    Parameters
-    ----------
-    path
-        Of the page; its folder is made if it does not exist.
-    template
-        Name of a file in ``templates``.
-    scene
-        Its TOML makes the last card; None: no such card.
-    title, subtitle
-        Heading of the page.
-    tiles
-        Key figures: name -> value in words.
-    pictures
-        PNG file to write, relative to the page's folder -> the function that draws it, and its
-        caption. The page holds it without its title.
-    **context
-        What else the template asks for.
+    - ``path``: of the page; its folder is made if it does not exist
+    - ``template``: name of a file in ``templates``
+    - ``scene``: its TOML makes the last card; None: no such card
+    - ``title``, ``subtitle``: heading of the page
+    - ``tiles``: key figures: name -> value in words
+    - ``pictures``: PNG file to write, relative to the page's folder -> the function that draws it,
+      and its caption. The page holds it without its title.
+    - ``**context``: what else the template asks for
 
-    Raises
-    ------
-    OutputError
-        If a picture or the page cannot be written.
+    Raises OutputError if a picture or the page cannot be written.
     """
     with file_errors("use the output folder", path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -23,22 +23,10 @@ if TYPE_CHECKING:
 def write_report(result: Result, folder: str | Path | None = None) -> Path:
     """Write ``report.html`` and its pictures beside it.
 
-    Parameters
-    ----------
-    result
-        The run; it may be unfinished.
-    folder
-        Where to write, by default the folder of the run.
+    - ``result``: the run; it may be unfinished
+    - ``folder``: where to write, by default the folder of the run
 
-    Returns
-    -------
-    pathlib.Path
-        The page.
-
-    Raises
-    ------
-    OutputError
-        If there is no folder to write to, or it cannot be written to.
+    Raises OutputError if there is no folder to write to, or it cannot be written to.
     """
     place = result.folder if folder is None else Path(folder)
     if place is None:

@@ -115,10 +115,7 @@ class Result:
 def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
     """Return rows of a history as one array per column.
 
-    Raises
-    ------
-    ValueError
-        If a row lacks a column of the first one, or has more.
+    Raises ValueError if a row lacks a column of the first one, or has more.
     """
     rows = list(rows)
     if any(set(row) != set(rows[0]) for row in rows):
@@ -126,7 +123,7 @@ def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.
     return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
 
 
-def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
+def load_result(folder: str | Path) -> Result:
     """Open the folder of a finished, interrupted or killed run.
 
     A killed run leaves no ``summary.json``: its summary is then taken from the last frame and
@@ -136,8 +133,6 @@ def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
     ----------
     folder
         Of the run.
-    damaged
-        Open also a folder whose journal is damaged, with the frames before the damage.
 
     Raises
     ------
@@ -151,8 +146,7 @@ def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
     from multicell.results.reader import Contents, Frames
 
     contents = Contents(folder)
-    if not damaged:
-        contents.whole()
+    contents.whole()
     frames = Frames(contents)
     summary = read_table(contents.folder / "summary.json")
     scene = recorded_scene(contents)
@@ -169,13 +163,8 @@ def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
 def recorded_scene(contents: Contents) -> Scene:
     """Return the scene of a result folder.
 
-    Raises
-    ------
-    OutputError
-        If ``scene.toml`` is not the scene that was run: its numbers would be given to frames
-        that were computed with others.
-    SceneError
-        If it cannot be read.
+    Raises OutputError if ``scene.toml`` is not the scene that was run: its numbers would be given
+    to frames that were computed with others; SceneError if it cannot be read.
     """
     from multicell.host.files import parse_toml
     from multicell.scene.scene import Scene, beside, load_scene

@@ -91,12 +91,7 @@ def _kinds(run: Result) -> NDArray[Any]:
 def whole_table(run: Result, name: str) -> DataFrame:
     """Return a table of all frames.
 
-    Raises
-    ------
-    OutputError
-        If there is no such table.
-    MissingPackage
-        If pandas is not installed.
+    Raises OutputError if there is no such table; MissingPackage if pandas is not installed.
     """
     if name not in TABLES:
         raise OutputError(f"there is no table {name!r}. {near_miss(name, TABLES)}")

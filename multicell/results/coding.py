@@ -27,16 +27,10 @@ Coded = NDArray[np.uint64]
 def encode(values: FloatArray) -> tuple[Coded, FloatArray]:
     """Return a field coded, and what holds at its faces.
 
-    Parameters
-    ----------
-    values : (nx, ny, nz)
-        Any numbers, also such as are not finite.
+    - ``values``, (nx, ny, nz): any numbers, also such as are not finite
 
-    Returns
-    -------
-    coded : (nx, ny, nz) uint64
-        2 d for a difference d >= 0 of the bit patterns as integers, -2 d - 1 for a negative one.
-    faces : (6,) float64
+    Returns coded, (nx, ny, nz) uint64: 2 d for a difference d >= 0 of the bit patterns as
+    integers, -2 d - 1 for a negative one; faces, (6,) float64.
     """
     values = np.ascontiguousarray(values, dtype="<f8")
     faces = _faces(values)

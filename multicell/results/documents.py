@@ -31,10 +31,7 @@ def _checksum(table: Mapping[str, Any]) -> str:
 def write_table(path: Path, table: Mapping[str, Any]) -> None:
     """Write a table with its checksum, so that the file is either the old one or complete.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
+    Raises OutputError if it cannot be written.
     """
     plain: dict[str, Any] = json.loads(to_json(table))
     write_text(path, to_json({**plain, _CHECKSUM: _checksum(plain)}) + "\n")
@@ -43,10 +40,7 @@ def write_table(path: Path, table: Mapping[str, Any]) -> None:
 def read_table(path: Path) -> dict[str, Any] | None:
     """Return the table that was written to a file; None where there is no file.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be read, or is not what was written.
+    Raises OutputError if it cannot be read, or is not what was written.
     """
     with file_errors("read", path):
         try:
@@ -65,13 +59,7 @@ def read_table(path: Path) -> dict[str, Any] | None:
 
 
 def write_summary(folder: str | Path, summary: Mapping[str, Any]) -> Path:
-    """Write ``summary.json`` and return its path.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
+    """Write ``summary.json`` and return its path; raises OutputError if it cannot be written."""
     path = Path(folder) / "summary.json"
     write_table(path, summary)
     return path
@@ -84,15 +72,9 @@ class Lines:
     No line can be missing, changed or in the place of another. A line that the file ends in the
     middle of was being written when its process was killed, and does not count.
 
-    Parameters
-    ----------
-    path
-        Its file, which need not be there.
+    - ``path``: its file, which need not be there
 
-    Raises
-    ------
-    OutputError
-        If the file cannot be read, or is not what was written.
+    Raises OutputError if the file cannot be read, or is not what was written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -124,13 +106,7 @@ class Lines:
         )
 
     def append(self, entries: Iterable[Any]) -> None:
-        """Add entries at the end.
-
-        Raises
-        ------
-        OutputError
-            If they cannot be written.
-        """
+        """Add entries at the end; raises OutputError if they cannot be written."""
         entries = list(entries)
         data, chain = _join(entries, self._chain)
         flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
@@ -148,10 +124,7 @@ class Lines:
     def replace(self, entries: Iterable[Any]) -> None:
         """Keep these entries only, so that the file is either the old one or complete.
 
-        Raises
-        ------
-        OutputError
-            If they cannot be written.
+        Raises OutputError if they cannot be written.
         """
         kept = list(entries)
         data, chain = _join(kept, 0)

@@ -24,34 +24,21 @@ if TYPE_CHECKING:
 class Field:
     """A concentration on a regular grid of cubes, of squares in a plane, or on spherical shells.
 
-    Attributes
-    ----------
-    name
-        Name of the nutrient.
-    unit
-        Unit of the values, ``"mM"``.
-    origin : (3,) float64, µm
-        Corner of the box with the smallest coordinates.
-    spacing
-        Edge of a grid cube in µm.
-    values : (nx, ny, nz) float64
-        Values at the centres of the cubes, ``origin + (i + 1/2) * spacing``; of a plane with
-        ``nz = 1``. Of shells with ``ny = nz = 1``: at the distances ``(i + 1/2) * spacing`` from
-        ``origin``, which is their centre.
-    kind
-        ``"box"`` or ``"radial"``.
-    height
-        Of the layer in two dimensions, µm; else 0.
+    - ``name``: name of the nutrient
+    - ``unit``: unit of the values, ``"mM"``
+    - ``origin``, (3,) float64, µm: corner of the box with the smallest coordinates
+    - ``spacing``: edge of a grid cube in µm
+    - ``values``, (nx, ny, nz) float64: values at the centres of the cubes, ``origin + (i + 1/2) *
+      spacing``; of a plane with ``nz = 1``. Of shells with ``ny = nz = 1``: at the distances ``(i +
+      1/2) * spacing`` from ``origin``, which is their centre.
+    - ``kind``: ``"box"`` or ``"radial"``
+    - ``height``: of the layer in two dimensions, µm; else 0
 
-    Notes
-    -----
     :meth:`to_pde` gives it to py-pde. ``plot``, ``interpolate``, ``get_line_data`` and ``to_file``
     are those of py-pde's field. py-pde is loaded at the first of these calls.
 
-    Raises
-    ------
-    ValueError
-        If ``origin`` or ``values`` have the wrong shape, or ``spacing`` is not positive.
+    Raises ValueError if ``origin`` or ``values`` have the wrong shape, or ``spacing`` is not
+    positive.
     """
 
     name: str
@@ -103,10 +90,8 @@ class Field:
     def interpolate(self, point: FloatArray, **options: Any) -> Any:
         """Return concentrations in mM at points; see ``pde.ScalarField.interpolate``.
 
-        Parameters
-        ----------
-        point : (..., 3), (..., 2) in a plane, (..., 1) on shells; µm
-            Coordinates of py-pde's grid.
+        - ``point``, (..., 3), (..., 2) in a plane, (..., 1) on shells; µm: coordinates of py-pde's
+          grid
         """
         return self.to_pde().interpolate(np.asarray(point, dtype=float), **options)
 
@@ -124,33 +109,27 @@ class Field:
 class Progress:
     """State of a run besides cells and fields, which it needs to be resumed exactly.
 
-    Attributes
-    ----------
-    next_id, divisions, removals, unsorted : int
-        First identity that is free, events so far, and new cells since the last sorting.
-    released : float, µm³
-        Volume that dead cells have lost.
-    separation : mapping or None
-        When and how the last contact broke, where the cells are pulled apart.
-    ledger, rates : nutrient -> name -> float
-        The account of each field, amol, and what a steady one exchanges now, amol/s.
-    work : name -> int
-        What the integration has cost.
-    splitting : float or None, µm³
-        The error that coupling steps have made with the volume of all cells, over their number;
-        None without growth.
-    pace : name -> float, or None
-        What chooses the next coupling step, where that is not fixed.
-    grids : nutrient -> name -> float
-        What is known of grids that the run chooses or changes by itself.
-    driven : table of the scene -> identities
-        Cells that are driven from outside, where a table named them at the start.
-    first_states : name -> int
-        Cells that rested, were dead, and did not fit the field at the start.
-    replays : name -> float
-        What replays from shifted positions have found; see :mod:`multicell.integrators.shift`.
-    stability : name -> float
-        How far a fixed step was from its limit; see :mod:`multicell.integrators.stability`.
+    - ``next_id``, ``divisions``, ``removals``, ``unsorted``, int: first identity that is free,
+      events so far, and new cells since the last sorting
+    - ``released``, float, µm³: volume that dead cells have lost
+    - ``separation``, mapping or None: when and how the last contact broke, where the cells are
+      pulled apart
+    - ``ledger``, ``rates``, nutrient -> name -> float: the account of each field, amol, and what a
+      steady one exchanges now, amol/s
+    - ``work``, name -> int: what the integration has cost
+    - ``splitting``, float or None, µm³: the error that coupling steps have made with the volume of
+      all cells, over their number; None without growth
+    - ``pace``, name -> float, or None: what chooses the next coupling step, where that is not fixed
+    - ``grids``, nutrient -> name -> float: what is known of grids that the run chooses or changes
+      by itself
+    - ``driven``, table of the scene -> identities: cells that are driven from outside, where a
+      table named them at the start
+    - ``first_states``, name -> int: cells that rested, were dead, and did not fit the field at the
+      start
+    - ``replays``, name -> float: what replays from shifted positions have found; see
+      :mod:`multicell.integrators.shift`
+    - ``stability``, name -> float: how far a fixed step was from its limit; see
+      :mod:`multicell.integrators.stability`
     """
 
     next_id: int

@@ -45,16 +45,11 @@ _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 class Whole:
     """All that goes into a file.
 
-    Attributes
-    ----------
-    scene
-        Text of ``scene.toml``.
-    nutrients
-    frames
-        Arrays, checksum and new rows of the lineage of each frame, one after another.
-    history : column -> (m,) float64
-    identity, absorbed
-        Of the file, and of the journal that is part of it now: 32 letters each.
+    - ``scene``: text of ``scene.toml``
+    - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
+    - ``history``, column -> (m,) float64
+    - ``identity``, ``absorbed``: of the file, and of the journal that is part of it now: 32 letters
+      each
     """
 
     scene: str
@@ -68,10 +63,7 @@ class Whole:
 def write(path: Path, whole: Whole) -> None:
     """Write a file in the place of ``path``; until it is complete the old one stays.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be written, for example because the disk is full.
+    Raises OutputError if it cannot be written, for example because the disk is full.
     """
     with replace_file(path, "w+b") as file:
         sink = Sink(file)
@@ -225,10 +217,7 @@ def _open_file(path: Path) -> Iterator[Any]:
 def check_whole(path: Path) -> None:
     """Refuse a file that is missing, cut short, or not one of ours; its data are not read.
 
-    Raises
-    ------
-    OutputError
-        If it is one of these.
+    Raises OutputError if it is one of these.
     """
     if not path.is_file():
         raise OutputError(f"'{path}' is missing")
@@ -241,10 +230,7 @@ def check_whole(path: Path) -> None:
 def check_contained(path: Path) -> None:
     """Refuse an HDF5 file of any kind that leads out of itself, or claims to hold far more than it.
 
-    Raises
-    ------
-    OutputError
-        If it does, or cannot be read.
+    Raises OutputError if it does, or cannot be read.
     """
     with _open_file(path) as file:
         claimed, left = 0, [file]
@@ -267,10 +253,7 @@ def check_contained(path: Path) -> None:
 def check_claim(path: Path, claimed: int) -> None:
     """Refuse a file whose data would take far more memory than the file has bytes.
 
-    Raises
-    ------
-    OutputError
-        With both sizes.
+    Raises OutputError with both sizes.
     """
     size = path.stat().st_size
     if claimed > max(_ALWAYS, _RATIO * size):
@@ -289,27 +272,18 @@ def _short(error: BaseException) -> str:
 class File:
     """A result file that has been checked; frames are read, and checked, one at a time.
 
-    Attributes
-    ----------
-    scene : str
-    nutrients : tuple of str
-    identity, absorbed : str
-    times : (k,) float64, s
-    steps : (k,) int64
-    digests : (k,) uint32
-    ends : log -> (k + 1,) int64
-        How many rows each log of the lineage has before each frame.
-    logs : log/column -> array
-        The lineage up to the last frame.
-    columns : tuple of str
-        Of the history.
-    rows : int
-        Of the history.
+    - ``scene``, str
+    - ``nutrients``, tuple of str
+    - ``identity``, ``absorbed``, str
+    - ``times``, (k,) float64, s
+    - ``steps``, (k,) int64
+    - ``digests``, (k,) uint32
+    - ``ends``, log -> (k + 1,) int64: how many rows each log of the lineage has before each frame
+    - ``logs``, log/column -> array: the lineage up to the last frame
+    - ``columns``, tuple of str: of the history
+    - ``rows``, int: of the history
 
-    Raises
-    ------
-    OutputError
-        If it is no result file of this format, or damaged.
+    Raises OutputError if it is no result file of this format, or damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -427,10 +401,7 @@ class File:
     def history(self) -> dict[str, NDArray[np.float64]]:
         """Return the history by column, (m,) each.
 
-        Raises
-        ------
-        OutputError
-            If it is not what was written.
+        Raises OutputError if it is not what was written.
         """
         with self._again() as file:
             columns = {name: file["history"][name][()] for name in self.columns}
@@ -439,13 +410,7 @@ class File:
         return columns
 
     def frame(self, place: int) -> Arrays:
-        """Return the arrays of a frame.
-
-        Raises
-        ------
-        OutputError
-            If they are not what was written.
-        """
+        """Return the arrays of a frame; raises OutputError if they are not what was written."""
         with self._again() as file:
             arrays = stored.read_frame(file, place, self.nutrients, self._offsets)
         if digest(arrays) != int(self.digests[place]):

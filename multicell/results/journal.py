@@ -36,8 +36,7 @@ Arrays = Mapping[str, NDArray[Any]]
 NAME: Final = "frames.journal"
 
 _TAG: Final = b"mcj3"
-PREFIX: Final = struct.Struct("<4sIQIII")
-"""Tag, lengths and checksums of a record: 28 bytes."""
+PREFIX: Final = struct.Struct("<4sIQIII")  # tag, lengths and checksums of a record: 28 bytes
 
 _MAX_HEADER: Final = 1 << 24
 _LONG: Final = 1 << 18  # bytes of an array that is not copied together with others
@@ -215,18 +214,11 @@ def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, 
 class Reader:
     """The complete records of a journal, as they were when it was opened.
 
-    Attributes
-    ----------
-    records : list of Record
-    end, chain : int
-        Where the last complete record ends, and the checksum of its head.
-    damage : str or None
-        What ends the records before the end of the file, in words.
+    - ``records``, list of Record
+    - ``end``, ``chain``, int: where the last complete record ends, and the checksum of its head
+    - ``damage``, str or None: what ends the records before the end of the file, in words
 
-    Raises
-    ------
-    OutputError
-        If the file cannot be read or does not begin as a journal does.
+    Raises OutputError if the file cannot be read or does not begin as a journal does.
     """
 
     def __init__(self, path: Path) -> None:
@@ -267,13 +259,7 @@ class Reader:
         return True
 
     def arrays(self, record: Record) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a record.
-
-        Raises
-        ------
-        OutputError
-            If they are not what was written.
-        """
+        """Return the arrays of a record; raises OutputError if they are not what was written."""
         arrays, left = {}, record.length
         with file_errors("read", self.path), self.path.open("rb") as file:
             file.seek(record.begin)

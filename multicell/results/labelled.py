@@ -24,12 +24,8 @@ _AXES: Final = ("x", "y", "z")
 def history_arrays(history: Mapping[str, NDArray[np.float64]], scene: str) -> Dataset:
     """Return the history of a run as a data set along ``time``, with units, scene and versions.
 
-    Parameters
-    ----------
-    history : column name -> (m,)
-        As that of :class:`multicell.Result`.
-    scene
-        As TOML.
+    - ``history``, column name -> (m,): as that of :class:`multicell.Result`
+    - ``scene``: as TOML
     """
     needs("xarray")
     import xarray
@@ -46,12 +42,7 @@ def history_arrays(history: Mapping[str, NDArray[np.float64]], scene: str) -> Da
 def frame_arrays(frame: Frame, types: Sequence[str] = ()) -> Dataset:
     """Return cells along ``cell`` and each field along axes of its own, with units.
 
-    Parameters
-    ----------
-    frame
-        The frame.
-    types
-        Names of the types by their numbers.
+    - ``types``: names of the types by their numbers
     """
     needs("xarray")
     import xarray

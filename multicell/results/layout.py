@@ -11,8 +11,7 @@ from multicell.cells import Cells
 from multicell.results.lineage import COLUMNS
 from multicell.results.records import FIELD, UNIT
 
-FORMAT: Final = 5
-"""Number of the layout that :mod:`multicell.results.writer` describes."""
+FORMAT: Final = 5  # number of the layout that :mod:`multicell.results.writer` describes
 _LONG: Final = 8192  # rows in a chunk of what grows with cells and nodes: 64 kB for a number each
 _MIDDLE: Final = 4096  # ... of logs and texts
 _SHORT: Final = 256  # ... of what has one row for each frame

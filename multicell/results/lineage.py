@@ -88,12 +88,9 @@ class Lineage:
     def table(self) -> dict[str, NDArray[Any]]:
         """Return one row for every cell that ever was, in the order of the identities.
 
-        Returns
-        -------
-        dict
-            ``id``, ``parent`` (-1: there at the start), ``kind``, ``birth_time``, ``death_time``
-            and ``end_time`` in s (NaN where it has not come), ``end``: ``"division"``, the name
-            of the state in which the cell was removed, or ``""``.
+        Returns dict: ``id``, ``parent`` (-1: there at the start), ``kind``, ``birth_time``,
+        ``death_time`` and ``end_time`` in s (NaN where it has not come), ``end``: ``"division"``,
+        the name of the state in which the cell was removed, or ``""``.
         """
         births = self.rows("births", 0)
         order = np.argsort(births["id"])

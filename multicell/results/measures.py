@@ -233,18 +233,10 @@ OBSERVABLES: Final = (
 def observables_of(scene: Scene, *, own: bool = True) -> Iterator[tuple[Observable, str]]:
     """Yield the observables that exist in a scene, each with what stands for its star.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    own
-        Whether also those of the user's own.
+    - ``own``: whether also those of the user's own
 
-    Raises
-    ------
-    SceneError
-        If the scene names one of the user's own that this process does not know, or that needs
-        what the scene does not have.
+    Raises SceneError if the scene names one of the user's own that this process does not know, or
+    that needs what the scene does not have.
     """
     stated = scene.output.observables.items() if own else ()
     owned = [find_own(name, entry) for name, entry in stated]

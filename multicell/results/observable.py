@@ -192,10 +192,7 @@ OWN: Final[dict[str, Observable]] = {}
 def find_own(name: str, stated: OwnObservable) -> Observable:
     """Return the observable that a scene names.
 
-    Raises
-    ------
-    SceneError
-        If this process has not made it, or made it with another unit.
+    Raises SceneError if this process has not made it, or made it with another unit.
     """
     path, function = f"output.observables.{name}", stated.function
     found = OWN.get(function)

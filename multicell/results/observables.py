@@ -32,10 +32,7 @@ def sizes(cells: Cells, dimensions: int) -> FloatArray:
 def centre(cells: Cells, dimensions: int) -> FloatArray:
     """Return the centroid of all cells, weighted by :func:`sizes`: (3,), µm.
 
-    Raises
-    ------
-    ValueError
-        If there are no cells.
+    Raises ValueError if there are no cells.
     """
     if len(cells) == 0:
         raise ValueError("a population of no cells has no centre")
@@ -51,14 +48,9 @@ def distances(cells: Cells, origin: FloatArray) -> FloatArray:
 class Extent:
     """How far a population reaches: computed once for all lengths that a row of a history has.
 
-    Parameters
-    ----------
-    cells
-        The population.
-    dimensions
-        Of the scene: 3, or 2 where all cells lie in a plane.
-    origin : (3,) µm
-        Point from which distances are taken, by default the centre of all cells.
+    - ``cells``: the population
+    - ``dimensions``: of the scene: 3, or 2 where all cells lie in a plane
+    - ``origin``, (3,) µm: point from which distances are taken, by default the centre of all cells
     """
 
     def __init__(self, cells: Cells, dimensions: int, origin: FloatArray | None = None) -> None:
@@ -93,21 +85,12 @@ def uniform_radius(
     exact for a single cell too. Cells that stick out count little and gaps between cells do not
     count at all.
 
-    Parameters
-    ----------
-    cells
-        The population.
-    origin : (3,) µm
-        Point from which distances are taken.
-    dimensions
-        Of the scene: 3, or 2 where all cells lie in a plane.
-    mask : (n,) bool
-        Cells to take; all of them when absent.
+    - ``cells``: the population
+    - ``origin``, (3,) µm: point from which distances are taken
+    - ``dimensions``: of the scene: 3, or 2 where all cells lie in a plane
+    - ``mask``, (n,) bool: cells to take; all of them when absent
 
-    Returns
-    -------
-    float
-        Radius in µm; 0 if no cell is taken.
+    Returns float: radius in µm; 0 if no cell is taken.
     """
     return Extent(cells, dimensions, origin).radius(mask)
 
@@ -154,18 +137,11 @@ def hypoxic_radius(
 
     The formula of :func:`uniform_radius` over the cells below the threshold, dead ones too.
 
-    Parameters
-    ----------
-    cells
-        The population.
-    concentration : (n,) mM
-        At the cells.
-    threshold : mM
-        Below it cells rest.
-    dimensions
-        Of the scene.
-    extent
-        Of the population, where it is known already.
+    - ``cells``: the population
+    - ``concentration``, (n,) mM: at the cells
+    - ``threshold``, mM: below it cells rest
+    - ``dimensions``: of the scene
+    - ``extent``: of the population, where it is known already
     """
     lacking = concentration < threshold
     if not lacking.any():
@@ -227,12 +203,8 @@ def state_counts(cells: Cells) -> dict[str, int]:
 def heterotypic_fraction(cells: Cells, contacts: IntArray) -> float:
     """Return the part of all contacts that join cells of different types, NaN without contacts.
 
-    Parameters
-    ----------
-    cells
-        All cells.
-    contacts : (m, 2)
-        Identities of the cells of each pair in contact.
+    - ``cells``: all cells
+    - ``contacts``, (m, 2): identities of the cells of each pair in contact
     """
     kind = cells.kind[contact_rows(cells, contacts)]
     return float((kind[:, 0] != kind[:, 1]).mean()) if len(kind) else float("nan")
@@ -241,12 +213,8 @@ def heterotypic_fraction(cells: Cells, contacts: IntArray) -> float:
 def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:
     """Return the rows of the cells of each pair, given by identities: (m, 2), absent ones left out.
 
-    Parameters
-    ----------
-    cells
-        All cells.
-    contacts : (m, 2)
-        Identities.
+    - ``cells``: all cells
+    - ``contacts``, (m, 2): identities
     """
     rows = cells.rows_of(contacts).reshape(-1, 2)
     return rows[(rows >= 0).all(axis=1)]
@@ -265,18 +233,13 @@ def largest_pressure(cells: Cells) -> float:
 class RadialProfile:
     """Averages over spherical shells, in a plane over rings, about the centre of a population.
 
-    Attributes
-    ----------
-    edges : (b + 1,) float64, µm
-        Boundaries of the shells.
-    counts : (b,) int64
-        Cells whose centre lies in the shell.
-    fractions : state name -> (b,) float64
-        Part of these cells that are in the state; NaN in a shell without cells.
-    concentrations : nutrient name -> (b,) float64, mM
-        Mean concentration at these cells; NaN in a shell without cells.
-    pressure : (b,) float64, kPa
-        Mean pressure of these cells; NaN in a shell without cells.
+    - ``edges``, (b + 1,) float64, µm: boundaries of the shells
+    - ``counts``, (b,) int64: cells whose centre lies in the shell
+    - ``fractions``, state name -> (b,) float64: part of these cells that are in the state; NaN in a
+      shell without cells
+    - ``concentrations``, nutrient name -> (b,) float64, mM: mean concentration at these cells; NaN
+      in a shell without cells
+    - ``pressure``, (b,) float64, kPa: mean pressure of these cells; NaN in a shell without cells
     """
 
     edges: FloatArray
@@ -294,10 +257,7 @@ class RadialProfile:
 def radial_profile(frame: Frame, dimensions: int, bins: int = 20) -> RadialProfile:
     """Return averages over ``bins`` shells (or rings) of equal thickness that hold all cells.
 
-    Raises
-    ------
-    ValueError
-        If the frame has no cells or ``bins`` is below 1.
+    Raises ValueError if the frame has no cells or ``bins`` is below 1.
     """
     if bins < 1:
         raise ValueError(f"a profile needs at least 1 bin, got {bins}")
@@ -316,19 +276,11 @@ def radial_profile(frame: Frame, dimensions: int, bins: int = 20) -> RadialProfi
 def field_profile(field: Field, origin: FloatArray, edges: FloatArray) -> FloatArray:
     """Return the mean of a field over shells about ``origin``: (b,), in the field's unit.
 
-    Parameters
-    ----------
-    field
-        The field.
-    origin : (3,) µm
-        Common centre of the shells.
-    edges : (b + 1,) µm
-        Boundaries of the shells, increasing.
+    - ``field``: the field
+    - ``origin``, (3,) µm: common centre of the shells
+    - ``edges``, (b + 1,) µm: boundaries of the shells, increasing
 
-    Returns
-    -------
-    (b,) float64
-        Means over the grid points; NaN in a shell that holds none.
+    Returns (b,) float64: means over the grid points; NaN in a shell that holds none.
     """
     if field.kind == "radial":
         return _means(field.axis(0) - field.origin[0], edges, field.values.ravel())

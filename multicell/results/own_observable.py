@@ -34,12 +34,7 @@ _UNIT = re.compile(rf"(1|{_POWER})([ /]{_POWER})*|")
 
 
 def observable(
-    *,
-    name: str,
-    unit: str = "",
-    needs: Sequence[str] = (),
-    absent: str = "",
-    signed: bool = False,
+    *, name: str, unit: str = "", needs: Sequence[str] = (), absent: str = "", signed: bool = False
 ) -> Callable[[Function], Observable]:
     """Make an observable of a function of the state of a run.
 

@@ -23,14 +23,10 @@ def box_grid(
 ) -> CartesianGrid:
     """Return py-pde's grid of a box of cubes; of squares where it is flat.
 
-    Parameters
-    ----------
-    origin : (3,), µm
-        Corner with the smallest coordinates.
-    shape : (3,) int
-    spacing : float, µm
-    flat
-        Whether the third axis is left out.
+    - ``origin``, (3,), µm: corner with the smallest coordinates
+    - ``shape``, (3,) int
+    - ``spacing``, float, µm
+    - ``flat``: whether the third axis is left out
     """
     axes = 2 if flat else 3
     bounds = [
@@ -67,12 +63,7 @@ def groups(fields: Mapping[str, Field]) -> list[list[str]]:
 
 
 def refuse_several(fields: Mapping[str, Field]) -> None:
-    """Refuse fields that live on different grids, and say which share one.
-
-    Raises
-    ------
-    SceneError
-    """
+    """Refuse fields that live on different grids, and say which share one; raises SceneError."""
     found = groups(fields)
     if len(found) > 1:
         lists = " and ".join(str(group) for group in found)
@@ -86,10 +77,7 @@ def refuse_several(fields: Mapping[str, Field]) -> None:
 def collection(fields: Mapping[str, Field], names: Iterable[str] | None) -> FieldCollection:
     """Return fields that share a grid as py-pde's collection, their names as labels.
 
-    Raises
-    ------
-    SceneError
-        If there are none, a name is none of theirs, or they live on different grids.
+    Raises SceneError if there are none, a name is none of theirs, or they live on different grids.
     """
     wanted = list(fields) if names is None else list(names)
     if isinstance(names, str) or not wanted:

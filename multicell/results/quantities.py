@@ -27,63 +27,46 @@ _COUNTS: Final = (
     "linear_iterations", "factorisations", "friction_iterations", "steps_*",
 )  # fmt: skip
 
+_RATIOS: Final = (
+    "step", "steps", "seed", "threads", "stability_ratio", "splitting_volume_error",
+    "splitting_cell_error", "splitting_worst_cell_error", "splitting_content_error_*",
+    "splitting.relative_volume_error", "integrator.replays", "integrator.stability_checks",
+    "integrator.checks_beyond_stability", "integrator.largest_stability_ratio",
+    "ledger.*.relative_remainder", "ledger.relative_remainder", "fields.*.departure_from_a_ball",
+    "fields.*.nodes",
+)  # fmt: skip
+"""Further numbers without a unit."""
 UNITS: Final[Mapping[str, str]] = {
     **{o.name: o.unit for o in OBSERVABLES},
     **{o.entry: o.unit for o in OBSERVABLES if o.entry is not None},
     # of the computation
     "time": "s",
-    "step": "",
     "shift_effect": "um",
-    "stability_ratio": "",
-    "splitting_volume_error": "",
-    "splitting_cell_error": "",
-    "splitting_worst_cell_error": "",
-    "splitting_content_error_*": "",
-    "spacing_*": "um",
     "grid_error_*": "mM",
-    **{f"start.{name}": "" for name in ("quiescent", "necrotic", "unfit")},
-    "seed": "",
-    "steps": "",
+    "spacing_*": "um",
     "splitting.volume_error": "um^3",
-    "splitting.relative_volume_error": "",
     "splitting.mean_step": "s",
-    "threads": "",
-    **{f"integrator.{name}": "" for name in _COUNTS},
-    "integrator.replays": "",
     "integrator.largest_shift_effect": "um",
-    "integrator.stability_checks": "",
-    "integrator.checks_beyond_stability": "",
-    "integrator.largest_stability_ratio": "",
-    **{f"ledger.*.{name}": "amol" for name in _AMOUNTS},
-    "ledger.*.relative_remainder": "",
-    "ledger.relative_remainder": "",
     "fields.*.spacing": "um",
     "fields.*.layer": "um",
-    "fields.*.medium": "mM",
-    "fields.*.discretisation_error": "mM",
-    "fields.*.departure_from_a_ball": "",
-    "fields.*.tolerance": "mM",
-    "fields.*.estimated_error": "mM",
-    "fields.*.nodes": "",
     "wall.*": "s",
+    **{f"ledger.*.{name}": "amol" for name in _AMOUNTS},
+    **{f"fields.*.{name}": "mM"
+       for name in ("medium", "discretisation_error", "tolerance", "estimated_error")},
+    **{f"start.{name}": "" for name in ("quiescent", "necrotic", "unfit")},
+    **{f"integrator.{name}": "" for name in _COUNTS},
+    **dict.fromkeys(_RATIOS, ""),
     # tables
-    "cells.frame": "",
     "cells.time": "s",
     "cells.concentration_*": "mM",
-    "contacts.frame": "",
     "contacts.time": "s",
-    "contacts.first_id": "",
-    "contacts.second_id": "",
     "contacts.distance": "um",
     "contacts.overlap": "um",
-    "lineage.id": "",
-    "lineage.parent": "",
-    "lineage.kind": "",
-    "lineage.birth_time": "s",
-    "lineage.death_time": "s",
-    "lineage.end_time": "s",
-    "lineage.end": "",
-}
+    **{f"lineage.{event}_time": "s" for event in ("birth", "death", "end")},
+    **{f"lineage.{name}": "" for name in ("id", "parent", "kind", "end")},
+    **{f"contacts.{name}": "" for name in ("frame", "first_id", "second_id")},
+    "cells.frame": "",
+}  # fmt: skip
 """Unit by name; the columns of ``cells`` that are not here are those of :class:`Cells`."""
 
 ABSENT: Final[Mapping[str, str]] = {
@@ -110,18 +93,12 @@ def _patterns() -> list[tuple[re.Pattern[str], str]]:
 def unit_of(name: str) -> str:
     """Return the unit of a number by its name, ``""`` for a count, a ratio or a text.
 
-    Parameters
-    ----------
-    name
-        Of a column of the history (``"hypoxic_radius_oxygen"``), of an entry of the summary with
-        dots (``"ledger.oxygen.inflow"``), or of a column of a table with the table's name
-        (``"cells.radius"``). One of the user's own that has several units in this process has none
-        here.
+    - ``name``: of a column of the history (``"hypoxic_radius_oxygen"``), of an entry of the summary
+      with dots (``"ledger.oxygen.inflow"``), or of a column of a table with the table's name
+      (``"cells.radius"``). One of the user's own that has several units in this process has none
+      here.
 
-    Raises
-    ------
-    KeyError
-        If the name is not declared.
+    Raises KeyError if the name is not declared.
     """
     if name in UNITS:
         return UNITS[name]
@@ -165,10 +142,7 @@ def known_unit(name: str) -> str:
 def units_of(summary: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     """Return the units of all entries of a summary that have one, by their dotted names.
 
-    Raises
-    ------
-    KeyError
-        If the name of a number is not declared.
+    Raises KeyError if the name of a number is not declared.
     """
     units: dict[str, str] = {}
     for name, value in summary.items():

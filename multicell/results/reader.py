@@ -40,28 +40,18 @@ class _Rows(NamedTuple):
 class Contents:
     """The contents of a result folder: ``frames.h5``, and the journal of what came after.
 
-    Attributes
-    ----------
-    folder : Path
-    scene : str
-        Text of the scene that was run.
-    nutrients : tuple of str
-    places : list
-        One entry for each frame.
-    columns : tuple of str
-        Of the history.
-    file : hdf5.File or None
-    journal : journal.Reader or None
-        None also where the journal is part of ``frames.h5`` already.
-    identity : str
-        Of the journal, or an empty string.
-    damage : str or None
-        What ends the frames and the history early, in words.
+    - ``folder``, Path
+    - ``scene``, str: text of the scene that was run
+    - ``nutrients``, tuple of str
+    - ``places``, list: one entry for each frame
+    - ``columns``, tuple of str: of the history
+    - ``file``, hdf5.File or None
+    - ``journal``, journal.Reader or None: None also where the journal is part of ``frames.h5``
+      already
+    - ``identity``, str: of the journal, or an empty string
+    - ``damage``, str or None: what ends the frames and the history early, in words
 
-    Raises
-    ------
-    OutputError
-        If there are no results that this version can read.
+    Raises OutputError if there are no results that this version can read.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -209,10 +199,7 @@ class Contents:
     def frame(self, place: int) -> Frame:
         """Return a frame.
 
-        Raises
-        ------
-        OutputError
-            If it is damaged; the text says which frame before it can still be read.
+        Raises OutputError if it is damaged; the text says which frame before it can still be read.
         """
         try:
             return frame_of(self.places[place].arrays(), self.nutrients)
@@ -232,13 +219,7 @@ class Contents:
         return "No frame before it can be read"
 
     def lineage(self, place: int) -> Lineage:
-        """Return the lineage up to a frame.
-
-        Raises
-        ------
-        OutputError
-            If it is damaged.
-        """
+        """Return the lineage up to a frame; raises OutputError if it is damaged."""
         paths = [f"{log}/{name}" for log, columns in COLUMNS.items() for name in columns]
         parts = [entry.log() for entry in self.places[: place + 1]]
         return lineage_of({path: np.concatenate([part[path] for part in parts]) for path in paths})
@@ -246,10 +227,7 @@ class Contents:
     def history(self, rows: int | None = None) -> dict[str, NDArray[np.float64]]:
         """Return the first rows of the history, by default all, by column.
 
-        Raises
-        ------
-        OutputError
-            If they are damaged.
+        Raises OutputError if they are damaged.
         """
         wanted = self.rows if rows is None else rows
         parts: list[dict[str, Any]] = [dict.fromkeys(self.columns, np.empty(0))]
@@ -264,10 +242,8 @@ class Contents:
     def whole(self) -> None:
         """Refuse results of which a part cannot be read any more.
 
-        Raises
-        ------
-        OutputError
-            If the journal ends in a damaged record; the text says what can still be read.
+        Raises OutputError if the journal ends in a damaged record; the text says what can still be
+        read.
         """
         if self.damage is not None:
             count = len(self.places)
@@ -287,10 +263,8 @@ class Frames(Sequence[Frame]):
     Supports ``len``, integer indices (negative ones too), slices (lists of frames) and
     iteration. The frames are those that were on disk when the object was made.
 
-    Attributes
-    ----------
-    damage : str or None
-        What ends the frames early, in words; None where all of them are there.
+    - ``damage``, str or None: what ends the frames early, in words; None where all of them are
+      there
     """
 
     def __init__(self, contents: Contents) -> None:

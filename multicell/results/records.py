@@ -22,8 +22,7 @@ from multicell.results.lineage import COLUMNS, Lineage
 
 Arrays = dict[str, NDArray[Any]]
 
-UNIT: Final = "mM"
-"""Unit of all fields and concentrations."""
+UNIT: Final = "mM"  # unit of all fields and concentrations
 
 
 @final
@@ -62,11 +61,8 @@ _MAX_DEPTH: Final = 32
 def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
     """Return a frame as arrays, always in the same order.
 
-    Raises
-    ------
-    ValueError
-        If the frame's nutrients are not those of the scene, or the number of concentrations is
-        not the number of cells.
+    Raises ValueError if the frame's nutrients are not those of the scene, or the number of
+    concentrations is not the number of cells.
     """
     names = sorted(nutrients)
     if sorted(frame.concentrations) != names:
@@ -106,13 +102,7 @@ def _of_field(field: Field) -> Arrays:
 
 
 def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Frame:
-    """Return the frame that arrays describe.
-
-    Raises
-    ------
-    OutputError
-        If they do not describe one.
-    """
+    """Return the frame that arrays describe; raises OutputError if they do not describe one."""
     names = sorted(nutrients)
     try:
         found = {
@@ -177,10 +167,7 @@ def resume_obstacle(frame: Frame) -> str:
 def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
     """Return what a run needs to be resumed, or None if nothing was noted.
 
-    Raises
-    ------
-    OutputError
-        If the text is no such record.
+    Raises OutputError if the text is no such record.
     """
     if not text:
         return None
@@ -222,11 +209,8 @@ def _has_keys(name: str, value: Any, nutrients: set[str]) -> bool:
 def parse_table(text: bytes | str) -> dict[str, Any]:
     """Return a JSON table.
 
-    Raises
-    ------
-    OutputError
-        If the text is none, or holds what no table of ours does: numbers of thousands of digits,
-        hundreds of levels.
+    Raises OutputError if the text is none, or holds what no table of ours does: numbers of
+    thousands of digits, hundreds of levels.
     """
     try:
         value = json.loads(text)
@@ -259,10 +243,7 @@ def log_arrays(lineage: Lineage | None, begin: Mapping[str, int]) -> Arrays:
 def lineage_of(arrays: Mapping[str, NDArray[Any]]) -> Lineage:
     """Return the lineage whose logs are these arrays.
 
-    Raises
-    ------
-    OutputError
-        If they contradict each other.
+    Raises OutputError if they contradict each other.
     """
     logs = {
         log: {name: arrays[f"{log}/{name}"] for name in columns} for log, columns in COLUMNS.items()

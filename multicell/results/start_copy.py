@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from multicell.results.folder import write_bytes
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 
 def with_copy(scene: Scene, folder: Path) -> Scene:
@@ -17,12 +14,8 @@ def with_copy(scene: Scene, folder: Path) -> Scene:
 
     A scene without a table is returned as it is.
 
-    Raises
-    ------
-    SceneError
-        If the table has changed since the scene was made, or is not there any more.
-    OutputError
-        If the copy cannot be written.
+    Raises SceneError if the table has changed since the scene was made, or is not there any more;
+    OutputError if the copy cannot be written.
     """
     table = scene.initial.cells
     if table is None:

@@ -16,8 +16,7 @@ from multicell.cells import Cells, FloatArray
 from multicell.results.coding import decode, encode
 from multicell.results.records import FIELD, Arrays
 
-Ends = Mapping[str, NDArray[np.int64]]
-"""Path of a data set of offsets -> its values, (k + 1,)."""
+Ends = Mapping[str, NDArray[np.int64]]  # path of a data set of offsets -> its values, (k + 1,)
 
 
 class Source(Protocol):
@@ -55,10 +54,7 @@ def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
 def read_frame(file: Source, place: int, nutrients: Iterable[str], ends: Ends) -> Arrays:
     """Return the arrays of a frame, in the order in which a journal has them.
 
-    Raises
-    ------
-    ValueError, IndexError, KeyError
-        If the data sets contradict each other.
+    Raises ValueError, IndexError, KeyError if the data sets contradict each other.
     """
     names = list(nutrients)
     columns = [*Cells.schema(), *(f"concentration_{name}" for name in names)]

@@ -23,12 +23,8 @@ __all__ = ["counts_contacts", "history_row", "remembers_contacts", "run_summary"
 def history_row(scene: Scene, frame: Frame, **found: float) -> dict[str, float]:
     """Return one row of a run's history as floats; NaN where a number does not exist.
 
-    Parameters
-    ----------
-    scene, frame
-        The run, and its state.
-    **found
-        Further columns: what the coupling step has found.
+    - ``scene``, ``frame``: the run, and its state
+    - ``**found``: further columns: what the coupling step has found
     """
     state = TissueState(frame, scene)
     row = {"time": frame.time, "step": float(frame.step)}
@@ -70,18 +66,12 @@ def run_summary(
 
     A number that does not exist (the viable rim without a core) is None.
 
-    Parameters
-    ----------
-    scene
-    frame
-        With its progress.
-    ledgers : field -> name -> amount in amol, or a ratio
-    fields, remarks
-        What each field lives on, and remarks on fields that do not fit; see
-        :meth:`multicell.nutrient.fields.Feeding.fitness`.
-    wall : phase -> s
-    threads
-        Number of threads.
+    - ``frame``: with its progress
+    - ``ledgers``, field -> name -> amount in amol, or a ratio
+    - ``fields``, ``remarks``: what each field lives on, and remarks on fields that do not fit; see
+      :meth:`multicell.nutrient.fields.Feeding.fitness`
+    - ``wall``, phase -> s
+    - ``threads``: number of threads
     """
     from multicell.scene.packing import packing_notes
 

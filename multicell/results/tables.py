@@ -42,14 +42,8 @@ def cells_table(
 ) -> dict[str, NDArray[Any]]:
     """Return the cells of a frame, one row each, with what is stored of them.
 
-    Parameters
-    ----------
-    frame
-        The frame.
-    kinds
-        Names of the types by number; absent: the numbers.
-    phases
-        Whether there are phases of the cycle, whose columns are left out otherwise.
+    - ``kinds``: names of the types by number; absent: the numbers
+    - ``phases``: whether there are phases of the cycle, whose columns are left out otherwise
     """
     table: dict[str, NDArray[Any]] = {}
     for name, column, unit in cell_columns(frame):
@@ -68,13 +62,7 @@ def cells_table(
 
 
 def data_frame(table: Mapping[str, NDArray[Any]]) -> DataFrame:
-    """Return a table as pandas' ``DataFrame``.
-
-    Raises
-    ------
-    MissingPackage
-        If pandas is not installed.
-    """
+    """Return a table as pandas' ``DataFrame``; raises MissingPackage if pandas is not installed."""
     needs("pandas")
     import pandas
 

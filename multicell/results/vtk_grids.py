@@ -23,10 +23,7 @@ _LATITUDES, _LONGITUDES = 12, 24  # of the boxes that a shell is cut into
 def blocks(frame: Frame, types: Sequence[str] = ()) -> MultiBlock:
     """Return the cells and the fields of a frame by name: ``"cells"``, then those of the fields.
 
-    Raises
-    ------
-    MissingPackage
-        If pyvista is not installed.
+    Raises MissingPackage if pyvista is not installed.
     """
     parts: dict[str, Any] = {"cells": cells_points(frame, types)}
     parts |= {name: field_grid(field) for name, field in frame.fields.items()}
@@ -41,17 +38,9 @@ def cells_points(frame: Frame, types: Sequence[str] = ()) -> PolyData:
     Quantities are named with their units (``radius_um``). States, phases and types are numbers,
     as ParaView colours by numbers; what they mean stands in ``state_names`` and so on.
 
-    Parameters
-    ----------
-    frame
-        The frame.
-    types
-        Names of the types by their numbers.
+    - ``types``: names of the types by their numbers
 
-    Raises
-    ------
-    MissingPackage
-        If pyvista is not installed.
+    Raises MissingPackage if pyvista is not installed.
     """
     needs("pyvista")
     import pyvista
@@ -74,14 +63,9 @@ def field_grid(field: Field) -> Any:
     Cubes (and squares, as high as their layer) are those of the field; a shell is cut into boxes
     along latitudes and longitudes that all have its value.
 
-    Returns
-    -------
-    pyvista.ImageData or pyvista.UnstructuredGrid
+    Returns pyvista.ImageData or pyvista.UnstructuredGrid.
 
-    Raises
-    ------
-    MissingPackage
-        If pyvista is not installed.
+    Raises MissingPackage if pyvista is not installed.
     """
     needs("pyvista")
     import pyvista

@@ -43,7 +43,7 @@ import uuid
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self, final
+from typing import Any, Final, Self, final
 
 import numpy as np
 
@@ -68,11 +68,8 @@ from multicell.results.lineage import COLUMNS, Lineage
 from multicell.results.reader import Contents
 from multicell.results.records import Arrays, arrays_of, log_arrays
 from multicell.results.start_copy import with_copy
+from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
-
 
 _OF_THE_START: Final = ("scene.toml", *COPIES)
 _HISTORY_EVERY: Final = 1.0  # s of the wall clock
@@ -106,20 +103,12 @@ class Store:
     def create(cls, folder: str | Path, scene: Scene, overwrite: bool = False) -> Self:
         """Prepare the folder, write ``scene.toml`` and begin an empty journal.
 
-        Parameters
-        ----------
-        folder
-            Output folder; from now on no other run may write to it.
-        scene
-            The scene of the run; it says which nutrients the frames have.
-        overwrite
-            Remove the files of an earlier run first.
+        - ``folder``: output folder; from now on no other run may write to it
+        - ``scene``: the scene of the run; it says which nutrients the frames have
+        - ``overwrite``: remove the files of an earlier run first
 
-        Raises
-        ------
-        OutputError
-            If the folder cannot be used (:func:`multicell.results.folder.make_folder`), or a run
-            uses it.
+        Raises OutputError if the folder cannot be used
+        (:func:`multicell.results.folder.make_folder`), or a run uses it.
         """
         folder = make_folder(folder, overwrite=overwrite)
         with ExitStack() as stack:
@@ -144,16 +133,10 @@ class Store:
         What came after the frame, and files that describe the end of the earlier run, do not
         count any more once this returns; until then nothing is lost.
 
-        Parameters
-        ----------
-        contents
-            Of the folder.
-        place
-            Number of the frame.
-        rows
-            How many rows of the history came up to it.
-        scene
-            The scene to continue with.
+        - ``contents``: of the folder
+        - ``place``: number of the frame
+        - ``rows``: how many rows of the history came up to it
+        - ``scene``: the scene to continue with
         """
         folder, names = contents.folder, contents.nutrients
         lineage = contents.lineage(place)
@@ -193,17 +176,10 @@ class Store:
     def append(self, frame: Frame, lineage: Lineage | None = None) -> None:
         """Write a frame to disk.
 
-        Parameters
-        ----------
-        frame
-        lineage
-            Of the run up to the frame; what is not on disk yet is written.
+        - ``lineage``: of the run up to the frame; what is not on disk yet is written
 
-        Raises
-        ------
-        ValueError
-            If the frame's nutrients are not those of the scene, or the number of
-            concentrations is not the number of cells.
+        Raises ValueError if the frame's nutrients are not those of the scene, or the number of
+        concentrations is not the number of cells.
         """
         self._add(arrays_of(frame, self._nutrients), log_arrays(lineage, self._logged), sync=True)
 
@@ -236,10 +212,7 @@ class Store:
 
         It is on disk with the next frame, or after a second.
 
-        Raises
-        ------
-        ValueError
-            If a later row has other columns.
+        Raises ValueError if a later row has other columns.
         """
         if not self._columns:
             self._columns = tuple(sorted(row))  # as they come back from HDF5
@@ -259,10 +232,7 @@ class Store:
     def settle(self) -> None:
         """Make one file ``frames.h5`` of all that there is.
 
-        Raises
-        ------
-        OutputError
-            If that cannot be written. Everything then stays readable in the journal.
+        Raises OutputError if that cannot be written. Everything then stays readable in the journal.
         """
         self.flush()
         self._journal.sync()

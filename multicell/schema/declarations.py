@@ -470,10 +470,8 @@ def tables(
 def parameters(cls: type[T]) -> type[T]:
     """Make a frozen dataclass, with keyword arguments only, that converts and checks its fields.
 
-    Raises
-    ------
-    TypeError
-        At declaration, for a field that is not declared by one of this module's functions.
+    Raises TypeError at declaration, for a field that is not declared by one of this module's
+    functions.
     """
     cls.__post_init__ = convert_fields  # type: ignore[attr-defined]
     made = dataclass(frozen=True, kw_only=True)(cls)

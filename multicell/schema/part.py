@@ -25,36 +25,22 @@ V = TypeVar("V")
 class Parameter:
     """The declaration of a field of a part; found with :func:`specs`.
 
-    Attributes
-    ----------
-    convert
-        Turns a given value and its path into the stored value, or raises ``SceneError``.
-    plain
-        Turns the stored value into numbers, strings and dicts that ``convert`` accepts.
-    unit
-        Base unit of a quantity, else empty.
-    allowed
-        The allowed range or names in words, else empty.
-    doc
-        What the parameter means.
-    shorthand
-        The key of a table that a bare string in the table's place stands for, else empty.
-    table
-        The class of a table, else None.
-    kind
-        Name of the function that declared it, such as ``"quantity"``.
-    bounds
-        The interval of its numbers.
-    options
-        The names that are allowed; of a variant the names of its parts.
-    parts
-        The parts of a variant by name.
-    key, usual
-        The key of a variant that says which part it is, and what it is without the key.
-    further
-        A regular expression for names beyond the options, else empty.
-    listed
-        How the tables of a list are named that may stand for named tables, else empty.
+    - ``convert``: turns a given value and its path into the stored value, or raises ``SceneError``
+    - ``plain``: turns the stored value into numbers, strings and dicts that ``convert`` accepts
+    - ``unit``: base unit of a quantity, else empty
+    - ``allowed``: the allowed range or names in words, else empty
+    - ``doc``: what the parameter means
+    - ``shorthand``: the key of a table that a bare string in the table's place stands for, else
+      empty
+    - ``table``: the class of a table, else None
+    - ``kind``: name of the function that declared it, such as ``"quantity"``
+    - ``bounds``: the interval of its numbers
+    - ``options``: the names that are allowed; of a variant the names of its parts
+    - ``parts``: the parts of a variant by name
+    - ``key``, ``usual``: the key of a variant that says which part it is, and what it is without
+      the key
+    - ``further``: a regular expression for names beyond the options, else empty
+    - ``listed``: how the tables of a list are named that may stand for named tables, else empty
     """
 
     convert: Callable[[Any, str], Any]
@@ -113,21 +99,13 @@ def specs(part: Any) -> dict[str, Parameter]:
 def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = ()) -> T:
     """Return a part made from a table.
 
-    Parameters
-    ----------
-    part
-        A class made by :func:`parameters`.
-    value
-        Mapping of keys to values, as read from TOML.
-    path
-        Where the table stands, as dotted keys.
-    also
-        Keys that the caller has taken out already, for the list of allowed keys.
+    - ``part``: a class made by :func:`parameters`
+    - ``value``: mapping of keys to values, as read from TOML
+    - ``path``: where the table stands, as dotted keys
+    - ``also``: keys that the caller has taken out already, for the list of allowed keys
 
-    Raises
-    ------
-    SceneError
-        For an unknown or missing key and for any value that is refused, with its full path.
+    Raises SceneError for an unknown or missing key and for any value that is refused, with its full
+    path.
     """
     entries = mapping(value, path)
     known = specs(part)

@@ -13,16 +13,14 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml
+from multicell.scene.scene import Scene
 from multicell.studies.keys import Key, key_of
 from multicell.studies.limits import MAX_POINTS
 from multicell.units import shown
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 QUANTITY: Final = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*", re.DOTALL)
@@ -40,18 +38,11 @@ _RANGES: Final = (*_NUMERIC, "quantities", "course")
 class Axis:
     """Values along one dimension.
 
-    Attributes
-    ----------
-    key
-        Dotted key of a scene, ``"nutrients.oxygen.boundary"``.
-    values
-        As :meth:`Scene.with_changes` takes them: ``"0.07 mM"``, ``5``, ``"jkr"``.
-    unit
-        Base unit of the key, empty for counts and words.
-    numbers
-        The values in base units; None where one of them is a word.
-    name
-        Of the dimension: the last part of the key, or as much of it as makes it unique.
+    - ``key``: dotted key of a scene, ``"nutrients.oxygen.boundary"``
+    - ``values``: as :meth:`Scene.with_changes` takes them: ``"0.07 mM"``, ``5``, ``"jkr"``
+    - ``unit``: base unit of the key, empty for counts and words
+    - ``numbers``: the values in base units; None where one of them is a word
+    - ``name``: of the dimension: the last part of the key, or as much of it as makes it unique
     """
 
     key: str
@@ -71,20 +62,12 @@ class Axis:
 class Range:
     """The range of a free parameter.
 
-    Attributes
-    ----------
-    key
-        Dotted key of a scene.
-    low, high
-        Ends in base units, ``low < high``.
-    unit
-        Base unit of the key, empty for numbers without.
-    log
-        Whether equal ratios count the same.
-    name
-        Short name, as of an :class:`Axis`.
-    whole
-        Whether only whole numbers are allowed.
+    - ``key``: dotted key of a scene
+    - ``low``, ``high``: ends in base units, ``low < high``
+    - ``unit``: base unit of the key, empty for numbers without
+    - ``log``: whether equal ratios count the same
+    - ``name``: short name, as of an :class:`Axis`
+    - ``whole``: whether only whole numbers are allowed
     """
 
     key: str
@@ -126,22 +109,13 @@ def parse_axis(
 ) -> Axis:
     """Return the axis that a text or a list of values describes.
 
-    Parameters
-    ----------
-    key
-        Dotted key of the scene.
-    text
-        As typed behind ``--vary``, or the values as :meth:`Scene.with_changes` takes them.
-    scene
-        The scene that is varied.
-    repeated
-        Whether a value may be there twice, as in a column of a table.
+    - ``key``: dotted key of the scene
+    - ``text``: as typed behind ``--vary``, or the values as :meth:`Scene.with_changes` takes them
+    - ``scene``: the scene that is varied
+    - ``repeated``: whether a value may be there twice, as in a column of a table
 
-    Raises
-    ------
-    SceneError
-        For a key that the scene does not have, no values, a value twice and one that the key
-        cannot have.
+    Raises SceneError for a key that the scene does not have, no values, a value twice and one that
+    the key cannot have.
     """
     found = key_of(scene, key)
     given = _listed(found, text) if isinstance(text, str) else _sequence(found, text)
@@ -160,20 +134,13 @@ def parse_axis(
 def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:
     """Return the range that a text or two (or with ``"log"`` three) values describe.
 
-    Parameters
-    ----------
-    key
-        Dotted key of the scene.
-    text
-        ``"8:25 h"``, ``"log 1e-3:1 1/s"``, or ``("8 h", "25 h")`` and ``(1e-3, 1.0, "log")``.
-    scene
-        The scene that is varied.
+    - ``key``: dotted key of the scene
+    - ``text``: ``"8:25 h"``, ``"log 1e-3:1 1/s"``, or ``("8 h", "25 h")`` and ``(1e-3, 1.0,
+      "log")``
+    - ``scene``: the scene that is varied
 
-    Raises
-    ------
-    SceneError
-        For a key that the scene does not have or that is no number, for anything but two ends of
-        which the first is lower, and for ends that the key cannot have.
+    Raises SceneError for a key that the scene does not have or that is no number, for anything but
+    two ends of which the first is lower, and for ends that the key cannot have.
     """
     found = key_of(scene, key)
     if not is_numeric(found):
@@ -197,10 +164,7 @@ def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:
 def parse_ranges(free: Mapping[str, Any], scene: Scene) -> tuple[Range, ...]:
     """Return the ranges of free parameters; that they go together is for :func:`check_ranges`.
 
-    Raises
-    ------
-    SceneError
-        If there are none, or one of them is none.
+    Raises SceneError if there are none, or one of them is none.
     """
     if not free:
         raise SceneError("free", "names no parameter", "For example drag.viscosity='1:10 kPa s'.")
@@ -370,11 +334,8 @@ def _example(key: Key) -> str:
 def check_ranges(scene: Scene, ranges: Sequence[Range]) -> None:
     """Refuse ranges that do not fit to a scene.
 
-    Raises
-    ------
-    SceneError
-        For a key without effect, and for an end of a range that the scene refuses whatever the
-        other ranges are at, with the key.
+    Raises SceneError for a key without effect, and for an end of a range that the scene refuses
+    whatever the other ranges are at, with the key.
     """
     from multicell.studies.ineffective import refuse_ineffective
 
@@ -392,10 +353,7 @@ def _ends_of(free: Range) -> tuple[Any, Any]:
 def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Range]) -> Scene:
     """Return the scene with changes and other parameters at the low or the high ends.
 
-    Raises
-    ------
-    SceneError
-        If it is refused wherever the others are.
+    Raises SceneError if it is refused wherever the others are.
     """
     refused: SceneError | None = None
     for place in (0, 1):
@@ -411,10 +369,7 @@ def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Range]
 def change(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     """Return a scene with other values, or say with which it is refused.
 
-    Raises
-    ------
-    SceneError
-        With the path of what is refused and all the changes.
+    Raises SceneError with the path of what is refused and all the changes.
     """
     first = {key: changes[key] for key in _FIRST if key in changes}
     try:

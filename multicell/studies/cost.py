@@ -25,12 +25,8 @@ NAME: Final = "expected.json"
 class Cost:
     """What a run is expected to take.
 
-    Attributes
-    ----------
-    seconds
-        Wall time on one core, without compilation.
-    memory, disk : bytes
-        Of the process at its largest; of the run's folder.
+    - ``seconds``: wall time on one core, without compilation
+    - ``memory``, ``disk``, bytes: of the process at its largest; of the run's folder
     """
 
     seconds: float
@@ -43,16 +39,10 @@ class Cost:
 class StudyCost:
     """What several runs are expected to take together.
 
-    Attributes
-    ----------
-    runs
-        How many there are.
-    core_seconds
-        Sum of their wall times on one core, s.
-    seconds
-        Wall time on so many cores, s; not below that of the longest run.
-    memory, disk : bytes
-        Of as many of the largest runs as there are cores; of all runs.
+    - ``runs``: how many there are
+    - ``core_seconds``: sum of their wall times on one core, s
+    - ``seconds``: wall time on so many cores, s; not below that of the longest run
+    - ``memory``, ``disk``, bytes: of as many of the largest runs as there are cores; of all runs
     """
 
     runs: int
@@ -90,11 +80,7 @@ def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
     It is predicted for some hundred points at most; others are expected to take what one beside
     them does.
 
-    Parameters
-    ----------
-    plan
-    folder
-        Of the study; what is found is kept there for the next time.
+    - ``folder``: of the study; what is found is kept there for the next time
     """
     known = {} if folder is None else _read_known(folder / NAME)
     names = plan.names[:: plan.seeds]

@@ -12,9 +12,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import DataError, SceneError
+from multicell.scene.scene import Scene
 from multicell.studies.axes import Axis, Range, parse_axis, parse_range, with_unique_names
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_runs
@@ -22,14 +23,9 @@ from multicell.tables.fields import Table, read_table
 from multicell.tables.titles import split_title
 from multicell.units import shown
 
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
-
 DESIGNS: Final = ("grid", "list", "lhs", "sobol")
-SAMPLED: Final = ("lhs", "sobol")
-"""Designs that draw a number of points from ranges."""
-_MAX_BYTES: Final = 20_000_000
-"""Of a table of points: 1,000 for each of as many as there may be."""
+SAMPLED: Final = ("lhs", "sobol")  # designs that draw a number of points from ranges
+_MAX_BYTES: Final = 20_000_000  # of a table of points: 1,000 for each of as many as there may be
 
 
 @final
@@ -37,12 +33,8 @@ _MAX_BYTES: Final = 20_000_000
 class Point:
     """One point of a design.
 
-    Attributes
-    ----------
-    changes
-        Dotted key -> value, as :meth:`Scene.with_changes` takes them.
-    coordinates
-        Axis name -> number in base units, or word.
+    - ``changes``: dotted key -> value, as :meth:`Scene.with_changes` takes them
+    - ``coordinates``: axis name -> number in base units, or word
     """
 
     changes: Mapping[str, Any]
@@ -57,17 +49,11 @@ class Point:
 class Design:
     """What is varied, and how.
 
-    Attributes
-    ----------
-    kind
-        One of :data:`DESIGNS`.
-    axes
-        Of a grid, the last one running fastest; axes and ranges of samples; of a list its
-        columns, all of one length.
-    size
-        Number of points of a sample, else 0.
-    sample_seed
-        Of a sample's random numbers.
+    - ``kind``: one of :data:`DESIGNS`
+    - ``axes``: of a grid, the last one running fastest; axes and ranges of samples; of a list its
+      columns, all of one length
+    - ``size``: number of points of a sample, else 0
+    - ``sample_seed``: of a sample's random numbers
     """
 
     kind: str = "grid"
@@ -85,9 +71,7 @@ class Design:
 def check_form(design: Design) -> None:
     """Refuse a design whose parts do not go together, or that has too many points.
 
-    Raises
-    ------
-    SceneError
+    Raises SceneError.
     """
     if design.kind not in DESIGNS:
         from multicell.schema import near_miss
@@ -203,10 +187,7 @@ def parse_axis_or_range(key: str, given: Any, scene: Scene, sampled: bool = Fals
     A text is a range where it has one colon (``"8:25 h"``), else it lists values; a tuple is one
     where points are sampled.
 
-    Raises
-    ------
-    SceneError
-        As :func:`parse_axis` and :func:`parse_range`.
+    Raises SceneError as :func:`parse_axis` and :func:`parse_range`.
     """
     if isinstance(given, Axis | Range):
         return given
@@ -232,11 +213,8 @@ def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
     [mM]`` or ``nutrients.oxygen.boundary / mM``; where there is none the values have units of their
     own, or are numbers without. Lines that begin with ``#`` are remarks.
 
-    Raises
-    ------
-    SceneError
-        For a file that cannot be read, a column without a key or unit, a row of another length and
-        a value that its key cannot have, with the line.
+    Raises SceneError for a file that cannot be read, a column without a key or unit, a row of
+    another length and a value that its key cannot have, with the line.
     """
     try:
         table = read_table(path, _MAX_BYTES)

@@ -50,38 +50,22 @@ def carry_out(
     folders, others continue from their last frame, with the same bits. Several processes may do it
     at the same time; each waits in the end for the runs that others do.
 
-    Parameters
-    ----------
-    runs
-        Those of equal names are one.
-    folder
-        Of the study; runs are in ``runs/<name>`` there.
-    cores, scheduler
-        As in :func:`multicell.studies.workers.workers`.
-    retry
-        Whether to try runs again that failed for what their scenes are, and to compute those anew
-        whose folders are damaged. Runs that failed for another reason, such as a full disk, are
-        tried again in any case.
-    progress
-        Called with each outcome once, in the order in which they come; with those that are known
-        from before first.
+    - ``runs``: those of equal names are one
+    - ``folder``: of the study; runs are in ``runs/<name>`` there
+    - ``cores``, ``scheduler``: as in :func:`multicell.studies.workers.workers`
+    - ``retry``: whether to try runs again that failed for what their scenes are, and to compute
+      those anew whose folders are damaged. Runs that failed for another reason, such as a full
+      disk, are tried again in any case.
+    - ``progress``: called with each outcome once, in the order in which they come; with those that
+      are known from before first
 
-    Returns
-    -------
-    list of Outcome
-        In the order of ``runs``.
+    Returns list of Outcome: in the order of ``runs``.
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be used.
-    SceneError, MissingPackage, ClusterError
-        As :func:`multicell.studies.workers.workers` and, for workers that do not see the folder,
-        :func:`multicell.studies.workers.check_folder`: before anything runs. ``ClusterError`` with
-        exit code 1 if the scheduler is lost later on.
-    KeyboardInterrupt
-        After Ctrl-C, once all runs have ended between two steps; all that they have is kept. A
-        second one ends them at once.
+    Raises OutputError if the folder cannot be used; SceneError, MissingPackage, ClusterError as
+    :func:`multicell.studies.workers.workers` and, for workers that do not see the folder,
+    :func:`multicell.studies.workers.check_folder`: before anything runs. ``ClusterError`` with exit
+    code 1 if the scheduler is lost later on; KeyboardInterrupt after Ctrl-C, once all runs have
+    ended between two steps; all that they have is kept. A second one ends them at once.
     """
     folder = Path(folder).absolute()
     with file_errors("use the folder", folder):

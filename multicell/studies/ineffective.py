@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene.responses import effects
+from multicell.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
-
-Reason = Callable[..., str]
-"""Says why a key has no effect in a scene, or nothing where it has one. It gets the scene, and the
-names that stand for the stars of the rule's key."""
+Rule = tuple[Callable[..., Any], str]
+"""What holds where a key has no effect, and that in words. Both get the scene, and the names that
+stand for the stars of the key."""
 
 
 def no_effect(scene: Scene, key: str) -> str:
@@ -28,10 +26,11 @@ def no_effect(scene: Scene, key: str) -> str:
     The reason follows from the other keys alone; whether a run ever gets to where a key matters is
     for the run to show.
     """
-    for pattern, reason in _RULES:
+    for pattern, rules in _PATTERNS:
         match = pattern.fullmatch(key)
         if match is not None:
-            return reason(scene, *match.groups())
+            holding = (words for holds, words in rules if holds(scene, *match.groups()))
+            return next(holding, "").format(*match.groups(), method=scene.integrator.method)
     return ""
 
 
@@ -40,17 +39,11 @@ def refuse_ineffective(
 ) -> None:
     """Refuse keys that have no effect in a scene, or in some of several.
 
-    Parameters
-    ----------
-    scenes
-        What sets each of them apart (key -> value), and the scene.
-    keys
-        What is varied.
+    - ``scenes``: what sets each of them apart (key -> value), and the scene
+    - ``keys``: what is varied
 
-    Raises
-    ------
-    SceneError
-        With the key, the reason, and where only some of the scenes are concerned in which.
+    Raises SceneError with the key, the reason, and where only some of the scenes are concerned in
+    which.
     """
     found: dict[str, tuple[str, Mapping[str, Any]]] = {}
     effective = set()
@@ -70,109 +63,97 @@ def refuse_ineffective(
         raise SceneError(key, f"has no effect where {where}: {reason}", hint)
 
 
-def _if(condition: Any, reason: str) -> str:
-    """Return a reason where a condition holds, else nothing."""
-    return reason if condition else ""
-
-
-def _integrator_step(scene: Scene) -> str:
-    """Say that a method chooses its steps."""
+def _controlled(scene: Scene) -> bool:
+    """Return whether a known method chooses its steps."""
     info = METHODS.get(scene.integrator.method)
-    chooses = info is not None and info.control != "step"
-    return _if(chooses, f"the method {scene.integrator.method!r} chooses its steps")
+    return info is not None and info.control != "step"
 
 
-def _integrator_setting(scene: Scene, name: str) -> str:
-    """Say that a method does not have a setting."""
+def _lacks(scene: Scene, name: str) -> bool:
+    """Return whether a known method does not have a setting."""
     info = METHODS.get(scene.integrator.method)
-    absent = info is not None and name != "method" and name not in info.settings
-    return _if(absent, f"the method {scene.integrator.method!r} has no {name}")
-
-
-def _necrosis(scene: Scene) -> str:
-    """Say that no cell starves."""
-    starve = _responds(scene, "necrosis rate")
-    return _if(not starve, "neither a nutrient nor ATP has a threshold of necrosis")
+    return info is not None and name != "method" and name not in info.settings
 
 
 def _responds(scene: Scene, behaviour: str) -> bool:
+    """Return whether anything changes a behaviour."""
     return any(effect.behaviour == behaviour for effect in effects(scene))
 
 
-def _apoptosis(scene: Scene) -> str:
+def _never_starves(scene: Scene) -> bool:
+    """Return whether no cell can become necrotic."""
+    return not _responds(scene, "necrosis rate")
+
+
+def _never_by_apoptosis(scene: Scene) -> bool:
+    """Return whether no cell dies by apoptosis."""
     assert scene.death is not None
-    none = scene.death.apoptosis_rate == 0.0 and not _responds(scene, "apoptosis rate")
-    return _if(none, "death.apoptosis_rate is 0")
+    return scene.death.apoptosis_rate == 0.0 and not _responds(scene, "apoptosis rate")
 
 
-def _swelling(scene: Scene) -> str:
-    assert scene.death is not None
-    none = scene.death.swelling == 1.0
-    return _necrosis(scene) or _if(none, "dead cells do not swell (death.swelling = 1)")
+def _scheduled(scene: Scene, field: str) -> bool:
+    """Return whether the medium of a field is given from the start on."""
+    media, finite = scene.nutrients[field].media, scene.nutrients[field].finite_medium
+    return bool(media) and media[0][0] <= 0.0 and finite is None  # type: ignore[index]
 
 
-def _boundary(scene: Scene, field: str) -> str:
-    nutrient = scene.nutrients[field]
-    scheduled = nutrient.media and nutrient.media[0][0] <= 0.0 and nutrient.finite_medium is None
-    return _if(scheduled, "'media' says what the medium is from the start on")
-
-
-def _cycle(s: Any) -> str:
-    return _if(s.growth.phases, "the phases of the cycle say how long it lasts")
-
-
-def _no_phases(s: Any) -> str:
-    return _if(not s.growth.phases, "the cycle has no phases")
-
-
-def _one_cell(s: Any) -> str:
-    return _if(s.initial.count == 1, "there is one cell at the start")
-
-
-def _steady(s: Any, field: str) -> str:
-    return _if(s.nutrients[field].regime == "steady", "the field is steady")
-
-
-_KEYS: Final[Mapping[str, Reason]] = {
-    "growth.cycle_time": _cycle,
-    "growth.cycle_variation": _cycle,
-    "growth.division": _no_phases,
-    "growth.restriction": _no_phases,
-    "growth.phases.*.variation": lambda s, name: _if(
-        s.growth.phases[name].distribution == "fixed", "the phase has a fixed duration"
-    ),
-    "coupling_tolerance": lambda s: _if(s.coupling_step != "auto", "coupling_step is not 'auto'"),
-    "integrator.step": _integrator_step,
-    "integrator.*": _integrator_setting,
-    "cells.young": lambda s: _if(
-        s.types and all(kind.young is not None for kind in s.types.values()),
-        "every type of cell has a Young's modulus of its own",
-    ),
-    "contact.surface_energy": lambda s: _if(
-        any(kind.surface_energy for kind in s.types.values()),
-        "every pair of types has a surface energy of its own",
-    ),
-    "initial.shape": _one_cell,
-    "initial.spacing": _one_cell,
-    "initial.jitter": _one_cell,
-    "death.necrosis_rate": _necrosis,
-    "death.swelling": _necrosis,
-    "death.lysis_time": _necrosis,
-    "death.swelling_time": _swelling,
-    "death.apoptosis_time": _apoptosis,
-    "death.removal_fraction": lambda s: _apoptosis(s) and _necrosis(s) and "no cell ever dies",
-    "nutrients.*.temperature": lambda s, field: (
-        "the concentrations of the scene are in mM already; it only converts pressures"
-    ),
-    "nutrients.*.boundary": _boundary,
-    "nutrients.*.time_tolerance": _steady,
-    "nutrients.*.initial": _steady,
-    "nutrients.*.half_saturation": lambda s, field: _if(
-        not s.nutrients[field].takes_up, f"the uptake of {field} is 0"
-    ),
-}
-
-_RULES: Final = [
-    (re.compile(r"([^.]+)".join(map(re.escape, key.split("*")))), reason)
-    for key, reason in _KEYS.items()
+_CYCLE: Final[Rule] = (lambda s: s.growth.phases, "the phases of the cycle say how long it lasts")
+_PHASES: Final[Rule] = (lambda s: not s.growth.phases, "the cycle has no phases")
+_ALONE: Final[Rule] = (lambda s: s.initial.count == 1, "there is one cell at the start")
+_STEADY: Final[Rule] = (lambda s, f: s.nutrients[f].regime == "steady", "the field is steady")
+_NECROSIS: Final[Rule] = (
+    _never_starves, "neither a nutrient nor ATP has a threshold of necrosis"
+)  # fmt: skip
+_KEYS: Final[Mapping[str, Sequence[Rule]]] = {
+    "growth.cycle_time": [_CYCLE],
+    "growth.cycle_variation": [_CYCLE],
+    "growth.division": [_PHASES],
+    "growth.restriction": [_PHASES],
+    "growth.phases.*.variation": [
+        (lambda s, name: s.growth.phases[name].distribution == "fixed",
+         "the phase has a fixed duration"),
+    ],
+    "coupling_tolerance": [(lambda s: s.coupling_step != "auto", "coupling_step is not 'auto'")],
+    "integrator.step": [(_controlled, "the method {method!r} chooses its steps")],
+    "integrator.*": [(_lacks, "the method {method!r} has no {0}")],
+    "cells.young": [
+        (lambda s: s.types and all(kind.young is not None for kind in s.types.values()),
+         "every type of cell has a Young's modulus of its own"),
+    ],
+    "contact.surface_energy": [
+        (lambda s: any(kind.surface_energy for kind in s.types.values()),
+         "every pair of types has a surface energy of its own"),
+    ],
+    "initial.shape": [_ALONE],
+    "initial.spacing": [_ALONE],
+    "initial.jitter": [_ALONE],
+    "death.necrosis_rate": [_NECROSIS],
+    "death.swelling": [_NECROSIS],
+    "death.lysis_time": [_NECROSIS],
+    "death.swelling_time": [
+        _NECROSIS,
+        (lambda s: s.death.swelling == 1.0, "dead cells do not swell (death.swelling = 1)"),
+    ],
+    "death.apoptosis_time": [
+        (_never_by_apoptosis, "death.apoptosis_rate is 0"),
+    ],
+    "death.removal_fraction": [
+        (lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),
+    ],
+    "nutrients.*.temperature": [
+        (lambda s, field: True,
+         "the concentrations of the scene are in mM already; it only converts pressures"),
+    ],
+    "nutrients.*.boundary": [
+        (_scheduled, "'media' says what the medium is from the start on"),
+    ],
+    "nutrients.*.time_tolerance": [_STEADY],
+    "nutrients.*.initial": [_STEADY],
+    "nutrients.*.half_saturation": [
+        (lambda s, field: not s.nutrients[field].takes_up, "the uptake of {0} is 0"),
+    ],
+}  # fmt: skip
+_PATTERNS: Final = [
+    (re.compile(r"([^.]+)".join(map(re.escape, key.split("*")))), rules)
+    for key, rules in _KEYS.items()
 ]

@@ -5,16 +5,13 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.responses import Response, in_base_units, unit_of
-from multicell.scene.scene import check_dotted
+from multicell.scene.scene import Scene, check_dotted
 from multicell.schema import Parameter, near_miss, specs
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 _TABLES: Final = ("table", "variant", "tables")
 _NO_AXES: Final = {
@@ -28,18 +25,10 @@ _NO_AXES: Final = {
 class Key:
     """A value of a scene that can be varied.
 
-    Attributes
-    ----------
-    name
-        Its dotted key.
-    spec
-        Its declaration.
-    unit
-        Base unit of its numbers, empty for counts and words.
-    part
-        The part of the scene that holds it; None for an entry of a table of numbers.
-    scene
-        The scene.
+    - ``name``: its dotted key
+    - ``spec``: its declaration
+    - ``unit``: base unit of its numbers, empty for counts and words
+    - ``part``: the part of the scene that holds it; None for an entry of a table of numbers
     """
 
     name: str
@@ -51,10 +40,7 @@ class Key:
     def plain(self, value: Any) -> Any:
         """Return a value as a scene file in base units would have it.
 
-        Raises
-        ------
-        SceneError
-            If the declaration refuses it.
+        Raises SceneError if the declaration refuses it.
         """
         if self.spec.kind == "measure":  # other keys of its part decide its unit
             last = self.name.rpartition(".")[2]
@@ -85,11 +71,8 @@ class Key:
 def key_of(scene: Scene, name: str) -> Key:
     """Return where a dotted key leads in a scene.
 
-    Raises
-    ------
-    SceneError
-        For a key that no scene or not this one has, that of a whole table, and one that cannot be
-        varied.
+    Raises SceneError for a key that no scene or not this one has, that of a whole table, and one
+    that cannot be varied.
     """
     check_dotted(name)
     if name in _NO_AXES:

@@ -19,13 +19,7 @@ of these."""
 
 
 def whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
-    """Return a whole number between two others.
-
-    Raises
-    ------
-    SceneError
-        If it is none.
-    """
+    """Return a whole number between two others; raises SceneError if it is none."""
     fits = isinstance(value, Integral) and not isinstance(value, bool)
     if not fits or not least <= int(value) <= most:
         problem = f"is {shown(value)}, must be a whole number from {least:,} to {most:,}"
@@ -36,10 +30,7 @@ def whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
 def check_seeds(seeds: Any, first: int) -> int:
     """Return a number of runs of each point, whose seeds begin with a scene's.
 
-    Raises
-    ------
-    SceneError
-        If it is none or too many, or the seeds end too high.
+    Raises SceneError if it is none or too many, or the seeds end too high.
     """
     count = whole("seeds", seeds, 1, MAX_SEEDS, "It is the number of runs of each point.")
     if first + count - 1 >= 2**63:
@@ -51,10 +42,7 @@ def check_seeds(seeds: Any, first: int) -> int:
 def check_runs(points: int, seeds: int, name: str = "seeds") -> None:
     """Refuse too many points, or too many runs of them.
 
-    Raises
-    ------
-    SceneError
-        With the number under ``name``.
+    Raises SceneError with the number under ``name``.
     """
     hint = "Vary less, or sample it (--design lhs or sobol)."
     if points > MAX_POINTS:
@@ -67,10 +55,7 @@ def check_runs(points: int, seeds: int, name: str = "seeds") -> None:
 def check_cores(cores: int | None) -> None:
     """Refuse a number of worker processes that this machine cannot be meant to have.
 
-    Raises
-    ------
-    SceneError
-        If it is below one, or above eight and four for each core.
+    Raises SceneError if it is below one, or above eight and four for each core.
     """
     if cores is not None:
         whole("cores", cores, 1, max(8, 4 * (os.cpu_count() or 1)))

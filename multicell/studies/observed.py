@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from multicell.results.measures import OBSERVABLES, observables_of
 from multicell.results.observable import OWN
 from multicell.results.quantities import entry, unit_of
+from multicell.scene.scene import Scene
 from multicell.schema import near_miss
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 
 def may_be_negative(name: str) -> bool:

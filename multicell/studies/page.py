@@ -11,18 +11,7 @@ import numpy as np
 
 from multicell.report.html import Drawing, write_page
 from multicell.report.wording import clock, time_unit
-from multicell.studies.pictures.values import (
-    SEED,
-    TIME,
-    at_end,
-    axes_of,
-    axis_words,
-    is_sampled,
-    label,
-    number_text,
-    observables,
-    scale,
-)
+from multicell.studies.pictures import values as of
 from multicell.studies.plots import StudyPlots
 
 if TYPE_CHECKING:
@@ -39,8 +28,7 @@ KEY_OBSERVABLES: Final = (
 )  # fmt: skip
 """Observables that a page shows, if they are there and change; further ones by wish."""
 
-MAX_ROWS: Final = 4000
-"""Runs that the table of a page lists; a browser takes long over more."""
+MAX_ROWS: Final = 4000  # runs that the table of a page lists; a browser takes long over more
 
 _MAPS: Final = 4  # observables that have a map or a response
 _COURSES: Final = 3  # and of which courses
@@ -59,30 +47,13 @@ def write_report(
 ) -> Path:
     """Write ``report.html`` of a study and its pictures beside it.
 
-    Parameters
-    ----------
-    folder
-        Of the study.
-    scene
-        What is varied.
-    table
-        Of the study, as ``study.to_xarray()``.
-    runs, states
-        All runs and how they stand, in the order of the table.
-    shown
-        Observables to show, by default those of :data:`KEY_OBSERVABLES` that change.
+    - ``folder``: of the study
+    - ``scene``: what is varied
+    - ``table``: of the study, as ``study.to_xarray()``
+    - ``runs``, ``states``: all runs and how they stand, in the order of the table
+    - ``shown``: observables to show, by default those of :data:`KEY_OBSERVABLES` that change
 
-    Returns
-    -------
-    pathlib.Path
-        The page.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written to.
-    SceneError
-        If an observable is unknown.
+    Raises OutputError if the folder cannot be written to; SceneError if an observable is unknown.
     """
     names = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"
@@ -94,7 +65,7 @@ def write_report(
         subtitle=_subtitle(table),
         tiles=_tiles(table, states),
         pictures=_drawings(table, title, names),
-        axes=[_axis_row(table, name) for name in axes_of(table)],
+        axes=[_axis_row(table, name) for name in of.axes_of(table)],
         unfinished=_unfinished(states),
         **_run_table(table, runs, states, names[:_COLUMNS]),
     )
@@ -102,12 +73,12 @@ def write_report(
 
 def key_observables(table: xr.Dataset) -> list[str]:
     """Return the observables that a page shows: those that are not the same in all runs."""
-    known = observables(table)
+    known = of.observables(table)
     found: list[str] = [name for name in KEY_OBSERVABLES if name in known]
     found += [name for name in known if name.startswith("hypoxic_radius")]
     names: list[str] = []
     for name in found:
-        values = at_end(table, name).values
+        values = of.at_end(table, name).values
         values = values[np.isfinite(values)]
         if values.size and (values.min() < values.max() or name in ("cells", "diameter")):
             names.append(name)
@@ -117,11 +88,11 @@ def key_observables(table: xr.Dataset) -> list[str]:
 def _drawings(table: xr.Dataset, title: str, names: Sequence[str]) -> dict[str, Drawing]:
     """Return the pictures: maps of a grid or responses, then curves over time."""
     plots = StudyPlots(table, title)
-    axes = axes_of(table)
-    several = table.sizes[SEED] > 1
+    axes = of.axes_of(table)
+    several = table.sizes[of.SEED] > 1
     draw: Callable[[str], Figure] = plots.response
     kind, caption = "response", "One panel for each axis."
-    if not is_sampled(table) and len(axes) > 1:
+    if not of.is_sampled(table) and len(axes) > 1:
         scatter = "mean ± standard deviation over the seeds" if several else "of the only seed"
         draw, kind = plots.heatmap, "map"
         caption = f"One tile for each pair of values: {scatter}."
@@ -129,7 +100,7 @@ def _drawings(table: xr.Dataset, title: str, names: Sequence[str]) -> dict[str, 
     found: dict[str, Drawing] = {f"{kind}-{n}.png": (partial(draw, n), caption) for n in ends}
     bands = "with bands of one standard deviation over the seeds" if several else "of the only seed"
     caption = f"One panel for each axis, {bands}."
-    courses = [name for name in names if TIME in table[name].dims and table.sizes[TIME] > 1]
+    courses = [name for name in names if of.TIME in table[name].dims and table.sizes[of.TIME] > 1]
     return found | {
         f"curves-{name}.png": (partial(plots.curves, name), caption) for name in courses[:_COURSES]
     }
@@ -137,11 +108,12 @@ def _drawings(table: xr.Dataset, title: str, names: Sequence[str]) -> dict[str, 
 
 def _subtitle(table: xr.Dataset) -> str:
     sizes = [
-        f"{axis_words(table, name)} ({len(scale(table, name).values)})" for name in axes_of(table)
+        f"{of.axis_words(table, name)} ({len(of.scale(table, name).values)})"
+        for name in of.axes_of(table)
     ]
-    seeds = table.sizes[SEED]
+    seeds = table.sizes[of.SEED]
     points = (
-        f"{table.sizes['point']} points of a sample" if is_sampled(table) else " × ".join(sizes)
+        f"{table.sizes['point']} points of a sample" if of.is_sampled(table) else " × ".join(sizes)
     )
     return f"{points} × {seeds} seed{'' if seeds == 1 else 's'}"
 
@@ -152,9 +124,9 @@ def _tiles(table: xr.Dataset, states: Sequence[RunStatus]) -> dict[str, str]:
     wall = float(sum(state.wall for state in states if np.isfinite(state.wall)))
     tiles = {"runs": f"{len(states):,}"}
     tiles |= {f"runs {_STATE_WORDS.get(name, name)}": f"{n:,}" for name, n in count.items() if n}
-    tiles["seeds"] = f"{table.sizes[SEED]}"
-    if table.sizes[TIME] > 1:
-        last = float(table[TIME].max())
+    tiles["seeds"] = f"{table.sizes[of.SEED]}"
+    if table.sizes[of.TIME] > 1:
+        last = float(table[of.TIME].max())
         tiles["simulated time, at most"] = time_unit(last).text(last)
     if wall > 0.0:
         tiles["wall time of all runs"] = clock(wall)
@@ -162,7 +134,7 @@ def _tiles(table: xr.Dataset, states: Sequence[RunStatus]) -> dict[str, str]:
 
 
 def _axis_row(table: xr.Dataset, name: str) -> dict[str, str]:
-    shown = scale(table, name)
+    shown = of.scale(table, name)
     values = shown.texts
     if len(values) > 12:
         values = [values[0], "…", values[-1], f"({len(values)} values)"]
@@ -183,8 +155,8 @@ def _run_table(
     table: xr.Dataset, runs: Sequence[Run], states: Sequence[RunStatus], names: Sequence[str]
 ) -> dict[str, Any]:
     """Return heads and rows of the table of runs."""
-    axes = [(name, scale(table, name)) for name in axes_of(table)]
-    ends = [at_end(table, name).values.ravel() for name in names]
+    axes = [(name, of.scale(table, name)) for name in of.axes_of(table)]
+    ends = [of.at_end(table, name).values.ravel() for name in names]
     chosen = _rows_shown(states)
     rows = []
     for k in chosen:
@@ -192,15 +164,15 @@ def _run_table(
         values = [float(end[k]) if state.state == "done" else np.nan for end in ends]
         cells = [
             *(_coordinate_text(run.coordinates.get(name), own.factor) for name, own in axes),
-            f"{run.coordinates.get(SEED, run.scene.seed)}",
+            f"{run.coordinates.get(of.SEED, run.scene.seed)}",
             _STATE_WORDS.get(state.state, state.state),
-            *(number_text(value, 4) if np.isfinite(value) else "—" for value in values),
+            *(of.number_text(value, 4) if np.isfinite(value) else "—" for value in values),
             clock(state.wall) if np.isfinite(state.wall) else "—",
         ]
         rows.append({"name": run.name, "state": state.state, "reason": state.reason,
                      "cells": cells})  # fmt: skip
     heads = [*(own.label for _, own in axes), "seed", "state",
-             *(label(table, name) for name in names), "wall time"]  # fmt: skip
+             *(of.label(table, name) for name in names), "wall time"]  # fmt: skip
     return {"heads": heads, "rows": rows, "left_out": len(states) - len(chosen)}
 
 
@@ -215,4 +187,4 @@ def _rows_shown(states: Sequence[RunStatus]) -> list[int]:
 def _coordinate_text(value: Any, factor: float) -> str:
     if isinstance(value, str):
         return value
-    return "—" if value is None else number_text(float(value) / factor, 4)
+    return "—" if value is None else of.number_text(float(value) / factor, 4)

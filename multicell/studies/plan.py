@@ -13,10 +13,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml, read_regular
+from multicell.scene.scene import Scene
 from multicell.schema import near_miss
 from multicell.studies.axes import Axis, Range, change
 from multicell.studies.design import (
@@ -32,9 +33,6 @@ from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown, to_base
 
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
-
 NAME: Final = "study.toml"
 SCENE: Final = "scene.toml"
 _LARGEST: Final = 20_000_000
@@ -49,25 +47,16 @@ _KEYS: Final = (
 class Plan:
     """All that a study computes.
 
-    Attributes
-    ----------
-    scene
-        What is varied.
-    design
-        How.
-    seeds
-        Number of runs of each point, with the scene's seed and those that follow it: the same at
-        all points, so that two of them differ by their parameters alone.
-    every
-        Time between the rows of the table of results in s; None for ``output.every`` of the scene.
-    integrator
-        ``file.py:Name`` of a method of the user's own; empty for the scene's.
+    - ``scene``: what is varied
+    - ``design``: how
+    - ``seeds``: number of runs of each point, with the scene's seed and those that follow it: the
+      same at all points, so that two of them differ by their parameters alone
+    - ``every``: time between the rows of the table of results in s; None for ``output.every`` of
+      the scene
+    - ``integrator``: ``file.py:Name`` of a method of the user's own; empty for the scene's
 
-    Raises
-    ------
-    SceneError
-        If anything of it cannot be: a number of seeds below one, a point that the scene refuses
-        (with its values), a key without effect, two points that are one.
+    Raises SceneError if anything of it cannot be: a number of seeds below one, a point that the
+    scene refuses (with its values), a key without effect, two points that are one.
     """
 
     scene: Scene
@@ -110,10 +99,7 @@ class Plan:
     def runs(self, expected: Sequence[float]) -> list[Run]:
         """Return all runs, in the order of :attr:`names`.
 
-        Parameters
-        ----------
-        expected : per point, s
-            Wall time that one of its runs takes.
+        - ``expected``, per point, s: wall time that one of its runs takes
         """
         return [
             Run(
@@ -172,10 +158,7 @@ def make_plan(
     Parameters are those of :func:`multicell.studies.study.study`; ``vary`` may also be axes that
     were read before.
 
-    Raises
-    ------
-    SceneError
-        For anything that is not a plan.
+    Raises SceneError for anything that is not a plan.
     """
     if integrator and ":" not in integrator:
         scene, integrator = scene.with_changes({"integrator": integrator}), ""
@@ -267,17 +250,12 @@ def _flat(entries: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
     """Return the plan in the folder of a study.
 
-    Parameters
-    ----------
-    folder
-        With ``study.toml``, and the scene that it names.
-    integrator
-        ``file.py:Name`` of a method of the user's own; what files name is never executed.
+    - ``folder``: with ``study.toml``, and the scene that it names
+    - ``integrator``: ``file.py:Name`` of a method of the user's own; what files name is never
+      executed
 
-    Raises
-    ------
-    SceneError
-        For files that are missing or cannot be read, and for anything in them that is refused.
+    Raises SceneError for files that are missing or cannot be read, and for anything in them that is
+    refused.
     """
     from multicell.scene.scene import load_scene
 

@@ -18,12 +18,8 @@ class StudyPlots:
     ``point`` where the design is sampled). The scatter over seeds is always part of a picture;
     where there is one seed it says so, and runs that failed or are missing are shown as such.
 
-    Parameters
-    ----------
-    table
-        Of the study, as ``study.to_xarray()``.
-    title
-        Of the pictures.
+    - ``table``: of the study, as ``study.to_xarray()``
+    - ``title``: of the pictures
     """
 
     def __init__(self, table: xr.Dataset, title: str) -> None:
@@ -41,21 +37,13 @@ class StudyPlots:
         Each tile states mean and standard deviation over the seeds, and how many seeds there are
         where some failed or have not run. A third axis makes panels; further ones are fixed.
 
-        Parameters
-        ----------
-        observable
-            Its values at the end of each run are shown.
-        x, y
-            Axes of the map, by default the first two; of a study of one axis the map has one row.
-        at
-            Axis -> value for axes that are fixed, by default their middle value.
+        - ``observable``: its values at the end of each run are shown
+        - ``x``, ``y``: axes of the map, by default the first two; of a study of one axis the map
+          has one row
+        - ``at``: axis -> value for axes that are fixed, by default their middle value
 
-        Raises
-        ------
-        SceneError
-            For an unknown observable or axis.
-        ValueError
-            If the design is sampled or varies nothing: there are no tiles.
+        Raises SceneError for an unknown observable or axis; ValueError if the design is sampled or
+        varies nothing: there are no tiles.
         """
         from multicell.studies.pictures.heatmap import heatmap
 
@@ -68,18 +56,12 @@ class StudyPlots:
         a run has no value, because it ended sooner than others of its point or the observable does
         not exist yet, those that have one are thin lines without mean and band.
 
-        Parameters
-        ----------
-        observable
-            One with a course.
-        at
-            Axis -> value for axes that are fixed, by default their middle value; of a sample
-            nothing is fixed.
+        - ``observable``: one with a course
+        - ``at``: axis -> value for axes that are fixed, by default their middle value; of a sample
+          nothing is fixed
 
-        Raises
-        ------
-        SceneError
-            For an unknown observable or axis, or an observable that is a single number of each run.
+        Raises SceneError for an unknown observable or axis, or an observable that is a single
+        number of each run.
         """
         from multicell.studies.pictures.curves import curves
 
@@ -92,12 +74,7 @@ class StudyPlots:
         one standard deviation over its seeds; of several axes the line is the mean over all runs of
         a value. Runs that failed are crosses at the foot.
 
-        Raises
-        ------
-        SceneError
-            For an unknown observable.
-        ValueError
-            If nothing is varied.
+        Raises SceneError for an unknown observable; ValueError if nothing is varied.
         """
         from multicell.studies.pictures.response import response
 

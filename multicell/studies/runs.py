@@ -7,17 +7,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import read_regular
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import origin
 from multicell.results.observable import OWN, find_own
+from multicell.scene.scene import Scene
 from multicell.schema import Tables, specs
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 MODEL_VERSION: Final = 2
 """To be raised by whoever changes the numbers that a scene gives.
@@ -40,18 +38,13 @@ _ORDERED: Final = (
 class Run:
     """One run of a study.
 
-    Attributes
-    ----------
-    name
-        Digest of what decides the results; the run's folder is ``runs/<name>``.
-    scene
-        What is run.
-    coordinates : axis name -> number in base units or word, ``"seed"`` -> int
-        Where the run stands in its study.
-    expected
-        Wall time on one core that it is expected to take, s.
-    integrator
-        ``file.py:Name`` of a method of the user's own, which workers load; empty for the scene's.
+    - ``name``: digest of what decides the results; the run's folder is ``runs/<name>``
+    - ``scene``: what is run
+    - ``coordinates``, axis name -> number in base units or word, ``"seed"`` -> int: where the run
+      stands in its study
+    - ``expected``: wall time on one core that it is expected to take, s
+    - ``integrator``: ``file.py:Name`` of a method of the user's own, which workers load; empty for
+      the scene's
     """
 
     name: str
@@ -66,14 +59,9 @@ class Run:
 class PlainScene:
     """A scene as it travels to a worker: plain values, and where to find what is the user's own.
 
-    Attributes
-    ----------
-    values
-        As a table in base units.
-    laws
-        ``/path/file.py:Name`` of each law of the user's own.
-    observables
-        The same by function of each observable of the user's own.
+    - ``values``: as a table in base units
+    - ``laws``: ``/path/file.py:Name`` of each law of the user's own
+    - ``observables``: the same by function of each observable of the user's own
     """
 
     values: Mapping[str, Any]
@@ -84,10 +72,7 @@ class PlainScene:
     def of(cls, scene: Scene) -> PlainScene:
         """Return a scene as plain values.
 
-        Raises
-        ------
-        SceneError
-            If this process does not know one of its observables.
+        Raises SceneError if this process does not know one of its observables.
         """
         own = scene.output.observables.items()
         observables = {stated.function: find_own(name, stated).source for name, stated in own}
@@ -124,17 +109,9 @@ def digest(scene: Scene, integrator: str = "") -> str:
     differently, in other units or with their keys in another order, have the same digest; the order
     of named tables such as types, in which they take their random numbers, counts.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    integrator
-        ``file.py:Name`` of a method of the user's own.
+    - ``integrator``: ``file.py:Name`` of a method of the user's own
 
-    Raises
-    ------
-    SceneError
-        If the file of a method cannot be read.
+    Raises SceneError if the file of a method cannot be read.
     """
     content: dict[str, Any] = {"model": MODEL_VERSION, "scene": canonical(scene)}
     if integrator:

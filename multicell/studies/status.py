@@ -31,8 +31,7 @@ from multicell.results.folder import in_use
 from multicell.scene.scene import load_scene
 from multicell.studies.runs import digest
 
-NOTE: Final = "failure.json"
-"""File in the folder of a run that failed: ``reason`` and ``kind``."""
+NOTE: Final = "failure.json"  # file in the folder of a run that failed: ``reason`` and ``kind``
 
 Kind = Literal["", "run", "machine", "damage"]
 """What a run failed for: nothing yet; its scene, which fails again; what is no matter of its scene,
@@ -44,23 +43,13 @@ such as a full disk; a folder that holds something else than what was written to
 class RunStatus:
     """What is known of a run.
 
-    Attributes
-    ----------
-    name
-    state
-        ``"done"``, ``"running"``, ``"partial"``, ``"waiting"`` or ``"failed"``.
-    reason
-        Why it failed, or an empty string.
-    cells
-        Number of cells at ``time``.
-    time
-        Simulated time so far, s; as far as frames are saved where the run continues.
-    wall
-        Wall time that it took, s; NaN until it is done.
-    kind
-        What it failed for.
-    frames
-        How many frames there are to continue from; not counted where it is done.
+    - ``state``: ``"done"``, ``"running"``, ``"partial"``, ``"waiting"`` or ``"failed"``
+    - ``reason``: why it failed, or an empty string
+    - ``cells``: number of cells at ``time``
+    - ``time``: simulated time so far, s; as far as frames are saved where the run continues
+    - ``wall``: wall time that it took, s; NaN until it is done
+    - ``kind``: what it failed for
+    - ``frames``: how many frames there are to continue from; not counted where it is done
     """
 
     name: str
@@ -81,16 +70,9 @@ def run_folder(folder: Path, name: str) -> Path:
 def status(name: str, folder: Path, integrator: str = "", *, ours: bool = False) -> RunStatus:
     """Return the state of one run.
 
-    Parameters
-    ----------
-    name
-        Of the run.
-    folder
-        Of the study.
-    integrator
-        Of the user's own, as in :class:`multicell.studies.runs.Run`.
-    ours
-        Whether it is the caller who holds the lock of the run's folder.
+    - ``folder``: of the study
+    - ``integrator``: of the user's own, as in :class:`multicell.studies.runs.Run`
+    - ``ours``: whether it is the caller who holds the lock of the run's folder
     """
     place = run_folder(folder, name)
     if not place.is_dir():
@@ -181,20 +163,11 @@ def _unfinished_status(name: str, place: Path, state: str) -> RunStatus:
 def read_note(place: Path) -> Mapping[str, Any] | None:
     """Return why a run failed, as its folder says; None where it does not.
 
-    Raises
-    ------
-    OutputError
-        If that cannot be read.
+    Raises OutputError if that cannot be read.
     """
     return read_table(place / NOTE)
 
 
 def write_note(place: Path, reason: str, kind: Kind) -> None:
-    """Write down why a run failed.
-
-    Raises
-    ------
-    OutputError
-        If that cannot be written.
-    """
+    """Write down why a run failed; raises OutputError if that cannot be written."""
     write_table(place / NOTE, {"reason": reason, "kind": kind})

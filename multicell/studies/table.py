@@ -58,23 +58,13 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
 
     Histories are read one at a time, so that no more than the table itself is held in memory.
 
-    Parameters
-    ----------
-    plan
-    folder
-        Of the study, with ``runs/<name>``.
-    states
-        Of all runs, in the order of ``plan.names``.
+    - ``folder``: of the study, with ``runs/<name>``
+    - ``states``: of all runs, in the order of ``plan.names``
 
-    Returns
-    -------
-    xarray.Dataset
-        With attributes for its provenance, and for every variable its ``units``.
+    Returns xarray.Dataset: with attributes for its provenance, and for every variable its
+    ``units``.
 
-    Raises
-    ------
-    OutputError
-        If the results of a run that is done cannot be read.
+    Raises OutputError if the results of a run that is done cannot be read.
     """
     needs("xarray")
     import xarray
@@ -232,9 +222,7 @@ def is_current(table: xarray.Dataset, plan: Plan, states: Sequence[RunStatus]) -
 def save(table: xarray.Dataset, path: Path) -> None:
     """Write a table as netCDF, so that the file is either the old one or complete.
 
-    Raises
-    ------
-    MissingPackage, OutputError
+    Raises MissingPackage, OutputError.
     """
     needs("xarray", "h5netcdf")
     part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two processes may write it
@@ -288,9 +276,7 @@ def checksum(table: xarray.Dataset) -> str:
 def write_csv(table: xarray.Dataset, path: Path) -> None:
     """Write a table as CSV, one row for each run and time, with units in the header.
 
-    Raises
-    ------
-    MissingPackage, OutputError
+    Raises MissingPackage, OutputError.
     """
     needs("pandas")
     from multicell.results.folder import replace_file

@@ -27,18 +27,10 @@ _ATTEMPTS: Final = 5  # how often a folder is looked at that another process cha
 class Outcome:
     """How a run ended.
 
-    Attributes
-    ----------
-    name
-        Of the run.
-    state
-        ``"done"``, ``"failed"``, or ``"held"`` where another process works on it.
-    reason
-        Why it failed, in words; otherwise an empty string.
-    wall, cpu
-        Wall time and CPU time that it took now, s; none for what was there.
-    reused
-        Whether it had been done, or had failed, before.
+    - ``state``: ``"done"``, ``"failed"``, or ``"held"`` where another process works on it
+    - ``reason``: why it failed, in words; otherwise an empty string
+    - ``wall``, ``cpu``: wall time and CPU time that it took now, s; none for what was there
+    - ``reused``: whether it had been done, or had failed, before
     """
 
     name: str
@@ -54,16 +46,9 @@ class Outcome:
 class Task:
     """A run as it travels to a worker: plain values only.
 
-    Attributes
-    ----------
-    name
-    folder
-        Of the study.
-    scene
-    integrator
-        ``file.py:Name`` of the user's own, or empty.
-    retry
-        Whether a run that failed, or whose folder is damaged, is tried again.
+    - ``folder``: of the study
+    - ``integrator``: ``file.py:Name`` of the user's own, or empty
+    - ``retry``: whether a run that failed, or whose folder is damaged, is tried again
     """
 
     name: str
@@ -86,12 +71,7 @@ class Stopped(BaseException):
 def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
     """Do one run in its folder, unless it is done; this is all that a worker does.
 
-    Parameters
-    ----------
-    work
-        The run.
-    wanted
-        Asked between steps; where it answers no the run ends there, and can be continued.
+    - ``wanted``: asked between steps; where it answers no the run ends there, and can be continued
     """
     begin, cpu = clock.perf_counter(), clock.thread_time()
     outcome = _do_in_words(work, wanted)

@@ -22,8 +22,7 @@ from multicell.studies.limits import check_cores
 if TYPE_CHECKING:
     from distributed import Client
 
-ANSWER: Final = 5.0
-"""Time in s within which a scheduler must answer."""
+ANSWER: Final = 5.0  # time in s within which a scheduler must answer
 
 _STARTS: Final = 3  # attempts to start worker processes
 _SET_BY_DASK: Final = ("PYTHONHASHSEED", "__DASK_PARENT_PID", "PYTHONSAFEPATH")
@@ -62,24 +61,15 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
     Workers on this machine talk to this process alone: each connection is encrypted and asks for a
     certificate that is made for this call and kept in memory and in folders of this user.
 
-    Parameters
-    ----------
-    cores
-        Number of worker processes on this machine, by default one for each core that this process
-        may use; each has one thread. Not for a ``scheduler``, which has its own workers.
-    scheduler
-        Address of the scheduler of a cluster, such as ``"tls://10.0.0.7:8786"``, or a cluster of
-        Dask's (as of dask-jobqueue), whose certificates are used too.
+    - ``cores``: number of worker processes on this machine, by default one for each core that this
+      process may use; each has one thread. Not for a ``scheduler``, which has its own workers.
+    - ``scheduler``: address of the scheduler of a cluster, such as ``"tls://10.0.0.7:8786"``, or a
+      cluster of Dask's (as of dask-jobqueue), whose certificates are used too
 
-    Raises
-    ------
-    SceneError
-        For a number of cores that is none or more than a machine has.
-    MissingPackage
-        If Dask is not installed.
-    ClusterError
-        If the scheduler does not answer, has no workers, or some of them cannot run the scenes as
-        this process would: without multicell, with other versions, or several threads to a process.
+    Raises SceneError for a number of cores that is none or more than a machine has; MissingPackage
+    if Dask is not installed; ClusterError if the scheduler does not answer, has no workers, or some
+    of them cannot run the scenes as this process would: without multicell, with other versions, or
+    several threads to a process.
     """
     check_cores(cores)
     needs("dask", "distributed", *(("cryptography",) if scheduler is None else ()))
@@ -227,10 +217,8 @@ def _close(client: Any) -> None:
 def check_workers(client: Any, scheduler: str) -> None:
     """Refuse a cluster whose workers would not do what this process does.
 
-    Raises
-    ------
-    ClusterError
-        If there are no workers, one has several threads, or other versions than this process.
+    Raises ClusterError if there are no workers, one has several threads, or other versions than
+    this process.
     """
     threads = client.nthreads()
     if not threads:
@@ -283,18 +271,9 @@ def _refuse(wrong: list[str], right: str, hint: str) -> None:
 def check_folder(client: Client, folder: Path) -> None:
     """Refuse workers that do not see the folder of a study, or cannot write there.
 
-    Parameters
-    ----------
-    client
-    folder
-        An absolute path.
+    - ``folder``: an absolute path
 
-    Raises
-    ------
-    OutputError
-        If this process cannot write there.
-    ClusterError
-        If a worker cannot.
+    Raises OutputError if this process cannot write there; ClusterError if a worker cannot.
     """
     import uuid
 
@@ -356,10 +335,7 @@ def _end_with_parent() -> None:
 def own_cores() -> int:
     """Return how many cores this process may use, as its group of processes is limited to.
 
-    Raises
-    ------
-    MissingPackage
-        If Dask is not installed.
+    Raises MissingPackage if Dask is not installed.
     """
     needs("dask", "distributed")
     from dask.system import CPU_COUNT

@@ -14,8 +14,7 @@ from multicell.errors import DataError
 from multicell.host.extras import needs
 from multicell.tables.text import lines_of, rows_of
 
-PARQUET: Final = b"PAR1"
-"""What a Parquet file begins with."""
+PARQUET: Final = b"PAR1"  # what a Parquet file begins with
 
 
 @final
@@ -23,14 +22,10 @@ PARQUET: Final = b"PAR1"
 class Columns:
     """Columns of one length.
 
-    Attributes
-    ----------
-    name
-        Of the file, or ``"cells"``.
-    columns : title -> (n,)
-        float64, int64, or object (text) where a field is no number.
-    lines : (n,) int64 or None
-        The line of the file that each row stands in; None where there are rows only.
+    - ``name``: of the file, or ``"cells"``
+    - ``columns``, title -> (n,): float64, int64, or object (text) where a field is no number
+    - ``lines``, (n,) int64 or None: the line of the file that each row stands in; None where there
+      are rows only
     """
 
     name: str
@@ -49,12 +44,8 @@ class Columns:
 def from_bytes(content: bytes, name: str) -> Columns:
     """Return the columns of a CSV or Parquet file.
 
-    Raises
-    ------
-    DataError
-        For a file that cannot be read, has no rows, or two columns of one title.
-    MissingPackage
-        For Parquet without pyarrow.
+    Raises DataError for a file that cannot be read, has no rows, or two columns of one title;
+    MissingPackage for Parquet without pyarrow.
     """
     read = _parquet if content[:4] == PARQUET else _csv
     return _filled(read(content, name))
@@ -63,10 +54,7 @@ def from_bytes(content: bytes, name: str) -> Columns:
 def from_object(source: Any, name: str) -> Columns:
     """Return the columns of a ``DataFrame`` or a mapping of titles to columns.
 
-    Raises
-    ------
-    DataError
-        For anything else, columns of different lengths, and a table without rows.
+    Raises DataError for anything else, columns of different lengths, and a table without rows.
     """
     if hasattr(source, "columns") and hasattr(source, "itertuples"):
         titles = [str(title).strip() for title in source.columns]

@@ -20,16 +20,10 @@ from multicell.tables.text import read_bytes, rows_of
 class Table:
     """Titles and fields of a table, without blanks around them.
 
-    Attributes
-    ----------
-    name
-        Of the file, or ``"data"``.
-    titles
-        Of the columns.
-    rows
-        The fields of each row; empty text where there is no value.
-    places
-        Each row in words: the line of the file, or the row counted from 0.
+    - ``name``: of the file, or ``"data"``
+    - ``titles``: of the columns
+    - ``rows``: the fields of each row; empty text where there is no value
+    - ``places``: each row in words: the line of the file, or the row counted from 0
     """
 
     name: str
@@ -41,18 +35,11 @@ class Table:
 def read_table(source: Any, largest: int) -> Table:
     """Return a table as text.
 
-    Parameters
-    ----------
-    source
-        Path of a CSV file, a ``DataFrame``, or a mapping of titles to columns.
-    largest
-        Number of bytes that a file may have.
+    - ``source``: path of a CSV file, a ``DataFrame``, or a mapping of titles to columns
+    - ``largest``: number of bytes that a file may have
 
-    Raises
-    ------
-    DataError
-        For a file that cannot be read, rows or columns of different lengths, two columns of one
-        title in a frame, and a table without rows.
+    Raises DataError for a file that cannot be read, rows or columns of different lengths, two
+    columns of one title in a frame, and a table without rows.
     """
     if isinstance(source, str | Path):
         path = Path(source).expanduser()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +18,9 @@ Row = tuple[int, list[str]]
 def read_bytes(path: Path, largest: int) -> bytes:
     """Return the content of a regular file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    largest
-        Number of bytes that it may have.
+    - ``largest``: number of bytes that it may have
 
-    Raises
-    ------
-    DataError
-        If there is no such file, it is too large or cannot be read.
+    Raises DataError if there is no such file, it is too large or cannot be read.
     """
     try:
         return read_regular(path, largest)
@@ -42,18 +34,11 @@ def read_bytes(path: Path, largest: int) -> bytes:
 def rows_of(content: bytes, name: str) -> Iterator[Row]:
     """Yield the header and then the other rows of a CSV file, one at a time.
 
-    Parameters
-    ----------
-    content
-        Of the file, UTF-8 with or without a byte order mark.
-    name
-        Of the file, for errors.
+    - ``content``: of the file, UTF-8 with or without a byte order mark
+    - ``name``: of the file, for errors
 
-    Raises
-    ------
-    DataError
-        For text that is not UTF-8, no rows at all, one column that holds semicolons or tabs, broken
-        quotes, and a row of another length than the header.
+    Raises DataError for text that is not UTF-8, no rows at all, one column that holds semicolons or
+    tabs, broken quotes, and a row of another length than the header.
     """
     numbers: list[int] = []
     reader = csv.reader(lines_of(content, numbers), skipinitialspace=True)
@@ -90,10 +75,7 @@ def _broken(content: bytes, error: UnicodeDecodeError) -> int:
 def lines_of(content: bytes, numbers: list[int]) -> Iterator[str]:
     """Yield the lines of a file that are no remarks and not blank, and note their numbers.
 
-    Raises
-    ------
-    UnicodeDecodeError
-        For text that is not UTF-8; its place counts from that of a buffer.
+    Raises UnicodeDecodeError for text that is not UTF-8; its place counts from that of a buffer.
     """
     text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline=None)
     for number, line in enumerate(text, start=1):
@@ -107,3 +89,9 @@ def csv_text(titles: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([titles, *rows])
     return text.getvalue()
+
+
+def table_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows with the same columns as CSV text; NaN is written as ``nan``."""
+    titles = list(rows[0])
+    return csv_text(titles, ([row[title] for title in titles] for row in rows))

@@ -45,20 +45,12 @@ def read_title(title: str, known: Mapping[str, str], place: str) -> Title | None
     The unit stands behind the name: ``radius_um``, ``radius / um``, ``radius [um]`` or
     ``radius (um)``.
 
-    Parameters
-    ----------
-    title
-        Of the column.
-    known
-        Base unit by name, ``""`` for columns without a unit.
-    place
-        The table in words, for errors.
+    - ``title``: of the column
+    - ``known``: base unit by name, ``""`` for columns without a unit
+    - ``place``: the table in words, for errors
 
-    Raises
-    ------
-    DataError
-        For a name that needs a unit and has none, one that has none and is given one, and a unit
-        of another kind.
+    Raises DataError for a name that needs a unit and has none, one that has none and is given one,
+    and a unit of another kind.
     """
     name, text = _parted(title, known)
     if name not in known:

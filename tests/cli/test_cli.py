@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -244,23 +243,6 @@ def test_explain_notes_what_does_not_fit(changes, words):
     assert explain(BARE)["notes"] == []
     (note,) = explain(BARE.with_changes(changes))["notes"]
     assert words in note
-
-
-def test_explain_tells_what_auto_chooses_and_why():
-    def told(scene, **changes):
-        changed = load_scene(scene).with_changes({"integrator": "auto", **changes})
-        return next(
-            p["what"]
-            for p in explain(changed, first_step=True)["parts"]
-            if p["part"] == "integrator"
-        )
-
-    assert "ab2-adaptive, since it needs" in told("settle")
-    stiff = told("stiff-inclusions")
-    assert "stiffness λΔt is" in stiff
-    costs = dict(re.findall(r"([\w-]+) (\d+)", stiff.partition("expected evaluations: ")[2]))
-    (chosen,) = re.findall(r"cell\(s\), (\S+): stiffness", stiff)
-    assert int(costs[chosen]) == min(map(int, costs.values()))
 
 
 def test_explain_tells_of_phases_death_and_taxis():

@@ -476,15 +476,6 @@ def test_a_fixed_step_is_watched_step_by_step_also_for_a_method_that_looks_back(
     np.testing.assert_allclose(trace.positions[-1], whole.position, atol=1e-9)
 
 
-def test_the_function_is_not_hidden_by_a_module():
-    import multicell.comparison as comparison
-    import multicell.comparison.stability_limits.result
-
-    assert multicell.comparison.stability_limits.result.StabilityMap is comparison.StabilityMap
-    assert comparison.stability is stability
-    assert comparison.compare.__name__ == "compare"
-
-
 def test_what_a_first_step_compiles_is_not_held_against_the_method(small):
     @dataclass
     class SlowAtFirst:

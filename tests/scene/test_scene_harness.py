@@ -249,19 +249,6 @@ def test_explain_finds_rest_where_the_law_is_at_its_end(entries):
     assert rest["value"] == pytest.approx(2.0 * scene.cells.division_radius * 0.5 ** (1 / 3))
 
 
-def test_explain_tells_that_the_first_step_cannot_be_taken():
-    field = {"uptake": 1.0, "spacing": 5e-3, "margin": 50.0}
-    scene = Scene(duration=600.0, integrator="auto", nutrients={"o2": field})
-    told = explained(scene, first_step=True)
-    words = [part["what"] for part in told["parts"] if part["part"] == "integrator"]
-    assert "the first coupling step cannot be taken" in words[0]
-    assert "cells and margin spread" in words[0]
-    many = Scene(duration=600.0, integrator="auto", initial={"count": 10**8})
-    told = explained(many, first_step=True)
-    words = [part["what"] for part in told["parts"] if part["part"] == "integrator"]
-    assert words[0].endswith("not tried here with so many cells")
-
-
 @pytest.mark.parametrize(
     "entries",
     [

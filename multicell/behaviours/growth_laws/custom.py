@@ -32,12 +32,9 @@ if TYPE_CHECKING:
     Rate = Callable[[FloatArray, Any], Any]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
-_PLACES: Final = 65
-"""Volumes from birth to division at which the sign of a rate is looked at."""
-_SUBSTEPS: Final = 8
-"""Runge–Kutta steps that find a first guess of a volume."""
-_CORRECTIONS: Final = 3
-"""Newton steps that bring the guess to rounding."""
+_PLACES: Final = 65  # volumes from birth to division at which the sign of a rate is looked at
+_SUBSTEPS: Final = 8  # Runge–Kutta steps that find a first guess of a volume
+_CORRECTIONS: Final = 3  # Newton steps that bring the guess to rounding
 
 
 class UserGrowthLaw(OwnLaw, GrowthLaw):
@@ -67,10 +64,7 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
     def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
         """Return the volumes after a share of a cycle without limits, (n,).
 
-        Raises
-        ------
-        SceneError
-            With file and line, where the user's function fails.
+        Raises SceneError with file and line, where the user's function fails.
         """
         begin, given = np.broadcast_arrays(np.asarray(volume, dtype=float) / birth, share)
         if "volume" in self._parts:

@@ -22,21 +22,12 @@ def largest_decay(
     ``dense`` cells all its eigenvalues are computed, above the extreme one by Lanczos' method from
     products J v. With friction products are known to 1e-4, and so is the rate.
 
-    Parameters
-    ----------
-    system
-        Mechanics that have been made ready for a step.
-    position
-        Positions, (n, 3) µm, at the step's beginning.
-    flat
-        Whether motion out of the plane z = 0 is left out.
-    dense
-        Number of cells from which only the extreme eigenvalue is computed.
+    - ``system``: mechanics that have been made ready for a step
+    - ``position``: positions, (n, 3) µm, at the step's beginning
+    - ``flat``: whether motion out of the plane z = 0 is left out
+    - ``dense``: number of cells from which only the extreme eigenvalue is computed
 
-    Raises
-    ------
-    SceneError
-        If nothing decays: no cells touch.
+    Raises SceneError if nothing decays: no cells touch.
     """
     product, weight = scaled_decay(system, position, flat)
     symmetric = max(system.friction) == 0.0

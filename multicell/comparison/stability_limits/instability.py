@@ -28,16 +28,12 @@ _MAX_DENSE_CELLS = 400  # cells from which only these are computed
 class Unstable:
     """The unstable modes of a state.
 
-    Attributes
-    ----------
-    rate : float, 1/s
-        Largest eigenvalue μ of the Jacobian; NaN where it is not given (friction between cells).
-    rates : (k,) float64, 1/s
-        Positive eigenvalues, of systems of more than 400 cells the forty largest.
-    modes : (k, 3 n) float64
-        Their eigenvectors of Γ^½ J Γ^-½, orthonormal.
-    weight : (3 n,) float64
-        Γ^½ but for a factor.
+    - ``rate``, float, 1/s: largest eigenvalue μ of the Jacobian; NaN where it is not given
+      (friction between cells)
+    - ``rates``, (k,) float64, 1/s: positive eigenvalues, of systems of more than 400 cells the
+      forty largest
+    - ``modes``, (k, 3 n) float64: their eigenvectors of Γ^½ J Γ^-½, orthonormal
+    - ``weight``, (3 n,) float64: Γ^½ but for a factor
     """
 
     rate: float
@@ -48,12 +44,8 @@ class Unstable:
     def unstable_part(self, displacement: FloatArray, least: float) -> FloatArray:
         """Return the size of each cell's displacement along unstable modes, (n,) µm.
 
-        Parameters
-        ----------
-        displacement
-            (n, 3) µm.
-        least
-            Rate in 1/s from which modes count.
+        - ``displacement``: (n, 3) µm
+        - ``least``: rate in 1/s from which modes count
         """
         modes = self.modes[self.rates > least]
         part = modes.T @ (modes @ (self.weight * displacement.ravel())) / self.weight
@@ -63,16 +55,10 @@ class Unstable:
 def unstable_modes(system: Mechanics, position: FloatArray, flat: bool, least: float) -> Unstable:
     """Return the unstable modes at the beginning of a step.
 
-    Parameters
-    ----------
-    system
-        Made ready for a step.
-    position
-        Positions, (n, 3) µm, at the step's beginning.
-    flat
-        Whether motion out of the plane z = 0 is left out.
-    least
-        Growth rate in 1/s below which a mode does not count.
+    - ``system``: made ready for a step
+    - ``position``: positions, (n, 3) µm, at the step's beginning
+    - ``flat``: whether motion out of the plane z = 0 is left out
+    - ``least``: growth rate in 1/s below which a mode does not count
     """
     found = largest_growth_rate(system, system.motion.begin, position, dimensions=2 if flat else 3)
     product, weight = scaled_decay(system, position, flat)

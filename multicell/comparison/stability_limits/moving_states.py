@@ -57,22 +57,13 @@ _MARGIN = 0.1  # what twins are shifted by at the snap, over what is left to it
 def state_of(kind: str, scene: Scene, threads: int | None = None) -> State:
     """Return the cells of a scene in one of the :data:`STATES`.
 
-    Parameters
-    ----------
-    kind
-        ``"settled"`` (:func:`multicell.comparison.stability_limits.state.settled_state`), or one
-        of the others, which are made by the functions of this module.
-    scene
-        The scene. What acts beside contacts, bonds and walls is left out.
-    threads
-        See :class:`multicell.simulation.Simulation`.
+    - ``kind``: ``"settled"`` (:func:`multicell.comparison.stability_limits.state.settled_state`),
+      or one of the others, which are made by the functions of this module
+    - ``scene``: the scene. What acts beside contacts, bonds and walls is left out.
+    - ``threads``: see :class:`multicell.simulation.Simulation`
 
-    Raises
-    ------
-    SceneError
-        If there is no such state, or the scene cannot have it.
-    StepFailed
-        If the cells cannot be settled or grown, or the true course cannot be computed.
+    Raises SceneError if there is no such state, or the scene cannot have it; StepFailed if the
+    cells cannot be settled or grown, or the true course cannot be computed.
     """
     check(kind, scene)
     return _MAKERS[kind](scene, threads)
@@ -102,12 +93,7 @@ def growing_state(scene: Scene, threads: int | None = None) -> State:
     is the last such step. Radii, bonds and the offsets of sisters go on to change in the trial as
     they do in the run.
 
-    Raises
-    ------
-    SceneError
-        If no cell divides.
-    StepFailed
-        If the scene cannot be run.
+    Raises SceneError if no cell divides; StepFailed if the scene cannot be run.
     """
     simulation = Simulation(scene, threads=threads, integrator=Auto())
     enough = _GROWTH_FACTOR * len(simulation.cells)
@@ -186,15 +172,10 @@ def snapping_state(scene: Scene, threads: int | None = None) -> State:
 def complete_state(state: State, length: float, shift: float | None = None) -> State:
     """Return a state with what its true course tells: decay rate, unstable modes, twins.
 
-    Parameters
-    ----------
-    state
-        Motion and start are used.
-    length
-        Shortest length of a trial, s.
-    shift
-        What the cells of twins are displaced by, µm, root mean square over the cells; by default
-        each coordinate by :data:`multicell.comparison.conditioning.SHIFT`.
+    - ``state``: motion and start are used
+    - ``length``: shortest length of a trial, s
+    - ``shift``: what the cells of twins are displaced by, µm, root mean square over the cells; by
+      default each coordinate by :data:`multicell.comparison.conditioning.SHIFT`
     """
     flat = state.scene.dimensions == 2
     state = replace(state, length=length, noticed=MAX_UNNOTICED * state.radius, known=[])

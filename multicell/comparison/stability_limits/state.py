@@ -27,8 +27,7 @@ PUSH: Final = 0.005
 """Displacement along the stiffest mode from which a settled cluster starts, over the overlap of
 the contact that this mode strains most."""
 
-MIN_NOTICED: Final = 0.035
-"""Motion that counts as instability, over the same overlap."""
+MIN_NOTICED: Final = 0.035  # motion that counts as instability, over the same overlap
 
 MAX_UNNOTICED: Final = 0.02
 """Displacement of cells that have divided that must not matter, in radii."""
@@ -47,38 +46,28 @@ _MAX_STEPS = 50_000  # steps of the reference
 class State:
     """Cells at the start of a trial.
 
-    Attributes
-    ----------
-    scene : Scene
-    template : Mechanics
-        Each trial works on a copy.
-    motion : Motion
-        Radii, which are constant, and moduli; its times mean nothing.
-    start : (n, 3) float64, µm
-        Positions at time 0.
-    rate : float, 1/s
-        Largest decay rate λ_max of the Jacobian at the state (before the push, if there is one).
-    noticed : float, µm
-        Motion of a cell that counts as instability.
-    share : float
-        Rise of the energy that is noticed, over the energy that the reference releases.
-    twins : tuple of State
-        States that differ a little. Where cells are pressed apart they may end in one pocket
-        or another: what differs among the true courses of twins is no failure of a method.
-    known : list of (time, positions)
-        What has been computed of the true course, by CVODE at a tight tolerance.
-    kind : str
-        A key of :data:`multicell.comparison.stability_limits.moving_states.STATES`.
-    length : float, s
-        Length of a trial of a moving state; NaN where it follows from the setting
-        of the method, for states that are close to rest.
-    unstable : Unstable or None
-        The unstable modes at the start of a moving state.
-    end_rate : float, 1/s
-        Largest decay rate at the end of the trial of such a state; ``rate`` is then the largest
-        on the way.
-    rise : float, fJ
-        Largest rise of the energy along the true course, which is none while radii are constant.
+    - ``scene``, Scene
+    - ``template``, Mechanics: each trial works on a copy
+    - ``motion``, Motion: radii, which are constant, and moduli; its times mean nothing
+    - ``start``, (n, 3) float64, µm: positions at time 0
+    - ``rate``, float, 1/s: largest decay rate λ_max of the Jacobian at the state (before the push,
+      if there is one)
+    - ``noticed``, float, µm: motion of a cell that counts as instability
+    - ``share``, float: rise of the energy that is noticed, over the energy that the reference
+      releases
+    - ``twins``, tuple of State: states that differ a little. Where cells are pressed apart they may
+      end in one pocket or another: what differs among the true courses of twins is no failure of a
+      method.
+    - ``known``, list of (time, positions): what has been computed of the true course, by CVODE at a
+      tight tolerance
+    - ``kind``, str: a key of :data:`multicell.comparison.stability_limits.moving_states.STATES`
+    - ``length``, float, s: length of a trial of a moving state; NaN where it follows from the
+      setting of the method, for states that are close to rest
+    - ``unstable``, Unstable or None: the unstable modes at the start of a moving state
+    - ``end_rate``, float, 1/s: largest decay rate at the end of the trial of such a state; ``rate``
+      is then the largest on the way
+    - ``rise``, float, fJ: largest rise of the energy along the true course, which is none while
+      radii are constant
     """
 
     scene: Scene
@@ -150,10 +139,7 @@ class State:
     def at(self, time: float) -> FloatArray:
         """Return the true positions at a time, (n, 3) µm.
 
-        Raises
-        ------
-        StepFailed
-            If the reference cannot be computed.
+        Raises StepFailed if the reference cannot be computed.
         """
         if not self.known:
             self.known.append((0.0, self.start))
@@ -171,19 +157,11 @@ class State:
 def settled_state(scene: Scene, threads: int | None = None) -> State:
     """Return a scene's first cells at rest, pushed a little along the mode that decays fastest.
 
-    Parameters
-    ----------
-    scene
-        External forces, prescribed motion and motility are left out, growth stands still.
-    threads
-        See :class:`multicell.simulation.Simulation`.
+    - ``scene``: external forces, prescribed motion and motility are left out, growth stands still
+    - ``threads``: see :class:`multicell.simulation.Simulation`
 
-    Raises
-    ------
-    SceneError
-        If the scene starts with less than two cells, or none of them touch.
-    StepFailed
-        If the reference method cannot settle them.
+    Raises SceneError if the scene starts with less than two cells, or none of them touch;
+    StepFailed if the reference method cannot settle them.
     """
     template, motion, position = first_cells(scene, threads)
     share = (MIN_NOTICED / PUSH) ** 2

@@ -51,11 +51,9 @@ DEPARTURE_RADII: Final = 0.05
 """Growing part of a cell's displacement, in mean radii, from which it has left the neighbourhood of
 the start, in which the motion is linear."""
 
-MIN_FOLLOWED: Final = 0.5
-"""Part of the true growth of a cell below which a method has damped it."""
+MIN_FOLLOWED: Final = 0.5  # part of the true growth of a cell below which a method has damped it
 
-TRIAL_STEPS: Final = 200
-"""Steps that a method with a fixed step takes in a trial."""
+TRIAL_STEPS: Final = 200  # steps that a method with a fixed step takes in a trial
 
 _WINDOWS, _CONTROLLED_LENGTH = 8, 2000.0  # of methods under error control; time in 1/λ_max
 _THROWN = re.compile("would move|not a number|on top of each other|not finite")
@@ -73,34 +71,22 @@ _EARLIER_FACTOR = 4.0  # after cells have left the neighbourhood, over the time 
 class Trace:
     """What was seen of a trial.
 
-    Attributes
-    ----------
-    times : list of float, s
-    positions : list of (n, 3) float64, µm
-        At every time, the start included.
-    energy : list of float, fJ
-        At every time; infinite where cells are out of bounds or on top of others.
-    end : float, s
-        When it should end.
-    turned : list of (k, i, j)
-        The line between cells i and j, which touched, turned by more than 90° from the state k
-        that was looked at to the next.
-    problem : str
-        Why it ended early, in words.
-    out_of_bounds : bool
-        Whether it ended because positions or energy left all bounds.
-    steps : int
-        Steps that the method took.
-    wall : float, s
-    counts : list of int
-        Steps that it took from the start until each time.
-    late : int
-        Number of displacements at the end that are looked at for alternation; zero where every
-        state is the end of a solve of its own.
-    implicit : bool
-        Whether it solved equations in its steps.
-    step : float, s
-        The step, where it is fixed; else NaN.
+    - ``times``, list of float, s
+    - ``positions``, list of (n, 3) float64, µm: at every time, the start included
+    - ``energy``, list of float, fJ: at every time; infinite where cells are out of bounds or on top
+      of others
+    - ``end``, float, s: when it should end
+    - ``turned``, list of (k, i, j): the line between cells i and j, which touched, turned by more
+      than 90° from the state k that was looked at to the next
+    - ``problem``, str: why it ended early, in words
+    - ``out_of_bounds``, bool: whether it ended because positions or energy left all bounds
+    - ``steps``, int: steps that the method took
+    - ``wall``, float, s
+    - ``counts``, list of int: steps that it took from the start until each time
+    - ``late``, int: number of displacements at the end that are looked at for alternation; zero
+      where every state is the end of a solve of its own
+    - ``implicit``, bool: whether it solved equations in its steps
+    - ``step``, float, s: the step, where it is fixed; else NaN
     """
 
     times: list[float]
@@ -123,18 +109,12 @@ class Trace:
 class Verdict:
     """How a trial went.
 
-    Attributes
-    ----------
-    kind : str
-        A key of :data:`KINDS`.
-    words : str
-        What was seen.
-    also : tuple of str
-        What else was seen, in words.
-    climb : float
-        Largest rise of the energy over what is noticed.
-    deviation : float
-        Largest error of a pair distance at the end, in mean radii; NaN without an end.
+    - ``kind``, str: a key of :data:`KINDS`
+    - ``words``, str: what was seen
+    - ``also``, tuple of str: what else was seen, in words
+    - ``climb``, float: largest rise of the energy over what is noticed
+    - ``deviation``, float: largest error of a pair distance at the end, in mean radii; NaN without
+      an end
     """
 
     kind: str
@@ -154,12 +134,8 @@ def run_trial(state: State, method: Method, setting: float, patience: float = 20
     under error control and multistep methods start anew for each of a few observation times, as
     one coupling step to its end.
 
-    Parameters
-    ----------
-    state, method, setting
-        What, by what, and with which tolerance or step.
-    patience
-        Wall time in s after which a trial counts as a stall.
+    - ``state``, ``method``, ``setting``: what, by what, and with which tolerance or step
+    - ``patience``: wall time in s after which a trial counts as a stall
     """
     fixed = method.control == "step"
     times = _times(state, method, setting)

@@ -43,10 +43,8 @@ DAMPING = 2.0 / 13.0
 _SAFETY = 1.1
 _COLD, _WARM = 10, 3
 """Products for an estimate from nothing, or after a refusal, and for a refreshed one."""
-_AGE = 10
-"""Steps after which the estimate is refreshed."""
-_PROBE = 1e-5
-"""Root mean square displacement of a difference quotient, in mean radii."""
+_AGE = 10  # steps after which the estimate is refreshed
+_PROBE = 1e-5  # root mean square displacement of a difference quotient, in mean radii
 
 
 @arithmetic

@@ -15,12 +15,13 @@ With no fast cell the step is that of Euler under error control, in every bit.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
+from multicell.cells import FloatArray
 from multicell.compiling import arithmetic
 from multicell.integrators.stepping import (
     DONE,
@@ -44,17 +45,12 @@ from multicell.integrators.stepping import (
 )
 from multicell.mechanics import forces
 
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
-
 _MOST_SHORT_STEPS = 16
-_OCTAVES = 24
-"""Bounds between fast and slow cells that are tried, each half of the one before."""
+_OCTAVES = 24  # bounds between fast and slow cells that are tried, each half of the one before
 _PARTIAL, _GROUPED = 1.6, 0.15
 """Cost of evaluating a fast cell over that of a cell in an evaluation of all, where most pairs
 serve two cells; cost of a grouped step beyond its evaluations, in evaluations."""
-_GAIN = 0.9
-"""A grouping is changed where that costs less than this times the present cost."""
+_GAIN = 0.9  # a grouping is changed where that costs less than this times the present cost
 
 
 _AGE = 4

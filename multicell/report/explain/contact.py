@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.jkr import JKR
@@ -15,11 +14,9 @@ from multicell.report.explain.items import Number, Part, hours, pair_label, part
 from multicell.scene.coupling import longest_step
 from multicell.scene.packing import collapse_notes, strongest_attraction
 from multicell.scene.pairs import daughters_stiffness, drag, pairs
+from multicell.scene.parts import Motility
+from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
-
-if TYPE_CHECKING:
-    from multicell.scene.parts import Motility
-    from multicell.scene.scene import Scene
 
 
 def contact_parts(scene: Scene) -> list[Part]:
@@ -35,10 +32,7 @@ def contact_parts(scene: Scene) -> list[Part]:
             scene.friction
             and "touching cells rub: Gamma(x) v = F is solved in every right-hand side",
         ),
-        part(
-            "motility",
-            active and _motility_words(active),
-        ),
+        part("motility", active and _motility_words(active)),
         part(
             "pull",
             load

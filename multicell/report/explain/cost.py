@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -25,10 +25,8 @@ from multicell.scene.coupling import longest_step
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.reactions import group_of
 from multicell.scene.scales import MAX_NODES
+from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 _PROCESS: Final = 190e6  # bytes that Python, its packages and compiled code take
 _FIELD_PACKAGES: Final = 40e6  # and more where there are fields
@@ -61,14 +59,9 @@ _NOTED_SHARE: Final = 0.01  # part of the tissue whose death at the start is wor
 class Prediction:
     """What a run is expected to be.
 
-    Attributes
-    ----------
-    course
-        Of the population.
-    seconds
-        Wall time on one core, without compilation.
-    memory, file : bytes
-        Of the process at its largest; of ``frames.h5``.
+    - ``course``: of the population
+    - ``seconds``: wall time on one core, without compilation
+    - ``memory``, ``file``, bytes: of the process at its largest; of ``frames.h5``
     """
 
     course: Course

@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +25,12 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.responding import necrosis_hazard
 from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import solving_order
+from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
+from multicell.scene.parts import Death
 from multicell.scene.scales import height
+from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
-
-if TYPE_CHECKING:
-    from multicell.scene.nutrient import Nutrient
-    from multicell.scene.parts import Death
-    from multicell.scene.scene import Scene
 
 SHELLS: Final = 40
 _STEPS_IN_CYCLE: Final = 12  # steps of the forecast
@@ -51,14 +49,10 @@ _FIELD_TOLERANCE: Final = 1e-3  # change of a field, relative to its medium, tha
 class Course:
     """The number of cells over simulated time, and the radius of the tissue.
 
-    Attributes
-    ----------
-    times : (k,), s
-    cells : (k,)
-        Dead ones included until they are removed.
-    radius : (k,), µm
-    starved : float
-        Part of the tissue of the start that finds so little that it dies at once.
+    - ``times``, (k,), s
+    - ``cells``, (k,): dead ones included until they are removed
+    - ``radius``, (k,), µm
+    - ``starved``, float: part of the tissue of the start that finds so little that it dies at once
     """
 
     times: FloatArray
@@ -289,16 +283,10 @@ class Profile:
     ) -> FloatArray:  # fmt: skip
         """Return the concentration in each shell, (n,) mM, and note what a finite medium loses.
 
-        Parameters
-        ----------
-        shells : (n + 1,), µm
-            Their boundaries; nothing flows through the innermost.
-        begin, end : s
-            The field is taken at the first, its medium lasts till the second.
-        volume : µm³
-            Of a cell.
-        others : name -> (n,), mM
-            Fields that are solved already, which uptake may depend on.
+        - ``shells``, (n + 1,), µm: their boundaries; nothing flows through the innermost
+        - ``begin``, ``end``, s: the field is taken at the first, its medium lasts till the second
+        - ``volume``, µm³: of a cell
+        - ``others``, name -> (n,), mM: fields that are solved already, which uptake may depend on
         """
         medium = self._now(begin)
         self._factor = 1.0

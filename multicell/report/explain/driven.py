@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from multicell.report.explain.items import Part, hours, part
 from multicell.scene.driven import Driver
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 
 def driven_parts(scene: Scene) -> list[Part]:

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from multicell.cells import SPHERE
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
 from multicell.scene.coupling import fixed_step, usual_step
-from multicell.scene.nutrient import STEPPING
-from multicell.scene.reactions import group_of
+from multicell.scene.nutrient import STEPPING, Nutrient
+from multicell.scene.reactions import Reaction, group_of
+from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
-
-if TYPE_CHECKING:
-    from multicell.scene.nutrient import Nutrient
-    from multicell.scene.reactions import Reaction
-    from multicell.scene.scene import Scene
 
 
 def nutrient_parts(scene: Scene) -> list[Part]:

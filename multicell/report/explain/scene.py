@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any
 
 from multicell.biology.durations import malthusian_rate
 from multicell.biology.plan import founders
-from multicell.errors import MulticellError
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
@@ -22,41 +21,30 @@ from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.parts import PHASES
 from multicell.scene.responses import effects
+from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
 
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
-
-_MAX_TRIED: Final = 50_000  # cells up to which a coupling step is tried to tell what is chosen
-
-
-def explain(scene: Scene, *, first_step: bool = False) -> dict[str, Any]:
+def explain(scene: Scene) -> dict[str, Any]:
     """Return what a scene uses and the numbers that follow from it.
 
-    With ``first_step`` the cells are put in place, and what ``auto`` chooses for the first coupling
-    step is told with its reasons; that compiles and computes as much as the choice needs.
-
-    Returns
-    -------
-    dict
-        ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
-        ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that
-        do not fit together. Only plain values, so that it can be written as JSON.
+    Returns dict: ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
+    ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that do not
+    fit together. Only plain values, so that it can be written as JSON.
     """
     expected = predict(scene)
     numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene)]
     numbers += [*cost_numbers(scene, expected), *nutrient_numbers(scene)]
     return {
         "title": scene.title,
-        "parts": [asdict(part) for part in _parts(scene, first_step)],
+        "parts": [asdict(part) for part in _parts(scene)],
         "numbers": [asdict(number) for number in numbers],
         "notes": [*_notes(scene), *cost_notes(expected), *nutrient_notes(scene)],
     }
 
 
-def _parts(scene: Scene, first_step: bool) -> list[Part]:
+def _parts(scene: Scene) -> list[Part]:
     """Return every part a scene can have, with the consequence of its presence or absence."""
     return [
         part("initial", _start_words(scene)),
@@ -67,7 +55,7 @@ def _parts(scene: Scene, first_step: bool) -> list[Part]:
         *_taxis(scene),
         Part("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
-        part("integrator", _integrator_words(scene, first_step)),
+        part("integrator", _integrator_words(scene)),
         part("output", f"a frame every {hours(scene.output.every)}"),
     ]
 
@@ -178,22 +166,13 @@ def _domain_words(scene: Scene) -> str:
     return f"{words}; its sides are elastic walls of {young:g} kPa"
 
 
-def _integrator_words(scene: Scene, first_step: bool) -> str:
+def _integrator_words(scene: Scene) -> str:
     method = scene.integrator.method
     info = METHODS.get(method) or MethodInfo(method)
     words = f"{method}: {info.words}"
     if info.control == "tolerance":
         words += f"; absolute tolerance {scene.integrator.tolerance:g} um"
-    if method != "auto" or not first_step:
-        return words
-    if scene.initial.count > _MAX_TRIED:
-        return f"{words}; not tried here with so many cells"
-    from multicell.report.explain.integrator import explain_choice
-
-    try:
-        return f"{words}; {explain_choice(scene)}"
-    except MulticellError as error:
-        return f"{words}; the first coupling step cannot be taken: {error}"
+    return words
 
 
 def _run(scene: Scene) -> list[Number]:

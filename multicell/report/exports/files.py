@@ -26,18 +26,12 @@ if TYPE_CHECKING:
 class Format:
     """A format of exported files.
 
-    Attributes
-    ----------
-    function
-        ``module.name`` in this room: called as ``write(run, frames, folder, tables)`` it writes
-        into a folder and returns the names; ``frames()`` gives the chosen frames with their
-        numbers.
-    files
-        Names of the files that are written in any case, ``{table}`` stands for each table.
-    packages
-        That write it, beside those of every installation.
-    tables
-        Whether the format has one file for each table, out of which a user may choose.
+    - ``function``: ``module.name`` in this room: called as ``write(run, frames, folder, tables)``
+      it writes into a folder and returns the names; ``frames()`` gives the chosen frames with their
+      numbers
+    - ``files``: names of the files that are written in any case, ``{table}`` stands for each table
+    - ``packages``: that write it, beside those of every installation
+    - ``tables``: whether the format has one file for each table, out of which a user may choose
     """
 
     function: str
@@ -52,13 +46,7 @@ class Format:
         return [name.format(table=table) for table in tables for name in self.files]
 
     def writer(self) -> Callable[..., Any]:
-        """Load what writes it.
-
-        Raises
-        ------
-        MissingPackage
-            If a package is not installed.
-        """
+        """Load what writes it; raises MissingPackage if a package is not installed."""
         needs(*self.packages)
         module, _, name = self.function.partition(".")
         loaded = import_module(f"multicell.report.exports.{module}")
@@ -180,12 +168,7 @@ def _chosen_tables(tables: Sequence[str] | None, format: str) -> list[str]:
 
 
 def _refuse_old(folder: Path, names: Iterable[str]) -> None:
-    """Refuse to write over files.
-
-    Raises
-    ------
-    OutputError
-    """
+    """Refuse to write over files; raises OutputError."""
     for path in (folder / name for name in names):
         if path.exists() or path.is_symlink():
             raise OutputError(f"'{path}' exists already: choose another folder or overwrite")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
+from multicell.cells import FloatArray
 
 PALE: Final = "#d3d9de"
 """Grey of what stands behind the series in colour."""
@@ -75,11 +74,8 @@ def distance(first: str, second: str) -> float:
 def distinguishable_colours(wanted: Mapping[str, str]) -> dict[str, str]:
     """Return a colour for each name: its own, or a spare one where that is like another's.
 
-    Parameters
-    ----------
-    wanted
-        Name -> colour, which may be empty; the first ones keep theirs. Up to eight colours, and
-        `PALE`, are at least `APART` from each other; of more, some may be closer.
+    - ``wanted``: name -> colour, which may be empty; the first ones keep theirs. Up to eight
+      colours, and `PALE`, are at least `APART` from each other; of more, some may be closer.
     """
     given: dict[str, str] = {}
     for name, own in wanted.items():

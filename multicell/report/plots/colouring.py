@@ -34,20 +34,14 @@ _NO_VALUE: Final = "#d5dbe0"  # of a cell without a value
 class Colouring:
     """The colours of all cells of a frame, and what explains them.
 
-    Attributes
-    ----------
-    title
-        What is shown.
-    rgb : (n, 3) float64
-    group : (n,) int64 or None
-        Group of each cell; None for the values of a quantity.
-    palette : name -> colour
-        Of the groups in their order; empty where they are too many to be listed.
-    values : (n,) float64 or None
-        Of a quantity.
-    range
-        Of its colours: all but the lowest and the highest half per cent of the values,
-        which have the colours of its ends.
+    - ``title``: what is shown
+    - ``rgb``, (n, 3) float64
+    - ``group``, (n,) int64 or None: group of each cell; None for the values of a quantity
+    - ``palette``, name -> colour: of the groups in their order; empty where they are too many to be
+      listed
+    - ``values``, (n,) float64 or None: of a quantity
+    - ``range``: of its colours: all but the lowest and the highest half per cent of the values,
+      which have the colours of its ends
     """
 
     title: str
@@ -58,8 +52,7 @@ class Colouring:
     range: tuple[float, float] | None = None
 
 
-SCALE: Final = "viridis"
-"""Of quantities: even in lightness and for any colour vision."""
+SCALE: Final = "viridis"  # of quantities: even in lightness and for any colour vision
 
 
 def colourings(frame: Frame) -> list[str]:
@@ -77,23 +70,12 @@ def colouring(
 ) -> Colouring:
     """Return the colours of cells by what is asked for.
 
-    Parameters
-    ----------
-    frame
-        The frame.
-    scene
-        Of the run.
-    name
-        One of :func:`colourings`; None for the types where there are several, else the states.
-    lineage
-        Table of all cells that ever were, for clones.
-    limits
-        Range of the colours of a quantity; absent: :func:`limits_of` the frame.
+    - ``name``: one of :func:`colourings`; None for the types where there are several, else the
+      states
+    - ``lineage``: table of all cells that ever were, for clones
+    - ``limits``: range of the colours of a quantity; absent: :func:`limits_of` the frame
 
-    Raises
-    ------
-    OutputError
-        For a name that is none of them.
+    Raises OutputError for a name that is none of them.
     """
     if name is None:
         name = "type" if len(scene.types) > 1 else "state"
@@ -191,10 +173,7 @@ def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Co
 def quantity(frame: Frame, name: str) -> tuple[FloatArray, str]:
     """Return the values of a quantity of the cells, (n,), and its unit.
 
-    Raises
-    ------
-    OutputError
-        For a name that is none.
+    Raises OutputError for a name that is none.
     """
     if name in frame.concentrations:
         return frame.concentrations[name], unit_of(f"cells.concentration_{name}")

@@ -3,37 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from multicell.cells import FloatArray
+from multicell.cells import Cells, FloatArray
 from multicell.contact.pair import Pair
-from multicell.report.plots.style import (
-    BLUE,
-    INK,
-    QUIET,
-    RED,
-    History,
-    counts,
-    draw_style,
-    headed,
-    styled,
-    type_colours,
-    type_label,
-)
+from multicell.report.plots import style
 from multicell.report.wording import TimeUnit, time_unit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre, distances, sizes
 from multicell.scene.pairs import pair_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.cells import Cells
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 
 def random_mixing(cells: Cells) -> float:
@@ -63,14 +46,11 @@ def mean_distances(cells: Cells, types: int, dimensions: int) -> FloatArray:
     return mean
 
 
-@styled
-def contacts(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
+@style.styled
+def contacts(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figure:
     """Draw heterotypic contacts, all contacts, and the distance of each type from the centre.
 
-    Raises
-    ------
-    ValueError
-        If the history does not tell contacts of types apart, or is empty.
+    Raises ValueError if the history does not tell contacts of types apart, or is empty.
     """
     if len(history.get("heterotypic_fraction", ())) == 0:
         raise ValueError("the history has no contacts of different types: nothing to draw")
@@ -78,17 +58,17 @@ def contacts(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
     unit, time = time_unit(end), history["time"] / time_unit(end).seconds
     mixed = history["heterotypic_fraction"]
     change = f"heterotypic contacts {_percent(mixed[0])} at first, {_percent(mixed[-1])} at last"
-    figure = headed(scene, f"After {unit.text(end)}: {change}")
+    figure = style.headed(scene, f"After {unit.text(end)}: {change}")
     grid = figure.add_gridspec(
         2, 2, left=0.09, right=0.97, top=0.82, bottom=0.11, wspace=0.26, hspace=0.34
     )
     upper, lower = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
     right = figure.add_subplot(grid[:, 1])
     _draw_fraction(upper, frames, 100.0 * history["heterotypic_fraction"], time, unit)
-    lower.plot(time, history["contacts"], draw_style(time), color=INK, lw=2)
+    lower.plot(time, history["contacts"], style.draw_style(time), color=style.INK, lw=2)
     lower.set_ylim(0.0, 1.12 * max(float(history["contacts"].max()), 1.0))
     lower.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
-    counts(lower.yaxis)
+    style.counts(lower.yaxis)
     lower.set(title="Contacts", ylabel="number of pairs")
     _draw_distances(right, frames, scene, unit)
     for axes in (upper, lower, right):
@@ -106,11 +86,11 @@ def _draw_fraction(
     axes: Axes, frames: Sequence[Frame], fraction: FloatArray, time: FloatArray, unit: TimeUnit
 ) -> None:
     """Draw the heterotypic part of the contacts (%) beside that of random mixing."""
-    axes.plot(time, fraction, draw_style(time), color=BLUE, lw=2, label="as simulated")
+    axes.plot(time, fraction, style.draw_style(time), color=style.BLUE, lw=2, label="as simulated")
     when = np.array([frame.time for frame in frames]) / unit.seconds
     mixed = np.array([100.0 * random_mixing(frame.cells) for frame in frames])
-    style = "--" if len(when) > 1 else "x"
-    axes.plot(when, mixed, style, color=INK, lw=1.6, label="random mixing of these numbers")
+    dashes = "--" if len(when) > 1 else "x"
+    axes.plot(when, mixed, dashes, color=style.INK, lw=1.6, label="random mixing of these numbers")
     shown = np.concatenate([fraction, mixed])
     shown = shown[np.isfinite(shown)]
     low, high = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 100.0)
@@ -127,7 +107,7 @@ def _draw_distances(axes: Axes, frames: Sequence[Frame], scene: Scene, unit: Tim
     mean = np.array([mean_distances(f.cells, len(names), scene.dimensions) for f in frames])
     axes.set_title("Distance from the centre")
     handles = []
-    for k, colour in enumerate(type_colours(names).values()):
+    for k, colour in enumerate(style.type_colours(names).values()):
         marker = "osD^vPX"[k % 7]
         if len(frames):
             handles += axes.plot(time, mean[:, k], f"{marker}-", color=colour, lw=2, clip_on=False)
@@ -135,7 +115,7 @@ def _draw_distances(axes: Axes, frames: Sequence[Frame], scene: Scene, unit: Tim
     low, high = (np.nanmin(mean), np.nanmax(mean)) if np.isfinite(mean).any() else (0.0, 1.0)
     room = max(high - low, 0.1 * high, 1e-6)
     axes.set_ylim(max(low - 0.3 * room, 0.0), high + 0.4 * room)
-    axes.legend(handles, [type_label(name) for name in names], loc="upper left")
+    axes.legend(handles, [style.type_label(name) for name in names], loc="upper left")
 
 
 def distance_of_two(diameter: FloatArray, cells: Cells, dimensions: int) -> FloatArray:
@@ -171,14 +151,11 @@ def _pair(cells: Cells, scene: Scene, time: float) -> Pair:
     return pair_of(scene, i, j, one, other, time, young)
 
 
-@styled
-def pull(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
+@style.styled
+def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figure:
     """Draw the pull over the distance of two cells, or over the diameter of more.
 
-    Raises
-    ------
-    ValueError
-        If nothing pulls, or the history or the frames are empty.
+    Raises ValueError if nothing pulls, or the history or the frames are empty.
     """
     if len(history.get("pull", ())) == 0 or len(frames) == 0:
         raise ValueError("the run has no pull: nothing to draw")
@@ -187,7 +164,7 @@ def pull(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
     broken = 0 <= last < len(force) - 1
     told = f"the last contact broke at {force[last + 1]:.4g} nN" if broken else "not pulled apart"
     end = float(time[-1])
-    figure = headed(scene, f"After {time_unit(end).text(end)}: {told}")
+    figure = style.headed(scene, f"After {time_unit(end).text(end)}: {told}")
     axes = figure.add_axes((0.09, 0.12, 0.87, 0.63))
     axes.set_ylabel("force (nN)")
     two = len(frames[0].cells) == 2 and scene.growth is None
@@ -196,7 +173,15 @@ def pull(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
         x = distance_of_two(x, frames[0].cells, scene.dimensions)
     axes.set_xlabel("distance of the two centres (µm)" if two else "diameter of all cells (µm)")
     kept = slice(0, max(last, 0) + 1)
-    axes.plot(x[kept], force[kept], draw_style(x[kept]), color=BLUE, lw=2.4, label="pull", zorder=3)
+    axes.plot(
+        x[kept],
+        force[kept],
+        style.draw_style(x[kept]),
+        color=style.BLUE,
+        lw=2.4,
+        label="pull",
+        zorder=3,
+    )
     if two:
         _draw_law(axes, _pair(frames[0].cells, scene, float(time[max(last, 0)])), x[kept])
     elif len(frames[0].cells) > 1 and len(scene.types) < 2:
@@ -204,13 +189,13 @@ def pull(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
         _draw_load(axes, load, "theory for one contact")
     if not two and x[kept].max() > 5.0 * x[kept].min() > 0.0:
         axes.set_xscale("log")
-        counts(axes.xaxis)
+        style.counts(axes.xaxis)
         axes.xaxis.set_minor_formatter(axes.xaxis.get_major_formatter())
         axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
     top = float(force[min(last + 1, len(force) - 1)])
     if broken:
         label = f"last contact broken at {top:.4g} nN"
-        axes.plot(x[last], top, "o", color=RED, ms=10, label=label, zorder=4)
+        axes.plot(x[last], top, "o", color=style.RED, ms=10, label=label, zorder=4)
     axes.set_ylim(0.0, 1.1 * max(top, axes.dataLim.y1, 1e-3))
     figure.legend(loc="upper left", bbox_to_anchor=(0.08, 0.88), ncols=2)
     return figure
@@ -230,7 +215,7 @@ def _draw_law(axes: Axes, pair: Pair, x: FloatArray) -> None:
     d = np.linspace(nearest, furthest, 600)
     attraction = -pair.force(pair.rest - d)
     shown = attraction > 0.0
-    axes.plot(d[shown], attraction[shown], color=QUIET, lw=1.2, label="attraction of the law")
+    axes.plot(d[shown], attraction[shown], color=style.QUIET, lw=1.2, label="attraction of the law")
     simple = getattr(pair.law, "surface_energy", 0.0) > 0.0 and pair.bonds == 0.0
     _draw_load(axes, load, "theory: (3/2) π σ r_ij" if simple else "theory: largest attraction")
     margin = 0.03 * (furthest - nearest)
@@ -240,4 +225,4 @@ def _draw_law(axes: Axes, pair: Pair, x: FloatArray) -> None:
 def _draw_load(axes: Axes, load: float, label: str) -> None:
     """Mark the load that separates a contact, where there is one."""
     if load > 0.0:
-        axes.axhline(load, color=INK, lw=1.6, ls="--", label=f"{label} = {load:.4g} nN")
+        axes.axhline(load, color=style.INK, lw=1.6, ls="--", label=f"{label} = {load:.4g} nN")

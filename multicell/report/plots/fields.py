@@ -3,49 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from multicell.cells import FloatArray, State
+from multicell.report.plots import style
 from multicell.report.plots.necrosis import draw_necrotic
 from multicell.report.plots.section import draw_circles, draw_field, frame_window
-from multicell.report.plots.style import (
-    COLOURS,
-    INK,
-    QUIET,
-    RED,
-    headed,
-    moment,
-    styled,
-    type_label,
-)
 from multicell.report.wording import TimeUnit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre, uniform_radius
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.scene.nutrient import Nutrient
-    from multicell.scene.scene import Scene
-
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.scene import Scene
 
 _MAX_MARKED: Final = 12  # switches of the medium, above which lines would hide the curves
 
 
-@styled
+@style.styled
 def field_maps(frame: Frame, scene: Scene) -> Figure:
     """Draw the cells that the plane z = centre cuts, and beside them a map of every field.
 
     A line shows where cells begin to rest, a dashed one where most are necrotic.
 
-    Raises
-    ------
-    ValueError
-        If the frame has no cells or no fields.
+    Raises ValueError if the frame has no cells or no fields.
     """
     shown = [name for name in scene.nutrients if name in frame.fields]
     if not shown:
@@ -54,19 +38,21 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
     cut = cells.radius**2 - (cells.position[:, 2] - middle[2]) ** 2
     place, radius = cells.position[cut > 0.0, :2], np.sqrt(cut[cut > 0.0])
     half = 1.22 * uniform_radius(cells, middle, scene.dimensions) + 2.0 * float(cells.radius.max())
-    figure = headed(scene, f"{moment(frame)}: section through the centre, {2 * half:.0f} µm wide")
+    figure = style.headed(
+        scene, f"{style.moment(frame)}: section through the centre, {2 * half:.0f} µm wide"
+    )
     columns = min(len(shown) + 1, 3) if len(shown) < 3 else (len(shown) + 2) // 2
     grid = figure.add_gridspec(
         -(-(len(shown) + 1) // columns), columns,
         left=0.04, right=0.93, top=0.81, bottom=0.06, wspace=0.34, hspace=0.26,
     )  # fmt: skip
-    titles = ["Cells by state", *(f"{type_label(name).capitalize()} (mM)" for name in shown)]
+    titles = ["Cells by state", *(f"{style.type_label(name).capitalize()} (mM)" for name in shown)]
     windows = [figure.add_subplot(grid[k]) for k in range(len(titles))]
     for axes, title in zip(windows, titles, strict=True):
         axes.set_title(title)
         frame_window(axes, middle, half)
         axes.grid(False)
-    colours = [COLOURS[state.name.lower()] for state in State]
+    colours = [style.COLOURS[state.name.lower()] for state in State]
     draw_circles(windows[0], place, radius, cells.state[cut > 0.0], colours)
     for axes, name in zip(windows[1:], shown, strict=True):
         nutrient, field = scene.nutrients[name], frame.fields[name]
@@ -94,9 +80,9 @@ def draw_hypoxic(axes: Axes, time: FloatArray, history: Mapping[str, FloatArray]
     for k, column in enumerate(names):
         size = 2.0 * history[column]
         if size.max() > 0.0:
-            label = f"lacks {type_label(column.removeprefix(prefix))}"
+            label = f"lacks {style.type_label(column.removeprefix(prefix))}"
             shown = np.where(size > 0, size, np.nan)
-            colour = (COLOURS["quiescent"], RED, QUIET)[k % 3]
+            colour = (style.COLOURS["quiescent"], style.RED, style.QUIET)[k % 3]
             axes.plot(time, shown, color=colour, lw=1.8, ls=("-.", ":")[k % 2], label=label)
             largest = max(largest, float(size.max()))
     return largest
@@ -109,9 +95,9 @@ def mark_media(
     begin, end = span[0] * unit.seconds, span[1] * unit.seconds
     found = sorted((time, name) for name, n in nutrients.items() for time in n.switches(begin, end))
     for time, name in found[:_MAX_MARKED]:
-        axes.axvline(time / unit.seconds, color=INK, lw=1.0, ls=":", zorder=1)
-        text = f" {type_label(name)} {nutrients[name].medium(time):.3g} mM"
+        axes.axvline(time / unit.seconds, color=style.INK, lw=1.0, ls=":", zorder=1)
+        text = f" {style.type_label(name)} {nutrients[name].medium(time):.3g} mM"
         axes.text(
             time / unit.seconds, 0.03, text, rotation=90, ha="right", va="bottom",
-            fontsize=9, color=INK, transform=axes.get_xaxis_transform(),
+            fontsize=9, color=style.INK, transform=axes.get_xaxis_transform(),
         )  # fmt: skip

@@ -2,45 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from multicell.cells import FloatArray
+from multicell.report.plots import style
 from multicell.report.plots.fields import draw_hypoxic, mark_media
-from multicell.report.plots.style import (
-    BLUE,
-    COLOURS,
-    INK,
-    RED,
-    History,
-    counts,
-    draw_style,
-    headed,
-    span,
-    styled,
-)
 from multicell.report.wording import TimeUnit, cell_count, time_unit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 
-@styled
-def growth(history: History, scene: Scene) -> Figure:
+@style.styled
+def growth(history: style.History, scene: Scene) -> Figure:
     """Draw number of cells, diameter and states against time; switches of media are marked.
 
-    Raises
-    ------
-    ValueError
-        If the history is empty.
+    Raises ValueError if the history is empty.
     """
     unit, time, subtitle = _course(history)
-    figure = headed(scene, subtitle)
+    figure = style.headed(scene, subtitle)
     rim = np.isfinite(history["viable_rim"]).any()  # there is none without a core
     rows = 3 if rim else 2
     grid = figure.add_gridspec(
@@ -52,9 +33,9 @@ def growth(history: History, scene: Scene) -> Figure:
         _draw_rim(figure.add_subplot(grid[2, 0]), time, history["viable_rim"])
     _draw_states(figure.add_subplot(grid[:, 1]), time, history)
     for axes in figure.axes:
-        axes.set_xlim(*span(time))
+        axes.set_xlim(*style.span(time))
         axes.set_xlabel(f"time ({unit.name})")
-    mark_media(figure.axes[0], scene.nutrients, span(time), unit)
+    mark_media(figure.axes[0], scene.nutrients, style.span(time), unit)
     for axes in figure.axes[: rows - 1]:
         axes.set_xlabel("")
         if rim:  # little room between three
@@ -62,17 +43,14 @@ def growth(history: History, scene: Scene) -> Figure:
     return figure
 
 
-@styled
-def motion(history: History, scene: Scene) -> Figure:
+@style.styled
+def motion(history: style.History, scene: Scene) -> Figure:
     """Draw diameter and largest pressure against time, for cells that only move.
 
-    Raises
-    ------
-    ValueError
-        If the history is empty.
+    Raises ValueError if the history is empty.
     """
     unit, time, subtitle = _course(history)
-    figure = headed(scene, subtitle)
+    figure = style.headed(scene, subtitle)
     grid = figure.add_gridspec(2, 1, left=0.1, right=0.97, top=0.82, bottom=0.11, hspace=0.32)
     upper, lower = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     _draw_size(upper, time, history)
@@ -80,15 +58,17 @@ def motion(history: History, scene: Scene) -> Figure:
     room = float(np.ptp(size))
     if room > 0.01 * float(size.max()):  # else noise would fill the picture
         upper.set_ylim(float(size.min()) - 0.1 * room, float(size.max()) + 0.1 * room)
-    lower.plot(time, 1000.0 * history["largest_pressure"], draw_style(time), color=RED, lw=2)
+    lower.plot(
+        time, 1000.0 * history["largest_pressure"], style.draw_style(time), color=style.RED, lw=2
+    )
     lower.set(title="Largest pressure of a cell", ylabel="pressure (Pa)")
     lower.set_xlabel(f"time ({unit.name})")
     for axes in (upper, lower):
-        axes.set_xlim(*span(time))
+        axes.set_xlim(*style.span(time))
     return figure
 
 
-def _course(history: History) -> tuple[TimeUnit, FloatArray, str]:
+def _course(history: style.History) -> tuple[TimeUnit, FloatArray, str]:
     """Return the unit of time, the times in it, and number of cells and time in words."""
     if len(history.get("time", ())) == 0:
         raise ValueError("the history is empty: there is nothing to draw")
@@ -101,10 +81,10 @@ def _course(history: History) -> tuple[TimeUnit, FloatArray, str]:
 def _draw_count(axes: Axes, time: FloatArray, cells: FloatArray) -> None:
     """Draw the number of cells, on a log scale where it grows much."""
     axes.set_title("Cells")
-    axes.plot(time, cells, draw_style(time), color=INK, lw=2)
+    axes.plot(time, cells, style.draw_style(time), color=style.INK, lw=2)
     if cells.min() > 0 and cells.max() >= 5 * cells.min():
         axes.set_yscale("log")
-        counts(axes.yaxis)
+        style.counts(axes.yaxis)
         axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set_ylabel("number")
     else:
@@ -115,17 +95,19 @@ def _count_axis(axes: Axes, largest: float) -> None:
     """Give an axis of counts that starts at zero."""
     axes.set_ylim(0.0, largest if largest > 0 else 1.0)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-    counts(axes.yaxis)
+    style.counts(axes.yaxis)
     axes.set_ylabel("number")
 
 
-def _draw_size(axes: Axes, time: FloatArray, history: History) -> None:
+def _draw_size(axes: Axes, time: FloatArray, history: style.History) -> None:
     """Draw the diameters of the population and of its necrotic core."""
     whole, core = history["diameter"], 2.0 * history["necrotic_radius"]
-    axes.plot(time, whole, draw_style(time), color=BLUE, lw=2, label="whole")
+    axes.plot(time, whole, style.draw_style(time), color=style.BLUE, lw=2, label="whole")
     if core.max() > 0:
         shown = np.where(core > 0, core, np.nan)
-        axes.plot(time, shown, color=COLOURS["necrotic"], lw=2, ls="--", label="necrotic core")
+        axes.plot(
+            time, shown, color=style.COLOURS["necrotic"], lw=2, ls="--", label="necrotic core"
+        )
     parts = draw_hypoxic(axes, time, history) > 0 or core.max() > 0
     if parts:
         axes.legend(loc="upper left", fontsize=9, ncols=2)
@@ -136,20 +118,20 @@ def _draw_size(axes: Axes, time: FloatArray, history: History) -> None:
 
 def _draw_rim(axes: Axes, time: FloatArray, rim: FloatArray) -> None:
     """Draw the thickness of the layer outside the necrotic core, since there is one."""
-    axes.plot(time, rim, draw_style(time), color=COLOURS["proliferating"], lw=2)
+    axes.plot(time, rim, style.draw_style(time), color=style.COLOURS["proliferating"], lw=2)
     top = 1.15 * max(float(np.nanmax(rim)), 1.0)
     axes.set(title="Viable rim", ylabel="thickness (µm)", ylim=(0.0, top))
 
 
-def _draw_states(axes: Axes, time: FloatArray, history: History) -> None:
+def _draw_states(axes: Axes, time: FloatArray, history: style.History) -> None:
     """Draw the numbers of cells in each state on top of each other, necrotic ones below."""
     axes.set_title("Cells by state")
-    names = [name for name in reversed(COLOURS) if history[name].max() > 0]
+    names = [name for name in reversed(style.COLOURS) if history[name].max() > 0]
     single = len(time) == 1
     axes.stackplot(
-        span(time) if single else time,
+        style.span(time) if single else time,
         [np.repeat(history[name], 2 if single else 1) for name in names],
-        colors=[COLOURS[name] for name in names],
+        colors=[style.COLOURS[name] for name in names],
         labels=names,
         lw=0,
     )
@@ -157,7 +139,7 @@ def _draw_states(axes: Axes, time: FloatArray, history: History) -> None:
     if held.max() > 0:  # above the dead, whom nothing holds back
         dead = history["necrotic"] + history["apoptotic"]
         label = "living, growth halved by pressure"
-        axes.plot(time, dead + held, draw_style(time), color=INK, lw=2, label=label)
+        axes.plot(time, dead + held, style.draw_style(time), color=style.INK, lw=2, label=label)
     # room for the legend above a flat top
     _count_axis(axes, (1.25 if held.max() == 0 else 1.35) * float(history["cells"].max()))
     handles, labels = axes.get_legend_handles_labels()

@@ -5,14 +5,12 @@ from __future__ import annotations
 import base64
 import io
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
+from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from multicell.report.plots.style import DPI, SUBTITLE, TITLE
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _TITLE_HEIGHT: Final = 0.4  # inches, what the title takes
 _COLOURS: Final = 256
@@ -23,14 +21,9 @@ _COLOURS: Final = 256
 class InlinePicture:
     """A picture as a page shows it; ``style.css`` turns its colours in dark mode.
 
-    Attributes
-    ----------
-    png
-        The picture in base64.
-    wide, high
-        Pixels.
-    subtitle
-        What the picture says of itself.
+    - ``png``: the picture in base64
+    - ``wide``, ``high``: pixels
+    - ``subtitle``: what the picture says of itself
     """
 
     png: str

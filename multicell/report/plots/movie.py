@@ -53,43 +53,22 @@ def movie(
 ) -> Path:
     """Write all frames of a run as a moving picture: their sections, or the cells in space.
 
-    Parameters
-    ----------
-    result
-        The run.
-    path
-        File that ends in ``.gif`` or ``.webp``, or in ``.mp4`` where ``multicell[movie]`` is
-        installed.
-    plane, colour
-        As for ``result.plot.section``.
-    rate
-        Frames in a second.
-    progress
-        Called with the number of pictures drawn and of all.
-    space
-        Show whole cells in space, of which a part is cut away, instead of a section.
-    cut
-        What is cut away in space: ``"none"``, ``"half"`` or ``"quarter"``.
-    turn
-        Degrees between the outermost places of the eye in space, which swings to one side and to
-        the other in the course of the film; at its beginning and end it looks straight at the cut.
-    transparent
-        Leave the background out, for ``.webp`` in space only; the letters can be read on light and
-        on dark pages.
+    - ``path``: file that ends in ``.gif`` or ``.webp``, or in ``.mp4`` where ``multicell[movie]``
+      is installed
+    - ``plane``, ``colour``: as for ``result.plot.section``
+    - ``rate``: frames in a second
+    - ``progress``: called with the number of pictures drawn and of all
+    - ``space``: show whole cells in space, of which a part is cut away, instead of a section
+    - ``cut``: what is cut away in space: ``"none"``, ``"half"`` or ``"quarter"``
+    - ``turn``: degrees between the outermost places of the eye in space, which swings to one side
+      and to the other in the course of the film; at its beginning and end it looks straight at the
+      cut
+    - ``transparent``: leave the background out, for ``.webp`` in space only; the letters can be
+      read on light and on dark pages
 
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    OutputError
-        For a file of another kind or one that cannot be written, a plane that cuts no cell of a
-        frame, a colour or a cut that is none, a run without cells, and options that do not go
-        together.
-    MissingPackage
-        If the encoder of mp4 is not installed.
+    Raises OutputError for a file of another kind or one that cannot be written, a plane that cuts
+    no cell of a frame, a colour or a cut that is none, a run without cells, and options that do not
+    go together; MissingPackage if the encoder of mp4 is not installed.
     """
     path = Path(path)
     if path.suffix.lower() not in KINDS:
@@ -173,11 +152,7 @@ def _limits(result: Result, numbers: list[int], colour: str | None) -> tuple[flo
 
 
 def _save(
-    figures: Iterator[Figure],
-    path: Path,
-    rate: float,
-    hold: int,
-    progress: Callable[[int], None],
+    figures: Iterator[Figure], path: Path, rate: float, hold: int, progress: Callable[[int], None]
 ) -> None:
     """Write figures as a film by matplotlib's writers; the last one stays for ``hold`` more."""
     from matplotlib.animation import FFMpegWriter, PillowWriter
@@ -197,10 +172,7 @@ def _save(
 def _encoder(kind: str) -> dict[Any, str]:
     """Return matplotlib's settings for a kind of film.
 
-    Raises
-    ------
-    MissingPackage
-        If the encoder of mp4 is not installed.
+    Raises MissingPackage if the encoder of mp4 is not installed.
     """
     if kind != ".mp4":
         return {}

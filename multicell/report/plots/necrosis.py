@@ -32,20 +32,12 @@ def necrotic_share(
     nutrient cannot: dead cells take up nothing, so that the concentration in the core levels off
     close to the threshold itself.
 
-    Parameters
-    ----------
-    cells
-        Radii and states.
-    place : (n, 3) µm
-        Positions in the axes of the picture.
-    level
-        Height of the plane on the third axis, µm.
+    - ``cells``: radii and states
+    - ``place``, (n, 3) µm: positions in the axes of the picture
+    - ``level``: height of the plane on the third axis, µm
 
-    Returns
-    -------
-    x : (nx,), y : (ny,) µm
-    share : (ny, nx)
-        0 to 1, NaN away from cells; None if no cell is necrotic.
+    Returns x, (nx,), y, (ny,) µm; share, (ny, nx): 0 to 1, NaN away from cells; None if no cell
+    is necrotic.
     """
     from scipy.ndimage import gaussian_filter
 

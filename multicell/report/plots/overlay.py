@@ -8,15 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell.errors import OutputError
+from multicell.report.plots import style
 from multicell.report.plots.colouring import written
-from multicell.report.plots.style import (
-    History,
-    blank,
-    span,
-    styled,
-    type_colours,
-    type_label,
-)
 from multicell.report.wording import time_unit
 from multicell.results.quantities import known_unit, title_of
 from multicell.schema import near_miss
@@ -27,21 +20,14 @@ if TYPE_CHECKING:
 _LINES = ("-", "--", "-.", ":")
 
 
-@styled
-def overlay(runs: Mapping[str, History], quantity: str) -> Figure:
+@style.styled
+def overlay(runs: Mapping[str, style.History], quantity: str) -> Figure:
     """Draw a column of the histories of runs against time.
 
-    Parameters
-    ----------
-    runs
-        Histories by the names that the legend gives them.
-    quantity
-        Name of the column.
+    - ``runs``: histories by the names that the legend gives them
+    - ``quantity``: name of the column
 
-    Raises
-    ------
-    OutputError
-        If a run has no such column, or no history yet.
+    Raises OutputError if a run has no such column, or no history yet.
     """
     for label, history in runs.items():
         if quantity not in history:
@@ -55,20 +41,20 @@ def overlay(runs: Mapping[str, History], quantity: str) -> Figure:
     unit = time_unit(max(float(history["time"][-1]) for history in runs.values()))
     title = title_of(quantity).capitalize()
     count = "one run" if len(runs) == 1 else f"{len(runs)} runs"
-    figure = blank(title, count)
+    figure = style.blank(title, count)
     axes = figure.add_axes((0.1, 0.11, 0.86 if len(runs) == 1 else 0.6, 0.72))
-    colours = type_colours(runs)
+    colours = style.type_colours(runs)
     for k, (label, history) in enumerate(runs.items()):
         time = history["time"] / unit.seconds
         axes.plot(
-            time, history[quantity], color=colours[label], lw=2, label=type_label(label),
+            time, history[quantity], color=colours[label], lw=2, label=style.type_label(label),
             ls=_LINES[k % len(_LINES)], marker="" if len(time) > 1 else "o",
         )  # fmt: skip
     dimension = known_unit(quantity)
     axes.set_xlabel(f"time ({unit.name})")
     axes.set_ylabel(f"{title.lower()} ({written(dimension)})" if dimension else title.lower())
     times = np.concatenate([history["time"] for history in runs.values()])
-    axes.set_xlim(*span(np.sort(times) / unit.seconds))
+    axes.set_xlim(*style.span(np.sort(times) / unit.seconds))
     if len(runs) > 1:
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02))
     return figure

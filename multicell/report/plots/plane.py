@@ -23,12 +23,8 @@ _TEXT: Final = re.compile(r"([xyz])(?:=(.+))?")
 class Plane:
     """A plane across an axis.
 
-    Attributes
-    ----------
-    axis
-        ``"x"``, ``"y"`` or ``"z"``.
-    at : float or None, µm
-        Where on it; None for the centre of the cells.
+    - ``axis``: ``"x"``, ``"y"`` or ``"z"``
+    - ``at``, float or None, µm: where on it; None for the centre of the cells
     """
 
     axis: str = "z"
@@ -38,10 +34,7 @@ class Plane:
     def parse(cls, text: str) -> Plane:
         """Return the plane that a text such as ``"x"``, ``"x=0"`` or ``"z=12 um"`` names.
 
-        Raises
-        ------
-        OutputError
-            If it names none.
+        Raises OutputError if it names none.
         """
         from multicell.errors import SceneError
         from multicell.units import to_base
@@ -97,10 +90,7 @@ def _turn_field(field: Field, order: list[int]) -> Field:
 def height(frame: Frame, plane: Plane, middle: FloatArray) -> float:
     """Return where the plane cuts a frame that was turned, µm on its third axis.
 
-    Raises
-    ------
-    OutputError
-        If it cuts no cell.
+    Raises OutputError if it cuts no cell.
     """
     if plane.at is None:
         return float(middle[2])

@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from multicell.report.plots.style import (
-    BLUE,
-    COLOURS,
-    RED,
-    headed,
-    moment,
-    styled,
-    thresholds,
-    type_colours,
-    type_label,
-)
+from multicell.cells import FloatArray
+from multicell.report.plots import style
 from multicell.results.frame import Frame
 from multicell.results.observables import (
     RadialProfile,
@@ -28,12 +20,7 @@ from multicell.results.observables import (
     radial_profile,
     uniform_radius,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.cells import FloatArray
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 
 @final
@@ -45,16 +32,13 @@ class _Labels(NamedTuple):
     threshold: str
 
 
-@styled
+@style.styled
 def profiles(frame: Frame, scene: Scene) -> Figure:
     """Draw concentrations, or pressure without fields, and states against the radius.
 
     Where there is more than one cell type the lower part shows types instead of states.
 
-    Raises
-    ------
-    ValueError
-        If the frame has no cells.
+    Raises ValueError if the frame has no cells.
     """
     middle = centre(frame.cells, scene.dimensions)
     # shells about a cell wide, but never so few that a profile cannot be seen
@@ -62,7 +46,7 @@ def profiles(frame: Frame, scene: Scene) -> Figure:
     bins = int(np.clip(size / (2.0 * frame.cells.radius.mean()), 4, 40))
     profile = radial_profile(frame, scene.dimensions, bins)
     shells = "shells" if scene.dimensions == 3 else "rings"
-    figure = headed(scene, f"{moment(frame)}: averages over {shells} about the centre")
+    figure = style.headed(scene, f"{style.moment(frame)}: averages over {shells} about the centre")
     draw = _field_panels if len(profile.concentrations) > 1 else _two_panels
     draw(figure, frame, profile, scene)
     return figure
@@ -79,7 +63,7 @@ def _two_panels(figure: Figure, frame: Frame, profile: RadialProfile, scene: Sce
         upper.set(title="Concentration", ylabel="concentration (mM)")
     if not profile.concentrations:
         pressure = 1000.0 * profile.pressure
-        upper.plot(profile.middles, pressure, "o-", color=BLUE, lw=2, label="mean pressure")
+        upper.plot(profile.middles, pressure, "o-", color=style.BLUE, lw=2, label="mean pressure")
         upper.set(title="Pressure", ylabel="pressure (Pa)")
     _draw_parts(lower, frame, profile, scene)
     for axes in (upper, lower):
@@ -98,7 +82,7 @@ def _field_panels(figure: Figure, frame: Frame, profile: RadialProfile, scene: S
         axes = figure.add_subplot(grid[k // 2, k % 2])
         own = _Labels("field", "at the cells", "below: cells {1}")
         _draw_field(axes, frame, profile, name, scene, own)
-        axes.set(title=type_label(name).capitalize(), ylabel="mM")
+        axes.set(title=style.type_label(name).capitalize(), ylabel="mM")
         axes.set_xlim(0.0, float(profile.edges[-1]))
         axes.legend(loc="best", fontsize=9)
     axes = figure.add_subplot(grid[len(names) // 2, len(names) % 2])
@@ -122,28 +106,36 @@ def _draw_field(
         means = field_profile(field, centre(frame.cells, scene.dimensions), edges)
         filled = np.isfinite(means)
         middles = 0.5 * (edges[1:] + edges[:-1])
-        axes.plot(middles[filled], means[filled], color=BLUE, lw=2, alpha=0.6, label=labels.field)
+        axes.plot(
+            middles[filled], means[filled], color=style.BLUE, lw=2, alpha=0.6, label=labels.field
+        )
         top = max(top, float(means[filled].max(initial=0.0)))
-    axes.plot(profile.middles, values, "o", color=BLUE, ms=6, label=labels.cells, zorder=4)
-    for meaning, level, style in thresholds(scene.nutrients[name]):
+    axes.plot(profile.middles, values, "o", color=style.BLUE, ms=6, label=labels.cells, zorder=4)
+    for meaning, level, dashes in style.thresholds(scene.nutrients[name]):
         if 0.0 < level < 1.1 * top:  # within the axis
             label = labels.threshold.format(level, meaning)
-            axes.axhline(level, color=RED, lw=1.4, ls=style, label=label)
+            axes.axhline(level, color=style.RED, lw=1.4, ls=dashes, label=label)
     axes.set_ylim(0.0, 1.1 * top if top > 0.0 else 1.0)
 
 
 def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) -> None:
     """Draw which part of the cells of each shell is in a state or of a type."""
     bottom, width, types = np.zeros(len(profile.counts)), np.diff(profile.edges), list(scene.types)
-    parts, colours = profile.fractions, dict(COLOURS)
+    parts, colours = profile.fractions, dict(style.COLOURS)
     if len(types) > 1:
         middle = centre(frame.cells, scene.dimensions)
         parts = _types_by_shell(frame, middle, profile.edges, types)
-        colours |= type_colours(types)
+        colours |= style.type_colours(types)
     for name in [n for n in reversed(colours) if n in parts and np.nansum(parts[n]) > 0]:
         part = np.nan_to_num(100.0 * parts[name])
         axes.bar(
-            profile.middles, part, width, bottom, color=colours[name], label=type_label(name), lw=0
+            profile.middles,
+            part,
+            width,
+            bottom,
+            color=colours[name],
+            label=style.type_label(name),
+            lw=0,
         )
         bottom += part
     title = "Cells by type" if len(types) > 1 else "Cells by state"

@@ -32,14 +32,9 @@ _MIN_CROWD: Final = 10  # cells, below which averages over shells say nothing
 class PictureKind:
     """A picture of a run.
 
-    Attributes
-    ----------
-    options
-        What its method takes, such as ``"frame"`` or ``"colour"``.
-    caption, flat_caption
-        On the page of a run in space, and of one in a plane.
-    on_page
-        Whether the page of a run shows it: whether there is enough to draw.
+    - ``options``: what its method takes, such as ``"frame"`` or ``"colour"``
+    - ``caption``, ``flat_caption``: on the page of a run in space, and of one in a plane
+    - ``on_page``: whether the page of a run shows it: whether there is enough to draw
     """
 
     options: Sequence[str]

@@ -3,43 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray, IntArray
 from multicell.errors import OutputError
+from multicell.report.plots import style
 from multicell.report.plots.colouring import SCALE, Colouring, colouring
 from multicell.report.plots.necrosis import LABEL, STYLE, draw_necrotic
 from multicell.report.plots.plane import Plane, height, turn_frame
-from multicell.report.plots.style import (
-    HEADING,
-    INK,
-    RED,
-    SIZE,
-    headed,
-    moment,
-    styled,
-    type_label,
-)
 from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
 from multicell.results.observables import centre, uniform_radius
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colorbar import Colorbar
-    from matplotlib.image import AxesImage
-
-    from multicell.scene.nutrient import Nutrient
-    from multicell.scene.scene import Scene
-
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.scene import Scene
 
 _MIN_LEVEL = 1e-9  # part of the highest concentration of a field below which it is not drawn
 _DEPTH_DIAMETERS: Final = 3.0  # mean diameters behind a plane within which cells are drawn
@@ -47,7 +34,7 @@ _WATER: Final = LinearSegmentedColormap.from_list("water", ["#ffffff", "#8fbce0"
 """Shades of a field behind cells: white to a light blue, against which cells stand out."""
 
 
-@styled
+@style.styled
 def section(
     frame: Frame,
     scene: Scene,
@@ -67,29 +54,14 @@ def section(
     goes round where most cells are necrotic, averaged over about a cell's diameter. Where colours
     show the values of a quantity, phases or clones there is neither.
 
-    Parameters
-    ----------
-    frame
-        What is drawn.
-    scene
-        Of the run.
-    plane
-        Absent: z = centre of the cells.
-    colour
-        One of :func:`multicell.report.plots.colouring.colourings`.
-    lineage
-        Table of all cells that ever were, for the colours of clones.
-    half
-        Half the height of the window, µm; absent: as the cells need it.
-    limits
-        Range of the colours of a quantity; absent: that of the cells.
+    - ``plane``: absent: z = centre of the cells
+    - ``colour``: one of :func:`multicell.report.plots.colouring.colourings`
+    - ``lineage``: table of all cells that ever were, for the colours of clones
+    - ``half``: half the height of the window, µm; absent: as the cells need it
+    - ``limits``: range of the colours of a quantity; absent: that of the cells
 
-    Raises
-    ------
-    ValueError
-        If the frame has no cells.
-    OutputError
-        If the plane cuts no cell, or the colour is none.
+    Raises ValueError if the frame has no cells; OutputError if the plane cuts no cell, or the
+    colour is none.
     """
     dimensions, where = scene.dimensions, plane or Plane()
     if dimensions == 2 and where.axis != "z":
@@ -99,10 +71,12 @@ def section(
     square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
     inside = square > 0.0
     cells = cell_count(int(inside.sum()))
-    figure = headed(scene, moment(frame) + (_where(plane, cells) if dimensions == 3 else ""))
+    figure = style.headed(
+        scene, style.moment(frame) + (_where(plane, cells) if dimensions == 3 else "")
+    )
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     half = half or window(frame, scene)
-    frame_window(axes, middle, half, half * (0.66 * SIZE[0]) / (0.83 * SIZE[1]))
+    frame_window(axes, middle, half, half * (0.66 * style.SIZE[0]) / (0.83 * style.SIZE[1]))
     axes.spines[["top", "right"]].set_visible(True)
     _draw_deep(axes, place, frame.cells.radius, level, shade.rgb)
     draw_discs(axes, place[inside, :2], np.sqrt(square[inside]), shade.rgb[inside])
@@ -174,7 +148,8 @@ def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> Non
     for name, (dx, dy) in ((right, (long, 0.0)), (up, (0.0, long))):
         axes.annotate(
             "", (x + dx, y + dy), (x, y), zorder=5,
-            arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
+            arrowprops={"arrowstyle": "-|>", "color": style.INK, "lw": 1.5, "shrinkA": 0,
+                        "shrinkB": 0},
         )  # fmt: skip
         axes.text(x + 1.35 * dx, y + 1.35 * dy, name, ha="center", va="center", zorder=5)
 
@@ -213,11 +188,7 @@ def draw_circles(
 
 
 def draw_discs(
-    axes: Axes,
-    position: FloatArray,
-    radius: FloatArray,
-    rgb: FloatArray,
-    edge: float | None = None,
+    axes: Axes, position: FloatArray, radius: FloatArray, rgb: FloatArray, edge: float | None = None
 ) -> None:
     """Draw circles of true size, each in its colour; ``edge`` is the width of their white line."""
     size = 2.0 * radius
@@ -241,10 +212,7 @@ def draw_discs(
 def slice_at(field: Field, z: float) -> FloatArray:
     """Return the field on the plane at height z (µm), interpolated linearly: (nx, ny).
 
-    Raises
-    ------
-    ValueError
-        If the plane lies outside the grid.
+    Raises ValueError if the plane lies outside the grid.
     """
     if field.kind == "radial":
         field = field.in_plane(z)
@@ -282,18 +250,10 @@ def draw_field(
 
     There is no line at the threshold of necrosis: see :mod:`multicell.report.plots.necrosis`.
 
-    Parameters
-    ----------
-    medium
-        Concentration around the grid, mM.
-    low
-        Where the colours begin, mM; None for the lowest value.
+    - ``medium``: concentration around the grid, mM
+    - ``low``: where the colours begin, mM; None for the lowest value
 
-    Returns
-    -------
-    shades
-    resting
-        Concentration below which cells rest, if there is a line for it.
+    Returns shades; resting: concentration below which cells rest, if there is a line for it.
     """
     x, y, plane = refine(field, z)
     low = min(float(plane.min()), medium) if low is None else low
@@ -312,7 +272,7 @@ def draw_field(
         return shades, None
     line: dict[str, Any] = {"levels": [resting], "zorder": 3}
     axes.contour(x, y, plane, colors="white", linewidths=3.6, **line)
-    axes.contour(x, y, plane, colors=RED, linewidths=1.8, **line)
+    axes.contour(x, y, plane, colors=style.RED, linewidths=1.8, **line)
     return shades, resting
 
 
@@ -323,7 +283,7 @@ def _draw_behind(
 
     What is left of one that has been used up or has decayed is not: shades of it would be rounding.
     """
-    line: dict[str, Any] = {"color": RED, "lw": 1.8}
+    line: dict[str, Any] = {"color": style.RED, "lw": 1.8}
     handles = [Line2D([], [], ls=STYLE, label=LABEL, **line)] if dead else []
     if field is not None and nutrient is not None and _is_there(field, nutrient):
         shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
@@ -348,7 +308,7 @@ def _draw_bar(
     bar = figure.colorbar(shades, cax=place, **options)
     bar.outline.set_visible(False)
     bar.ax.grid(False)
-    figure.text(0.725, 0.28 + high + 0.035, title, **HEADING)
+    figure.text(0.725, 0.28 + high + 0.035, title, **style.HEADING)
     return bar
 
 
@@ -359,19 +319,21 @@ def scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     )
     left = axes.get_xlim()[0] + 0.07 * half
     low = middle[1] - 0.93 * half
-    axes.plot([left, left + length], [low, low], color=INK, lw=5, solid_capstyle="butt", zorder=5)
+    axes.plot(
+        [left, left + length], [low, low], color=style.INK, lw=5, solid_capstyle="butt", zorder=5
+    )
     axes.text(left + 0.5 * length, low + 0.035 * half, f"{length} µm", ha="center", zorder=5)
 
 
 def group_legend(figure: Figure, group: IntArray, palette: Mapping[str, str], title: str) -> None:
     """Explain the colours, with the number of cells of each group in the section."""
     if not palette:
-        figure.text(0.725, 0.84, title, **HEADING)
+        figure.text(0.725, 0.84, title, **style.HEADING)
         return
     counts = np.bincount(group, minlength=len(palette)).tolist()
     shown = [(name, palette[name], n) for name, n in zip(palette, counts, strict=True) if n]
     handles = [Line2D([], [], ls="", marker="o", ms=11, color=colour) for _, colour, _ in shown]
-    labels = [f"{type_label(name)} ({n:,})" for name, _, n in shown]
+    labels = [f"{style.type_label(name)} ({n:,})" for name, _, n in shown]
     figure.legend(
         handles,
         labels,

@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.report.plots.colouring import Colouring, colouring
-from multicell.report.plots.section import (
-    frame_window,
-    group_legend,
-    scale_bar,
-    scale_legend,
-)
+from multicell.report.plots.section import frame_window, group_legend, scale_bar, scale_legend
 from multicell.report.plots.spheres import View, spheres
 from multicell.report.plots.style import DPI, SIZE, headed, moment, styled
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 FILM: Final = (8.0, 6.0)  # inches
 _FINE: Final = 1.5  # pixels of the spheres to one of the figure
@@ -48,23 +40,12 @@ def space(
 ) -> Figure:
     """Draw the cells as spheres of true size, seen without perspective, with what is cut away.
 
-    Parameters
-    ----------
-    frame
-        What is drawn.
-    scene
-        Of the run.
-    view
-        Direction and cut; absent: a quarter is cut away and opens to the eye.
-    colour, lineage, half, limits
-        As for :func:`multicell.report.plots.section.section`.
+    - ``view``: direction and cut; absent: a quarter is cut away and opens to the eye
+    - ``colour``, ``lineage``, ``half``, ``limits``: as for
+      :func:`multicell.report.plots.section.section`
 
-    Raises
-    ------
-    ValueError
-        If the frame has no cells.
-    OutputError
-        If the cells lie in a plane, or the colour is none.
+    Raises ValueError if the frame has no cells; OutputError if the cells lie in a plane, or the
+    colour is none.
     """
     view = view or View()
     shade = _shades(frame, scene, colour, lineage, limits)

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from multicell.cells import FloatArray
 from multicell.compiling import KERNEL
 from multicell.errors import OutputError
 
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
-
-CUTS: Final = ("none", "half", "quarter")
-"""What can be cut away."""
+CUTS: Final = ("none", "half", "quarter")  # what can be cut away
 
 _AZIMUTH: Final = -60.0  # degrees: where the eye stands without a turn, and what a cut opens to
 _HEIGHT: Final = 24.0  # degrees above the horizon
@@ -30,12 +27,8 @@ _LIGHT: Final = np.array([0.30, 0.46, 0.836])
 class View:
     """From where a population is seen, and what is cut away of it.
 
-    Attributes
-    ----------
-    turn
-        Degrees by which the eye goes round the vertical axis z, from where cuts open to it.
-    cut
-        One of :data:`CUTS`: nothing, the half that lies nearer, or a quarter.
+    - ``turn``: degrees by which the eye goes round the vertical axis z, from where cuts open to it
+    - ``cut``: one of :data:`CUTS`: nothing, the half that lies nearer, or a quarter
     """
 
     turn: float = 0.0
@@ -74,24 +67,14 @@ def spheres(
 ) -> NDArray[np.uint8]:  # fmt: skip
     """Return a picture of spheres, seen without perspective.
 
-    Parameters
-    ----------
-    place : (n, 3) µm
-        Centres, from the centre of the picture.
-    radius : (n,) µm
-    rgb : (n, 3)
-        Colours, 0 to 1.
-    view
-        Direction, and what is cut away.
-    half
-        Half the width and half the height of the window, µm.
-    pixels
-        Width and height of the picture; both have the same scale.
+    - ``place``, (n, 3) µm: centres, from the centre of the picture
+    - ``radius``, (n,) µm
+    - ``rgb``, (n, 3): colours, 0 to 1
+    - ``view``: direction, and what is cut away
+    - ``half``: half the width and half the height of the window, µm
+    - ``pixels``: width and height of the picture; both have the same scale
 
-    Returns
-    -------
-    (height, width, 4) uint8
-        Red, green, blue and opacity, the first row uppermost.
+    Returns (height, width, 4) uint8: red, green, blue and opacity, the first row uppermost.
     """
     wide, high = (_LEVELS * count for count in pixels)
     axes = view.axes()

@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable, Iterable, Mapping, Sized
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import matplotlib as mpl
 import numpy as np
@@ -14,19 +14,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from multicell.cells import FloatArray
 from multicell.errors import OutputError
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
-    from multicell.scene.nutrient import Nutrient
-    from multicell.scene.scene import Scene
-
-
-History = Mapping[str, NDArray[np.float64]]
-"""Columns of a run's history by name, (m,) each."""
+History = Mapping[str, NDArray[np.float64]]  # columns of a run's history by name, (m,) each
 
 COLOURS: Final = {
     "proliferating": "#2a9d6a",
@@ -170,10 +166,7 @@ PICTURES: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, as its file's name ends.
 
-    Raises
-    ------
-    OutputError
-        If the file cannot be written, or its name ends otherwise.
+    Raises OutputError if the file cannot be written, or its name ends otherwise.
     """
     format = PICTURES.get(path.suffix.lower())
     if format is None:

@@ -23,13 +23,7 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray
 from multicell.random import Purpose
-from multicell.report.plots.colouring import (
-    SCALE,
-    clone_colours,
-    founder,
-    limits_of,
-    written,
-)
+from multicell.report.plots.colouring import SCALE, clone_colours, founder, limits_of, written
 from multicell.report.plots.style import COLOURS, type_colours
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
@@ -40,14 +34,11 @@ from multicell.results.tables import NAMED
 if TYPE_CHECKING:
     from multicell.report.result import Result
 
-MAX_FRAMES: Final = 50
-"""Frames that are shown at most."""
-MAX_CELLS: Final = 10_000
-"""Cells of a frame that are shown at most."""
+MAX_FRAMES: Final = 50  # frames that are shown at most
+MAX_CELLS: Final = 10_000  # cells of a frame that are shown at most
 MAX_BYTES: Final = 5_500_000
 """Size of the packed columns at most; fewer cells are shown where it would be more."""
-POINTS: Final = 300
-"""Points of a curve, besides those of the frames."""
+POINTS: Final = 300  # points of a curve, besides those of the frames
 
 _MAX_READ: Final = 3e6  # cells of all frames that are read at most
 _MIN_FRAMES: Final = 8  # frames, however large
@@ -61,20 +52,11 @@ _MAX_CLONES: Final = 250
 class Column:
     """What is packed of each cell.
 
-    Attributes
-    ----------
-    name, label, unit
-        Of the quantity.
-    kind
-        ``"u1"``, ``"u2"`` or ``"u4"``: its integers.
-    values
-        Returns the column of a frame.
-    words
-        Names of its numbers, for groups.
-    plain
-        Whether the numbers are packed as they are, such as identities.
-    hidden
-        Whether the pointer leaves it out.
+    - ``name``, ``label``, ``unit``: of the quantity
+    - ``kind``: ``"u1"``, ``"u2"`` or ``"u4"``: its integers
+    - ``values``: returns the column of a frame
+    - ``words``: names of its numbers, for groups
+    - ``plain``: whether the numbers are packed as they are, such as identities
     """
 
     name: str
@@ -84,7 +66,6 @@ class Column:
     values: Callable[[Frame], NDArray[Any]]
     words: Sequence[str] = ()
     plain: bool = False
-    hidden: bool = False
 
 
 @final

@@ -16,27 +16,8 @@ from numpy.typing import NDArray
 from multicell.errors import SceneError
 from multicell.report.plots.style import BLUE, SIZE, draw_style, span, styled, type_colours
 from multicell.report.wording import time_unit
+from multicell.studies.pictures import values as of
 from multicell.studies.pictures.layout import panels, spread, write_plainly
-from multicell.studies.pictures.values import (
-    DONE,
-    POINT,
-    SEED,
-    STATE,
-    TIME,
-    Scale,
-    at_point,
-    axes_of,
-    compact,
-    is_sampled,
-    label,
-    middle,
-    number_text,
-    observable,
-    point_text,
-    scale,
-    sentence,
-    words,
-)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -53,61 +34,61 @@ _LOG_RATIO: Final = 20.0  # of largest to smallest from which the axis is logari
 @styled
 def curves(table: xr.Dataset, title: str, name: str, at: Mapping[str, Any] | None = None) -> Figure:
     """Draw what :meth:`multicell.studies.plots.StudyPlots.curves` describes."""
-    table = compact(table)
-    values = observable(table, name)
-    if TIME not in values.dims:
-        courses = [str(n) for n, entry in table.data_vars.items() if TIME in entry.dims]
+    table = of.compact(table)
+    values = of.observable(table, name)
+    if of.TIME not in values.dims:
+        courses = [str(n) for n, entry in table.data_vars.items() if of.TIME in entry.dims]
         hint = f"Those over time are {', '.join(courses)}."
         raise SceneError("", f"'{name}' is one number of each run and has no course", hint)
-    names = axes_of(table)
+    names = of.axes_of(table)
     columns = 2 if len(names) > 1 else 1
     rows = -(-len(names) // columns)
     height = SIZE[1] if rows < 2 else 0.9 + 3.9 * rows
     figure, grid = panels(title, _subtitle(table, name), max(1, len(names)), columns, height,
                           sharex=True, sharey=True)  # fmt: skip
     _set_limits(grid[0], values.values)
-    unit = time_unit(float(table[TIME].max()))
+    unit = time_unit(float(table[of.TIME].max()))
     for place, panel in enumerate(grid):
         # limits are known: to find them from hundreds of curves takes minutes
         panel.set_autoscale_on(False)
-        panel.set_xlim(*span(table[TIME].values / unit.seconds))
+        panel.set_xlim(*span(table[of.TIME].values / unit.seconds))
         if place % columns == 0:
-            panel.set_ylabel(label(table, name))
+            panel.set_ylabel(of.label(table, name))
         panel.xaxis.set_tick_params(labelbottom=True)
         panel.xaxis.set_major_locator(MaxNLocator(6))
     for panel in grid[-columns:]:
         panel.set_xlabel(f"time ({unit.name})")
-    time = table[TIME].values / unit.seconds
+    time = table[of.TIME].values / unit.seconds
     if not names:
-        _draw_curve(grid[0], time, values.transpose(SEED, TIME).values, BLUE, 2.0)
-    fixed = {} if is_sampled(table) else middle(table, axes_of(table)) | dict(at or {})
+        _draw_curve(grid[0], time, values.transpose(of.SEED, of.TIME).values, BLUE, 2.0)
+    fixed = {} if of.is_sampled(table) else of.middle(table, of.axes_of(table)) | dict(at or {})
     for panel, axis in zip(grid, names, strict=False):
         others = {other: value for other, value in fixed.items() if other != axis}
-        _draw(figure, panel, time, at_point(table, others), name, axis)
+        _draw(figure, panel, time, of.at_point(table, others), name, axis)
         if others:
-            heading = textwrap.fill(point_text(table, others), 110 // columns)
+            heading = textwrap.fill(of.point_text(table, others), 110 // columns)
             panel.set_title(heading, fontsize=9.5, weight="normal")
     return figure
 
 
 def _subtitle(table: xr.Dataset, name: str) -> str:
-    seeds = table.sizes[SEED]
+    seeds = table.sizes[of.SEED]
     over = f"mean over {seeds} seeds, band: ± one standard deviation" if seeds > 1 else (
         "one seed: the scatter is unknown, there are no bands"
     )  # fmt: skip
-    if table.sizes.get(POINT, 0) > _MAX_CURVES:
-        over += f"; {_MAX_CURVES} of {table.sizes[POINT]:,} points"
-    return f"{sentence(words(name))} over time, {over}"
+    if table.sizes.get(of.POINT, 0) > _MAX_CURVES:
+        over += f"; {_MAX_CURVES} of {table.sizes[of.POINT]:,} points"
+    return f"{of.sentence(of.words(name))} over time, {over}"
 
 
 def _draw(
     figure: Figure, axes: Axes, time: FloatArray, table: xr.Dataset, name: str, axis: str
 ) -> None:
     """Draw one panel: a curve for each value of the axis (each point of a sample)."""
-    shown = scale(table, axis)
-    along = POINT if is_sampled(table) else axis
-    values = table[name].astype(float).transpose(along, SEED, TIME).values
-    own = list(table[axis].values) if is_sampled(table) else list(shown.values)
+    shown = of.scale(table, axis)
+    along = of.POINT if of.is_sampled(table) else axis
+    values = table[name].astype(float).transpose(along, of.SEED, of.TIME).values
+    own = list(table[axis].values) if of.is_sampled(table) else list(shown.values)
     colour, mappable = _colours(shown)
     chosen = spread(len(own), _MAX_CURVES)
     for order, place in enumerate(chosen):
@@ -120,9 +101,9 @@ def _draw(
         bar.ax.grid(False)
         bar.set_label(shown.label)
         bar.ax.yaxis.set_minor_formatter(NullFormatter())
-        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value)))
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: of.number_text(value)))
         return
-    lost = {} if is_sampled(table) else _missing(table, values, axis)
+    lost = {} if of.is_sampled(table) else _missing(table, values, axis)
     handles = [
         Line2D([], [], color=colour(value), lw=2.2, label=f"{text}{lost.get(place, '')}")
         for place, (value, text) in enumerate(zip(shown.values, shown.texts, strict=True))
@@ -134,11 +115,11 @@ def _draw(
 def _missing(table: xr.Dataset, values: FloatArray, axis: str) -> dict[int, str]:
     """Return what the legend says of the values of an axis, by place, that have no curve."""
     found = {}
-    states = table[STATE].transpose(axis, SEED).values
+    states = table[of.STATE].transpose(axis, of.SEED).values
     for place, (courses, runs) in enumerate(zip(values, states, strict=True)):
         if not np.isfinite(courses).any():
             failed = "failed" if (runs == "failed").all() else "not run"
-            found[place] = f" ({'none' if (runs == DONE).any() else failed})"
+            found[place] = f" ({'none' if (runs == of.DONE).any() else failed})"
     return found
 
 
@@ -163,7 +144,7 @@ def _draw_curve(
         axes.plot(time, np.where(beyond, known, np.nan).T, color=colour, lw=0.7, alpha=0.7)
 
 
-def _colours(shown: Scale) -> tuple[Callable[[Any], Any], mpl.cm.ScalarMappable | None]:
+def _colours(shown: of.Scale) -> tuple[Callable[[Any], Any], mpl.cm.ScalarMappable | None]:
     """Return the colour of each value of an axis; and their scale where they are many numbers."""
     if shown.numbers is None:
         own = type_colours([str(value) for value in shown.values])

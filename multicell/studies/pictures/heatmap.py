@@ -12,29 +12,8 @@ from matplotlib.colors import Normalize, to_rgb
 
 from multicell.report.plots.colour_vision import luminance
 from multicell.report.plots.style import INK, QUIET, RED, SIZE, styled
+from multicell.studies.pictures import values as of
 from multicell.studies.pictures.layout import panels, spread, write_plainly
-from multicell.studies.pictures.values import (
-    DONE,
-    SEED,
-    STATE,
-    Scale,
-    Statistics,
-    at_end,
-    at_point,
-    axes_of,
-    axis_named,
-    compact,
-    is_sampled,
-    label,
-    middle,
-    number_text,
-    point_text,
-    scale,
-    scatter_text,
-    sentence,
-    statistics,
-    words,
-)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,19 +34,19 @@ def heatmap(
     x: str | None = None, y: str | None = None, at: Mapping[str, Any] | None = None,
 ) -> Figure:  # fmt: skip
     """Draw what :meth:`multicell.studies.plots.StudyPlots.heatmap` describes."""
-    if is_sampled(table):
+    if of.is_sampled(table):
         raise ValueError("a sampled design has no tiles: draw the response over each axis")
-    if not axes_of(table):
+    if not of.axes_of(table):
         raise ValueError("nothing is varied: there are no axes to draw over")
-    table = compact(table)
+    table = of.compact(table)
     across, up, third, fixed = arrange(table, x, y, at or {})
-    part = at_point(table, fixed)
+    part = of.at_point(table, fixed)
     shown = [0] if third is None else spread(part.sizes[third], _MAX_PANELS)
-    known = statistics(at_end(part, name))
-    sides = scale(part, across), None if up is None else scale(part, up)
+    known = of.statistics(of.at_end(part, name))
+    sides = of.scale(part, across), None if up is None else of.scale(part, up)
     subtitle = _subtitle(table, name, fixed)
     if third is not None and len(shown) < part.sizes[third]:
-        subtitle += f"; {len(shown)} of {part.sizes[third]} values of {words(third)}"
+        subtitle += f"; {len(shown)} of {part.sizes[third]} values of {of.words(third)}"
     columns, rows = min(len(shown), 3), -(-len(shown) // 3)
     one_row = 3.4 if sides[1] is None else max(SIZE[1], 1.7 + 0.3 * len(sides[1].texts))
     height = 0.9 + 4.2 * rows if rows > 1 else one_row
@@ -76,12 +55,12 @@ def heatmap(
     font = _font(sides, columns)
     for number, (axes, place) in enumerate(zip(grid, shown, strict=True)):
         chosen = {} if third is None else {third: place}
-        tiles = Statistics(*(entry.isel(chosen) for entry in known))
-        _draw(axes, tiles, part[STATE].isel(chosen), sides, norm, font)
+        tiles = of.Statistics(*(entry.isel(chosen) for entry in known))
+        _draw(axes, tiles, part[of.STATE].isel(chosen), sides, norm, font)
         if number % columns:
             axes.set_ylabel("")
         if third is not None:
-            heading = point_text(part, {third: part[third].values[place]})
+            heading = of.point_text(part, {third: part[third].values[place]})
             axes.set_title(textwrap.fill(heading, int(84 / columns)), fontsize=10.5)
     if not font:
         figure.text(0.04, 0.02, _scatter_note(known), fontsize=10, color=QUIET)
@@ -89,7 +68,7 @@ def heatmap(
     bar = figure.colorbar(mappable, ax=grid, shrink=0.9, aspect=26, pad=0.02)
     bar.outline.set_visible(False)
     bar.ax.grid(False)
-    bar.set_label(label(table, name))
+    bar.set_label(of.label(table, name))
     write_plainly(bar.ax.yaxis)
     return figure
 
@@ -98,21 +77,21 @@ def arrange(
     table: xr.Dataset, x: str | None, y: str | None, at: Mapping[str, Any]
 ) -> tuple[str, str | None, str | None, dict[str, Any]]:
     """Return the axes across, up and of the panels, and the values of those that are fixed."""
-    taken = [axis_named(table, name) for name in (x, y, *at) if name is not None]
-    free = [name for name in axes_of(table) if name not in taken]
+    taken = [of.axis_named(table, name) for name in (x, y, *at) if name is not None]
+    free = [name for name in of.axes_of(table) if name not in taken]
     across = x if x is not None else free.pop(0)
     up = y if y is not None else (free.pop(0) if free else None)
     third = free.pop(0) if free else None
-    return across, up, third, middle(table, free) | dict(at)
+    return across, up, third, of.middle(table, free) | dict(at)
 
 
 def _subtitle(table: xr.Dataset, name: str, fixed: Mapping[str, Any]) -> str:
-    seeds = table.sizes[SEED]
+    seeds = table.sizes[of.SEED]
     over = f"mean ± standard deviation over {seeds} seeds" if seeds > 1 else (
         "one seed: the scatter is unknown"
     )  # fmt: skip
-    text = f"{sentence(words(name))} at the end of each run, {over}"
-    return f"{text}; {point_text(table, fixed)}" if fixed else text
+    text = f"{of.sentence(of.words(name))} at the end of each run, {over}"
+    return f"{text}; {of.point_text(table, fixed)}" if fixed else text
 
 
 def _norm(values: FloatArray) -> Normalize:
@@ -123,7 +102,7 @@ def _norm(values: FloatArray) -> Normalize:
     return Normalize(low - room, high + room)
 
 
-def _font(sides: tuple[Scale, Scale | None], columns: int) -> float:
+def _font(sides: tuple[of.Scale, of.Scale | None], columns: int) -> float:
     """Return the size of numbers that fit the tiles of maps side by side, points; 0 for none."""
     across, up = sides
     tiles = max(len(across.texts) * columns, 0 if up is None else len(up.texts))
@@ -131,28 +110,26 @@ def _font(sides: tuple[Scale, Scale | None], columns: int) -> float:
     return size if size >= _MIN_FONT else 0.0
 
 
-def _scatter_note(known: Statistics) -> str:
+def _scatter_note(known: of.Statistics) -> str:
     """Return what is said of the scatter where tiles are too small for numbers."""
     sd = known.sd.values[np.isfinite(known.sd.values)]
     note = "Tiles are too small for numbers."
     if not sd.size:
         return note
-    return (
-        f"{note} Standard deviation over the seeds: {number_text(float(np.median(sd)), 2)} in the "
-        f"median tile, {number_text(float(sd.max()), 2)} at most."
-    )
+    middle, most = (of.number_text(float(value), 2) for value in (np.median(sd), sd.max()))
+    return f"{note} Standard deviation over the seeds: {middle} in the median tile, {most} at most."
 
 
 def _draw(
-    axes: Axes, tiles: Statistics, states: xr.DataArray, sides: tuple[Scale, Scale | None],
+    axes: Axes, tiles: of.Statistics, states: xr.DataArray, sides: tuple[of.Scale, of.Scale | None],
     norm: Normalize, font: float,
 ) -> None:  # fmt: skip
     """Draw one map; ``font`` is the size of the numbers in its tiles, 0 for none."""
     across, up = sides
     order = [across.name] if up is None else [up.name, across.name]
     mean, sd, number = (np.atleast_2d(entry.transpose(*order).values) for entry in tiles)
-    runs = states.transpose(*order, SEED).values.reshape((*mean.shape, -1))
-    failed = (runs == "failed").any(axis=-1) & ~(runs == DONE).any(axis=-1)
+    runs = states.transpose(*order, of.SEED).values.reshape((*mean.shape, -1))
+    failed = (runs == "failed").any(axis=-1) & ~(runs == of.DONE).any(axis=-1)
     colours = mpl.colormaps[_COLOURS]
     # what has no mean is grey, or red where it failed
     axes.pcolormesh(failed, cmap=mpl.colors.ListedColormap([_EMPTY, _FAILED]), vmin=0, vmax=1,
@@ -184,8 +161,8 @@ def _tile_text(mean: float, sd: float, count: int, runs: Any) -> str:
     total, failed = len(runs), int((runs == "failed").sum())
     if count:
         lacking = f"{count} of {total} seeds" if count < total else ""
-        return "\n".join(line for line in (*scatter_text(mean, sd), lacking) if line)
-    if (runs == DONE).any():
+        return "\n".join(line for line in (*of.scatter_text(mean, sd), lacking) if line)
+    if (runs == of.DONE).any():
         return "none"
     if failed:
         return "failed" if failed == total else f"failed\n{failed} of {total} seeds"
@@ -202,7 +179,7 @@ def _ink(colour: Any) -> str:
     return INK if dark > 1.05 / (own + 0.05) else "white"
 
 
-def _name_tiles(axis: Any, side: Scale) -> None:
+def _name_tiles(axis: Any, side: of.Scale) -> None:
     """Name the tiles along a side, every second or third where there are many."""
     places = range(0, len(side.texts), -(-len(side.texts) // 12))
     texts = [textwrap.shorten(side.texts[place], 16, placeholder="…") for place in places]

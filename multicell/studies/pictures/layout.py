@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from multicell.report.plots.style import DPI, SIZE, blank
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 def with_heading(
@@ -32,16 +30,10 @@ def panels(
 ) -> tuple[Figure, list[Axes]]:  # fmt: skip
     """Return a figure with so many panels in rows of so many columns; the rest of a row is empty.
 
-    Parameters
-    ----------
-    title, subtitle
-        Of the figure.
-    count, columns
-        Panels in all, and in a row.
-    height, head
-        Of the figure and of its heading, inches.
-    **shared
-        As ``Figure.subplots`` takes them: ``sharex``, ``sharey``.
+    - ``title``, ``subtitle``: of the figure
+    - ``count``, ``columns``: panels in all, and in a row
+    - ``height``, ``head``: of the figure and of its heading, inches
+    - ``**shared``: as ``Figure.subplots`` takes them: ``sharex``, ``sharey``
     """
     figure = with_heading(title, subtitle, (SIZE[0], height), head)
     grid = figure.subplots(-(-count // columns), columns, squeeze=False, **shared).ravel().tolist()

@@ -9,23 +9,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
+from multicell.studies.pictures import values as of
 from multicell.studies.pictures.layout import panels, write_plainly
-from multicell.studies.pictures.values import (
-    POINT,
-    SEED,
-    STATE,
-    Scale,
-    at_end,
-    axes_of,
-    compact,
-    is_sampled,
-    label,
-    number_text,
-    scale,
-    sentence,
-    statistics,
-    words,
-)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,20 +25,20 @@ _IN_A_ROW: Final = 3  # panels
 @styled
 def response(table: xr.Dataset, title: str, name: str) -> Figure:
     """Draw what :meth:`multicell.studies.plots.StudyPlots.response` describes."""
-    if not axes_of(table):
+    if not of.axes_of(table):
         raise ValueError("nothing is varied: there are no axes to draw over")
-    table = compact(table)
-    values, names = at_end(table, name), axes_of(table)
+    table = of.compact(table)
+    values, names = of.at_end(table, name), of.axes_of(table)
     columns = min(_IN_A_ROW, len(names))
     rows = -(-len(names) // columns)
     height = SIZE[1] if rows == 1 else 0.9 + 3.6 * rows
     figure, grid = panels(title, _subtitle(table, name), len(names), columns, height, sharey=True)
     for place, (axes, axis) in enumerate(zip(grid, names, strict=True)):
-        _draw(axes, values, table[STATE], scale(table, axis), table[axis].values)
+        _draw(axes, values, table[of.STATE], of.scale(table, axis), table[axis].values)
         if place % columns == 0:
-            axes.set_ylabel(label(table, name))
+            axes.set_ylabel(of.label(table, name))
             write_plainly(axes.yaxis)
-    failed = int((table[STATE].values == "failed").sum())
+    failed = int((table[of.STATE].values == "failed").sum())
     if failed:
         handle = Line2D([], [], ls="", marker="x", color=RED, label=f"failed ({failed:,})")
         figure.legend(handles=[handle], loc="upper right", bbox_to_anchor=(0.98, 0.99))
@@ -61,21 +46,21 @@ def response(table: xr.Dataset, title: str, name: str) -> Figure:
 
 
 def _subtitle(table: xr.Dataset, name: str) -> str:
-    seeds, text = table.sizes[SEED], f"{sentence(words(name))} at the end of each run"
-    if is_sampled(table):
-        text += f", {table.sizes[POINT]} points"
-    elif len(axes_of(table)) > 1:
+    seeds, text = table.sizes[of.SEED], f"{of.sentence(of.words(name))} at the end of each run"
+    if of.is_sampled(table):
+        text += f", {table.sizes[of.POINT]} points"
+    elif len(of.axes_of(table)) > 1:
         return f"{text}; line: mean over seeds and the other axes"
     bars = f"bars: ± one standard deviation over {seeds} seeds"
     return f"{text}; {bars if seeds > 1 else 'one seed: the scatter is unknown'}"
 
 
 def _draw(
-    axes: Axes, values: xr.DataArray, states: xr.DataArray, shown: Scale, own: FloatArray
+    axes: Axes, values: xr.DataArray, states: xr.DataArray, shown: of.Scale, own: FloatArray
 ) -> None:
     """Draw the panel of one axis, whose value at each place of the table is ``own``."""
-    sampled = POINT in values.dims
-    along = POINT if sampled else shown.name
+    sampled = of.POINT in values.dims
+    along = of.POINT if sampled else shown.name
     rest = [str(name) for name in values.dims if name != along]
     flat = values.transpose(along, *rest).values.reshape(len(own), -1)
     lost = (states == "failed").any(rest).values
@@ -86,8 +71,8 @@ def _draw(
     apart = np.linspace(-0.05, 0.05, flat.shape[1]) * gap if flat.shape[1] > 1 else 0.0
     axes.plot(places[:, None] + apart, flat, "o", color=BLUE, ms=3.5, alpha=0.35, mew=0,
               zorder=2)  # fmt: skip
-    mean, sd, _ = statistics(values, rest)
-    bars = values.sizes[SEED] > 1 and rest == [SEED]
+    mean, sd, _ = of.statistics(values, rest)
+    bars = values.sizes[of.SEED] > 1 and rest == [of.SEED]
     order = np.argsort(places, kind="stable")
     axes.errorbar(
         places[order], mean.values[order], sd.values[order] if bars else None,
@@ -106,4 +91,4 @@ def _draw(
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
         axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value)))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: of.number_text(value)))

@@ -46,20 +46,13 @@ class Statistics(NamedTuple):
 class Scale(NamedTuple):
     """An axis of a study as a picture shows it.
 
-    Attributes
-    ----------
-    name
-        Of the dimension or coordinate.
-    label
-        Name and unit.
-    values
-        In the order of the table, numbers or words; once each, sorted, of a sampled design.
-    numbers : (n,) or None
-        The same in the shown unit; None for words.
-    texts
-        How the values are written.
-    factor
-        Base units in the shown unit.
+    - ``name``: of the dimension or coordinate
+    - ``label``: name and unit
+    - ``values``: in the order of the table, numbers or words; once each, sorted, of a sampled
+      design
+    - ``numbers``, (n,) or None: the same in the shown unit; None for words
+    - ``texts``: how the values are written
+    - ``factor``: base units in the shown unit
     """
 
     name: str
@@ -118,13 +111,7 @@ def observables(table: xr.Dataset) -> list[str]:
 
 
 def observable(table: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a variable of the table.
-
-    Raises
-    ------
-    SceneError
-        If there is none of this name.
-    """
+    """Return a variable of the table; raises SceneError if there is none of this name."""
     known = observables(table)
     if name not in known:
         raise SceneError("", f"the study has no observable {name!r}", near_miss(name, known))
@@ -242,10 +229,7 @@ def scatter_text(mean: float, sd: float) -> tuple[str, str]:
 def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> xr.Dataset:
     """Return the part of a grid at given values of some axes, the nearest there are.
 
-    Raises
-    ------
-    SceneError
-        For an axis or a word that is not there.
+    Raises SceneError for an axis or a word that is not there.
     """
     for name, wanted in fixed.items():
         axis_named(table, name)
@@ -256,10 +240,7 @@ def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> xr.Dataset:
 def nearest(table: xr.Dataset, name: str, wanted: Any) -> int:
     """Return the place of the value of an axis that is nearest to a number, or is a word.
 
-    Raises
-    ------
-    SceneError
-        For a word that is not there.
+    Raises SceneError for a word that is not there.
     """
     values = table[name].values
     if values.dtype.kind in "fiu":
