@@ -150,6 +150,7 @@ class Simulation(RunState):
         if given_states or not self.scene.nutrients:
             with self.phase("biology"):
                 self._decide(0.0)
+        self._irradiate(-math.inf)
 
     def _find_states(self) -> None:
         """Find states of the cells that fit the fields which they make."""
@@ -212,6 +213,7 @@ class Simulation(RunState):
             self._fields.advance(self.cells, begin, end, None if before is None else began)
         with self.phase("biology"):
             self._decide(end - begin)
+            self._irradiate(begin)
             if before is not None:
                 self._estimate(before, first, begin, end)
 
@@ -351,3 +353,12 @@ class Simulation(RunState):
             self.lineage.died(np.sort(cells.id[dead]), self.time)
         if self.plan.changing and dt > 0.0:
             self.cells = change_types(self.plan, cells, found, self.step_index, dt)
+
+    def _irradiate(self, since: float) -> None:
+        """Let cells be hit by what has fallen due since a time in s, and note those that die."""
+        if not self.plan.radiation:
+            return
+        from multicell.biology.radiation import irradiate
+
+        self.cells, dead = irradiate(self.plan, self.cells, self.concentrations, since, self.time)
+        self.lineage.died(np.sort(self.cells.id[dead]), self.time)

@@ -131,6 +131,10 @@ def _steady(s: Any, field: str) -> str:
     return _if(s.nutrients[field].regime == "steady", "the field is steady")
 
 
+def _no_oxygen(s: Any, name: str) -> str:
+    return _if(not s.radiation[name].oxygen, f"radiation.{name} names no field of oxygen")
+
+
 _KEYS: Final[Mapping[str, Reason]] = {
     "growth.cycle_time": _cycle,
     "growth.cycle_variation": _cycle,
@@ -150,6 +154,8 @@ _KEYS: Final[Mapping[str, Reason]] = {
         any(kind.surface_energy for kind in s.types.values()),
         "every pair of types has a surface energy of its own",
     ),
+    "radiation.*.oer": _no_oxygen,
+    "radiation.*.half_oxygen": _no_oxygen,
     "initial.spacing": _one_cell,
     "initial.jitter": _one_cell,
     "death.necrosis_rate": _necrosis,

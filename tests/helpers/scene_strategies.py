@@ -58,6 +58,8 @@ NAMES = {
     "forces": ("tug", "weight"),
     "motions": ("base", "tip"),
     "observables": ("first", "second"),
+    "radiation": ("course", "boost"),
+    "phase_factor": tuple(Phase.__members__),
 }
 """Names of the entries of the tables that have named entries."""
 
@@ -80,6 +82,9 @@ USUAL = {
     "amol/s/um^2": (1e-5, 1e-2),
     "1/s": (1e-7, 1e-3),
     "1/um": (1e-3, 1.0),
+    "Gy": (0.5, 10.0),
+    "1/Gy": (0.05, 0.8),
+    "1/Gy^2": (0.005, 0.1),
     "": (0.1, 3.0),
 }
 """Numbers as scenes have them, by unit; those with a default are drawn round it."""
@@ -257,6 +262,9 @@ class Drawer:
 
     def _whole_numbers(self, spec, field, path):
         return self.one_of([[0], [0, 1], [3, 1, 2]])
+
+    def _moments(self, spec, field, path):
+        return [self.written(t, "s") for t in self.rising("s")]
 
     def _course(self, spec, field, path):
         if self.chance(0.5):
