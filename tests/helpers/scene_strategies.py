@@ -365,12 +365,34 @@ def fitted(entries):
         _fit_field(scene, field, list(fields)[:number], fields, flat)
         assert name in fields
     _fit_energy(scene, fields)
+    _fit_radiation(scene, types, fields)
     scene["chemotaxis"] = {n: x for n, x in scene.get("chemotaxis", {}).items() if n in fields}
     if flat and scene.get("haptotaxis", {}).get("axis") == "z":
         scene["haptotaxis"]["axis"] = "y"
     # functions of this process, which no scene brings along
     scene.get("output", {}).pop("observables", None)
     return scene
+
+
+def _fit_radiation(scene, types, fields):
+    """Let courses have times, and name fields, types and phases that there are."""
+    growth = scene.get("growth")
+    for course in scene.get("radiation", {}).values():
+        course.setdefault("beta", 0.03)
+        if not base(course["alpha"]):
+            course["alpha"] = 0.3
+        if "times" in course:
+            course.pop("start", None)
+            course.pop("fractions", None)
+        else:
+            course.setdefault("start", 0.0)
+        for key, known in (("cells", types), ("oxygen", fields)):
+            if key in course:
+                course[key] = next(iter(known), "")
+        if growth is None:
+            course.pop("mitotic_divisions", None)
+        if not (growth or {}).get("phases"):
+            course.pop("phase_factor", None)
 
 
 def _fit_reactions(scene, fields):
