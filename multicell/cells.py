@@ -98,7 +98,8 @@ class Cells:
     phase_length : (n,) float64, s
         Time that the cell is to spend in its phase.
     doomed : (n,) int8
-        At which of its next divisions the cell dies, counted from 1; zero for sound cells.
+        At which of its next divisions the cell dies, counted from 1, also of one that has died;
+        zero for sound cells.
     """
 
     id: IntArray = _column(np.int64, "")
