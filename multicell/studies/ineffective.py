@@ -100,7 +100,8 @@ def _necrosis(scene: Scene) -> str:
 
 def _apoptosis(scene: Scene) -> str:
     assert scene.death is not None
-    return _if(scene.death.apoptosis_rate == 0.0, "death.apoptosis_rate is 0")
+    none = scene.death.apoptosis_rate == 0.0 and not scene.radiation
+    return _if(none, "death.apoptosis_rate is 0, and no cell is irradiated")
 
 
 def _swelling(scene: Scene) -> str:
