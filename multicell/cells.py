@@ -97,6 +97,9 @@ class Cells:
         Time spent in the phase, in growing phases as far as growth was not limited.
     phase_length : (n,) float64, s
         Time that the cell is to spend in its phase.
+    doomed : (n,) int8
+        At which of its next divisions the cell dies, counted from 1, also of one that has died;
+        zero for sound cells.
     """
 
     id: IntArray = _column(np.int64, "")
@@ -115,6 +118,7 @@ class Cells:
     phase: NDArray[np.int8] = _column(np.int8, "", optional=True)
     progress: FloatArray = _column(np.float64, "s", optional=True)
     phase_length: FloatArray = _column(np.float64, "s", optional=True)
+    doomed: NDArray[np.int8] = _column(np.int8, "", optional=True)
 
     def __post_init__(self) -> None:
         n = len(self.id)

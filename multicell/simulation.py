@@ -22,6 +22,7 @@ from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
 from multicell.biology.pace import first_pace, next_pace
 from multicell.biology.plan import biology_plan
+from multicell.biology.radiation import irradiate
 from multicell.biology.splitting import columns, freeze, step_error
 from multicell.biology.start_states import StartStates
 from multicell.biology.step import age_cells, bind, decide, divide_and_remove, grow
@@ -149,6 +150,7 @@ class Simulation(RunState):
         if given_states or not self.scene.nutrients:
             with self.phase("biology"):
                 self._decide(0.0)
+        self._irradiate(-math.inf)
 
     def _find_states(self) -> None:
         """Find states of the cells that fit the fields which they make."""
@@ -211,6 +213,7 @@ class Simulation(RunState):
             self._fields.advance(self.cells, begin, end, None if before is None else began)
         with self.phase("biology"):
             self._decide(end - begin)
+            self._irradiate(begin)
             if before is not None:
                 self._estimate(before, first, begin, end)
 
@@ -339,3 +342,10 @@ class Simulation(RunState):
             self.lineage.died(np.sort(cells.id[dead]), self.time)
         if self.plan.changing and dt > 0.0:
             self.cells = change_types(self.plan, cells, found, self.step_index, dt)
+
+    def _irradiate(self, since: float) -> None:
+        """Let cells be hit by what has fallen due since a time in s, and note those that die."""
+        if self.plan.radiation:
+            cells, found = self.cells, self.concentrations
+            self.cells, dead = irradiate(self.plan, cells, found, since, self.time)
+            self.lineage.died(np.sort(self.cells.id[dead]), self.time)

@@ -42,6 +42,9 @@ _UNITS = {
     "1/mM^2/s": (1e-15, 1e12, "a rate constant of third order", "1 1/mM^2/s"),
     "1/mM^3/s": (1e-15, 1e12, "a rate constant of fourth order", "1 1/mM^3/s"),
     "1/um": (1e-9, 1e6, "an inverse length", "0.01 1/um"),
+    "Gy": (1e-9, 1e6, "a dose", "2 Gy"),
+    "1/Gy": (1e-9, 1e6, "an effect per dose", "0.3 1/Gy"),
+    "1/Gy^2": (1e-9, 1e6, "an effect per dose squared", "0.03 1/Gy^2"),
     "": (1e-12, 1e12, "a number", "1"),
 }
 COMMON = {
@@ -56,6 +59,9 @@ COMMON = {
     "um^2/s": {"µm^2/s": 1.0, "µm²/s": 1.0, "m^2/s": 1e12, "cm^2/s": 1e8, "mm^2/s": 1e6},
     "mM/s": {"amol/s/um^3": 1.0, "amol/s/µm^3": 1.0},
     "mM": {"uM": 0.001, "µM": 0.001, "nM": 1e-6, "M": 1000.0, "mol/m^3": 1.0},
+    "Gy": {"cGy": 0.01, "mGy": 0.001},
+    "1/Gy": {"Gy^-1": 1.0},
+    "1/Gy^2": {"Gy^-2": 1.0},
 }
 """What pint makes of common units, as numbers of the base unit that is the outer key."""
 

@@ -143,4 +143,5 @@ def test_purposes_keep_their_numbers() -> None:
         "PLACEMENT": 1, "STAGE": 2, "CYCLE": 3, "MODULI": 4, "AXIS": 5, "SEPARATION": 6,
         "KIND": 7, "MOTILITY": 8, "PHASES": 9, "APOPTOSIS": 10, "NECROSIS": 11,
         "CONDITIONING": 12, "EIGENVECTOR": 13, "VIEW": 14, "RENEWAL": 15,
+        "REST": 16, "CHANGE": 17, "MUTATION": 18, "RADIATION": 19, "DRIFT": 20,
     }  # fmt: skip

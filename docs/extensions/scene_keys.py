@@ -24,6 +24,7 @@ KINDS = {
     "measure": "number, or text with a unit",
     "measure_points": "list of pairs",
     "measures": "table of numbers by name",
+    "moments": "list of times",
     "names": "list of names",
     "number": "number",
     "quantities": "table of quantities by name",

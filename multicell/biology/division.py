@@ -28,6 +28,21 @@ _ROUNDING = 1e-12
 _NONE: Mapping[str, FloatArray] = {}
 
 
+def due_to_divide(
+    plan: BiologyPlan, cells: Cells, found: Mapping[str, FloatArray]
+) -> NDArray[np.bool_]:
+    """Return which cells are at the end of their cycle, (n,); ``plan`` is one with growth."""
+    if plan.order:
+        ripe = (cells.phase == plan.order[-1]) & (cells.progress >= cells.phase_length)
+    else:
+        least: Any = plan.division_volume
+        scale = value_of(plan, "division radius", 1.0, found, cells)
+        if scale is not None:
+            least = least * scale**3
+        ripe = cells.volume >= least * (1.0 - _ROUNDING)
+    return np.asarray(ripe & (cells.state == State.PROLIFERATING))
+
+
 def divide(
     plan: BiologyPlan,
     cells: Cells,
@@ -39,7 +54,8 @@ def divide(
 
     Each mother is replaced by two daughters of half her volume (what she grew beyond the division
     volume included), at +- r (1 - 2^(-1/3)) from her centre along a random axis, r her radius:
-    volume and centre of mass are conserved and the daughters stay within the mother.
+    volume and centre of mass are conserved and the daughters stay within the mother. A cell that is
+    doomed to die at this division does not divide.
 
     Parameters
     ----------
@@ -65,15 +81,7 @@ def divide(
     """
     if plan.growth is None:
         return cells, next_id
-    if plan.order:
-        ripe = (cells.phase == plan.order[-1]) & (cells.progress >= cells.phase_length)
-    else:
-        least: Any = plan.division_volume
-        scale = value_of(plan, "division radius", 1.0, found, cells)
-        if scale is not None:
-            least = least * scale**3
-        ripe = cells.volume >= least * (1.0 - _ROUNDING)
-    ripe &= cells.state == State.PROLIFERATING
+    ripe = due_to_divide(plan, cells, found) & (cells.doomed != 1)
     if not ripe.any():
         return cells, next_id
     mothers = cells.take(ripe)
@@ -108,6 +116,7 @@ def _daughters(
     daughters.id = ids
     daughters.radius = daughters.radius * HALF
     daughters.age = np.zeros(len(ids))
+    daughters.doomed = np.maximum(daughters.doomed, 1) - np.int8(1)
     if mutant is not None:
         mutate(plan, daughters, mutant, step)
     drift(plan, daughters, step)

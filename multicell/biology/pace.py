@@ -86,8 +86,8 @@ def next_pace(plan: StepPlan, pace: Pace, error: StepError, uptake: float, dt: f
 def end_of_step(plan: StepPlan, pace: Pace, time: float) -> float:
     """Return when the step that begins at ``time`` ends, s.
 
-    At the next multiple of its length, where a medium or what drives cells changes, or with the
-    run.
+    At the next multiple of its length, where a medium or what drives cells changes, at a fraction
+    of radiation, or with the run.
     """
     whole = math.floor(time / pace.step + _NEAR) + 1
     end = whole * pace.step

@@ -14,6 +14,7 @@ from multicell.cells import Phase
 from multicell.scene.coupling import fixed_step
 from multicell.scene.pairs import surface_energies
 from multicell.scene.sizes import birth_volume, division_volume
+from multicell.units import oxygen_solubility
 
 if TYPE_CHECKING:
     from multicell.behaviours.growth_laws.law import GrowthLaw
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
         Motility,
         Pull,
     )
+    from multicell.scene.radiation import Radiation
     from multicell.scene.scene import Scene
 
 
@@ -76,8 +78,10 @@ class BiologyPlan:
         Factors of each type; None where they are all 1.
     energies : (types, types) nN/µm, or None
         Surface energies between types that have their own.
-    contact, domain, growth, death, adhesion, motility, chemotaxis, haptotaxis, pull, forces, \
-motions
+    solubility : field -> mM/kPa
+        Of oxygen, in the fields that say what irradiation does.
+    radiation, contact, domain, growth, death, adhesion, motility, chemotaxis, haptotaxis, pull, \
+forces, motions
         Parts of the scene that hold nothing but numbers and names.
     """
 
@@ -109,6 +113,8 @@ motions
     motility_scale: FloatArray | None
     young_ratio: FloatArray | None
     energies: FloatArray | None
+    solubility: Mapping[str, float]
+    radiation: Mapping[str, Radiation]
     contact: PairLaw
     domain: Domain | None
     growth: Growth | None
@@ -131,6 +137,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     growth_signals = {name for part in known.get("growth rate", ()) for name in part.signals}
     rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
     ratio = [1.0 if young is None else young / cells.young for young in own]
+    oxygen = [part.oxygen for part in scene.radiation.values() if part.oxygen]
     return BiologyPlan(
         seed=scene.seed,
         dimensions=scene.dimensions,
@@ -160,6 +167,8 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         motility_scale=np.array([kind.motility_scale for kind in kinds]) if kinds else None,
         young_ratio=np.array(ratio) if any(own) else None,
         energies=surface_energies(scene),
+        solubility={name: oxygen_solubility(scene.nutrients[name].temperature) for name in oxygen},
+        radiation=scene.radiation,
         contact=scene.contact,
         domain=scene.domain,
         growth=growth,

@@ -68,6 +68,7 @@ def tabled_cells(scene: Scene) -> Cells:
         cycle_time=np.full(n, np.inf),
         pressure=columns.get("pressure", np.zeros(n)),
         kind=kind,
+        doomed=columns.get("doomed", np.zeros(n, dtype=np.int8)),
     )
     phases = bool(plan.order)
     volume = _in_phases(plan, cells, given) if phases else _without_phases(plan, cells, given)

@@ -26,7 +26,7 @@ from multicell.results.journal import digest
 from multicell.results.layout import FORMAT, Kind, layout, of_rows
 from multicell.results.lineage import COLUMNS
 from multicell.results.quantities import known_unit
-from multicell.results.records import Arrays
+from multicell.results.records import SPARSE, Arrays
 from multicell.results.sink import Sink
 
 NAME: Final = "frames.h5"
@@ -86,7 +86,8 @@ def _fill(target: Any, whole: Whole, sink: Sink) -> None:
     target.attrs["absorbed"] = np.bytes_(whole.absorbed)
     target.create_group("fields")
     for path, kind in sets.items():
-        _create(target, path, kind)
+        if path not in SPARSE:
+            _create(target, path, kind)
     scene = np.frombuffer(whole.scene.encode(), "|u1")
     _create(target, "scene", of_rows("|u1"))
     _append(target["scene"], [scene])
@@ -132,7 +133,8 @@ class _Log:
     ) -> None:
         self._target = target
         self._nutrients = nutrients
-        self._sets = sets
+        self._sets = {path: kind for path, kind in sets.items() if path not in SPARSE}
+        self._sparse = {path: sets[path] for path in SPARSE}
         self._sink = sink
         self._pieces: dict[str, list[NDArray[Any]]] = {path: [] for path in sets}
         self._ends = {path: 0 for path, kind in sets.items() if kind.pool == "ends"}
@@ -148,6 +150,12 @@ class _Log:
         rows = stored.frame_rows(arrays, self._nutrients)
         rows |= {f"lineage/{path}": a for path, a in log.items()}
         rows["frames/digest"] = np.array(check)
+        for path, kind in self._sparse.items():
+            if path in rows and path not in self._sets:  # a frame is the first to have it
+                _create(self._target, path, kind)
+                self._sets[path] = kind
+                self._pieces[path].append(np.zeros(self._ends[kind.pool], kind.dtype))
+            rows.setdefault(path, np.zeros(len(rows["cells/id"]), kind.dtype))
         for path, kind in self._sets.items():
             if kind.pool == "frames":
                 self._put(path, np.asarray(rows[path], kind.dtype)[None])
@@ -296,7 +304,8 @@ class File:
                 self._group(file, group)
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
-            self._sets = layout(self.nutrients)
+            sets = layout(self.nutrients)
+            self._sets = {p: kind for p, kind in sets.items() if p not in SPARSE or p in file}
             self._check_sets(file)
             shared = _shared_arrays(file, self._sets)
             if digest(shared) != int(file.attrs["digest"]):

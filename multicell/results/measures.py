@@ -122,6 +122,21 @@ OBSERVABLES: Final = (
     ),
     *(Observable(name, _count_in(name), entry=f"states.{name}") for name in _STATES),
     Observable(
+        "clonogens",
+        lambda s: int((~s.cells.dead & (s.cells.doomed == 0)).sum()),
+        exists=lambda scene: scene.radiation,
+        shown="{:,}".format,
+        doc="living cells that are not doomed; over those before irradiation, without growth, the "
+        "surviving fraction; only with `radiation`",
+    ),
+    Observable(
+        "doomed",
+        lambda s: int((~s.cells.dead & (s.cells.doomed > 0)).sum()),
+        exists=lambda scene: scene.radiation,
+        doc="living cells that irradiation lets die at one of their next divisions; only with "
+        "`radiation`",
+    ),
+    Observable(
         "volume_fraction",
         lambda s: of.volume_fraction(s.cells, _box(s)),
         exists=_has_walls,

@@ -45,6 +45,9 @@ FIELD: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
+SPARSE: Final = frozenset({"cells/doomed"})
+"""Arrays that a frame has only where they are not all zero, and a file only if a frame has them."""
+
 _OF_PARTS: Final = ("driven", "first_states", "replays", "stability")
 """Entries of a progress that only some runs have."""
 _KEYS: Final = {
@@ -74,7 +77,7 @@ def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
             raise ValueError(f"{len(values)} values of {name} for {len(frame.cells)} cells")
     text = b"" if frame.progress is None else json.dumps(_progress_entries(frame.progress)).encode()
     arrays = {"time": np.array(frame.time, "<f8"), "step": np.array(frame.step, "<i8")}
-    arrays |= {f"cells/{name}": column for name, column in frame.cells.columns()}
+    arrays |= without_zeros({f"cells/{name}": a for name, a in frame.cells.columns()})
     for name in names:
         arrays[f"cells/concentration_{name}"] = np.asarray(frame.concentrations[name], "<f8")
     for name in names:
@@ -84,6 +87,11 @@ def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
     arrays["contacts/pair"] = np.asarray(frame.contacts, "<i8").reshape(-1, 2)
     arrays["progress/text"] = np.frombuffer(text, "|u1")
     return arrays
+
+
+def without_zeros(arrays: Arrays) -> Arrays:
+    """Return arrays without the sparse ones that are all zero."""
+    return {path: a for path, a in arrays.items() if path not in SPARSE or a.any()}
 
 
 def _progress_entries(progress: Progress) -> dict[str, Any]:
@@ -104,6 +112,7 @@ def _of_field(field: Field) -> Arrays:
 def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Frame:
     """Return the frame that arrays describe; raises OutputError if they do not describe one."""
     names = sorted(nutrients)
+    columns = [name for name in Cells.schema() if f"cells/{name}" not in SPARSE - arrays.keys()]
     try:
         found = {
             name: Field(
@@ -121,7 +130,7 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
         frame = Frame(
             time=float(arrays["time"]),
             step=int(arrays["step"]),
-            cells=Cells(**{name: arrays[f"cells/{name}"] for name in Cells.schema()}),
+            cells=Cells(**{name: arrays[f"cells/{name}"] for name in columns}),
             concentrations={name: arrays[f"cells/concentration_{name}"] for name in names},
             fields=found,
             contacts=arrays["contacts/pair"].reshape(-1, 2),
@@ -140,7 +149,8 @@ def _check(frame: Frame) -> None:
     cells = frame.cells
     if not np.isfinite(frame.time) or frame.step < 0:
         raise OutputError(f"its time is {frame.time:g} s, its step {frame.step}")
-    ranges = {"state": max(State), "phase": max(Phase), "kind": np.iinfo(np.int16).max}
+    ranges = {"state": max(State), "phase": max(Phase), "kind": np.iinfo(np.int16).max,
+              "doomed": np.iinfo(np.int8).max}  # fmt: skip
     for name, most in ranges.items():
         values = getattr(cells, name)
         if len(values) and not (values.min() >= 0 and values.max() <= most):

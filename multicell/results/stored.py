@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray
 from multicell.results.coding import decode, encode
-from multicell.results.records import FIELD, Arrays
+from multicell.results.records import FIELD, SPARSE, Arrays, without_zeros
 
 Ends = Mapping[str, NDArray[np.int64]]  # path of a data set of offsets -> its values, (k + 1,)
 
@@ -24,6 +24,9 @@ class Source(Protocol):
 
     def __getitem__(self, path: str) -> Any:
         """Return a data set."""
+
+    def __contains__(self, path: Any) -> bool:
+        """Return whether there is a data set."""
 
 
 def frame_rows(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Arrays:
@@ -61,8 +64,9 @@ def read_frame(file: Source, place: int, nutrients: Iterable[str], ends: Ends) -
     cells = {
         f"cells/{name}": rows_of(file, f"cells/{name}", ends["frames/offset"], place)
         for name in columns
+        if f"cells/{name}" not in SPARSE or f"cells/{name}" in file
     }
-    return frame_arrays(file, place, names, ends, cells)
+    return frame_arrays(file, place, names, ends, without_zeros(cells))
 
 
 def frame_arrays(

@@ -102,13 +102,13 @@ def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
     """Check that a programme of adhesion refers to phases and fields that there are."""
     for key in ("receptor_by_phase", "ligand_by_phase"):
         phases = getattr(kind, key)
-        _check_phases(scene, f"{path}.{key}", phases)
+        check_phases(scene, f"{path}.{key}", phases)
     for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
         check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", FIELD)
 
 
-def _check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -> None:
-    """Check that factors by phase name phases, and that the scene has some."""
+def check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -> None:
+    """Raise ``SceneError`` unless factors by phase name phases, of which the scene has some."""
     check_names(phases, Phase.__members__, path, "a phase of the cycle")
     if phases and (scene.growth is None or not scene.growth.phases):
         hint = "growth.phases gives them."
@@ -147,7 +147,7 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
     for key in ("uptake_on", "secretion_from"):
         check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", FIELD)
     for key in ("uptake_by_phase", "secretion_by_phase"):
-        _check_phases(scene, f"{path}.{key}", getattr(nutrient, key))
+        check_phases(scene, f"{path}.{key}", getattr(nutrient, key))
     states = [state.name.lower() for state in State]
     check_names(nutrient.secretion_by_state, states, f"{path}.secretion_by_state", "a state")
     for key in ("secretion_by_state", "secretion_by_phase"):

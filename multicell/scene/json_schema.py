@@ -180,6 +180,9 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
         "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1,
         "uniqueItems": True,
     },
+    "moments": lambda spec, _: {
+        "type": "array", "items": _amount(spec.unit, spec.bounds), "minItems": 1,
+    },
     "course": lambda spec, _: _course(spec),
     "schedule": lambda spec, _: _curve(_amount("s"), _amount(spec.unit, spec.bounds)),
     "responses": lambda spec, _: {

@@ -50,6 +50,7 @@ from multicell.scene.parts import (
     OutputOptions,
     Pull,
 )
+from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
 from multicell.scene.responses import Response, Signal, check_responses
@@ -107,6 +108,7 @@ class Scene:
     reactions : mapping of name to Reaction, read-only
     responses : mapping of name to Response, read-only
     signals : mapping of name to Signal, read-only
+    radiation : mapping of name to Radiation, read-only
 
     Raises
     ------
@@ -170,6 +172,9 @@ class Scene:
     signals: Mapping[str, Signal] = tables(
         Signal, default_factory=Tables, doc="derived from others, by name; absent: none"
     )
+    radiation: Mapping[str, Radiation] = tables(
+        Radiation, default_factory=Tables, doc="courses of irradiation; absent: none"
+    )
     integrator: IntegratorOptions = table(
         IntegratorOptions, default_factory=IntegratorOptions, shorthand="method", doc="the method"
     )
@@ -206,6 +211,7 @@ class Scene:
             from multicell.scene.reaction_checks import check_reactions
 
             check_reactions(self)
+        check_radiation(self)
         if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
             raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
 

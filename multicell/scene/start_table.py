@@ -40,6 +40,7 @@ START_COLUMNS: Final[Mapping[str, str]] = {
     "id": "", "parent": "", "position_x": "um", "position_y": "um", "position_z": "um",
     "radius": "um", "young": "kPa", "poisson": "", "state": "", "age": "s", "cycle_time": "s",
     "pressure": "kPa", "kind": "", "phase": "", "progress": "s", "phase_length": "s",
+    "doomed": "",
 }  # fmt: skip
 """Columns that a start takes, with their base units, in the order in which they are written."""
 ALIASES: Final = {"x": "position_x", "y": "position_y", "z": "position_z", "type": "kind"}
@@ -399,6 +400,10 @@ def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> N
         wrong = ~((raw >= -1) & (raw < MAX_IDS) & (raw == np.floor(raw)))
         given.refuse(wrong, name, "is {}, must be the identity of a cell, or -1")
         return raw.astype(np.int64)
+    if name == "doomed":
+        wrong = ~((raw >= 0) & (raw <= 100) & (raw == np.floor(raw)))
+        given.refuse(wrong, name, "is {}, must be a whole number from 0 to 100")
+        return raw.astype(np.int8)
     values = raw.astype(np.float64) * factor if factor != 1.0 else raw.astype(np.float64)
     missing = np.isnan(values)
     if missing.any():

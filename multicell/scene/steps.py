@@ -29,9 +29,10 @@ class StepPlan:
     duration : float, s
         Of the run.
     changes : times, s
-        At which a medium or what drives cells changes: chosen steps end there.
+        At which a medium or what drives cells changes, or cells are irradiated: chosen steps end
+        there.
     jumps : times, s
-        At which the medium of a steady field changes at once.
+        At which the medium of a steady field changes at once, or irradiated cells die at once.
     """
 
     fixed: float | None
@@ -52,6 +53,7 @@ def step_plan(scene: Scene) -> StepPlan:
         for name, field in scene.nutrients.items()
         if media[name] and field.media_change != "linear" and regime(scene, name) == "steady"
     ]
+    fractions = [(part, time) for part in scene.radiation.values() for time in part.schedule]
     return StepPlan(
         fixed_step(scene),
         shortest_step(scene),
@@ -61,6 +63,10 @@ def step_plan(scene: Scene) -> StepPlan:
         changes=(
             *(time for points in media.values() for time, _ in points),
             *(time for time in ends if time is not None),
+            *(time for _, time in fractions),
         ),
-        jumps=tuple(time for name in jumping for time, _ in media[name]),
+        jumps=(
+            *(time for name in jumping for time, _ in media[name]),
+            *(time for part, time in fractions if not part.mitotic_divisions),
+        ),
     )

@@ -23,6 +23,7 @@ from multicell.schema.declarations import (
     measure,
     measure_points,
     measures,
+    moments,
     names,
     number,
     parameters,
@@ -51,8 +52,8 @@ from multicell.schema.part import (
 
 __all__ = [
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
-    "flag", "interval", "leaves", "measure", "measure_points", "measures", "names", "near_miss",
-    "number", "parameters", "plain",
+    "flag", "interval", "leaves", "measure", "measure_points", "measures", "moments", "names",
+    "near_miss", "number", "parameters", "plain",
     "quantities", "quantity", "responses", "schedule",
     "specs", "table", "tables", "text", "variant", "vector", "whole", "whole_numbers",
 ]  # fmt: skip

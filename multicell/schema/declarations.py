@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields
+from itertools import pairwise
 from numbers import Integral
 from typing import Any, TypeVar, dataclass_transform
 
@@ -278,6 +279,25 @@ def whole_numbers(*, doc: str = "") -> Any:
     )
 
 
+def moments(*, doc: str = "") -> Any:
+    """Declare an optional list of times since the start of the run, which rise; s, a tuple."""
+    bounds = Bounds(at_least=0.0)
+    read = reader("s", bounds)
+
+    def convert(value: object, path: str) -> tuple[float, ...]:
+        if not isinstance(value, list | tuple) or not value:
+            raise SceneError(path, f"is {shown(value)}, must be a list of times", "['1 d', '2 d'].")
+        found = tuple(read(entry, path) for entry in value)
+        if any(b <= a for a, b in pairwise(found)):
+            raise SceneError(path, f"has the times {list(found)} s, must have times that rise")
+        return found
+
+    return declare(
+        "moments", convert, None, plain=list, unit="s", doc=doc, bounds=bounds,
+        allowed="times from 0 s on that rise",
+    )  # fmt: skip
+
+
 def whole(value: object, path: str) -> int:
     """Return a whole number from zero on that fits into 64 bits."""
     number = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else -1
@@ -463,7 +483,7 @@ def tables(
     kw_only_default=True,
     field_specifiers=(
         quantity, measure, measures, measure_points, number, count, choice, text, file_path, flag,
-        names, interval, vector, whole_numbers, course, schedule, responses, quantities,
+        names, interval, vector, whole_numbers, moments, course, schedule, responses, quantities,
         table, variant, tables,
     ),
 )  # fmt: skip

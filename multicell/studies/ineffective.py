@@ -88,7 +88,8 @@ def _never_starves(scene: Scene) -> bool:
 def _never_by_apoptosis(scene: Scene) -> bool:
     """Return whether no cell dies by apoptosis."""
     assert scene.death is not None
-    return scene.death.apoptosis_rate == 0.0 and not _responds(scene, "apoptosis rate")
+    constant = scene.death.apoptosis_rate > 0.0 or bool(scene.radiation)
+    return not (constant or _responds(scene, "apoptosis rate"))
 
 
 def _scheduled(scene: Scene, field: str) -> bool:
@@ -101,6 +102,9 @@ _CYCLE: Final[Rule] = (lambda s: s.growth.phases, "the phases of the cycle say h
 _PHASES: Final[Rule] = (lambda s: not s.growth.phases, "the cycle has no phases")
 _ALONE: Final[Rule] = (lambda s: s.initial.count == 1, "there is one cell at the start")
 _STEADY: Final[Rule] = (lambda s, f: s.nutrients[f].regime == "steady", "the field is steady")
+_NO_OXYGEN: Final[Rule] = (
+    lambda s, name: not s.radiation[name].oxygen, "radiation.{0} names no field of oxygen"
+)  # fmt: skip
 _NECROSIS: Final[Rule] = (
     _never_starves, "neither a nutrient nor ATP has a threshold of necrosis"
 )  # fmt: skip
@@ -124,6 +128,8 @@ _KEYS: Final[Mapping[str, Sequence[Rule]]] = {
         (lambda s: any(kind.surface_energy for kind in s.types.values()),
          "every pair of types has a surface energy of its own"),
     ],
+    "radiation.*.oer": [_NO_OXYGEN],
+    "radiation.*.half_oxygen": [_NO_OXYGEN],
     "initial.shape": [_ALONE],
     "initial.spacing": [_ALONE],
     "initial.jitter": [_ALONE],
@@ -135,7 +141,7 @@ _KEYS: Final[Mapping[str, Sequence[Rule]]] = {
         (lambda s: s.death.swelling == 1.0, "dead cells do not swell (death.swelling = 1)"),
     ],
     "death.apoptosis_time": [
-        (_never_by_apoptosis, "death.apoptosis_rate is 0"),
+        (_never_by_apoptosis, "death.apoptosis_rate is 0, and no cell is irradiated"),
     ],
     "death.removal_fraction": [
         (lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),

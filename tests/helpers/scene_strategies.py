@@ -62,6 +62,8 @@ NAMES = {
     "signals": ("stress", "food"),
     "drift": ("young", "cycle_time"),
     "of": (*FIELDS, "pressure", "age", "neighbours"),
+    "radiation": ("course", "boost"),
+    "phase_factor": tuple(Phase.__members__),
 }
 """Names of the entries of the tables that have named entries."""
 
@@ -84,6 +86,9 @@ USUAL = {
     "amol/s/um^2": (1e-5, 1e-2),
     "1/s": (1e-7, 1e-3),
     "1/um": (1e-3, 1.0),
+    "Gy": (0.5, 10.0),
+    "1/Gy": (0.05, 0.8),
+    "1/Gy^2": (0.005, 0.1),
     "": (0.1, 3.0),
 }
 """Numbers as scenes have them, by unit; those with a default are drawn round it."""
@@ -262,6 +267,9 @@ class Drawer:
     def _whole_numbers(self, spec, field, path):
         return self.one_of([[0], [0, 1], [3, 1, 2]])
 
+    def _moments(self, spec, field, path):
+        return [self.written(t, "s") for t in self.rising("s")]
+
     def _course(self, spec, field, path):
         if self.chance(0.5):
             return self.size(spec, "")
@@ -361,6 +369,7 @@ def fitted(entries):
         _fit_field(scene, field, list(fields)[:number], fields, flat)
         assert name in fields
     _fit_energy(scene, fields)
+    _fit_radiation(scene, types, fields)
     scene["chemotaxis"] = {n: x for n, x in scene.get("chemotaxis", {}).items() if n in fields}
     if flat and scene.get("haptotaxis", {}).get("axis") == "z":
         scene["haptotaxis"]["axis"] = "y"
@@ -368,6 +377,27 @@ def fitted(entries):
     # functions of this process, which no scene brings along
     scene.get("output", {}).pop("observables", None)
     return scene
+
+
+def _fit_radiation(scene, types, fields):
+    """Let courses have times, and name fields, types and phases that there are."""
+    growth = scene.get("growth")
+    for course in scene.get("radiation", {}).values():
+        course.setdefault("beta", 0.03)
+        if not base(course["alpha"]):
+            course["alpha"] = 0.3
+        if "times" in course:
+            course.pop("start", None)
+            course.pop("fractions", None)
+        else:
+            course.setdefault("start", 0.0)
+        for key, known in (("cells", types), ("oxygen", fields)):
+            if key in course:
+                course[key] = next(iter(known), "")
+        if growth is None:
+            course.pop("mitotic_divisions", None)
+        if not (growth or {}).get("phases"):
+            course.pop("phase_factor", None)
 
 
 def _fit_reactions(scene, fields):

@@ -42,6 +42,8 @@ SCENES = {
     "a plane with a field": {
         **SHORT, "dimensions": 2, "initial": {"count": 30}, "coupling_step": "auto",
         "growth": {"critical_pressure": 0.02}, "death": {},
+        "radiation": {"beam": {"dose": 1.0, "start": "5 min", "alpha": 0.1, "oxygen": "oxygen",
+                               "mitotic_divisions": 1}},
         "nutrients": {
             "oxygen": {"quiescence": 0.06, "necrosis": 0.05, "uptake": 500.0, "height": 10.0},
             "drug": {"boundary": 0.01, "uptake": 1.0, "tolerance": 1e-3, "height": 10.0},

@@ -10,6 +10,8 @@ from multicell.studies.ineffective import _KEYS, no_effect
 from multicell.studies.keys import all_keys, key_of
 from multicell.studies.plan import make_plan
 
+RAYS = {"radiation": {"rays": {"dose": 2.0, "start": "1 d", "alpha": 0.3}}}
+
 NONE = [
     (RICH, {}, "growth.cycle_time", "phases of the cycle"),
     (RICH, {}, "growth.cycle_variation", "phases of the cycle"),
@@ -24,6 +26,8 @@ NONE = [
     (RICH, {"nutrients.oxygen.media": [[0, 0.1]]}, "nutrients.oxygen.boundary", "'media'"),
     (RICH, {"nutrients.oxygen.regime": "steady"}, "nutrients.oxygen.time_tolerance", "steady"),
     (RICH, {"nutrients.oxygen.uptake": 0}, "nutrients.oxygen.half_saturation", "uptake"),
+    ("growth", RAYS, "radiation.rays.oer", "no field of oxygen"),
+    ("growth", RAYS, "radiation.rays.half_oxygen", "no field of oxygen"),
     ("growth", {}, "initial.spacing", "one cell"),
     ("growth", {"death": {}}, "death.lysis_time", "threshold of necrosis"),
     ("sorting", {}, "contact.surface_energy", "surface energy of its own"),
@@ -57,6 +61,9 @@ def test_keys_without_effect(name, changes, key, said):
         (RICH, {"nutrients.oxygen.media": [["1 d", 0.1]]}, "nutrients.oxygen.boundary"),
         (RICH, {}, "cells.young"),
         ("growth", {}, "contact.surface_energy"),
+        ("emt6", {**RAYS, "radiation.rays.oxygen": "oxygen"}, "radiation.rays.oer"),
+        ("growth", {**RAYS, "death": {}}, "death.apoptosis_time"),
+        ("growth", {**RAYS, "death": {}}, "death.removal_fraction"),
         ("emt6", {}, "death.lysis_time"),
         ("emt6", {}, "death.removal_fraction"),
         ("emt6", {}, "nutrients.oxygen.half_saturation"),
@@ -78,7 +85,8 @@ def test_every_key_of_a_scene_is_found_and_can_be_asked_for_its_effect(name):
 
 def test_rules_name_keys_that_there_are():
     """Each rule is of a key that some scene has, so that renamed keys do not leave rules behind."""
-    keys = set(all_keys(mc.load_scene(RICH).with_changes({"types": {"a": {}, "b": {}}})))
+    changes = {"types": {"a": {}, "b": {}}, **RAYS}
+    keys = set(all_keys(mc.load_scene(RICH).with_changes(changes)))
     named = [key for key in _KEYS if "*" not in key or key.count("*") > 1]
     missing = [
         rule

@@ -4,8 +4,8 @@ Cells fill a ball (in a plane a disc). Every field that holds back growth or kil
 solved along the radius, steady, with the uptake of living cells; living cells grow where they are
 fed, the starved die, and dead ones take room in the middle until they are removed. Where pressure
 holds back growth it is the one that drives the tissue outwards against the drag of its cells. Left
-out are walls, motion, whatever is not round, and responses of single types or to what cells
-themselves are.
+out are walls, motion, whatever is not round, irradiation, and responses of single types or to what
+cells themselves are.
 """
 
 from __future__ import annotations

@@ -14,7 +14,8 @@ _ABSENT: Final = {
     "forces": "nothing pushes single cells from outside",
     "motions": "no cell is held or moved from outside",
     "growth": "the number of cells stays, no growth and no division is computed",
-    "death": "necrotic cells keep their place and volume",
+    "radiation": "no cell is irradiated",
+    "death": "dead cells keep their place and volume",
     "energy": "every field acts by itself, none makes up for another",
     "nutrients": "no field is solved, no cell starves",
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,7 @@ def _parts(scene: Scene) -> list[Part]:
         part("growth", _growth_words(scene)),
         part("death", _death_words(scene)),
         *response_parts(scene),
+        part("radiation", "; ".join(_radiation_words(scene))),
         *_taxis(scene),
         Part("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
@@ -135,6 +137,22 @@ def _death_words(scene: Scene) -> str:
         life = hours(1.0 / death.apoptosis_rate)
         words += f"; cells live {life} on average until they die by themselves"
     return words
+
+
+def _radiation_words(scene: Scene) -> Iterator[str]:
+    """Say what each course of irradiation does."""
+    for name, law in scene.radiation.items():
+        times, whom = law.schedule, f"cells of type {law.cells}" if law.cells else "cells"
+        given = sum(time <= scene.duration for time in times)
+        words = f"{name}: {len(times)} x {law.dose:g} Gy from {hours(times[0])} on"
+        words += f" ({given} within the run)" if given < len(times) else ""
+        words += f"; each leaves {100.0 * law.survival():.3g} % of {whom}"
+        if law.oxygen:
+            words += f" with plenty of {law.oxygen}, {100.0 * law.survival(0.0):.3g} % without"
+        when = (
+            f"in place of division {law.mitotic_divisions}" if law.mitotic_divisions else "at once"
+        )
+        yield f"{words}; the others die {when}"
 
 
 def _taxis(scene: Scene) -> list[Part]:
@@ -226,7 +244,7 @@ def _growth(scene: Scene) -> list[Number]:
 def _notes(scene: Scene) -> list[str]:
     """Return remarks on settings that are allowed but may not be meant."""
     notes = []
-    if scene.death is not None and not scene.nutrients:
+    if scene.death is not None and not scene.nutrients and not scene.radiation:
         notes.append("Without a nutrient no cell becomes necrotic: [death] has no effect.")
     deep = 0 if scene.initial.cells is None else deep_overlaps(scene)
     if deep:

@@ -1,0 +1,278 @@
+"""Irradiation: who survives by the linear-quadratic model, who dies when, and what is refused."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+from scipy import stats
+from stored import assert_same_bits
+
+import multicell as mc
+from multicell.biology.initial import initial_cells
+from multicell.biology.plan import biology_plan
+from multicell.biology.radiation import irradiate
+from multicell.cells import Phase, State
+from multicell.errors import DataError, SceneError
+from multicell.report.explain.scene import explain
+from multicell.results.records import arrays_of, frame_of
+from multicell.scene.scene import Scene
+from multicell.simulation import Simulation
+
+HOUR = 3600.0
+COURSE = {"dose": "2 Gy", "start": 0.0, "alpha": "0.3 1/Gy", "beta": "0.03 1/Gy^2"}
+
+
+def described(count=4000, course=None, **parts):
+    """Return cells so far apart that they never touch."""
+    return Scene.from_dict({
+        "duration": "10 h", "coupling_step": "1 h", "seed": 5, "contact": {"law": "hertz"},
+        "initial": {"count": count, "spacing": 4.0},
+        "radiation": {"course": {**COURSE, **(course or {})}},
+        **parts,
+    })  # fmt: skip
+
+
+def growing(course=None, count=300, **parts):
+    """Return cells that all divide after 8 h, 16 h, ..."""
+    growth = {"cycle_time": "8 h", "cycle_variation": 0.0}
+    course = {"dose": "3 Gy", **(course or {})}
+    return described(count, course, growth=growth, **{"duration": "17 h", **parts})
+
+
+def clonogens(simulation):
+    return int(simulation.history_row()["clonogens"])
+
+
+def within(survivors, count, chance):
+    """Return whether a number of survivors lies in the binomial 99.99 % interval."""
+    low, high = stats.binom.interval(0.9999, count, chance)
+    return low <= survivors <= high
+
+
+def finished(scene, **options):
+    simulation = Simulation(scene, threads=1, **options)
+    while not simulation.finished:
+        simulation.step()
+    return simulation
+
+
+@pytest.mark.parametrize("dose", [0.0, 0.5, 2.0, 6.0])
+@pytest.mark.parametrize("beta", [0.0, 0.05])
+def test_survivors_are_those_of_the_linear_quadratic_model(dose, beta):
+    simulation = Simulation(described(20000, {"dose": dose, "beta": beta}))
+    chance = np.exp(-0.3 * dose - beta * dose**2)
+    assert within(clonogens(simulation), 20000, chance)
+    dead = simulation.cells.state == State.APOPTOTIC
+    assert dead.sum() == 20000 - clonogens(simulation)
+    died = simulation.lineage.rows("deaths", 0)
+    np.testing.assert_array_equal(died["id"], np.sort(simulation.cells.id[dead]))
+    assert (died["time"] == 0.0).all()
+
+
+@pytest.mark.parametrize("pressure", [0.3, 3.0, 60.0])
+def test_cells_without_oxygen_survive_by_alper_and_howard_flanders(pressure):
+    """In a field that is the same everywhere, given as a partial pressure in mmHg."""
+    field = {"boundary": f"{pressure} mmHg", "uptake": 0.0, "spacing": 10.0}
+    course = {"dose": "4 Gy", "oxygen": "oxygen", "oer": 2.8, "half_oxygen": "2.5 mmHg"}
+    scene = described(4000, course, initial={"count": 4000}, nutrients={"oxygen": field})
+    ratio = (2.8 * pressure + 2.5) / (pressure + 2.5)
+    dose = 4.0 * ratio / 2.8
+    chance = np.exp(-0.3 * dose - 0.03 * dose**2)
+    law, kpa = scene.radiation["course"], pressure * 0.133322387415
+    assert law.survival(kpa) == pytest.approx(chance, rel=1e-12)
+    assert law.survival() < law.survival(kpa) < law.survival(0.0)
+    assert within(clonogens(Simulation(scene)), 4000, chance)
+
+
+def test_fractions_without_growth_multiply():
+    course = {"start": "90 min", "every": "2 h", "fractions": 3}
+    simulation = Simulation(described(10000, course), threads=1)
+    counts = [clonogens(simulation)]
+    while not simulation.finished:
+        simulation.step()
+        counts.append(clonogens(simulation))
+    # with fixed steps a fraction falls at the end of the step that holds its time
+    assert [n for n in range(1, 11) if counts[n] < counts[n - 1]] == [2, 4, 6]
+    chance = np.exp(-0.3 * 2.0 - 0.03 * 4.0)
+    for step, fractions in ((1, 0), (2, 1), (4, 2), (10, 3)):
+        assert within(counts[step], 10000, chance**fractions)
+    times = described(10000, {"start": None, "times": ["1.5 h", "3.5 h", "5.5 h"]})
+    assert times.radiation["course"].schedule == tuple(HOUR * np.array([1.5, 3.5, 5.5]))
+    assert clonogens(finished(times)) == counts[-1]
+
+
+@pytest.mark.parametrize("divisions", [1, 2])
+def test_doomed_cells_die_in_place_of_a_division(divisions):
+    scene = growing({"mitotic_divisions": divisions})
+    simulation = Simulation(scene, threads=1)
+    doomed = int(simulation.history_row()["doomed"])
+    sound = 300 - doomed
+    assert within(sound, 300, np.exp(-0.9 - 0.27))
+    assert clonogens(simulation) == sound
+    # (sound, doomed, dead) after each division: the doomed divide as often as they may before
+    expected = {1: [(2 * sound, 0, doomed), (4 * sound, 0, doomed)],
+                2: [(2 * sound, 2 * doomed, 0), (4 * sound, 0, 2 * doomed)]}[divisions]  # fmt: skip
+    while not simulation.finished:
+        simulation.step()
+        alive = [(sound, doomed, 0), *expected][int(simulation.time // (8 * HOUR))]
+        row = simulation.history_row()
+        assert (row["clonogens"], row["doomed"], row["apoptotic"]) == alive
+    died = simulation.lineage.rows("deaths", 0)
+    assert set(died["time"]) == {8 * HOUR * divisions}
+
+
+def test_the_sooner_death_counts():
+    courses = {
+        "a": {**COURSE, "dose": 50, "mitotic_divisions": 3},
+        "b": {**COURSE, "dose": 50, "start": "2 h", "mitotic_divisions": 1},
+        "c": {**COURSE, "dose": 50, "start": "4 h", "mitotic_divisions": 2},
+    }
+    simulation = Simulation(growing(count=5, radiation=courses), threads=1)
+    found = []
+    while not simulation.finished:
+        found.append(set(simulation.cells.doomed.tolist()))
+        simulation.step()
+    assert found[:8] == [{3}, {3}, {1}, {1}, {1}, {1}, {1}, {1}]
+    assert simulation.history_row()["apoptotic"] == 5
+    assert simulation.divisions == 0
+
+
+def test_survivors_do_not_depend_on_the_coupling_step():
+    course = {"start": "100 min", "every": "61 min", "fractions": 2}
+    runs = [finished(described(1000, course, coupling_step=dt, duration="4 h"))
+            for dt in ("5 min", "31 min", "2 h")]  # fmt: skip
+    dead = [set(run.cells.id[run.cells.dead].tolist()) for run in runs]
+    assert dead[0] == dead[1] == dead[2]
+    assert within(1000 - len(dead[0]), 1000, np.exp(-2 * 0.72))
+
+
+def test_steps_that_a_run_chooses_end_at_each_fraction():
+    times = [1234.5, 7000.25]
+    course = {"start": None, "times": times}
+    scene = growing(course, count=40, coupling_step="auto", duration="3 h")
+    died = finished(scene).lineage.rows("deaths", 0)
+    assert sorted(set(died["time"])) == times
+
+
+def test_phases_and_types_differ_in_what_they_survive():
+    phases = {name: {"duration": "5 h"} for name in ("G1", "S", "G2", "M")}
+    course = {"phase_factor": {"S": 0.25, "M": 2.0}, "cells": "tumour"}
+    scene = described(
+        12000, course, growth={"phases": phases}, types={"tumour": {}, "normal": {}},
+        initial={"count": 12000, "spacing": 4.0, "stage": "uniform"},
+    )  # fmt: skip
+    cells = Simulation(scene).cells
+    assert not cells.dead[cells.kind == 1].any()
+    for phase, factor in ((Phase.G1, 1.0), (Phase.S, 0.25), (Phase.G2, 1.0), (Phase.M, 2.0)):
+        here = (cells.phase == phase) & (cells.kind == 0)
+        alive = int((here & ~cells.dead).sum())
+        assert within(alive, int(here.sum()), np.exp(-factor * (0.6 + 0.12)))
+
+
+def test_the_order_of_cells_does_not_matter():
+    scene = described(500, {"oxygen": "oxygen", "mitotic_divisions": 2}, growth={},
+                      nutrients={"oxygen": {}})  # fmt: skip
+    plan, cells = biology_plan(scene), initial_cells(scene)
+    oxygen = np.linspace(0.0, 0.05, 500)
+    order = np.random.default_rng(1).permutation(500)
+    one, _ = irradiate(plan, cells, {"oxygen": oxygen}, -np.inf, 0.0)
+    other, _ = irradiate(plan, cells.take(order), {"oxygen": oxygen[order]}, -np.inf, 0.0)
+    np.testing.assert_array_equal(one.doomed[order], other.doomed)
+    assert 0 < (one.doomed > 0).sum() < 500
+    assert not cells.doomed.any()
+
+
+def test_a_resumed_run_has_the_bits_of_the_whole(tmp_path):
+    """The first frame has no doomed cell, in the last all of them have died."""
+    course = {"start": "3 h", "every": "6 h", "fractions": 2, "mitotic_divisions": 2}
+    scene = growing(course, count=20, duration="33 h", output={"every": "5 h"}, death={})
+    whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
+    doomed = [int((frame.cells.doomed > 0).sum()) for frame in whole.frames]
+    assert doomed[0] == 0
+    assert min(doomed[1:4]) > 0
+    last = whole.frames[-1].cells
+    assert last.dead[last.doomed > 0].all()
+    for k in (0, 1, 3):
+        mc.resume(tmp_path / "whole", k, output=tmp_path / f"{k}", report=False, threads=1)
+        assert_same_bits(tmp_path / "whole", tmp_path / f"{k}")
+    table = whole.to_pandas("cells")
+    assert [int((rows["doomed"] > 0).sum()) for _, rows in table.groupby("frame")] == doomed
+    start = table[table["frame"] == 2].drop(columns=["frame"])
+    again = Simulation(scene.with_changes({"radiation": None}), cells=start)
+    np.testing.assert_array_equal(again.cells.doomed[np.argsort(again.cells.id)],
+                                  start.sort_values("id")["doomed"])  # fmt: skip
+    with pytest.raises(DataError, match=r"is 0\.5, must be a whole number from 0 to 100"):
+        Simulation(scene, cells=start.assign(doomed=0.5))
+
+
+def test_folders_of_runs_without_doomed_cells_are_as_before(tmp_path):
+    """They have no such column, like those of earlier versions, and are read and resumed."""
+    scene = growing(radiation={}, count=3, output={"every": "5 h"})
+    mc.run(scene, output=tmp_path / "out", report=False, threads=1)
+    with h5py.File(tmp_path / "out" / "frames.h5") as file:
+        assert "phase" in file["cells"]
+        assert "doomed" not in file["cells"]
+    found = mc.resume(tmp_path / "out", 1, output=tmp_path / "again", report=False, threads=1)
+    assert not any(frame.cells.doomed.any() for frame in found.frames)
+    assert not {"clonogens", "doomed"} & set(found.history)
+
+
+def test_a_frame_with_an_impossible_count_is_refused():
+    simulation = Simulation(growing({"mitotic_divisions": 1}, count=9), threads=1)
+    arrays = arrays_of(simulation.frame(), [])
+    assert frame_of(arrays, []).cells.doomed.any()
+    with pytest.raises(mc.OutputError, match="doomed holds values out of range"):
+        frame_of(arrays | {"cells/doomed": -arrays["cells/doomed"]}, [])
+
+
+def test_explain_says_what_each_course_does():
+    field = {"oxygen": {}}
+    course = {"start": "1 h", "every": "1 d", "fractions": 5, "oxygen": "oxygen"}
+    said = explain(described(10, course, nutrients=field, death={}))
+    words = next(part["what"] for part in said["parts"] if part["part"] == "radiation")
+    assert words == (
+        "course: 5 x 2 Gy from 1 h on (1 within the run); each leaves 48.7 % of cells with plenty "
+        "of oxygen, 80.8 % without; the others die at once"
+    )
+    assert not [note for note in said["notes"] if "[death]" in note]
+    bare = explain(described(10, radiation={}))["parts"]
+    assert {"part": "radiation", "used": False, "what": "absent: no cell is irradiated"} in bare
+
+
+def test_a_scene_with_a_course_is_written_and_read_back(tmp_path):
+    scene = described(5, {"start": None, "times": ["1 h", "3 h"], "phase_factor": None})
+    (tmp_path / "scene.toml").write_text(scene.to_toml())
+    assert mc.load_scene(tmp_path / "scene.toml") == scene
+    assert scene.with_changes({"radiation.course.dose": "150 cGy"}).radiation["course"].dose == 1.5
+
+
+@pytest.mark.parametrize(
+    ("course", "path", "words"),
+    [
+        ({"start": "-1 h"}, "start", "must be at least 0 s"),
+        ({"start": None}, "start", "is missing"),
+        ({"times": ["1 h"]}, "start", "has no effect: times say when"),
+        ({"start": None, "times": ["-1 h", "1 h"]}, "times", "must be at least 0 s"),
+        ({"start": None, "times": ["2 h", "1 h"]}, "times", "must have times that rise"),
+        ({"start": None, "times": "1 h"}, "times", "must be a list of times"),
+        ({"start": None, "times": [1.0], "fractions": 2}, "fractions", "has no effect"),
+        ({"dose": "-1 Gy"}, "dose", "must be at least 0 Gy"),
+        ({"dose": "100 Gy"}, "dose", "at most 50 Gy. .*linear-quadratic"),
+        ({"dose": "2 kPa"}, "dose", "must be a dose"),
+        ({"alpha": 0.0, "beta": 0.0}, "alpha", "no cell would die"),
+        ({"alpha": "0.3 Gy"}, "alpha", "must be an effect per dose"),
+        ({"oxygen": "oxigen"}, "oxygen", "not a field of this scene. Did you mean 'oxygen'"),
+        ({"oer": 0.9}, "oer", "must be at least 1"),
+        ({"half_oxygen": "0 mmHg"}, "half_oxygen", "must be above 0"),
+        ({"cells": "b, a"}, "cells", "names 'b', which is no type"),
+        ({"phase_factor": {"S": 0.5}}, "phase_factor", "the scene has no phases"),
+        ({"phase_factor": {"s": 0.5}}, "phase_factor.s", "is not a phase of the cycle"),
+        ({"mitotic_divisions": 1}, "mitotic_divisions", r"without \[growth\] no cell divides"),
+        ({"doses": "2 Gy"}, "doses", "Did you mean 'dose'"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(course, path, words):
+    with pytest.raises(SceneError, match=words) as caught:
+        described(3, course, nutrients={"oxygen": {}}, types={"a": {}})
+    assert caught.value.path == f"radiation.course.{path}"
