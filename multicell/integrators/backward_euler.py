@@ -28,6 +28,7 @@ from multicell.integrators.base import EqualSteps, MethodInfo, Outcome
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
+    from multicell.mechanics.preconditioners import Preconditioner
     from multicell.mechanics.system import Mechanics
 
 _HALVINGS = 30
@@ -53,6 +54,7 @@ class BackwardEuler(EqualSteps):
     - ``step``, ``max_displacement``: as for :class:`~multicell.integrators.base.EqualSteps`
     - ``tolerance``: Newton's method ends when the largest correction of a coordinate is below this,
       µm
+    - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``
     - ``newton``: most Newton iterations in a step
     - ``forcing``: relative residual to which each linear system is solved
     - ``softening``: as for :class:`~multicell.integrators.cvode.Cvode`; with friction between cells
@@ -68,6 +70,7 @@ class BackwardEuler(EqualSteps):
     )  # fmt: skip
 
     tolerance: float = 1e-4
+    preconditioner: str = "gauss-seidel"
     newton: int = 100
     forcing: float = 1e-2
     softening: float = 0.5
@@ -130,8 +133,10 @@ class _Step:
     def solve(self) -> str:
         """Find the end of the step; return what went wrong, if anything did."""
         from multicell.mechanics.jacobian import limited
+        from multicell.mechanics.preconditioners import preconditioner
 
         method, system = self.method, self.system
+        approximate = preconditioner(method.preconditioner, system)
         residual = self._residual(self.trial)
         self.energy = self._energy(self.trial) if self.descends else 0.0
         for _ in range(method.newton):
@@ -140,8 +145,8 @@ class _Step:
             self.linear = system.linearisation
             if not self.descends:
                 self.linear, _ = limited(system, method.softening)
-            system.setup_preconditioner(self.step, self.linear)
-            correction = self._correction(residual)
+            approximate.setup(system, self.step, self.linear)
+            correction = self._correction(residual, approximate)
             found = self._search(residual, correction)
             if found is None and self.descends:
                 self.descends, self.room = False, self.most_room
@@ -221,13 +226,13 @@ class _Step:
         self.system.jacobian_product(vector, out, self.linear)
         return np.asarray(vector - self.step * out)
 
-    def _correction(self, residual: FloatArray) -> FloatArray:
+    def _correction(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
         """Solve (I - ΔtJ) x = -residual as far as ``forcing`` asks, or find a way down."""
         if self.descends:
-            return self._conjugate_gradients(residual)
-        return self._gmres(residual)
+            return self._conjugate_gradients(residual, approximate)
+        return self._gmres(residual, approximate)
 
-    def _conjugate_gradients(self, residual: FloatArray) -> FloatArray:
+    def _conjugate_gradients(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
         """Return the solution, or a way down that ends where the curvature is not positive.
 
         The last direction is then followed as far as cells may move (Steihaug 1983).
@@ -239,7 +244,7 @@ class _Step:
         for _ in range(_MAX_ITERATIONS):
             if self._norm(left) <= target:
                 break
-            self.system.precondition(left, better)
+            approximate.solve(self.system, left, better)
             product = self._product(left, better)
             direction = better + product / before * direction
             before = product
@@ -253,7 +258,7 @@ class _Step:
                 break
         return solution
 
-    def _gmres(self, residual: FloatArray) -> FloatArray:
+    def _gmres(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
         from scipy.sparse.linalg import LinearOperator, gmres
 
         shape = (residual.size, residual.size)
@@ -263,7 +268,7 @@ class _Step:
 
         def approximately(vector: FloatArray) -> Any:
             out = np.empty_like(residual)
-            self.system.precondition(vector.reshape(-1, 3), out)
+            approximate.solve(self.system, vector.reshape(-1, 3), out)
             return out.ravel()
 
         solution, _ = gmres(

@@ -22,16 +22,23 @@ if TYPE_CHECKING:
 class Cvode(ErrorControl):
     """Variable-order, variable-step BDF with a preconditioned Krylov method.
 
-    The defaults are what ``tests/benchmarks/tune_cvode.py`` found best over its scenes: GMRES with
-    the 3 x 3 diagonal blocks on the right, where it measures the true residual, and without them
-    in mild steps, γλ < 3.
+    The defaults are what ``tests/benchmarks/tune_cvode.py`` found best over its scenes.
 
     - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
       :class:`~multicell.integrators.base.ErrorControl`
     - ``krylov_dim``: dimension of the Krylov space
-    - ``far``: change of a coordinate from which on the Jacobian is taken anew, in mean radii; more
-      where the step is mild
+    - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``, or ``"none"``. Mild steps,
+      γλ < 3, go without.
+    - ``side``: ``"left"``, ``"right"`` or ``"both"``. On the right the Krylov method measures the
+      true residual.
+    - ``refresh``: when the Jacobian is taken anew: ``"moved"``, where some coordinate has changed
+      by more than ``far`` since (further where the step is mild); ``"solve"``, before every linear
+      solve, with the preconditioner; ``"product"``, the same, but the preconditioner only when
+      SUNDIALS sets it up; ``"setup"``, both only then; ``"asked"``, the Jacobian only when SUNDIALS
+      asks for it (``jok`` is zero)
+    - ``far``: see ``refresh``, in mean radii
     - ``max_order``: highest order
+    - ``linear``: Krylov method: ``"gmres"``, ``"bicgstab"`` or ``"tfqmr"``
     - ``newton``: most Newton iterations in a step
     - ``softening``: Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope
       tends to -∞ at first contact); infinite for the true slope. It leaves the solution as it is.
@@ -49,8 +56,12 @@ class Cvode(ErrorControl):
     )  # fmt: skip
 
     krylov_dim: int = 8
+    preconditioner: str = "blocks"
+    side: str = "right"
+    refresh: str = "moved"
     far: float = 0.003
     max_order: int = 5
+    linear: str = "gmres"
     newton: int = 3
     softening: float = 0.5
     formula: str = "BDF"

@@ -18,6 +18,7 @@ from multicell.compiling import KERNEL
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
+from multicell.mechanics.preconditioners import preconditioner
 
 if TYPE_CHECKING:
     from multicell.integrators.cvode import Cvode
@@ -77,7 +78,7 @@ class Light:
             atol=run.share * method.atol,
             max_order=method.max_order,
             max_nonlin_iters=method.newton,
-            linsolver="gmres",
+            linsolver=method.linear,
             krylov_dim=_LIGHT_KRYLOV,
             first_step=_FIRST * run.left,
             jactimes=CVODEJacTimes(None, self.product),
@@ -143,7 +144,8 @@ class Light:
         work = self.run.system.work
         others, self._others = direct - self._others, direct
         work.newton_iterations += others if len(self._counts) > 1 else 1
-        work.linear_iterations += work.evaluations - self._counts[-1] - others
+        if self.method.linear == "gmres":
+            work.linear_iterations += work.evaluations - self._counts[-1] - others
         self._counts.append(work.evaluations)
 
 
@@ -156,10 +158,14 @@ class Krylov:
         self.method = method
         self._fresh, self._stale = False, True
         self._reference = np.full(3 * len(run.position), np.inf)
-        # until γ is known J is renewed as often as for stiff steps
+        # without a preconditioner γ is unknown: J is renewed as often as for stiff steps
         self._gamma, self._rate = np.inf, 1.0
         self._used, self._reached = np.inf, 0.0
         self._far = method.far * float(run.system.motion.radius.mean())
+        options: dict[str, Any] = {}
+        if method.preconditioner != "none":
+            self._preconditioner = preconditioner(method.preconditioner, run.system)
+            options["precond"] = CVODEPrecond(self.setup, self.solve, side=method.side)
         self._predictor = Predictor(run)
         self.solver = CVODE(
             self._predictor.velocity,
@@ -169,10 +175,10 @@ class Krylov:
             max_step=ceiling,
             max_order=method.max_order,
             max_nonlin_iters=method.newton,
-            linsolver="gmres",
+            linsolver=method.linear,
             krylov_dim=method.krylov_dim,
             jactimes=CVODEJacTimes(self.linearise, self.product),
-            precond=CVODEPrecond(self.setup, self.solve, side="right"),
+            **options,
         )
         self.solver.init_step(0.0, run.position.ravel())
 
@@ -193,10 +199,12 @@ class Krylov:
     def linearise(self, t: float, y: FloatArray, yp: FloatArray) -> None:
         """Get ready for products before a linear solve."""
         self.system.work.newton_iterations += 1
+        refresh = self.method.refresh
         if self._fresh:
             self._fresh = False
-        elif self._moved(y):
+        elif refresh in ("solve", "product") or (refresh == "moved" and self._moved(y)):
             self._take_jacobian(t, y)
+            self._stale |= refresh == "solve"
 
     def _take_jacobian(self, t: float, y: FloatArray) -> None:
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
@@ -218,7 +226,7 @@ class Krylov:
         self, t: float, y: FloatArray, yp: FloatArray, v: FloatArray, jv: FloatArray
     ) -> None:
         """Jacobian times vector."""
-        self.system.work.linear_iterations += 1
+        self.system.work.linear_iterations += self.method.linear == "gmres"
         self.system.jacobian_product(v.reshape(-1, 3), jv.reshape(-1, 3), self._linear)
 
     def setup(
@@ -226,7 +234,8 @@ class Krylov:
     ) -> None:
         """Preconditioner for a new γ."""
         self._gamma = gamma
-        if not jok or self._moved(y):
+        refresh = self.method.refresh
+        if not jok or refresh not in ("asked", "moved") or (refresh == "moved" and self._moved(y)):
             self._take_jacobian(t, y)
             self._fresh = True
             jnew[0] = 1
@@ -242,6 +251,6 @@ class Krylov:
             z[:] = r
             return
         if self._stale:
-            self.system.setup_preconditioner(gamma, self._linear)
+            self._preconditioner.setup(self.system, gamma, self._linear)
             self._stale = False
-        self.system.precondition(r.reshape(-1, 3), z.reshape(-1, 3))
+        self._preconditioner.solve(self.system, r.reshape(-1, 3), z.reshape(-1, 3))

@@ -53,6 +53,7 @@ class Rosenbrock(ErrorControl):
       refused; at most 3, beyond 3.4 modes that grow would be damped
     - ``softening``: as for :class:`~multicell.integrators.cvode.Cvode`; the order does not depend
       on it
+    - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``
     - ``forcing``: error that a linear system may leave in a position, in the error that a step may
       have
 
@@ -68,6 +69,7 @@ class Rosenbrock(ErrorControl):
     worst: float = 100.0
     growth: float = 0.5
     softening: float = 1.0
+    preconditioner: str = "blocks"
     forcing: float = 0.03
 
     def __post_init__(self) -> None:

@@ -28,6 +28,7 @@ from multicell.integrators.stepping import (
 )
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
+from multicell.mechanics.preconditioners import preconditioner
 from multicell.random import Purpose, normal
 
 if TYPE_CHECKING:
@@ -140,6 +141,7 @@ class Resolvent:
 
     def __init__(self, method: Rosenbrock, system: Mechanics) -> None:
         self.method, self.system = method, system
+        self.preconditioner = preconditioner(method.preconditioner, system)
         shape = (len(system), 3)
         self._left, self._better = np.empty(shape), np.empty(shape)
         self._direction, self._image = np.empty(shape), np.empty(shape)
@@ -155,7 +157,7 @@ class Resolvent:
     def setup(self, step: float) -> None:
         """Prepare for a step; refuse one that is too long for what grows."""
         self.step = step
-        self.system.setup_preconditioner(_D * step, self.linear)
+        self.preconditioner.setup(self.system, _D * step, self.linear)
         self._age += 1
         if self._age > _AGE or step > _LONGER * self._probed:
             self._probe()
@@ -206,7 +208,7 @@ class Resolvent:
         for _ in range(most):
             if size <= allowed:
                 break
-            system.precondition(left, better)
+            self.preconditioner.solve(system, left, better)
             product = _product(radius, left, better)
             if product == 0.0:
                 break

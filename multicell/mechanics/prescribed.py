@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
+_IMMENSE = 1e6  # drag of held cells in a preconditioner, over their true one
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,12 @@ class Prescribed:
     def released(self, vector: FloatArray) -> FloatArray:
         """Return a copy of an (n, 3) array with zeros for held cells."""
         return np.where(self.held[:, None], 0.0, vector)
+
+    def weighed(self, rows: FloatArray) -> FloatArray:
+        """Return a copy of rows in which the radius, of which drag is a multiple, is immense."""
+        found = rows.copy()
+        found[self.held, 3] *= _IMMENSE
+        return found
 
 
 def outside_force(system: Mechanics, time: float, position: FloatArray) -> FloatArray:

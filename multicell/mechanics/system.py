@@ -212,6 +212,11 @@ class Mechanics:
         return self._linearised()
 
     @property
+    def weighed_rows(self) -> FloatArray:
+        """The :attr:`rows` for preconditioners, to which held cells have an immense drag."""
+        return self._rows if self.prescribed is None else self.prescribed.weighed(self._rows)
+
+    @property
     def rows(self) -> FloatArray:
         """The cells at the last state seen, as :mod:`multicell.mechanics.forces` takes them."""
         return self._rows

@@ -12,7 +12,7 @@ a run with a ten-thousandth of the tolerance; where contacts form and break in t
 Each row is a warm-up and the shortest of ``--repeats`` runs.
 Cost: about two minutes on one core. The times leave out setting up the problem.
 Command: python tests/benchmarks/tune_cvode.py
-    [--scenes settle,thin] [--atol 0.01] [--csv FILE]
+    [--scenes settle,thin] [--atol 0.01] [--expensive] [--csv FILE]
 
 Found (on a machine that others used: differences below a fifth mean little): a Jacobian that is
 fresh where contacts change, and a bound on its softening at first contact (``softening``), decide.
@@ -22,8 +22,7 @@ little which preconditioner is taken, since Newton's systems are solved loosely:
 blocks cost next to nothing; Gauss-Seidel and the incomplete factorisation save up to a half of
 the products and cost as much; multigrid takes 0.7 s and a direct factorisation 6.5 s where the
 blocks take 0.05 s (``thin``). The left side saves a fifth on ``thin`` and loses as much on
-``clump``, where it is further off; the right one, which measures the true residual, is kept. Other
-preconditioners, sides and ways of refreshing J were options then, and went.
+``clump``, where it is further off; the right one, which measures the true residual, is kept.
 Against scikit-sundae's defaults, in CPU time of one thread (medians of 15 pairs): the full method
 takes 1.1 to 1.25 times as long on mild scenes of 1000 cells and 1.35 to 1.65 times with 100 or
 200, where calls from Python rule. So it begins like the defaults (``light``): 1.02 to 1.07 and
@@ -50,9 +49,12 @@ from strategies import cluster
 from multicell import JKR
 from multicell.integrators.base import Outcome
 from multicell.integrators.cvode import Cvode
-from multicell.mechanics import binning
+from multicell.mechanics import binning, preconditioners
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
+
+EXPENSIVE = ["multigrid", "exact"]
+"""Preconditioners that take seconds; left out unless asked for. The first needs pyamg."""
 
 LAW = JKR(surface_energy=0.1)
 ATTEMPT = Cvode(rtol=1e-6, max_steps=20_000)
@@ -144,22 +146,87 @@ class Defaults:
         return Outcome(system.motion.end, result.y[-1].reshape(-1, 3))
 
 
-def variants(atol):
+class Multigrid:
+    """One V-cycle of pyamg's smoothed aggregation on the symmetric matrix, stable part."""
+
+    def setup(self, system, gamma, linear=None):
+        import pyamg
+
+        system.work.preconditioner_setups += 1
+        matrix, self.weight = stable_matrix(system, gamma)
+        n = matrix.shape[0] // 3
+        translations = np.tile(np.eye(3), (n, 1))
+        self.solver = pyamg.smoothed_aggregation_solver(matrix.tobsr((3, 3)), B=translations)
+
+    def solve(self, system, vector, out):
+        system.work.preconditioner_solves += 1
+        right = self.weight * vector.ravel()
+        out[:] = self.solver.solve(right, maxiter=1, tol=1e-14).reshape(-1, 3)
+
+
+class Exact:
+    """Direct factorisation of I - γJ itself: the limit of any preconditioner."""
+
+    def setup(self, system, gamma, linear=None):
+        from scipy.sparse import identity
+        from scipy.sparse.linalg import splu
+
+        from multicell.mechanics.jacobian import sparse_jacobian
+
+        system.work.preconditioner_setups += 1
+        jacobian = sparse_jacobian(system)
+        whole = identity(jacobian.shape[0], format="csc") - gamma * jacobian
+        self.solver = splu(whole.tocsc(), permc_spec="MMD_AT_PLUS_A")
+
+    def solve(self, system, vector, out):
+        system.work.preconditioner_solves += 1
+        out[:] = self.solver.solve(np.array(vector).ravel()).reshape(-1, 3)
+
+
+def stable_matrix(system, gamma):
+    """Return Γ - γK with the stable part of each pair, and the diagonal of Γ."""
+    from scipy.sparse import diags
+
+    from multicell.mechanics.jacobian import sparse_jacobian
+
+    linear = system.linearisation
+    along, across = linear.along.copy(), linear.across.copy()
+    linear.across[:] = np.minimum(across, 0.0)
+    linear.along[:] = np.maximum(along - across, 0.0) + linear.across
+    weight = np.repeat(system.drag * system.rows[:, 3], 3)
+    matrix = diags(weight) - gamma * diags(weight) @ sparse_jacobian(system)
+    linear.along[:], linear.across[:] = along, across
+    return matrix.tocsr(), weight
+
+
+preconditioners.PRECONDITIONERS["multigrid"] = Multigrid
+preconditioners.PRECONDITIONERS["exact"] = Exact
+
+
+def variants(atol, expensive):
     """Return the rows of the table: what is changed, the method, and the law."""
     base = replace(ATTEMPT, atol=atol)
     full = replace(base, light=False)
+    plain = replace(full, preconditioner="none", krylov_dim=5, refresh="solve", softening=np.inf)
     rows = [
         ("scikit-sundae as it comes", Defaults(atol), LAW),
         ("cvode", base, LAW),
         ("cvode without its light start", full, LAW),
+        ("analytic products alone", plain, LAW),
     ]
     changes = {
+        "preconditioner": ["none", "blocks", "incomplete", "gauss-seidel"],
+        "side": ["left", "both"],
         "krylov_dim": [3, 5, 12, 20],
+        "refresh": ["solve", "product", "setup", "asked"],
         "far": [0.001, 0.01, 0.05],
+        "linear": ["bicgstab"],
         "max_order": [1, 2, 3],
         "newton": [4, 6],
         "softening": [0.1, 1.0, np.inf],
     }
+    if expensive:
+        changes["preconditioner"] += EXPENSIVE
     for name, values in changes.items():
         for value in values:
             if value != getattr(base, name):
@@ -189,6 +256,7 @@ def main():
     parser.add_argument("--scenes", default=",".join(SCENES))
     parser.add_argument("--atol", type=float, default=1e-2)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--expensive", action="store_true", help="multigrid and direct solves too")
     parser.add_argument("--only", default="", help="rows whose name contains this")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
@@ -200,7 +268,7 @@ def main():
         reference = tight.integrate(case.system(), case.position).position
         print(f"\n{name}: {len(case.radius)} cells, {case.duration:g} s, atol {given.atol:g} um")
         print(f"{'':34}{'s':>8}{'error':>9}{'steps':>6}{'f':>6}{'J':>6}{'Jv':>6}{'P':>5}")
-        for label, method, law in variants(given.atol):
+        for label, method, law in variants(given.atol, given.expensive):
             if given.only and not any(part in label for part in given.only.split(",")):
                 continue
             seconds, error, w = measure(case, method, law, given.repeats, reference)

@@ -23,6 +23,7 @@ from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.scipy import Scipy
 from multicell.mechanics.binning import spatial_order
 from multicell.mechanics.jacobian import Pattern, limited, sparse_jacobian
+from multicell.mechanics.preconditioners import PRECONDITIONERS, preconditioner
 from multicell.mechanics.system import Linearisation
 from multicell.scene.parts import IntegratorOptions
 
@@ -101,8 +102,28 @@ def stable_system(system, gamma):
     return matrix
 
 
+def test_gauss_seidel_sweeps_are_those_of_linear_algebra():
+    position, radius, young = cluster(50, 6, spacing=0.8)
+    system = mechanics(radius, young)
+    system.linearise(0.0, position)
+    gamma = 200.0
+    weight = np.repeat(system.drag * system.rows[:, 3], 3)
+    matrix = weight[:, None] * stable_system(system, gamma)
+    cell = np.arange(150) // 3
+    upper = np.where(cell[:, None] < cell, matrix, 0.0)
+    diagonal = np.where(cell[:, None] == cell, matrix, 0.0)
+    vector = np.random.default_rng(1).normal(size=(50, 3))
+    whole = (diagonal + upper.T) @ np.linalg.solve(diagonal, diagonal + upper)
+    expected = np.linalg.solve(whole, weight * vector.ravel())
+    sweeps, out = preconditioner("gauss-seidel", system), np.empty((50, 3))
+    sweeps.setup(system, gamma, system.linearisation)
+    sweeps.solve(system, vector, out)
+    np.testing.assert_allclose(out.ravel(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", PRECONDITIONERS)
 @pytest.mark.parametrize("threads", [1, 2])
-def test_diagonal_blocks_approximate_and_give_the_same_bits(threads):
+def test_preconditioners_approximate_and_give_the_same_bits(name, threads):
     position, radius, young = cluster(120, 6, spacing=0.8)
     position = position[spatial_order(position, 10.0)]
     young[::7] *= 30.0
@@ -113,14 +134,14 @@ def test_diagonal_blocks_approximate_and_give_the_same_bits(threads):
         matrix = stable_system(system, 3000.0)
         system.linearise(0.0, position)
         vector = np.random.default_rng(1).normal(size=(120, 3))
-        out = np.empty((120, 3))
-        system.setup_preconditioner(3000.0)
-        system.precondition(vector, out)
+        inverse, out = preconditioner(name, system), np.empty((120, 3))
+        inverse.setup(system, 3000.0, system.linearisation)
+        inverse.solve(system, vector, out)
         results.append(out)
         # the preconditioned matrix is much closer to the identity than the matrix
         columns = np.empty((360, 360))
         for k in range(360):
-            system.precondition(np.ascontiguousarray(matrix[:, k].reshape(-1, 3)), out)
+            inverse.solve(system, np.ascontiguousarray(matrix[:, k].reshape(-1, 3)), out)
             columns[:, k] = out.ravel()
         before, after = (np.linalg.cond(m) for m in (matrix, columns))
         assert after < 0.7 * before
@@ -161,11 +182,12 @@ def test_blocks_know_the_friction_between_cells(friction):
     for known in (True, False):
         used = system if known else mechanics(radius, young, viscosity=0.05)
         used.linearise(0.0, position)
-        used.setup_preconditioner(20.0)
+        blocks = preconditioner("blocks", used)
+        blocks.setup(used, 20.0, used.linearisation)
 
-        def approximate(x, used=used):
+        def approximate(x, blocks=blocks, used=used):
             out = np.empty((120, 3))
-            used.precondition(np.ascontiguousarray(x).reshape(-1, 3), out)
+            blocks.solve(used, np.ascontiguousarray(x).reshape(-1, 3), out)
             return out.ravel()
 
         def whole(x):
@@ -182,7 +204,10 @@ def test_blocks_know_the_friction_between_cells(friction):
 
 
 @pytest.mark.parametrize("change", [
-    {"krylov_dim": 3}, {"far": 0.05}, {"max_order": 2}, {"newton": 6}, {"softening": np.inf},
+    {"preconditioner": "none"}, {"preconditioner": "gauss-seidel"},
+    {"preconditioner": "incomplete"}, {"side": "left"}, {"side": "both"}, {"krylov_dim": 3},
+    {"refresh": "solve"}, {"refresh": "product"}, {"refresh": "setup"}, {"refresh": "asked"},
+    {"linear": "bicgstab"}, {"softening": np.inf},
 ])  # fmt: skip
 def test_settings_change_the_way_and_not_the_end(change):
     position, radius, young = cluster(80, 6, spacing=0.8)
@@ -473,8 +498,9 @@ def test_decay_rate_is_the_end_of_the_spectrum():
     assert decay_rate(lone, np.zeros((1, 3))) == 0.0
 
 
+@pytest.mark.parametrize("name", ["blocks", "gauss-seidel", "incomplete", "none"])
 @pytest.mark.parametrize("viscosity", [5.0, 0.5, 0.05])
-def test_memory_that_nothing_was_written_to_decides_nothing(monkeypatch, viscosity):
+def test_memory_that_nothing_was_written_to_decides_nothing(monkeypatch, name, viscosity):
     """Spare room of the pairs and blocks not yet inverted, filled with what would be found out."""
     position, radius, young = cluster(80, 6, spacing=0.8)
     room = Linearisation.room
@@ -490,7 +516,7 @@ def test_memory_that_nothing_was_written_to_decides_nothing(monkeypatch, viscosi
         monkeypatch.setattr(Linearisation, "room", filled)
         system = mechanics(radius, young, duration=600.0, viscosity=viscosity)
         system._inverse[:] = filling
-        outcome = Cvode(atol=1e-3, light=False).integrate(system, position)
+        outcome = Cvode(atol=1e-3, preconditioner=name, light=False).integrate(system, position)
         assert outcome.done
         results.append((system.work, outcome.position))
     for work, end in results[1:]:

@@ -13,6 +13,7 @@ from multicell.integrators import limits
 from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.restarts import Run
 from multicell.mechanics import blocks
+from multicell.mechanics import preconditioners as sparse
 from multicell.mechanics.motion import StateRejected
 from multicell.scene.parts import IntegratorOptions
 
@@ -181,6 +182,10 @@ def test_blocks_are_inverted_at_any_stiffness(stiffness, contacts):
         # what it is for: the answer to a right-hand side, at most off by what rounding costs
         product = whole @ (inverse(out[0]) @ vector)
         worst = max(worst, float(np.abs(product - vector).max() / np.abs(vector).max()))
+        small = 1e-20 * (np.array([[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]]) + stiffness * six)
+        sparse._invert(small, 0)
+        assert np.isfinite(small).all()
+        assert np.linalg.eigvalsh(inverse(small[0] * 1e-20))[0] > 0.0
     assert np.isfinite(worst)
     # below the change of method cofactors lose the square, as they always did
     lost = stiffness if stiffness > blocks.NEARLY_SINGULAR else stiffness**2

@@ -1,0 +1,293 @@
+"""Approximate inverses of I - γJ by name, for the methods that solve with it iteratively.
+
+Written as in :mod:`multicell.mechanics.jacobian`, (I - γJ) x = b is M x = Γ b with the symmetric
+
+    M = Γ - γK:   M_ii = Γ_i + γ Σ_j P_ij,   M_ij = -γ P_ij.
+
+Preconditioners take the stable part of each pair alone (max(k, 0) along n and max(-F/d, 0)
+across), so that they are symmetric positive definite for every γ > 0, where M itself need not
+be: pairs that are pressed together push each other sideways.
+
+The chunks of :mod:`multicell.mechanics.neighbours` list inner pairs by growing first cell, smaller
+cell first: that is the upper triangle of M row by row, and sweeps along it and back are a
+symmetric Gauss-Seidel step without any assembly. Pairs between chunks enter the diagonal
+blocks only, so that chunks are independent, and any number of threads gives the same bits.
+
+No fastmath, see :mod:`multicell.mechanics.forces`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Protocol, final
+
+import numpy as np
+from numba import njit, prange
+
+from multicell.compiling import KERNEL
+from multicell.compiling.threads import two_drivers
+from multicell.mechanics.blocks import NEARLY_SINGULAR, add_block, invert_by_pivots
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.mechanics.system import Linearisation, Mechanics
+
+_EPS = float(np.finfo(float).eps)
+_FLAT = 1.0 / NEARLY_SINGULAR**2
+"""Determinant over the product of the diagonal below which cofactors are rounding."""
+
+
+class Preconditioner(Protocol):
+    """Made ready by ``setup`` at a linearisation, applied by ``solve``."""
+
+    def setup(self, system: Mechanics, gamma: float, linear: Linearisation) -> None:
+        """Prepare for I - γJ."""
+
+    def solve(self, system: Mechanics, vector: FloatArray, out: FloatArray) -> None:
+        """Write the approximate solution for ``vector``, both (n, 3)."""
+
+
+@final
+class Blocks:
+    """The inverse 3 x 3 diagonal blocks (see :meth:`Mechanics.setup_preconditioner`)."""
+
+    def setup(self, system: Mechanics, gamma: float, linear: Linearisation) -> None:
+        """Invert the blocks."""
+        system.setup_preconditioner(gamma, linear)
+
+    def solve(self, system: Mechanics, vector: FloatArray, out: FloatArray) -> None:
+        """Multiply by the inverses."""
+        system.precondition(vector, out)
+
+
+@njit(**KERNEL)
+def _link(p, gamma, along, across):
+    """Return w and s of a pair with P = w n nᵀ + s I, both zero where it does not touch."""
+    s = gamma * max(-across[p], 0.0)
+    return gamma * max(along[p] - across[p], 0.0) - s, s
+
+
+@njit(**KERNEL)
+def _collect_chunk(
+    c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
+    gamma, drag, walls, begin, near, link, blocks,
+):  # fmt: skip
+    """Write the diagonal blocks of one chunk of M, and its inner pairs that touch.
+
+    ``walls`` is the stiffness of each cell's walls along the axes, or has no rows.
+    ``near`` and ``link`` (n, w, s with P = w n nᵀ + s I, times γ) hold the pairs of cell i at
+    ``begin[i, 0]:begin[i, 1]``.
+    """
+    low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])
+    for i in range(low, high):
+        begin[i, 0] = begin[i, 1] = 0
+        blocks[i, 0] = blocks[i, 1] = blocks[i, 2] = drag * rows[i, 3]
+        blocks[i, 3] = blocks[i, 4] = blocks[i, 5] = 0.0
+    if walls.shape[0] > 0:
+        for i in range(low, high):
+            for k in range(3):
+                blocks[i, k] += gamma * walls[i, k]
+    for p in range(start[c], outer_end[c]):
+        w, s = _link(p, gamma, along, across)
+        if s == 0.0 and w == 0.0:
+            continue
+        i, j = first[p], second[p]
+        for side in range(2 if p < inner_end[c] else 1):
+            k = i if side == 0 else j
+            add_block(blocks, k, w, s, normal[p, 0], normal[p, 1], normal[p, 2])
+        if p < inner_end[c]:
+            begin[min(i, j), 1] += 1
+    # a list names the cells of a pair in any order, the sweeps need the one that comes first
+    at = start[c]
+    for i in range(low, high):
+        begin[i, 0], at = at, at + begin[i, 1]
+        begin[i, 1] = begin[i, 0]
+    for p in range(start[c], inner_end[c]):
+        w, s = _link(p, gamma, along, across)
+        if s == 0.0 and w == 0.0:
+            continue
+        i, at = min(first[p], second[p]), begin[min(first[p], second[p]), 1]
+        near[at] = max(first[p], second[p])
+        link[at, 0], link[at, 1], link[at, 2] = normal[p, 0], normal[p, 1], normal[p, 2]
+        link[at, 3], link[at, 4] = w, s
+        begin[i, 1] = at + 1
+
+
+@njit(**KERNEL)
+def _invert(blocks, i):
+    """Replace a symmetric 3 x 3 block by its inverse; return its determinant."""
+    a, b, c = blocks[i, 0], blocks[i, 1], blocks[i, 2]
+    f, g, h = blocks[i, 3], blocks[i, 4], blocks[i, 5]
+    xx, xy, xz = b * c - h * h, g * h - f * c, f * h - b * g
+    determinant = a * xx + f * xy + g * xz
+    if not determinant > _FLAT * a * b * c:
+        invert_by_pivots(a, b, c, f, g, h, _EPS * max(a, b, c), blocks[i])
+        return determinant
+    scale = 1.0 / determinant
+    blocks[i, 0] = xx * scale
+    blocks[i, 1] = (a * c - g * g) * scale
+    blocks[i, 2] = (a * b - f * f) * scale
+    blocks[i, 3] = xy * scale
+    blocks[i, 4] = xz * scale
+    blocks[i, 5] = (f * g - a * h) * scale
+    return determinant
+
+
+@njit(**KERNEL)
+def _subtract(blocks, i, j, link, e):
+    """Subtract P B⁻¹ P from block j, with the inverted block i and P of the pair ``e``."""
+    nx, ny, nz, w, s = link[e, 0], link[e, 1], link[e, 2], link[e, 3], link[e, 4]
+    xx, yy, zz = blocks[i, 0], blocks[i, 1], blocks[i, 2]
+    xy, xz, yz = blocks[i, 3], blocks[i, 4], blocks[i, 5]
+    # with q = B⁻¹ n:  P B⁻¹ P = w² (n·q) n nᵀ + w s (n qᵀ + q nᵀ) + s² B⁻¹
+    qx, qy, qz = (
+        xx * nx + xy * ny + xz * nz,
+        xy * nx + yy * ny + yz * nz,
+        xz * nx + yz * ny + zz * nz,
+    )
+    a, b, c = w * w * (nx * qx + ny * qy + nz * qz), w * s, s * s
+    blocks[j, 0] -= a * nx * nx + 2.0 * b * nx * qx + c * xx
+    blocks[j, 1] -= a * ny * ny + 2.0 * b * ny * qy + c * yy
+    blocks[j, 2] -= a * nz * nz + 2.0 * b * nz * qz + c * zz
+    blocks[j, 3] -= a * nx * ny + b * (nx * qy + qx * ny) + c * xy
+    blocks[j, 4] -= a * nx * nz + b * (nx * qz + qx * nz) + c * xz
+    blocks[j, 5] -= a * ny * nz + b * (ny * qz + qy * nz) + c * yz
+
+
+@njit(**KERNEL)
+def _factor_chunk(c, chunk, incomplete, begin, near, link, blocks):
+    """Invert the diagonal blocks; ``incomplete`` corrects them as a factorisation does."""
+    low, high = c * chunk, min((c + 1) * chunk, blocks.shape[0])
+    for i in range(low, high):
+        _invert(blocks, i)
+        if incomplete:
+            for e in range(begin[i, 0], begin[i, 1]):
+                _subtract(blocks, i, near[e], link, e)
+
+
+def _factor(
+    chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
+    gamma, drag, walls, incomplete, begin, near, link, blocks,
+):  # fmt: skip
+    """Prepare the sweeps for a γ at the linearisation given by its pairs."""
+    for c in prange(start.size):
+        _collect_chunk(
+            c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
+            gamma, drag, walls, begin, near, link, blocks,
+        )  # fmt: skip
+        _factor_chunk(c, chunk, incomplete, begin, near, link, blocks)
+
+
+@njit(**KERNEL)
+def _sweep_chunk(c, chunk, rows, drag, begin, near, link, blocks, vector, out):
+    """Solve (D + L) D⁻¹ (D + U) x = Γ b for the cells of one chunk."""
+    low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])
+    for i in range(low, high):
+        weight = drag * rows[i, 3]
+        for k in range(3):
+            out[i, k] = weight * vector[i, k]
+    for i in range(low, high):
+        x, y, z = out[i, 0], out[i, 1], out[i, 2]
+        u = blocks[i, 0] * x + blocks[i, 3] * y + blocks[i, 4] * z
+        v = blocks[i, 3] * x + blocks[i, 1] * y + blocks[i, 5] * z
+        t = blocks[i, 4] * x + blocks[i, 5] * y + blocks[i, 2] * z
+        out[i, 0], out[i, 1], out[i, 2] = u, v, t
+        for e in range(begin[i, 0], begin[i, 1]):
+            nx, ny, nz, s = link[e, 0], link[e, 1], link[e, 2], link[e, 4]
+            a = link[e, 3] * (nx * u + ny * v + nz * t)
+            j = np.uint32(near[e])
+            out[j, 0] += a * nx + s * u
+            out[j, 1] += a * ny + s * v
+            out[j, 2] += a * nz + s * t
+    for i in range(high - 1, low - 1, -1):
+        x, y, z = 0.0, 0.0, 0.0
+        for e in range(begin[i, 0], begin[i, 1]):
+            nx, ny, nz, s = link[e, 0], link[e, 1], link[e, 2], link[e, 4]
+            j = np.uint32(near[e])
+            u, v, t = out[j, 0], out[j, 1], out[j, 2]
+            a = link[e, 3] * (nx * u + ny * v + nz * t)
+            x += a * nx + s * u
+            y += a * ny + s * v
+            z += a * nz + s * t
+        out[i, 0] += blocks[i, 0] * x + blocks[i, 3] * y + blocks[i, 4] * z
+        out[i, 1] += blocks[i, 3] * x + blocks[i, 1] * y + blocks[i, 5] * z
+        out[i, 2] += blocks[i, 4] * x + blocks[i, 5] * y + blocks[i, 2] * z
+
+
+def _sweep(chunks, chunk, rows, drag, begin, near, link, blocks, vector, out):
+    """Write an approximate solution of (I - γJ) x = ``vector``, both (n, 3)."""
+    for c in prange(chunks):
+        _sweep_chunk(c, chunk, rows, drag, begin, near, link, blocks, vector, out)
+
+
+_DRIVERS = tuple(zip(two_drivers(_factor), two_drivers(_sweep), strict=True))
+"""Factorisation and sweeps for one thread, and for all of them."""
+
+
+@final
+class Sweeps:
+    """Symmetric Gauss-Seidel on M, or an incomplete factorisation of it, chunk by chunk.
+
+    - ``incomplete``: correct each diagonal block for the blocks eliminated before it (the D-ILU of
+      the literature), instead of taking it as it is
+    """
+
+    def __init__(self, incomplete: bool = False) -> None:
+        self.incomplete = incomplete
+        # a tissue may have no pairs at all: then nothing below asks for room
+        self._near = np.empty(0, dtype=np.int32)
+        self._link = np.empty((0, 5))
+        self._begin = np.empty((0, 2), dtype=np.int64)
+
+    def setup(self, system: Mechanics, gamma: float, linear: Linearisation) -> None:
+        """Prepare for (I - γJ) at a linearisation."""
+        system.work.preconditioner_setups += 1
+        pairs = linear.pairs
+        if len(self._near) < len(pairs.first):
+            self._near = np.empty(len(pairs.first), dtype=np.int32)
+            self._link = np.empty((len(pairs.first), 5))
+        if len(self._begin) != pairs.n:
+            self._begin = np.empty((pairs.n, 2), dtype=np.int64)
+            self._blocks = np.empty((pairs.n, 6))
+        self._chunks = len(pairs.start)
+        shared = system.threads > 1 and self._chunks >= system.shared_chunks
+        factor, self._run = _DRIVERS[shared]
+        factor(
+            system.chunk, system.weighed_rows, pairs.first, pairs.second, pairs.start,
+            pairs.inner_end, pairs.outer_end, linear.normal, linear.along, linear.across, gamma,
+            system.drag, linear.walls, self.incomplete, self._begin, self._near, self._link,
+            self._blocks,
+        )  # fmt: skip
+
+    def solve(self, system: Mechanics, vector: FloatArray, out: FloatArray) -> None:
+        """Write the approximate solution for ``vector``, both (n, 3)."""
+        system.work.preconditioner_solves += 1
+        given = system.prescribed
+        free = vector.view() if given is None else given.released(vector)
+        free.flags.writeable = False
+        self._run(
+            self._chunks, system.chunk, system.weighed_rows, system.drag, self._begin, self._near,
+            self._link, self._blocks, free, out,
+        )  # fmt: skip
+        if given is not None:
+            out[given.held] = vector[given.held]
+
+
+PRECONDITIONERS: dict[str, Callable[[], Preconditioner]] = {
+    "blocks": Blocks,
+    "gauss-seidel": Sweeps,
+    "incomplete": partial(Sweeps, incomplete=True),
+}
+"""Name -> maker. ``"none"`` stands for no preconditioner where a method allows it."""
+
+
+def preconditioner(name: str, system: Mechanics) -> Preconditioner:
+    """Return the preconditioner called ``name`` for a system.
+
+    With friction between cells J = Γ⁻¹K is not a matrix of pairs, and the system's own
+    blocks are taken in place of the sweeps.
+    """
+    if max(system.friction) > 0.0:
+        return Blocks()
+    return PRECONDITIONERS[name]()
