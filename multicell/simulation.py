@@ -344,7 +344,7 @@ class Simulation(RunState):
             self.cells = change_types(self.plan, cells, found, self.step_index, dt)
 
     def _irradiate(self, since: float) -> None:
-        """Let cells be hit by what has fallen due since a time in s, and note those that die."""
+        """Let cells be hit by what is due since a time in s, and note those that die."""
         if self.plan.radiation:
             cells, found = self.cells, self.concentrations
             self.cells, dead = irradiate(self.plan, cells, found, since, self.time)

@@ -36,18 +36,11 @@ def active_force(
     number of the interval, so that no state has to be kept. A bias along a gradient follows the
     gradient of the moment.
 
-    Parameters
-    ----------
-    plan
-        With ``motility``.
-    cells
-        The population, n cells.
-    time
-        Simulated time, s.
-    gradients : name -> (n, 3), mM/µm
-        At the cells; of the field that a bias is towards.
-    found : name -> (n,)
-        Signals at the cells, to which the bias may respond.
+    - ``plan``: with ``motility``
+    - ``cells``: the population, n cells
+    - ``time``: simulated time, s
+    - ``gradients``, name -> (n, 3), mM/µm: at the cells; of the field that a bias is towards
+    - ``found``, name -> (n,): signals at the cells, to which the bias may respond
     """
     law = plan.motility
     assert law is not None
@@ -98,10 +91,7 @@ def chemotactic_force(
     F = force ∇c / (|∇c| + half): proportional to small gradients, and of constant size in steep
     ones, where receptors are saturated.
 
-    Parameters
-    ----------
-    gradients : name -> (n, 3), mM/µm
-        At the cells.
+    - ``gradients``, name -> (n, 3), mM/µm: at the cells
     """
     total = np.zeros((len(cells), 3))
     for name, law in plan.chemotaxis.items():

@@ -62,14 +62,9 @@ def advance(
 ) -> Cycling:
     """Return where the cells are after a time ``dt`` (s).
 
-    Parameters
-    ----------
-    factor : (n,)
-        How fast cells grow here; see :func:`multicell.biology.growth.growth_factor`.
-    unfavourable : (n,) bool
-        Whether a cell would rest here.
-    pace : (n, 5) or None
-        Factor of each phase's clock, from :func:`phase_pace`.
+    - ``factor``, (n,): how fast cells grow here; see :func:`multicell.biology.growth.growth_factor`
+    - ``unfavourable``, (n,) bool: whether a cell would rest here
+    - ``pace``, (n, 5) or None: factor of each phase's clock, from :func:`phase_pace`
     """
     now = Cycling(
         cells.volume, cells.state.copy(), cells.phase.copy(), cells.progress.copy(),

@@ -35,18 +35,11 @@ def apoptotic(
     noticed. With a rate that responds to signals each cell dies in a step with the probability
     1 - exp(-k dt).
 
-    Parameters
-    ----------
-    plan
-        Gives the rate.
-    cells
-        The population; identities and ages are read.
-    found : name -> (n,)
-        Signals at the cells.
-    step, dt
-        Number of the coupling step that ends, and its length, s.
-    time
-        Since the start of the run, s.
+    - ``plan``: gives the rate
+    - ``cells``: the population; identities and ages are read
+    - ``found``, name -> (n,): signals at the cells
+    - ``step``, ``dt``: number of the coupling step that ends, and its length, s
+    - ``time``: since the start of the run, s
     """
     rate = plan.base_rates["apoptosis rate"]
     hazard = value_of(plan, "apoptosis rate", rate, found, cells)
@@ -67,18 +60,11 @@ def necrotic(
     All with an infinite rate; with another rate k each cell dies in a time dt with the probability
     1 - exp(-k dt). Times until death are distributed exponentially whatever the coupling step.
 
-    Parameters
-    ----------
-    plan
-        Gives the seed.
-    cells
-        The population; the identities are read.
-    hazard : (n,), 1/s
-        From :func:`multicell.biology.responding.necrosis_hazard`.
-    step
-        Number of the coupling step, which the random numbers depend on.
-    dt
-        Time since the last decision, s.
+    - ``plan``: gives the seed
+    - ``cells``: the population; the identities are read
+    - ``hazard``, (n,), 1/s: from :func:`multicell.biology.responding.necrosis_hazard`
+    - ``step``: number of the coupling step, which the random numbers depend on
+    - ``dt``: time since the last decision, s
     """
     dies = np.isinf(hazard)
     at_rate = (hazard > 0.0) & ~dies
@@ -91,19 +77,10 @@ def necrotic(
 def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
     """Remove dead cells smaller than ``removal_fraction`` of the birth volume.
 
-    Parameters
-    ----------
-    plan
-        Without ``death`` no cell is removed.
-    cells
-        The population; it is not changed.
+    - ``plan``: without ``death`` no cell is removed
+    - ``cells``: the population; it is not changed
 
-    Returns
-    -------
-    cells
-        The cells that remain, in their old order.
-    removed
-        Number of cells removed.
+    Returns cells: the cells that remain, in their old order; removed: number of cells removed.
     """
     if plan.death is None:
         return cells, 0

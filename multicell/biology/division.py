@@ -57,27 +57,16 @@ def divide(
     volume and centre of mass are conserved and the daughters stay within the mother. A cell that is
     doomed to die at this division does not divide.
 
-    Parameters
-    ----------
-    plan
-        A scene without ``growth`` has no divisions.
-    cells
-        The population; it is not changed.
-    step
-        Index of the coupling step, part of the key of the random numbers.
-    next_id
-        First identity that is free.
-    found : name -> (n,)
-        Signals at the cells, for what responds to them.
+    - ``plan``: a scene without ``growth`` has no divisions
+    - ``cells``: the population; it is not changed
+    - ``step``: index of the coupling step, part of the key of the random numbers
+    - ``next_id``: first identity that is free
+    - ``found``, name -> (n,): signals at the cells, for what responds to them
 
-    Returns
-    -------
-    cells
-        The cells that did not divide, in their old order, followed by the daughters in the order
-        of their mothers' identities. The daughters have age 0, the mother's pressure and Poisson
-        ratio, and draw cycle time and modulus anew unless these are heritable.
-    next_id
-        First identity that is free now; it has grown by two a division.
+    Returns cells: the cells that did not divide, in their old order, followed by the daughters in
+    the order of their mothers' identities. The daughters have age 0, the mother's pressure and
+    Poisson ratio, and draw cycle time and modulus anew unless these are heritable; next_id: first
+    identity that is free now; it has grown by two a division.
     """
     if plan.growth is None:
         return cells, next_id

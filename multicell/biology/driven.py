@@ -35,10 +35,8 @@ Named = Mapping[str, IntArray]
 def named_at_start(plan: BiologyPlan, cells: Cells) -> dict[str, IntArray]:
     """Return the cells of each driver that keeps a list.
 
-    Raises
-    ------
-    SceneError
-        If one names no cell, or one that is not there, or two motions move the same cell.
+    Raises SceneError if one names no cell, or one that is not there, or two motions move the same
+    cell.
     """
     check_members(plan, cells)
     return {
@@ -51,15 +49,10 @@ def named_at_start(plan: BiologyPlan, cells: Cells) -> dict[str, IntArray]:
 def pass_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
     """Return the lists after events.
 
-    Parameters
-    ----------
-    named
-        The lists before.
-    cells
-        The population after the events.
-    first
-        First identity that was free before: the daughters' identities count from there, two by
-        two, the first daughter's first.
+    - ``named``: the lists before
+    - ``cells``: the population after the events
+    - ``first``: first identity that was free before: the daughters' identities count from there,
+      two by two, the first daughter's first
     """
     eldest = cells.id[(cells.id >= first) & ((cells.id - first) % 2 == 0)]
     mothers = cells.parent[cells.rows_of(eldest)]
@@ -128,10 +121,7 @@ def columns(
 
     Of all cells that it moves together; zero while it does not act. The work is not counted.
 
-    Parameters
-    ----------
-    motion
-        Of all cells at that moment; the mechanics are made ready for it.
+    - ``motion``: of all cells at that moment; the mechanics are made ready for it
     """
     from multicell.mechanics.prescribed import outside_force
 

@@ -80,20 +80,12 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     integrated exactly for the given factor. Growth may pass the division volume within the step:
     the excess goes to the daughters.
 
-    Parameters
-    ----------
-    plan
-        Without ``growth`` no cell grows, without ``death`` no cell shrinks.
-    cells
-        The population, n cells.
-    factor : (n,)
-        From :func:`growth_factor`.
-    dt
-        Length of the step, s.
+    - ``plan``: without ``growth`` no cell grows, without ``death`` no cell shrinks
+    - ``cells``: the population, n cells
+    - ``factor``, (n,): from :func:`growth_factor`
+    - ``dt``: length of the step, s
 
-    Returns
-    -------
-    (n,) float64, µm³
+    Returns (n,) float64, µm³.
     """
     volume = cells.volume
     law = plan.law

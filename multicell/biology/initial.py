@@ -25,9 +25,7 @@ def packed_ball(count: int) -> FloatArray:
     Nearest neighbours are at distance 1. The sites are those nearest to a site of the lattice,
     in the order of their distance from it; their centroid is then moved to the origin.
 
-    Returns
-    -------
-    (count, 3) float64
+    Returns (count, 3) float64.
     """
     # a close packing has sqrt(2) sites a unit volume; 2 more cover the surface of small balls
     reach = (3.0 * count / (4.0 * np.pi * np.sqrt(2.0))) ** (1.0 / 3.0) + 2.0
@@ -51,9 +49,7 @@ def packed_disc(count: int) -> FloatArray:
 
     Like :func:`packed_ball` in two dimensions.
 
-    Returns
-    -------
-    (count, 3) float64
+    Returns (count, 3) float64.
     """
     half = int(np.ceil(np.sqrt(count))) + 2
     i, j = np.indices((2 * half + 1, 2 * half + 1)).reshape(2, -1) - half
@@ -73,19 +69,13 @@ def row(count: int) -> FloatArray:
 def initial_cells(scene: Scene) -> Cells:
     """Return the cells that a run starts with.
 
-    Parameters
-    ----------
-    scene
-        Its ``initial`` part says how many, how arranged, how far apart (centre distance over mean
-        diameter), how much displaced at random, and at which stage of growth; ``cells`` and
-        ``growth`` give size, moduli and cycle times.
+    - ``scene``: its ``initial`` part says how many, how arranged, how far apart (centre distance
+      over mean diameter), how much displaced at random, and at which stage of growth; ``cells`` and
+      ``growth`` give size, moduli and cycle times
 
-    Returns
-    -------
-    Cells
-        Identities 0 ... n - 1 from the centre outwards, in a row along x; parent -1, all
-        proliferating, centroid of the sites at the origin, pressure zero; with a table what it says
-        (:func:`multicell.biology.tabled.tabled_cells`).
+    Returns Cells: identities 0 ... n - 1 from the centre outwards, in a row along x; parent -1, all
+    proliferating, centroid of the sites at the origin, pressure zero; with a table what it says
+    (:func:`multicell.biology.tabled.tabled_cells`).
     """
     initial = scene.initial
     if initial.cells is not None:

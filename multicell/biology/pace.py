@@ -29,13 +29,10 @@ _NEAR = 1e-6
 class Pace(NamedTuple):
     """How fast a run goes ahead.
 
-    Attributes
-    ----------
-    step : float, s
-        Length of the next step, unless something ends it early.
-    drift, states, uptake : float, 1/s
-        Averages over time of what :class:`multicell.biology.splitting.StepError` calls so, and of
-        the part of the uptake from transient fields that a step gets wrong, over its length.
+    - ``step``, float, s: length of the next step, unless something ends it early
+    - ``drift``, ``states``, ``uptake``, float, 1/s: averages over time of what
+      :class:`multicell.biology.splitting.StepError` calls so, and of the part of the uptake from
+      transient fields that a step gets wrong, over its length
     """
 
     step: float
@@ -57,17 +54,11 @@ def first_pace(plan: StepPlan) -> Pace:
 def next_pace(plan: StepPlan, pace: Pace, error: StepError, uptake: float, dt: float) -> Pace:
     """Return the pace after a step.
 
-    Parameters
-    ----------
-    plan
-    pace
-        That of the step.
-    error
-        Of the step.
-    uptake
-        Part of the uptake from a transient field that the step got wrong, over its length, 1/s.
-    dt
-        Its length, s; shorter than ``pace.step`` if something ended it early.
+    - ``pace``: that of the step
+    - ``error``: of the step
+    - ``uptake``: part of the uptake from a transient field that the step got wrong, over its
+      length, 1/s
+    - ``dt``: its length, s; shorter than ``pace.step`` if something ended it early
     """
     longest = plan.longest
     weight = -math.expm1(-dt / min(_AVERAGED * pace.step, longest))

@@ -42,47 +42,33 @@ if TYPE_CHECKING:
 class BiologyPlan:
     """What biology needs of a scene.
 
-    Attributes
-    ----------
-    seed, dimensions, step
-        As in the scene; ``step`` is the fixed coupling step in s, or None.
-    birth_volume, division_volume : float, µm³
-    law
-        By which volumes grow; None without growth.
-    order : phases
-        In which a cell goes through them from birth to division; none without phases.
-    grows : (5,) bool
-        For each :class:`multicell.cells.Phase` whether cells grow in it.
-    restricted
-        Whether cells rest in G0 only.
-    stage, varies, founders
-        Where in their cycle cells start, whether newborn ones draw durations that differ, and
-        below which identity they are founders of a stable population: zero where the cycle does
-        not vary or is inherited.
-    responses
-        Of each behaviour that responds to anything, by its name.
-    may_rest
-        Whether anything lets cells rest, or makes a field that they may wake up in.
-    base_rates : name -> 1/s
-        The rate of apoptosis without responses, where cells die so at all.
-    changing, growth_follows_state
-        Whether cells change their types, and whether growth depends on more than fields and
-        pressure at a cell of a type.
-    elsewhere
-        Signals that neither fields nor cells carry: time, and numbers of neighbours.
-    young, young_variation, heritable, drift, reaction_time
-        Of the cells, in kPa and s.
-    types
-        By name; empty where all cells are alike.
-    cycle_scale, motility_scale, young_ratio : (types,) or None
-        Factors of each type; None where they are all 1.
-    energies : (types, types) nN/µm, or None
-        Surface energies between types that have their own.
-    solubility : field -> mM/kPa
-        Of oxygen, in the fields that say what irradiation does.
-    radiation, contact, domain, growth, death, adhesion, motility, chemotaxis, haptotaxis, pull, \
-forces, motions
-        Parts of the scene that hold nothing but numbers and names.
+    - ``seed``, ``dimensions``, ``step``: as in the scene; ``step`` is the fixed coupling step in s,
+      or None
+    - ``birth_volume``, ``division_volume``, float, µm³
+    - ``law``: by which volumes grow; None without growth
+    - ``order``, phases: in which a cell goes through them from birth to division; none without
+      phases
+    - ``grows``, (5,) bool: for each :class:`multicell.cells.Phase` whether cells grow in it
+    - ``restricted``: whether cells rest in G0 only
+    - ``stage``, ``varies``, ``founders``: where in their cycle cells start, whether newborn ones
+      draw durations that differ, and below which identity they are founders of a stable population:
+      zero where the cycle does not vary or is inherited
+    - ``responses``: of each behaviour that responds to anything, by its name
+    - ``may_rest``: whether anything lets cells rest, or makes a field that they may wake up in
+    - ``base_rates``, name -> 1/s: the rate of apoptosis without responses, where cells die so at
+      all
+    - ``changing``, ``growth_follows_state``: whether cells change their types, and whether growth
+      depends on more than fields and pressure at a cell of a type
+    - ``elsewhere``: signals that neither fields nor cells carry: time, and numbers of neighbours
+    - ``young``, ``young_variation``, ``heritable``, ``drift``, ``reaction_time``: of the cells, in
+      kPa and s
+    - ``types``: by name; empty where all cells are alike
+    - ``cycle_scale``, ``motility_scale``, ``young_ratio``, (types,) or None: factors of each type;
+      None where they are all 1
+    - ``energies``, (types, types) nN/µm, or None: surface energies between types that have their
+      own
+    - ``solubility``, field -> mM/kPa: of oxygen, in the fields that say what irradiation does
+    - ``es``, ``motions``: parts of the scene that hold nothing but numbers and names
     """
 
     seed: int

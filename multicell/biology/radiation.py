@@ -29,12 +29,8 @@ def irradiate(
     Each living cell is hit by each fraction with a random number of its own, which knows nothing of
     the coupling step. One that does not survive dies at once, or has so many divisions left.
 
-    Parameters
-    ----------
-    found : name -> (n,), mM
-        Fields at the cells.
-    begin, end : s
-        Fractions fall due after the first and up to the second.
+    - ``found``, name -> (n,), mM: fields at the cells
+    - ``begin``, ``end``, s: fractions fall due after the first and up to the second
     """
     after = cells.shared()
     for course, part in enumerate(plan.radiation.values()):

@@ -28,12 +28,8 @@ _EARLIER: Final = 1 << 20
 def directions_at(plan: BiologyPlan, ids: IntArray, time: float) -> FloatArray:
     """Return the random direction of each cell, (n, 3).
 
-    Parameters
-    ----------
-    ids : (n,)
-        Identities.
-    time
-        In polarisation times.
+    - ``ids``, (n,): identities
+    - ``time``: in polarisation times
     """
     out = np.empty((len(ids), 3))
     window = int(np.floor(time))

@@ -50,18 +50,12 @@ _OF_CELLS: Final = ("age", "volume", "radius")
 class BoundResponse:
     """A response ready for arrays of cells.
 
-    Attributes
-    ----------
-    level
-        Returns the signal, (n,), from what cells find, the cells and their pressure.
-    law, falls, low, high, combine, short
-        As in :class:`multicell.scene.responses.Effect`.
-    mask : (types,) bool, or None
-        Which types respond; None for all.
-    signals
-        Names of all signals that it is made from.
-    yes_or_no
-        Whether its value is zero or one, as booleans.
+    - ``level``: returns the signal, (n,), from what cells find, the cells and their pressure
+    - ``law``, ``falls``, ``low``, ``high``, ``combine``, ``short``: as in
+      :class:`multicell.scene.responses.Effect`
+    - ``mask``, (types,) bool, or None: which types respond; None for all
+    - ``signals``: names of all signals that it is made from
+    - ``yes_or_no``: whether its value is zero or one, as booleans
     """
 
     level: Callable[[Found, Cells | None, FloatArray | None], Any]
@@ -204,21 +198,13 @@ def value_of(
 ) -> FloatArray | None:
     """Return the value of a behaviour of each cell, (n,), or None where nothing changes it.
 
-    Parameters
-    ----------
-    behaviour
-        Its full name, such as ``"uptake of oxygen"``.
-    own
-        Its value without responses.
-    found : name -> (n,)
-        Fields at the cells, and other signals that cells do not carry themselves.
-    early
-        Whether fields may not be there yet: what responds to them then has no effect.
+    - ``behaviour``: its full name, such as ``"uptake of oxygen"``
+    - ``own``: its value without responses
+    - ``found``, name -> (n,): fields at the cells, and other signals that cells do not carry
+      themselves
+    - ``early``: whether fields may not be there yet: what responds to them then has no effect
 
-    Raises
-    ------
-    KeyError
-        If a signal is missing.
+    Raises KeyError if a signal is missing.
     """
     known = plan.responses.get(behaviour)
     if known is None:

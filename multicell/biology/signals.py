@@ -19,13 +19,9 @@ def other_signals(
 ) -> dict[str, FloatArray]:
     """Return the signals besides fields that the responses of a plan need, name -> (n,).
 
-    Parameters
-    ----------
-    contacts : (m, 2)
-        Identities of the cells that touched at the end of the last motion. Of cells that were born
-        since, those count that overlap.
-    time
-        Simulated time, s.
+    - ``contacts``, (m, 2): identities of the cells that touched at the end of the last motion. Of
+      cells that were born since, those count that overlap.
+    - ``time``: simulated time, s
     """
     out = {}
     if "time" in plan.elsewhere:

@@ -52,16 +52,12 @@ class FrozenRates(NamedTuple):
 class StepError(NamedTuple):
     """The error that the splitting has made in a coupling step, simulated minus true.
 
-    Attributes
-    ----------
-    volume : float, µm³
-        Of all cells together.
-    rms, worst : float
-        Size of the error of a single living cell over its volume.
-    drift, states, births : float, 1/s
-        Parts of growth that a step gets wrong, over its length, for
-        :mod:`multicell.biology.pace`: because the surroundings of cells changed (signed), because
-        cells went over to another state, and because divisions wait for the step's end.
+    - ``volume``, float, µm³: of all cells together
+    - ``rms``, ``worst``, float: size of the error of a single living cell over its volume
+    - ``drift``, ``states``, ``births``, float, 1/s: parts of growth that a step gets wrong, over
+      its length, for :mod:`multicell.biology.pace`: because the surroundings of cells changed
+      (signed), because cells went over to another state, and because divisions wait for the step's
+      end
     """
 
     volume: float = 0.0
@@ -87,20 +83,13 @@ def step_error(
 ) -> StepError:  # fmt: skip
     """Return the error of a coupling step that has just ended.
 
-    Parameters
-    ----------
-    plan
-        With growth.
-    before, now
-        What the step held fixed, and what the next one will.
-    cells
-        The population after the step, n cells, in the order of ``now``.
-    next_id
-        First identity that was free at the step's beginning: cells from it on are daughters.
-    dt
-        Length of the step, s.
-    jumped
-        Whether the surroundings have changed at once at the step's end, which is no error.
+    - ``plan``: with growth
+    - ``before``, ``now``: what the step held fixed, and what the next one will
+    - ``cells``: the population after the step, n cells, in the order of ``now``
+    - ``next_id``: first identity that was free at the step's beginning: cells from it on are
+      daughters
+    - ``dt``: length of the step, s
+    - ``jumped``: whether the surroundings have changed at once at the step's end, which is no error
     """
     assert plan.law is not None
     if len(cells) == 0 or dt <= 0.0:

@@ -45,15 +45,9 @@ _RESTS = ("state", "phase", "progress", "phase_length", "age", "radius")
 class StartStates:
     """Search for the states at the start.
 
-    Parameters
-    ----------
-    plan
-    cells
-        As they are drawn; those that are dead or rest already stay as they are.
-    field
-        Solve the fields for cells; return what they find, name -> (n,) mM.
-    tabled
-        Whether a table gives their places in the cycle.
+    - ``cells``: as they are drawn; those that are dead or rest already stay as they are
+    - ``field``: solve the fields for cells; return what they find, name -> (n,) mM
+    - ``tabled``: whether a table gives their places in the cycle
     """
 
     def __init__(

@@ -109,10 +109,7 @@ def divide_and_remove(
 ) -> Events:
     """Return the cells after all that changes their number at a time in s.
 
-    Raises
-    ------
-    StepFailed
-        If a daughter lies outside the scene's domain.
+    Raises StepFailed if a daughter lies outside the scene's domain.
     """
     divided, free = divide(plan, cells, step, next_id, found)
     if free > next_id:

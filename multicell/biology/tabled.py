@@ -36,17 +36,11 @@ def tabled_cells(scene: Scene) -> Cells:
     depend on the seed and the identity of a cell alone. Radius, age and place in the cycle belong
     together: of those that are missing each follows from those that are there.
 
-    Returns
-    -------
-    Cells
-        Identities of the table, else numbered by its rows; parent -1 but for sisters that part.
+    Returns Cells: identities of the table, else numbered by its rows; parent -1 but for sisters
+    that part.
 
-    Raises
-    ------
-    SceneError
-        If the file has changed since it was read.
-    DataError
-        With row and column, for cells that cannot start in the scene.
+    Raises SceneError if the file has changed since it was read; DataError with row and column, for
+    cells that cannot start in the scene.
     """
     check_start_table(scene)
     plan = biology_plan(scene)

@@ -28,15 +28,9 @@ if TYPE_CHECKING:
 class SceneFields:
     """The fields of a scene, or none.
 
-    Attributes
-    ----------
-    system : Feeding or None
-        What solves them.
+    - ``system``, Feeding or None: what solves them
 
-    Raises
-    ------
-    SceneError
-        For reactions that do not fit the fields.
+    Raises SceneError for reactions that do not fit the fields.
     """
 
     def __init__(

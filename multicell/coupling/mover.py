@@ -25,13 +25,10 @@ if TYPE_CHECKING:
 class Moved(NamedTuple):
     """What motion makes of cells by the end of a step.
 
-    Attributes
-    ----------
-    position, pressure : (n, 3) µm and (n,) kPa
-    contacts : (m, 2) or None
-        Indices of the pairs in contact; None where nobody counts them, and of cells at rest.
-    replays, stability
-        As in :class:`multicell.Simulation`.
+    - ``position``, ``pressure``, (n, 3) µm and (n,) kPa
+    - ``contacts``, (m, 2) or None: indices of the pairs in contact; None where nobody counts them,
+      and of cells at rest
+    - ``replays``, ``stability``: as in :class:`multicell.Simulation`
     """
 
     position: FloatArray
@@ -45,12 +42,10 @@ class Moved(NamedTuple):
 class Mover:
     """Moves the cells of a scene.
 
-    Attributes
-    ----------
-    system : Mechanics
-    integrator : Integrator
-    limit : float
-        Largest product of step and rate at which a method with a fixed step is stable, else 0.
+    - ``system``, Mechanics
+    - ``integrator``, Integrator
+    - ``limit``, float: largest product of step and rate at which a method with a fixed step is
+      stable, else 0
     """
 
     def __init__(self, scene: Scene, threads: int, integrator: Integrator | None) -> None:
@@ -70,21 +65,13 @@ class Mover:
     ) -> Moved:
         """Integrate the positions through a coupling step.
 
-        Parameters
-        ----------
-        cells
-            At its beginning.
-        motion
-            What mechanics must know of them between its beginning and its end.
-        step
-            Its number.
-        replays, known
-            What earlier steps have shown.
+        - ``cells``: at its beginning
+        - ``motion``: what mechanics must know of them between its beginning and its end
+        - ``step``: its number
+        - ``replays``, ``known``: what earlier steps have shown
 
-        Raises
-        ------
-        StepFailed
-            If the integrator fails, a cell leaves the domain, or the method's step is too long.
+        Raises StepFailed if the integrator fails, a cell leaves the domain, or the method's step is
+        too long.
         """
         system, end = self.system, motion.end
         system.begin(motion)

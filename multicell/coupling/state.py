@@ -51,38 +51,27 @@ _STATE: Final = (
 class RunState(ABC):
     """The state of a run, which :class:`multicell.Simulation` advances.
 
-    Attributes
-    ----------
-    cells : Cells
-        The state at ``time``.
-    divisions, removals : int
-        Events so far.
-    next_id, unsorted : int
-        First identity that is free, and new cells since all were last sorted in space.
-    released : float, µm³
-        Volume that dead cells have lost, their remains at removal included.
-    contacts : (m, 2)
-        Identities of the pairs in contact: what exact JKR remembers, and others count.
-    replays : Replays or None
-        What small shifts have done to the ends of steps that were taken twice; None to take none.
-    stability : Stability
-        How far a fixed step was from its limit, where it has one.
-    splitting : float or None, µm³
-        The error that coupling steps have made so far with the volume of all cells, over their
-        number; None without growth. What the last step has made of it is ``step_error``.
-    first_states : name -> int
-        Cells that rested and were dead at the start, as it found them, and whose state does not
-        fit the field.
-    named : table of the scene -> (k,) identities
-        Cells that are driven from outside because of who or where they were at the start.
-    plan : BiologyPlan
-        What biology needs of the scene.
-    timeline : Timeline
-        Where the run is in time, and what chooses its steps.
-    mover : Mover
-        Mechanics and the integrator.
-    wall : phase -> s
-        Wall time of each phase of the loop.
+    - ``cells``, Cells: the state at ``time``
+    - ``divisions``, ``removals``, int: events so far
+    - ``next_id``, ``unsorted``, int: first identity that is free, and new cells since all were last
+      sorted in space
+    - ``released``, float, µm³: volume that dead cells have lost, their remains at removal included
+    - ``contacts``, (m, 2): identities of the pairs in contact: what exact JKR remembers, and others
+      count
+    - ``replays``, Replays or None: what small shifts have done to the ends of steps that were taken
+      twice; None to take none
+    - ``stability``, Stability: how far a fixed step was from its limit, where it has one
+    - ``splitting``, float or None, µm³: the error that coupling steps have made so far with the
+      volume of all cells, over their number; None without growth. What the last step has made of it
+      is ``step_error``.
+    - ``first_states``, name -> int: cells that rested and were dead at the start, as it found them,
+      and whose state does not fit the field
+    - ``named``, table of the scene -> (k,) identities: cells that are driven from outside because
+      of who or where they were at the start
+    - ``plan``, BiologyPlan: what biology needs of the scene
+    - ``timeline``, Timeline: where the run is in time, and what chooses its steps
+    - ``mover``, Mover: mechanics and the integrator
+    - ``wall``, phase -> s: wall time of each phase of the loop
     """
 
     cells: Cells

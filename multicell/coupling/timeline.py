@@ -16,16 +16,11 @@ if TYPE_CHECKING:
 class Timeline(NamedTuple):
     """The time of a run.
 
-    Attributes
-    ----------
-    plan
-        Which steps the scene allows.
-    step
-        Number of coupling steps done.
-    origin : (step, s)
-        From which steps of fixed length count; where the run chooses them, the last one's end.
-    pace : Pace or None
-        What chooses the next step; None where the scene fixes it.
+    - ``plan``: which steps the scene allows
+    - ``step``: number of coupling steps done
+    - ``origin``, (step, s): from which steps of fixed length count; where the run chooses them, the
+      last one's end
+    - ``pace``, Pace or None: what chooses the next step; None where the scene fixes it
     """
 
     plan: StepPlan

@@ -35,18 +35,13 @@ class Exchange:
 
     Rates (amol/s) of a field at rest, amounts (amol) of one that was brought through some time.
 
-    Attributes
-    ----------
-    inflow ... relaid
-        See :class:`Ledger`. ``injected`` is None for a field without points and planes, ``made``
-        and ``used`` are None for one that takes part in no reaction.
-    newton, cg, residual
-        Of a steady solve: its steps, and the sum of all nodes' imbalances (amol/s).
-    steps, rejections, first_order
-        Of a march: steps taken and refused, and steps whose value of second order was negative
-        somewhere.
-    error
-        Largest estimate of a step's error over the concentration scale.
+    - ``inflow ... relaid``: see :class:`Ledger`. ``injected`` is None for a field without points
+      and planes, ``made`` and ``used`` are None for one that takes part in no reaction.
+    - ``newton``, ``cg``, ``residual``: of a steady solve: its steps, and the sum of all nodes'
+      imbalances (amol/s)
+    - ``steps``, ``rejections``, ``first_order``: of a march: steps taken and refused, and steps
+      whose value of second order was negative somewhere
+    - ``error``: largest estimate of a step's error over the concentration scale
     """
 
     inflow: float = 0.0
@@ -89,37 +84,25 @@ class Ledger:
     rated by the larger of all that went through and all that was ever there at a time: where
     nothing happens, flows are rounding, and a part of them would say nothing.
 
-    Attributes
-    ----------
-    inflow
-        Over the sides of the grid and, where the field is perfused, from the flow; net.
-    outflow
-        What has left over the sides, part of the above.
-    washed
-        What a perfusion took with it; as much or more it brought, and inflow holds the difference.
-    content
-        The most that the field held at the end of any step.
-    uptake, secreted, decayed
-        By the cells; by the cells; by first-order decay.
-    relaid
-        What the grid gained with medium that it came to enclose when it followed the tissue.
-    stored
-        What a transient field holds now beyond what it held at the start.
-    held : float or None
-        What the stirred part of a finite medium holds now; None where the medium is not finite.
-    level : float, mM
-        Its concentration.
-    fresh, discarded
-        What fresh medium brought to it, at the start and at changes, and what the old took along.
-    spoiled
-        What decayed in it.
-    changes
-        How many changes of the medium have been done.
-    injected : float or None
-        By points and planes; None where there are none.
-    made, used : float or None
-        By reactions with other fields, what they make of it and take from it at each place; None
-        where there are none.
+    - ``inflow``: over the sides of the grid and, where the field is perfused, from the flow; net
+    - ``outflow``: what has left over the sides, part of the above
+    - ``washed``: what a perfusion took with it; as much or more it brought, and inflow holds the
+      difference
+    - ``content``: the most that the field held at the end of any step
+    - ``uptake``, ``secreted``, ``decayed``: by the cells; by the cells; by first-order decay
+    - ``relaid``: what the grid gained with medium that it came to enclose when it followed the
+      tissue
+    - ``stored``: what a transient field holds now beyond what it held at the start
+    - ``held``, float or None: what the stirred part of a finite medium holds now; None where the
+      medium is not finite
+    - ``level``, float, mM: its concentration
+    - ``fresh``, ``discarded``: what fresh medium brought to it, at the start and at changes, and
+      what the old took along
+    - ``spoiled``: what decayed in it
+    - ``changes``: how many changes of the medium have been done
+    - ``injected``, float or None: by points and planes; None where there are none
+    - ``made``, ``used``, float or None: by reactions with other fields, what they make of it and
+      take from it at each place; None where there are none
     """
 
     inflow: float = 0.0

@@ -32,14 +32,10 @@ _NEARLY = 0.75  # an axis longer than this part of the longest gets as many node
 class Box:
     """A cell-centred grid of cubes, or of squares in the plane z = 0.
 
-    Attributes
-    ----------
-    origin : (3,) float, µm
-        Lower corner.
-    shape : (3,) int
-    spacing : float, µm
-    height : float or None, µm
-        In two dimensions, of the layer; ``shape`` then ends with 1.
+    - ``origin``, (3,) float, µm: lower corner
+    - ``shape``, (3,) int
+    - ``spacing``, float, µm
+    - ``height``, float or None, µm: in two dimensions, of the layer; ``shape`` then ends with 1
     """
 
     origin: tuple[float, float, float]
@@ -80,10 +76,7 @@ class Box:
 def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
     """Return the corners (3,), (3,) in µm of the box that holds all cells and the margin.
 
-    Raises
-    ------
-    NutrientFailed
-        If a position is not finite.
+    Raises NutrientFailed if a position is not finite.
     """
     if len(position) == 0:
         position = np.zeros((1, 3))
@@ -107,10 +100,8 @@ def lay(low: FloatArray, high: FloatArray, spacing: float, height: float | None 
     it is the spacing that gives way: it is at most ``spacing``, and the number of nodes along
     an axis has only small factors, where the sine transform is fast.
 
-    Raises
-    ------
-    NutrientFailed
-        If more than :data:`MAX_NODES` nodes would be needed; nothing is allocated before.
+    Raises NutrientFailed if more than :data:`MAX_NODES` nodes would be needed; nothing is allocated
+    before.
     """
     axes = 3 if height is None else 2
     # bare numbers: of three of them arrays are ten times as slow
@@ -139,19 +130,12 @@ def _box(origin: list[float], counts: list[int], spacing: float, height: float |
 def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None) -> Box:
     """Fill a box that stands still with cubes, or in two dimensions with squares.
 
-    Parameters
-    ----------
-    low, high : (3,), µm
-        Its corners; where ``height`` is given the third axis is not looked at.
-    spacing : float, µm
-        Largest edge of a cube; see :func:`multicell.scene.domain.filling`.
-    height : float, µm, optional
-        Of the layer in two dimensions.
+    - ``low``, ``high``, (3,), µm: its corners; where ``height`` is given the third axis is not
+      looked at
+    - ``spacing``, float, µm: largest edge of a cube; see :func:`multicell.scene.domain.filling`
+    - ``height``, float, µm, optional: of the layer in two dimensions
 
-    Raises
-    ------
-    NutrientFailed
-        If no cubes fill it.
+    Raises NutrientFailed if no cubes fill it.
     """
     axes = 3 if height is None else 2
     lengths = (high - low)[:axes]
@@ -260,10 +244,8 @@ def departure(position: FloatArray, radius: FloatArray) -> float:
     the principal radii a >= b >= c, those of the ellipsoid with the same tensor. The departure
     is (a - c) / a.
 
-    Parameters
-    ----------
-    position : (n, 3), µm
-    radius : (n,), µm
+    - ``position``, (n, 3), µm
+    - ``radius``, (n,), µm
     """
     if len(position) == 0:
         return 0.0
@@ -405,25 +387,15 @@ def scatter(
 ) -> FloatArray:
     """Spread an amount of each cell over the nodes as a density.
 
-    Parameters
-    ----------
-    position : (n, 3), µm
-    amount : (n,)
-        For example a largest uptake in amol/s.
-    origin : µm
-        Lower corner of the grid's box.
-    spacing : float, µm
-    shape : (nx, ny, nz)
+    - ``position``, (n, 3), µm
+    - ``amount``, (n,): for example a largest uptake in amol/s
+    - ``origin``, µm: lower corner of the grid's box
+    - ``spacing``, float, µm
+    - ``shape``, (nx, ny, nz)
 
-    Returns
-    -------
-    (nx, ny, nz)
-        Amount per µm³; its sum times ``spacing**3`` is the sum of ``amount``.
+    Returns (nx, ny, nz): amount per µm³; its sum times ``spacing**3`` is the sum of ``amount``.
 
-    Raises
-    ------
-    ValueError
-        For arrays of other shapes, and for a position outside the box or not finite.
+    Raises ValueError for arrays of other shapes, and for a position outside the box or not finite.
     """
     points = _points(position)
     amounts = np.ascontiguousarray(amount, dtype=np.float64)
@@ -438,23 +410,15 @@ def scatter(
 def gather(position: FloatArray, values: FloatArray, origin: Triple, spacing: float) -> FloatArray:
     """Interpolate node values at the cells.
 
-    Parameters
-    ----------
-    position : (n, 3), µm
-    values : (nx, ny, nz)
-    origin : µm
-        Lower corner of the grid's box.
-    spacing : float, µm
+    - ``position``, (n, 3), µm
+    - ``values``, (nx, ny, nz)
+    - ``origin``, µm: lower corner of the grid's box
+    - ``spacing``, float, µm
 
-    Returns
-    -------
-    (n,)
-        In the unit of ``values``; never outside the range of the eight nodes around a point.
+    Returns (n,): in the unit of ``values``; never outside the range of the eight nodes around a
+    point.
 
-    Raises
-    ------
-    ValueError
-        For arrays of other shapes, and for a position outside the box or not finite.
+    Raises ValueError for arrays of other shapes, and for a position outside the box or not finite.
     """
     return gathered(position, values, origin, spacing)[0]
 

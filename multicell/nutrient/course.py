@@ -53,10 +53,8 @@ def substance(
 class Course:
     """The fields of a group on their way through one coupling step.
 
-    Attributes
-    ----------
-    equation : FieldEquation
-    state : ScalarField or FieldCollection, mM
+    - ``equation``, FieldEquation
+    - ``state``, ScalarField or FieldCollection, mM
     """
 
     def __init__(

@@ -36,13 +36,10 @@ MOST = 48
 def halves(n: int, values: bool) -> tuple[Float32Array, FloatArray]:
     """Return the transform between two values (or two slopes) by halves, and its eigenvalues.
 
-    Returns
-    -------
-    (4, h, h) float32, h = (n + 1) / 2 rounded down
-        Even and odd part of the transform, and of its inverse; the odd ones are smaller by one for
-        odd n. The odd part takes nodes from the middle outwards.
-    (n,) float64
-        Eigenvalues of minus the second difference in the order of the coefficients.
+    Returns (4, h, h) float32, h = (n + 1) / 2 rounded down: even and odd part of the transform, and
+    of its inverse; the odd ones are smaller by one for odd n. The odd part takes nodes from the
+    middle outwards; (n,) float64: eigenvalues of minus the second difference in the order of the
+    coefficients.
     """
     order, middle = np.arange(n)[:, None] + values, np.arange(n) + 0.5
     whole = (np.sin if values else np.cos)(np.pi / n * order * middle)
@@ -70,12 +67,8 @@ def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:
 class Inverse:
     """Solves (A + shift) u = y, A having the eigenvalues of minus a Laplacian.
 
-    Parameters
-    ----------
-    halves : of each axis (4, h, h) and (n,)
-        See :func:`halves`.
-    stiffness : float, 1/s
-        What the eigenvalues are to be multiplied by.
+    - ``halves``, of each axis (4, h, h) and (n,): see :func:`halves`
+    - ``stiffness``, float, 1/s: what the eigenvalues are to be multiplied by
     """
 
     def __init__(self, halves: Sequence[tuple[Float32Array, FloatArray]], stiffness: float) -> None:

@@ -40,38 +40,25 @@ class Diffusion:
     In two dimensions nodes are prisms: squares in the plane, ``height`` across it. Arrays have
     three axes all the same, the last one of length 1.
 
-    Parameters
-    ----------
-    grid
-        A box, or py-pde's Cartesian grid of cubes in three dimensions or of squares in two,
-        cell-centred, not periodic.
-    diffusion : float, µm²/s
-        In tissue.
-    boundary
-        Concentration in mM on all faces, or py-pde's description of its conditions. On a box each
-        face is named and its condition made of numbers (``{"x-": {"value": 0.1}, "x+":
-        {"derivative": 0.0}, ...}``); what py-pde knows besides, arrays too, holds on its own grid,
-        of one kind on each face. Never pass text from users: py-pde executes it.
-    height : float, µm
-        Of the layer in two dimensions.
-    varied : (nx, ny, nz), optional
-        Coefficient of diffusion at the nodes over that of tissue; absent: one everywhere. At
-        faces between nodes it is the harmonic mean, for which the flow is continuous where the
-        coefficient jumps.
+    - ``grid``: a box, or py-pde's Cartesian grid of cubes in three dimensions or of squares in two,
+      cell-centred, not periodic
+    - ``diffusion``, float, µm²/s: in tissue
+    - ``boundary``: concentration in mM on all faces, or py-pde's description of its conditions. On
+      a box each face is named and its condition made of numbers (``{"x-": {"value": 0.1}, "x+":
+      {"derivative": 0.0}, ...}``); what py-pde knows besides, arrays too, holds on its own grid, of
+      one kind on each face. Never pass text from users: py-pde executes it.
+    - ``height``, float, µm: of the layer in two dimensions
+    - ``varied``, (nx, ny, nz), optional: coefficient of diffusion at the nodes over that of tissue;
+      absent: one everywhere. At faces between nodes it is the harmonic mean, for which the flow is
+      continuous where the coefficient jumps.
 
-    Attributes
-    ----------
-    ghost : (6,)
-        Factors of the faces x-, x+, y-, y+, z-, z+.
-    const : six arrays (ny, nz), (ny, nz), (nx, nz), (nx, nz), (nx, ny), (nx, ny); mM
-        What the conditions add.
-    source : (nx, ny, nz), mM/s
-        What they bring to the nodes where the coefficient is that of tissue.
+    - ``ghost``, (6,): factors of the faces x-, x+, y-, y+, z-, z+
+    - ``const``, six arrays (ny, nz), (ny, nz), (nx, nz), (nx, nz), (nx, ny), (nx, ny); mM: what the
+      conditions add
+    - ``source``, (nx, ny, nz), mM/s: what they bring to the nodes where the coefficient is that of
+      tissue
 
-    Raises
-    ------
-    ValueError
-        If the spacing differs between the axes.
+    Raises ValueError if the spacing differs between the axes.
     """
 
     def __init__(
@@ -227,19 +214,15 @@ _FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 class _Sides(NamedTuple):
     """What follows from the shape of a grid and the conditions on its faces alone.
 
-    Attributes
-    ----------
-    ghost, const
-        See :class:`Diffusion`.
-    kinds : (3,) of (bool, bool)
-        Of each axis which ends the inverse takes as values, the others as slopes.
-    leak : float
-        The mean of what the others let through, over D/h². The ratio of a mixed condition to a
-        slope stays bounded when the grid becomes finer, that to a value does not.
-    halves : (3,) of (4, h, h), (n,)
-        See :func:`multicell.nutrient.dense.halves`; empty for grids that these do not suit.
-    brought : (nx, ny, nz), mM
-        What nodes gain by ``const``, over D/h²; None on such large grids.
+    - ``ghost``, ``const``: see :class:`Diffusion`
+    - ``kinds``, (3,) of (bool, bool): of each axis which ends the inverse takes as values, the
+      others as slopes
+    - ``leak``, float: the mean of what the others let through, over D/h². The ratio of a mixed
+      condition to a slope stays bounded when the grid becomes finer, that to a value does not.
+    - ``halves``, (3,) of (4, h, h), (n,): see :func:`multicell.nutrient.dense.halves`; empty for
+      grids that these do not suit
+    - ``brought``, (nx, ny, nz), mM: what nodes gain by ``const``, over D/h²; None on such large
+      grids
     """
 
     ghost: FloatArray

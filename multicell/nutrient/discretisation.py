@@ -35,29 +35,16 @@ def discretisation_error(
     concentration where they sit falls without end as h falls, which is no error of the grid's
     and which the estimate knows of in part only.
 
-    Parameters
-    ----------
-    field
-        Solved already; its last solution is the first guess.
-    parameters
-        Those that ``field`` is made from.
-    cells
-        The population.
-    capacity, production : (n,), amol/s
-        Of the cells; see :meth:`NutrientField.solve`.
-    time
-        Time of the medium, s.
+    - ``field``: solved already; its last solution is the first guess
+    - ``parameters``: those that ``field`` is made from
+    - ``cells``: the population
+    - ``capacity``, ``production``, (n,), amol/s: of the cells; see :meth:`NutrientField.solve`
+    - ``time``: time of the medium, s
 
-    Returns
-    -------
-    float or None
-        The largest error at any cell, mM; None without cells, for a transient field, and where
-        the grid is too small to be made coarser.
+    Returns float or None: the largest error at any cell, mM; None without cells, for a transient
+    field, and where the grid is too small to be made coarser.
 
-    Raises
-    ------
-    NutrientFailed
-        As for :meth:`NutrientField.solve`.
+    Raises NutrientFailed as for :meth:`NutrientField.solve`.
     """
     if parameters.regime != "steady" or len(cells) == 0:
         return None

@@ -32,19 +32,11 @@ class NutrientField:
     medium, and take up and give off at the nearest point of the grid, whose account has it. With a
     ``domain`` the faces lie on its sides, and stay there.
 
-    Parameters
-    ----------
-    name
-        The field's name in the scene.
-    parameters
-        See :class:`multicell.nutrient.parameters.FieldParameters`.
-    threads
-        How many may share the loops over many nodes; it changes no result.
+    - ``name``: the field's name in the scene
+    - ``parameters``: see :class:`multicell.nutrient.parameters.FieldParameters`
+    - ``threads``: how many may share the loops over many nodes; it changes no result
 
-    Attributes
-    ----------
-    values : mM
-        The last solution at the nodes of its layout.
+    - ``values``, mM: the last solution at the nodes of its layout
     """
 
     def __init__(self, name: str, parameters: FieldParameters, threads: int = 1) -> None:
@@ -60,13 +52,7 @@ class NutrientField:
 
     @property
     def layout(self) -> Layout:
-        """Where the field's nodes are.
-
-        Raises
-        ------
-        ValueError
-            Before the first solve.
-        """
+        """Where the field's nodes are; raises ValueError before the first solve."""
         if self._layout is None:
             raise ValueError(f"{self.name} has no grid before the first solve")
         return self._layout
@@ -80,10 +66,7 @@ class NutrientField:
     def box(self) -> Box:
         """The grid of cubes or squares.
 
-        Raises
-        ------
-        ValueError
-            Before the first solve, and for a radial field.
+        Raises ValueError before the first solve, and for a radial field.
         """
         if isinstance(self.layout, BoxLayout):
             return self.layout.box
@@ -103,24 +86,16 @@ class NutrientField:
         Cell i takes up ``capacity_i * sum_g w_ig c_g / (K + c_g)``, with the linear weights w_ig
         of the nodes g around it. The last solution is the first guess.
 
-        Parameters
-        ----------
-        position : (n, 3), µm
-        capacity : (n,), amol/s
-            Largest uptake of each cell, not negative.
-        production : (n,), amol/s, optional
-            Secretion of each cell, not negative.
-        radius : (n,), µm, optional
-            Of the cells; needed where diffusion differs outside tissue, and for shells.
-        time : float, s
+        - ``position``, (n, 3), µm
+        - ``capacity``, (n,), amol/s: largest uptake of each cell, not negative
+        - ``production``, (n,), amol/s, optional: secretion of each cell, not negative
+        - ``radius``, (n,), µm, optional: of the cells; needed where diffusion differs outside
+          tissue, and for shells
+        - ``time``, float, s
 
-        Raises
-        ------
-        NutrientFailed
-            If the grid would become too large, a position is not finite, or the solver fails;
-            the field then still is the last one.
-        ValueError
-            If shapes do not match or a capacity is negative or not finite.
+        Raises NutrientFailed if the grid would become too large, a position is not finite, or the
+        solver fails; the field then still is the last one; ValueError if shapes do not match or a
+        capacity is negative or not finite.
         """
         demand = {self.name: (capacity, production)}
         return self.group.solve(position, demand, radius=radius, time=time)[self.name]
@@ -140,10 +115,8 @@ class NutrientField:
         The grid is laid round the cells first. What it encloses then and did not before is the
         medium of the moment, counted as ``relaid``.
 
-        Raises
-        ------
-        NutrientFailed, ValueError
-            As for :meth:`solve`; the field then still is the last one.
+        Raises NutrientFailed, ValueError as for :meth:`solve`; the field then still is the last
+        one.
         """
         demand = {self.name: (capacity, production)}
         reports = self.group.advance(position, demand, radius=radius, begin=begin, end=end)
@@ -161,10 +134,7 @@ class NutrientField:
     def attach_medium(self) -> None:
         """Let a finite medium lie round the grid, as it is at the start.
 
-        Raises
-        ------
-        NutrientFailed
-            If the grid covers all of it.
+        Raises NutrientFailed if the grid covers all of it.
         """
         from multicell.nutrient.medium import attach
 
@@ -191,11 +161,8 @@ class NutrientField:
         Between the last nodes and the faces by the conditions there: on a face with a value it is
         that value. Outside the grid, where it lies in stirred medium, by the nearest face.
 
-        Raises
-        ------
-        ValueError
-            Before the first solve, and for positions outside a grid that is not all round in
-            stirred medium.
+        Raises ValueError before the first solve, and for positions outside a grid that is not all
+        round in stirred medium.
         """
         return self.layout.read(self._reached(position), self.values, self._conditions)
 
@@ -205,10 +172,7 @@ class NutrientField:
         Differences of the interpolated field over one spacing, along the axes of a box or the
         radius of shells; exact for parabolas, up to the faces. In stirred medium it is zero.
 
-        Raises
-        ------
-        ValueError
-            As for :meth:`sample`.
+        Raises ValueError as for :meth:`sample`.
         """
         reached = self._reached(position)
         found = self.layout.gradient(reached, self.values)

@@ -44,27 +44,19 @@ def _no_response(
 class Feeding:
     """Owner of the fields of a simulation.
 
-    Parameters
-    ----------
-    scene
-        With at least one nutrient.
-    reactions
-        Between its fields, of the user's own (:func:`multicell.reaction`).
-    threads
-        How many may share the loops over many nodes; it changes no result.
+    - ``scene``: with at least one nutrient
+    - ``reactions``: between its fields, of the user's own (:func:`multicell.reaction`)
+    - ``threads``: how many may share the loops over many nodes; it changes no result
 
-    Attributes
-    ----------
-    fields : name -> NutrientField
-    groups : list of FieldGroup
-        The same in the groups that are solved for together, in the order of solving.
-    ledger : name -> Ledger
-    concentrations : name -> (n,) float64, mM
-        At the cells of the last call.
-    content_errors : name -> float
-        Error of the content of each transient field that the last coupling step has made, over
-        the most that the field ever held. The step took up what the cells of its end would have,
-        and they changed on the way: half of the difference is wrong, to leading order.
+    - ``fields``, name -> NutrientField
+    - ``groups``, list of FieldGroup: the same in the groups that are solved for together, in the
+      order of solving
+    - ``ledger``, name -> Ledger
+    - ``concentrations``, name -> (n,) float64, mM: at the cells of the last call
+    - ``content_errors``, name -> float: error of the content of each transient field that the last
+      coupling step has made, over the most that the field ever held. The step took up what the
+      cells of its end would have, and they changed on the way: half of the difference is wrong, to
+      leading order.
     """
 
     def __init__(
@@ -111,9 +103,7 @@ class Feeding:
     def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
         """Solve for the fields at the start of a run; ``again`` for other states of its cells.
 
-        Raises
-        ------
-        NutrientFailed
+        Raises NutrientFailed.
         """
         for group in self.groups:
             if again:
@@ -165,9 +155,7 @@ class Feeding:
         What a steady field exchanged in this time is what its solution of ``begin`` said.
         ``before`` are the cells at the beginning: what they would take up rates transient fields.
 
-        Raises
-        ------
-        NutrientFailed
+        Raises NutrientFailed.
         """
         demand = {}
         if before is not None:
@@ -274,14 +262,10 @@ class Feeding:
     ) -> tuple[FloatArray, FloatArray | None]:
         """Return each cell's largest uptake and its secretion, (n,) amol/s, for other surroundings.
 
-        Parameters
-        ----------
-        name
-            Of the field.
-        cells
-            The population.
-        concentrations, taken : name -> (n,), mM and amol/s
-            What each cell finds of all fields, and takes up of those that others are made from.
+        - ``name``: of the field
+        - ``cells``: the population
+        - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: what each cell finds of all
+          fields, and takes up of those that others are made from
         """
         kept = self.concentrations, self._uptake
         self.concentrations, self._uptake = dict(concentrations), dict(taken)

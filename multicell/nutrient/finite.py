@@ -70,11 +70,8 @@ def advance(
     have not been done are done at their times. A steady field counts as ``relaid`` what its content
     has changed by.
 
-    Raises
-    ------
-    NutrientFailed
-        If a solve fails, or a medium cannot be what cells and grid ask of it; the fields then
-        still are the last ones.
+    Raises NutrientFailed if a solve fails, or a medium cannot be what cells and grid ask of it; the
+    fields then still are the last ones.
     """
     exchange = _Exchange(group, position, demand, radius, begin)
     for time, name, level in exchange.changes(end):
@@ -227,14 +224,9 @@ class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
 
     The state is that of ``equation`` with one more field for each medium, which is uniform.
 
-    Parameters
-    ----------
-    equation
-        Of the fields alone.
-    volumes
-        Of the well-mixed media by name of the field, µm³.
-    highest
-        Largest concentration of all fields, mM.
+    - ``equation``: of the fields alone
+    - ``volumes``: of the well-mixed media by name of the field, µm³
+    - ``highest``: largest concentration of all fields, mM
     """
 
     def __init__(
@@ -261,10 +253,8 @@ class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
     def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
         """Take a step of backward Euler of ``dt`` s that ends at ``t``.
 
-        Raises
-        ------
-        NutrientFailed
-            If no concentrations of the media agree with what flows between them and the fields.
+        Raises NutrientFailed if no concentrations of the media agree with what flows between them
+        and the fields.
         """
         eq, volume = self.equation, self._volumes
         before, levels = self._parts(data)
@@ -343,14 +333,9 @@ class AtRestWithMedia(PDEBase):  # type: ignore[no-untyped-call]
 
     The state is what each field that has a medium and that medium hold together, amol, on one node.
 
-    Parameters
-    ----------
-    equation, volumes, highest
-        See :class:`WithMedia`.
-    state
-        Of the fields; it is brought to rest along with the media.
-    levels
-        First guess of the media's concentrations, mM.
+    - ``equation``, ``volumes``, ``highest``: see :class:`WithMedia`
+    - ``state``: of the fields; it is brought to rest along with the media
+    - ``levels``: first guess of the media's concentrations, mM
     """
 
     def __init__(
@@ -441,17 +426,11 @@ class _Root:
     ) -> FloatArray:
         """Return the concentrations; the last evaluation is that of the result.
 
-        Parameters
-        ----------
-        excess
-            It rises with each concentration.
-        guess : (k,) mM
-        fixed : (k,) µm³
-            The part of its derivative that is known.
-        volume : (k,) µm³
-            Of the media.
-        dt : float, s
-            What the slope of the exchange is multiplied with.
+        - ``excess``: it rises with each concentration
+        - ``guess``, (k,) mM
+        - ``fixed``, (k,) µm³: the part of its derivative that is known
+        - ``volume``, (k,) µm³: of the media
+        - ``dt``, float, s: what the slope of the exchange is multiplied with
         """
         first = fixed + dt * self.slope
         if len(guess) == 1:

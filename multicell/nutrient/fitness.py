@@ -20,13 +20,9 @@ def fitness(
 ) -> tuple[dict[str, dict[str, Any]], list[str]]:
     """Return for each field what it lives on, and how well that fits the cells as they are.
 
-    Returns
-    -------
-    fields : name -> dict
-        ``geometry`` (cubes, squares or shells), ``spacing`` (µm), ``discretisation_error``
-        at the cells (mM) where it is known, and for shells ``departure_from_a_ball``.
-    notes
-        Remarks on fields that do not fit.
+    Returns fields : name -> dict: ``geometry`` (cubes, squares or shells), ``spacing`` (µm),
+    ``discretisation_error`` at the cells (mM) where it is known, and for shells
+    ``departure_from_a_ball``; notes: remarks on fields that do not fit.
     """
     fields: dict[str, dict[str, Any]] = {}
     notes: list[str] = []

@@ -31,17 +31,12 @@ def advance(
 ) -> dict[str, Any]:
     """Bring the state of an equation from ``begin`` to ``end`` (s) by the nutrients' solver.
 
-    Returns
-    -------
-    steps, rejections, first_order, error, amounts
-        As :class:`~multicell.nutrient.equations.march_solver.MarchFieldSolver` says of a march;
-        what a solver does not say is zero.
+    Returns steps, rejections, first_order, error, amounts: as
+    :class:`~multicell.nutrient.equations.march_solver.MarchFieldSolver` says of a march; what a
+    solver does not say is zero.
 
-    Raises
-    ------
-    NutrientFailed
-        If the solver gives up, needs too many steps, or leaves a concentration that is not finite
-        or below zero by more than its tolerance.
+    Raises NutrientFailed if the solver gives up, needs too many steps, or leaves a concentration
+    that is not finite or below zero by more than its tolerance.
     """
     name, steps = nutrients[0].solver, 0
     assert name is not None
@@ -94,10 +89,7 @@ def _options(name: str, tolerance: float, scale: float) -> dict[str, Any]:
 def _step(name: str, limit: float, length: float) -> float | None:
     """Return the length of the solver's steps in s, so that they end where they should.
 
-    Raises
-    ------
-    NutrientFailed
-        If there would be too many.
+    Raises NutrientFailed if there would be too many.
     """
     share = STEPPING.get(name)
     if share is None:

@@ -32,17 +32,10 @@ if TYPE_CHECKING:
 class FieldGroup:
     """Fields on one grid, and the reactions between them.
 
-    Parameters
-    ----------
-    fields
-        By name, all with the same grid.
-    kinetics
-        Reactions between them, in the same order; None where there are none.
+    - ``fields``: by name, all with the same grid
+    - ``kinetics``: reactions between them, in the same order; None where there are none
 
-    Attributes
-    ----------
-    info
-        What py-pde's solver said of its last solve; see ``pde.SolverBase``.
+    - ``info``: what py-pde's solver said of its last solve; see ``pde.SolverBase``
     """
 
     def __init__(
@@ -62,12 +55,8 @@ class FieldGroup:
     ) -> dict[str, Exchange]:
         """Bring the fields to rest with the cells' uptake and secretion.
 
-        Raises
-        ------
-        NutrientFailed
-            If there is no state of rest, or it is not found; the fields then are the last ones.
-        ValueError
-            If shapes do not match or a capacity is negative or not finite.
+        Raises NutrientFailed if there is no state of rest, or it is not found; the fields then are
+        the last ones; ValueError if shapes do not match or a capacity is negative or not finite.
         """
         course = Course(self, position, demand, radius, time, carry=False)
         self.info = course.run("multicell-steady", time, time).info
@@ -95,13 +84,9 @@ class FieldGroup:
         The grid is laid round the cells first. What it encloses then and did not before is the
         medium of the moment, counted as ``relaid``.
 
-        Raises
-        ------
-        NutrientFailed
-            If a field grows without bound, which is named with its growth rate, or the march
-            cannot go on; the fields then are the last ones.
-        ValueError
-            As for :meth:`solve`.
+        Raises NutrientFailed if a field grows without bound, which is named with its growth rate,
+        or the march cannot go on; the fields then are the last ones; ValueError as for
+        :meth:`solve`.
         """
         if any(field.well_mixed is not None for field in self.fields.values()):
             return finite.advance(self, position, demand, radius, begin, end)
@@ -133,10 +118,8 @@ class FieldGroup:
 
         Finite media stay as they are.
 
-        Raises
-        ------
-        NutrientFailed, ValueError
-            As for :meth:`solve`; the fields then still are the last ones.
+        Raises NutrientFailed, ValueError as for :meth:`solve`; the fields then still are the last
+        ones.
         """
         course = Course(self, position, demand, radius, end, carry=True)
         data = np.array(course.state.data, dtype=float)
@@ -190,10 +173,7 @@ class FieldGroup:
     def state(self, values: list[FloatArray]) -> Any:
         """Return a state of the last equation; the last one, with other values, if it still holds.
 
-        Parameters
-        ----------
-        values : mM
-            At the nodes, for each field.
+        - ``values``, mM: at the nodes, for each field
         """
         assert self._equation is not None
         if self._state is not None and self._state.grid is self._equation.grid:

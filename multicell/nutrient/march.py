@@ -50,26 +50,15 @@ def march(
 ) -> FloatArray:
     """Bring a state from ``begin`` to ``end`` (s) by steps of backward Euler and their halves.
 
-    Parameters
-    ----------
-    step
-        (state, length in s, time at its end) -> the state there and what happened, in the shape of
-        ``done.amounts``. It may raise :class:`StepRefused`: a shorter step is tried then.
-    error_of
-        (by halves, in full) -> their distance over what it may be compared with.
-    c
-        The state at the beginning; not changed.
-    tolerance
-        Largest error of a step, as ``error_of`` says it.
-    done
-        Counts and amounts, which are added to.
-    opening : float, s
-        First step.
+    - ``step``: (state, length in s, time at its end) -> the state there and what happened, in the
+      shape of ``done.amounts``. It may raise :class:`StepRefused`: a shorter step is tried then.
+    - ``error_of``: (by halves, in full) -> their distance over what it may be compared with
+    - ``c``: the state at the beginning; not changed
+    - ``tolerance``: largest error of a step, as ``error_of`` says it
+    - ``done``: counts and amounts, which are added to
+    - ``opening``, float, s: first step
 
-    Raises
-    ------
-    NutrientFailed
-        If steps become too many or too short.
+    Raises NutrientFailed if steps become too many or too short.
     """
     length = end - begin
     elapsed, dt = 0.0, opening

@@ -16,15 +16,12 @@ if TYPE_CHECKING:
 class WellMixed:
     """The stirred part of a medium, with its account from the start on.
 
-    Attributes
-    ----------
-    amount : float, amol
-    volume : float, µm³
-    fresh, discarded : float, amol
-        What fresh medium brought, at the start and at changes, and what went with the old.
-    decayed : float, amol
-    changes : int
-        How many entries of the schedule have been done.
+    - ``amount``, float, amol
+    - ``volume``, float, µm³
+    - ``fresh``, ``discarded``, float, amol: what fresh medium brought, at the start and at changes,
+      and what went with the old
+    - ``decayed``, float, amol
+    - ``changes``, int: how many entries of the schedule have been done
     """
 
     amount: float
@@ -51,10 +48,7 @@ class WellMixed:
 def attach(name: str, nutrient: Nutrient, covered: float) -> WellMixed:
     """Return the medium at the start, round a grid that covers ``covered`` µm³.
 
-    Raises
-    ------
-    NutrientFailed
-        If the grid covers all of it.
+    Raises NutrientFailed if the grid covers all of it.
     """
     volume, level = beyond(name, nutrient, covered), nutrient.medium(0.0)
     done = sum(time <= 0.0 for time, _ in nutrient.media or ())

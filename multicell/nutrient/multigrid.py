@@ -62,14 +62,10 @@ _SMOOTHER = tuple(
 class _Level:
     """The operator, the transfer to the next level, and the arrays of one level.
 
-    Parameters
-    ----------
-    widths : three of (n,)
-        Of the nodes along each axis, over the spacing of the finest level.
-    resistance : (6,)
-        Of the faces beyond the one between node and face, over spacing / D; inf for walls.
-    team
-        Threads that share the loops, as many as there is work for (:data:`.stencil.PART`).
+    - ``widths``, three of (n,): of the nodes along each axis, over the spacing of the finest level
+    - ``resistance``, (6,): of the faces beyond the one between node and face, over spacing / D; inf
+      for walls
+    - ``team``: threads that share the loops, as many as there is work for (:data:`.stencil.PART`)
     """
 
     def __init__(self, widths: list[FloatArray], resistance: FloatArray, team: Team) -> None:
@@ -129,16 +125,10 @@ class _Level:
 class Hierarchy:
     """Levels from the grid of a field down to one node.
 
-    Parameters
-    ----------
-    shape : (3,) int
-        Nodes of the finest level.
-    ghost : (6,)
-        Factors of the ghost values; see :mod:`multicell.nutrient.stencil`.
-    team
-        Threads that share the loops; they do not change the result.
-    varied : (nx, ny, nz), optional
-        Relative coefficient of diffusion at the nodes.
+    - ``shape``, (3,) int: nodes of the finest level
+    - ``ghost``, (6,): factors of the ghost values; see :mod:`multicell.nutrient.stencil`
+    - ``team``: threads that share the loops; they do not change the result
+    - ``varied``, (nx, ny, nz), optional: relative coefficient of diffusion at the nodes
     """
 
     def __init__(
@@ -189,17 +179,10 @@ class Hierarchy:
 class MultigridSolver:
     """Conjugate gradients preconditioned by a V-cycle, with the arrays that they work in.
 
-    Parameters
-    ----------
-    operator
-        Diffusion with its conditions.
-    team
-        See :class:`Hierarchy`.
+    - ``operator``: diffusion with its conditions
+    - ``team``: see :class:`Hierarchy`
 
-    Attributes
-    ----------
-    newton, cg : int
-        Systems solved and iterations.
+    - ``newton``, ``cg``, int: systems solved and iterations
     """
 
     def __init__(self, operator: Diffusion, team: Team) -> None:

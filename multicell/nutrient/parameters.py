@@ -22,20 +22,12 @@ if TYPE_CHECKING:
 class FieldParameters:
     """What :class:`multicell.nutrient.field.NutrientField` is made from.
 
-    Parameters
-    ----------
-    nutrient
-        The substance as the scene has it.
-    spacing : float, µm
-        Largest spacing of the grid.
-    height : float, µm
-        Of the layer in two dimensions.
-    regime
-        ``"steady"`` or ``"transient"``.
-    dimensions
-        2 or 3.
-    domain
-        The box that the field lives on; None: it follows the cells.
+    - ``nutrient``: the substance as the scene has it
+    - ``spacing``, float, µm: largest spacing of the grid
+    - ``height``, float, µm: of the layer in two dimensions
+    - ``regime``: ``"steady"`` or ``"transient"``
+    - ``dimensions``: 2 or 3
+    - ``domain``: the box that the field lives on; None: it follows the cells
     """
 
     nutrient: Nutrient

@@ -25,15 +25,10 @@ def coefficients(
 ) -> FloatArray | None:
     """Return the coefficient of diffusion at the nodes over that of tissue; None where all are one.
 
-    Parameters
-    ----------
-    layout
-        Where the nodes are; regions need a box.
-    position : (n, 3), µm
-    radius : (n,), µm
-        Of the cells.
-    nutrient
-        With ``diffusion``, ``diffusion_medium`` and ``regions``.
+    - ``layout``: where the nodes are; regions need a box
+    - ``position``, (n, 3), µm
+    - ``radius``, (n,), µm: of the cells
+    - ``nutrient``: with ``diffusion``, ``diffusion_medium`` and ``regions``
     """
     tissue, medium = nutrient.diffusion, nutrient.diffusion_medium
     varied = None

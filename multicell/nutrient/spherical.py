@@ -27,19 +27,12 @@ _MAX_BACKTRACKS = 30
 class Shells:
     """Diffusion in a ball with a condition on its surface.
 
-    Parameters
-    ----------
-    radius : float, µm
-        Of the ball.
-    count : int
-        Number of shells.
-    diffusion : float, µm²/s
-        In tissue.
-    boundary
-        Concentration in mM on the surface, or py-pde's description of one condition
-        (``{"value": v}``, ``{"derivative": d}``, ``{"type": "mixed", "value": a, "const": b}``).
-    varied : (count,), optional
-        Coefficient of diffusion in the shells over that of tissue.
+    - ``radius``, float, µm: of the ball
+    - ``count``, int: number of shells
+    - ``diffusion``, float, µm²/s: in tissue
+    - ``boundary``: concentration in mM on the surface, or py-pde's description of one condition
+      (``{"value": v}``, ``{"derivative": d}``, ``{"type": "mixed", "value": a, "const": b}``)
+    - ``varied``, (count,), optional: coefficient of diffusion in the shells over that of tissue
     """
 
     def __init__(
@@ -93,10 +86,7 @@ class Shells:
     ) -> tuple[FloatArray, SolveReport]:
         """Solve for the steady concentration; see :func:`multicell.nutrient.steady.solve_steady`.
 
-        Raises
-        ------
-        NutrientFailed
-            If Newton's iterations do not converge.
+        Raises NutrientFailed if Newton's iterations do not converge.
         """
         problem = _Balance(self, sink, half_saturation, linear, supply)
         c = np.array(start, dtype=float)

@@ -79,24 +79,17 @@ SHIFT = 1.0
 class SolveReport:
     """What a solve took and how well it balances.
 
-    Attributes
-    ----------
-    newton, cg : int
-        Newton steps and, over all of them, conjugate-gradient steps.
-    residual : float, amol/s
-        Sum of all nodes' absolute imbalances. It bounds the difference of inflow and uptake.
-    inflow : float, amol/s
-        Net diffusion through the faces of the box.
-    uptake : float, amol/s
-        Total uptake.
-    spent : float, amol/s
-        What the rate ``linear`` takes: decay, outflow with a perfusion, storage.
-    supplied : float, amol/s
-        The nodes' supply.
-    outflow : float, amol/s
-        What leaves through the faces; ``inflow`` is net.
-    made, used : float, amol/s
-        By reactions, what they make of it and take from it at each place.
+    - ``newton``, ``cg``, int: Newton steps and, over all of them, conjugate-gradient steps
+    - ``residual``, float, amol/s: sum of all nodes' absolute imbalances. It bounds the difference
+      of inflow and uptake.
+    - ``inflow``, float, amol/s: net diffusion through the faces of the box
+    - ``uptake``, float, amol/s: total uptake
+    - ``spent``, float, amol/s: what the rate ``linear`` takes: decay, outflow with a perfusion,
+      storage
+    - ``supplied``, float, amol/s: the nodes' supply
+    - ``outflow``, float, amol/s: what leaves through the faces; ``inflow`` is net
+    - ``made``, ``used``, float, amol/s: by reactions, what they make of it and take from it at each
+      place
     """
 
     newton: int
@@ -123,31 +116,17 @@ def solve_steady(
 ) -> tuple[FloatArray, SolveReport]:
     """Solve for the steady concentration.
 
-    Parameters
-    ----------
-    operator
-        Diffusion with its boundary values.
-    sink : (nx, ny, nz), mM/s
-        Largest uptake per volume at each node, not negative.
-    half_saturation : float, mM
-    start : (nx, ny, nz), mM
-        First guess; any finite values do.
-    linear : float, 1/s
-        Rate m of all that goes in proportion to c, not negative.
-    supply : (nx, ny, nz), mM/s, optional
-        What the nodes gain besides diffusion, not negative.
-    tolerance
-        See :data:`TOLERANCE`.
+    - ``operator``: diffusion with its boundary values
+    - ``sink``, (nx, ny, nz), mM/s: largest uptake per volume at each node, not negative
+    - ``half_saturation``, float, mM
+    - ``start``, (nx, ny, nz), mM: first guess; any finite values do
+    - ``linear``, float, 1/s: rate m of all that goes in proportion to c, not negative
+    - ``supply``, (nx, ny, nz), mM/s, optional: what the nodes gain besides diffusion, not negative
+    - ``tolerance``: see :data:`TOLERANCE`
 
-    Returns
-    -------
-    (nx, ny, nz), mM
-    SolveReport
+    Returns (nx, ny, nz), mM; SolveReport.
 
-    Raises
-    ------
-    NutrientFailed
-        If the iterations do not converge or meet values that are not finite.
+    Raises NutrientFailed if the iterations do not converge or meet values that are not finite.
     """
     nodes = math.prod(operator.shape)
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:

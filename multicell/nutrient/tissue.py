@@ -23,10 +23,8 @@ def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:
     pulls the border along up to a gap of 1.5 diameters, and the border then returns until the gap
     is twice as wide. Without strays it is the same array.
 
-    Parameters
-    ----------
-    position : (n, 3), µm
-    radius : (n,), µm
+    - ``position``, (n, 3), µm
+    - ``radius``, (n,), µm
     """
     few = _few(len(position))
     if few < 1.0 or not np.isfinite(position).all():

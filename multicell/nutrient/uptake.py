@@ -44,14 +44,9 @@ def uptake_and_slope(most: Any, c: Any, half: Any) -> Any:
 def balanced(gain: Any, loss: Any, most: Any, half: Any) -> Any:
     """Return the c at which ``loss`` c + V c / (K + c) is ``gain``.
 
-    Parameters
-    ----------
-    gain : float
-        In the unit of V; below zero uptake goes on along its tangent.
-    loss : float
-        In the unit of V over mM, above zero.
-    most, half : float
-        V and K.
+    - ``gain``, float: in the unit of V; below zero uptake goes on along its tangent
+    - ``loss``, float: in the unit of V over mM, above zero
+    - ``most``, ``half``, float: V and K
     """
     if gain < 0.0:
         return gain / (loss + most / half)

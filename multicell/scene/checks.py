@@ -338,10 +338,7 @@ def solving_order(
 
     Fields that react with each other come one after another.
 
-    Raises
-    ------
-    SceneError
-        For fields that depend on each other in a circle.
+    Raises SceneError for fields that depend on each other in a circle.
     """
     from graphlib import CycleError, TopologicalSorter
 

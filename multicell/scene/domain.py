@@ -59,10 +59,8 @@ def filling(lengths: Sequence[float], spacing: float) -> tuple[int, ...] | None:
     Of all sizes up to ``spacing``, and not below a quarter of it, the largest is taken that fits
     into every length a whole number of times; None if there is none.
 
-    Parameters
-    ----------
-    lengths : µm
-    spacing : float, µm
+    - ``lengths``, µm
+    - ``spacing``, float, µm
     """
     shortest = min(lengths)
     widest = min(spacing, 0.5 * shortest)
@@ -116,11 +114,8 @@ def check_inside(domain: Domain | None, ids: IntArray, position: FloatArray, tim
 def strayed(domain: Domain, position: FloatArray) -> tuple[int, str] | None:
     """Return the first cell whose centre is not in the box, and beyond which side it is.
 
-    Parameters
-    ----------
-    domain
-        A centre on a side is inside.
-    position : (n, 3), µm
+    - ``domain``: a centre on a side is inside
+    - ``position``, (n, 3), µm
     """
     low, high = (np.array(corner) for corner in domain.corners())
     below, above = ~(position >= low), ~(position <= high)

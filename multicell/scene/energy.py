@@ -45,20 +45,12 @@ class Energy:
     ) -> NDArray[np.float64]:
         """Return the ATP made at places with these concentrations.
 
-        Parameters
-        ----------
-        nutrients
-            The fields of the scene.
-        concentrations : name -> (n,), mM
+        - ``nutrients``: the fields of the scene
+        - ``concentrations``, name -> (n,), mM
 
-        Returns
-        -------
-        (n,) mM/s
+        Returns (n,) mM/s.
 
-        Raises
-        ------
-        KeyError
-            If a field has no concentrations.
+        Raises KeyError if a field has no concentrations.
         """
         made = np.zeros(())
         for name, gain in (self.yields or {}).items():

@@ -50,10 +50,8 @@ class Initial:
     def check(self) -> None:
         """Let the table say how many cells there are.
 
-        Raises
-        ------
-        SceneError
-            If it contradicts the number that is given, or leaves other keys without effect.
+        Raises SceneError if it contradicts the number that is given, or leaves other keys without
+        effect.
         """
         number = 1 if self.cells is None else self.cells.rows
         if self.count is None:

@@ -27,19 +27,12 @@ def in_concentrations(value: Any, path: tuple[str | int, ...], nutrients: Any) -
 
     What is neither stays as it is, also what is wrong: those who read it say so.
 
-    Parameters
-    ----------
-    value
-        The part: a value, or tables and lists of such.
-    path
-        Its keys, and the places in lists.
-    nutrients
-        The fields of the scene, of which oxygen has the temperature.
+    - ``value``: the part: a value, or tables and lists of such
+    - ``path``: its keys, and the places in lists
+    - ``nutrients``: the fields of the scene, of which oxygen has the temperature
 
-    Raises
-    ------
-    SceneError
-        For a pressure or a percentage as a concentration of another field than oxygen.
+    Raises SceneError for a pressure or a percentage as a concentration of another field than
+    oxygen.
     """
     if isinstance(value, str):
         field = _field(path)

@@ -66,13 +66,9 @@ def moments(pair: Pair, dimensions: int) -> tuple[float, float]:
     Where the second is larger, the pair energy integrated over space is negative. Both are
     positive, in nN µm^(d+1); without repulsion at any distance the first is zero.
 
-    Parameters
-    ----------
-    pair
-        Two cells; a contact that forms and breaks at different distances (exact JKR) counts from
-        where it forms.
-    dimensions
-        3, or 2 in a plane.
+    - ``pair``: two cells; a contact that forms and breaks at different distances (exact JKR) counts
+      from where it forms
+    - ``dimensions``: 3, or 2 in a plane
     """
     rest = max(pair.distance(), 0.0)
     end = pair.rest if pair.law.remembers else pair.rest + pair.reach()
@@ -193,13 +189,9 @@ def remedy(scene: Scene) -> str:
 def packing_notes(scene: Scene, ratio: float | None, fraction: float | None = None) -> list[str]:
     """Return remarks on a run that ended so densely packed: what it shows, what is to come.
 
-    Parameters
-    ----------
-    scene
-    ratio
-        Sum of the cells' volumes over the volume of the ball round them; None without cells.
-    fraction
-        The same over the volume of a box with walls; None without one.
+    - ``ratio``: sum of the cells' volumes over the volume of the ball round them; None without
+      cells
+    - ``fraction``: the same over the volume of a box with walls; None without one
     """
     expected = list(collapse_notes(scene))
     flat = scene.dimensions == 2

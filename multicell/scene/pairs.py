@@ -64,18 +64,11 @@ def pair_of(
 ) -> Pair:
     """Return a pair.
 
-    Parameters
-    ----------
-    scene
-        What there is.
-    i, j
-        Index of the cells' types; without effect where the scene has no types.
-    radius_i, radius_j
-        Radii of the cells, µm.
-    time
-        Time in s at which receptors and ligands are taken.
-    young
-        Young's moduli in kPa, by default the means of the types.
+    - ``scene``: what there is
+    - ``i``, ``j``: index of the cells' types; without effect where the scene has no types
+    - ``radius_i``, ``radius_j``: radii of the cells, µm
+    - ``time``: time in s at which receptors and ligands are taken
+    - ``young``: Young's moduli in kPa, by default the means of the types
     """
     law: Any = scene.contact
     kinds = list(scene.types.values())

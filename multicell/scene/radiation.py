@@ -82,15 +82,10 @@ class Radiation:
     def survival(self, pressure: Any = np.inf, factor: Any = 1.0) -> Any:
         """Return the part of cells that survives a fraction.
 
-        Parameters
-        ----------
-        pressure : (n,) or a number, kPa
-            Partial pressure of oxygen; infinite where there is plenty.
-        factor : (n,) or a number
-            That of their phases.
+        - ``pressure``, (n,) or a number, kPa: partial pressure of oxygen; infinite where there is
+          plenty
+        - ``factor``, (n,) or a number: that of their phases
 
-        Notes
-        -----
         Alper & Howard-Flanders (1956) for the effect of oxygen; with OER = 1 + (oer - 1) q of the
         saturation q = p / (p + half_oxygen).
         """

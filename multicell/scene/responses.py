@@ -62,9 +62,7 @@ if TYPE_CHECKING:
 def _is_own_law(name: str) -> bool:
     """Return whether a scene names a law of the user's own that is loaded; refuse one that is not.
 
-    Raises
-    ------
-    SceneError
+    Raises SceneError.
     """
     if ":" in name and name not in OWN:
         raise SceneError("law", f"is {shown(name)}, which is not loaded", OWN.hint(name))
@@ -160,26 +158,15 @@ class Signal:
 class Effect:
     """A response with all that it needs, in base units.
 
-    Attributes
-    ----------
-    behaviour
-        Full name.
-    signals
-        By name; empty for a constant.
-    law
-    falls
-        Whether the effect falls as the signal rises.
-    low, high
-        Values of the behaviour where the share of the effect is zero and one. ``high`` is infinite
-        for a death at once.
-    types
-        That respond; empty for all.
-    combine
-        The rule.
-    key
-        Dotted key of the scene that says so.
-    short
-        Whether that key is a short form.
+    - ``behaviour``: full name
+    - ``signals``: by name; empty for a constant
+    - ``falls``: whether the effect falls as the signal rises
+    - ``low``, ``high``: values of the behaviour where the share of the effect is zero and one.
+      ``high`` is infinite for a death at once.
+    - ``types``: that respond; empty for all
+    - ``combine``: the rule
+    - ``key``: dotted key of the scene that says so
+    - ``short``: whether that key is a short form
     """
 
     behaviour: str
@@ -266,10 +253,7 @@ def _ends(
 ) -> tuple[float, float]:
     """Return the values of a behaviour at no effect and at the full one.
 
-    Raises
-    ------
-    SceneError
-        Where they are the same.
+    Raises SceneError where they are the same.
     """
     if part.law == "table":
         return 0.0, 1.0
@@ -346,10 +330,7 @@ def unit_of(scene: Scene, part: Response, key: str) -> str:
 def in_base_units(scene: Scene, part: Response) -> Response:
     """Return a response in base units.
 
-    Raises
-    ------
-    SceneError
-        For one that does not fit the scene; the path is that within the response.
+    Raises SceneError for one that does not fit the scene; the path is that within the response.
     """
     behaviour, of = behaviour_named(part.behaviour, "behaviour")
     _check_behaviour(scene, behaviour, of)

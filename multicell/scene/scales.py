@@ -69,22 +69,15 @@ def _side(nutrient: Nutrient, face: str) -> Side:
 class Scales:
     """The scales of a field, before anything is run.
 
-    Attributes
-    ----------
-    demand : float, mM/s
-        Largest uptake per volume of tissue of typical cells without gaps; in a plane, per volume
-        of the layer that they cover.
-    depth : float, µm
-        √(2 D c / q): how deep a thick tissue at the medium's concentration is fed (zeroth
-        order); infinite without uptake.
-    length : float, µm
-        Over which the field varies: ``depth`` or the tissue's radius, whichever is smaller,
-        with the margin or the layer; in a fixed domain that of its slowest mode.
-    time : float, s
-        Diffusion time, length² / D.
-    damkohler : float
-        Uptake over diffusion, q R² / (D c), R the radius that the tissue may reach; above 6 a
-        ball's centre starves.
+    - ``demand``, float, mM/s: largest uptake per volume of tissue of typical cells without gaps; in
+      a plane, per volume of the layer that they cover
+    - ``depth``, float, µm: √(2 D c / q): how deep a thick tissue at the medium's concentration is
+      fed (zeroth order); infinite without uptake
+    - ``length``, float, µm: over which the field varies: ``depth`` or the tissue's radius,
+      whichever is smaller, with the margin or the layer; in a fixed domain that of its slowest mode
+    - ``time``, float, s: diffusion time, length² / D
+    - ``damkohler``, float: uptake over diffusion, q R² / (D c), R the radius that the tissue may
+      reach; above 6 a ball's centre starves
     """
 
     demand: float

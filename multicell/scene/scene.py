@@ -297,10 +297,7 @@ def scene_names() -> list[str]:
 def scene_text(source: str | Path) -> str:
     """Return a scene as its author wrote it: the TOML of a built-in scene or of a file.
 
-    Raises
-    ------
-    SceneError
-        As :func:`load_scene` for what cannot be read.
+    Raises SceneError as :func:`load_scene` for what cannot be read.
     """
     return _read(source)
 
@@ -361,12 +358,7 @@ def _read(source: str | Path) -> str:
 
 
 def check_dotted(key: object) -> None:
-    """Refuse what is no dotted key.
-
-    Raises
-    ------
-    SceneError
-    """
+    """Refuse what is no dotted key; raises SceneError."""
     if not isinstance(key, str) or not all(key.split(".")):
         raise SceneError("", f"{shown(key)} is not a dotted key such as 'drag.viscosity'")
     if key.count(".") >= DEEPEST:

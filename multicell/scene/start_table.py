@@ -65,17 +65,11 @@ _NOT_NEGATIVE: Final = ("age", "progress", "phase_length")
 class Given:
     """The cells at the start as a table states them.
 
-    Attributes
-    ----------
-    columns : name -> (n,)
-        Of :data:`START_COLUMNS`, in base units; ``state`` and ``phase`` as numbers of
-        :class:`State` and :class:`Phase`, ``kind`` as places in ``kinds``.
-    kinds
-        The types that are named.
-    source
-        The table as it was read.
-    titles
-        Title in the source by name.
+    - ``columns``, name -> (n,): of :data:`START_COLUMNS`, in base units; ``state`` and ``phase`` as
+      numbers of :class:`State` and :class:`Phase`, ``kind`` as places in ``kinds``
+    - ``kinds``: the types that are named
+    - ``source``: the table as it was read
+    - ``titles``: title in the source by name
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -136,12 +130,8 @@ class StartTable:
     def check(self) -> None:
         """Read the file, unless it is known what it must hold.
 
-        Raises
-        ------
-        SceneError
-            If there is no such file, or it is another one.
-        DataError
-            With row and column, for a table that cannot be a start.
+        Raises SceneError if there is no such file, or it is another one; DataError with row and
+        column, for a table that cannot be a start.
         """
         given = None if self.sha256 is None else _KNOWN.get(self.sha256)
         if given is None:
@@ -165,10 +155,7 @@ class StartTable:
     def given(self) -> Given:
         """What the table says; read now if it has not been.
 
-        Raises
-        ------
-        SceneError, DataError
-            As for a table that is read with its scene.
+        Raises SceneError, DataError as for a table that is read with its scene.
         """
         found: Given | None = getattr(self, "_given", None)
         if found is None:
@@ -186,10 +173,7 @@ class StartTable:
     def content(self) -> tuple[str, bytes]:
         """Return name and content of a file with this table, for the folder of a run.
 
-        Raises
-        ------
-        SceneError
-            If the file has changed, or is not there any more.
+        Raises SceneError if the file has changed, or is not there any more.
         """
         if not self.file:
             return COPIES[0], self.given.content()
@@ -244,15 +228,9 @@ def place_table(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
 def in_memory(source: Any) -> StartTable:
     """Return the table of cells that are given as an object.
 
-    Parameters
-    ----------
-    source
-        A ``DataFrame`` or a mapping of titles to columns.
+    - ``source``: a ``DataFrame`` or a mapping of titles to columns
 
-    Raises
-    ------
-    DataError
-        With row and column, for what cannot be a start.
+    Raises DataError with row and column, for what cannot be a start.
     """
     given = normalise(from_object(source, "cells"))
     digest = hashlib.sha256(given.content()).hexdigest()
@@ -263,18 +241,11 @@ def in_memory(source: Any) -> StartTable:
 def with_cells(scene: Scene, source: Any) -> Scene:
     """Return a scene that starts with the cells of a table.
 
-    Parameters
-    ----------
-    scene
-        All but its start.
-    source
-        Path of a CSV or Parquet file, a ``DataFrame``, a mapping of titles to columns, or
-        :class:`Cells`.
+    - ``scene``: all but its start
+    - ``source``: path of a CSV or Parquet file, a ``DataFrame``, a mapping of titles to columns, or
+      :class:`Cells`
 
-    Raises
-    ------
-    SceneError, DataError
-        For a table that cannot be a start of this scene.
+    Raises SceneError, DataError for a table that cannot be a start of this scene.
     """
     if isinstance(source, str | Path):
         return scene.with_changes({"initial.cells": str(source)})
@@ -302,11 +273,8 @@ def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]
 def normalise(source: Columns) -> Given:
     """Return what a table says, in base units and under the names of :data:`START_COLUMNS`.
 
-    Raises
-    ------
-    DataError
-        For unknown columns and units, names that are none, numbers that no cell has, several
-        frames, and where a column for x or y is missing.
+    Raises DataError for unknown columns and units, names that are none, numbers that no cell has,
+    several frames, and where a column for x or y is missing.
     """
     titles: dict[str, str] = {}
     factors: dict[str, float] = {}

@@ -18,21 +18,14 @@ if TYPE_CHECKING:
 class StepPlan:
     """Which coupling steps a run takes.
 
-    Attributes
-    ----------
-    fixed : float or None, s
-        Length of all steps; None where the run chooses it.
-    shortest, longest : float, s
-        Between which it chooses.
-    tolerance : float
-        Part of growth that splitting may get wrong.
-    duration : float, s
-        Of the run.
-    changes : times, s
-        At which a medium or what drives cells changes, or cells are irradiated: chosen steps end
-        there.
-    jumps : times, s
-        At which the medium of a steady field changes at once, or irradiated cells die at once.
+    - ``fixed``, float or None, s: length of all steps; None where the run chooses it
+    - ``shortest``, ``longest``, float, s: between which it chooses
+    - ``tolerance``, float: part of growth that splitting may get wrong
+    - ``duration``, float, s: of the run
+    - ``changes``, times, s: at which a medium or what drives cells changes, or cells are
+      irradiated: chosen steps end there
+    - ``jumps``, times, s: at which the medium of a steady field changes at once, or irradiated
+      cells die at once
     """
 
     fixed: float | None

@@ -70,20 +70,15 @@ _MOST: Final = 12
 class Choice:
     """What a field lives on and is solved as, and what it was chosen for.
 
-    Attributes
-    ----------
-    radial, steady
-        Shells rather than cubes or squares; steady rather than transient.
-    spacing : float, µm
-        The largest that its grid may have.
-    error : float, mM
-        Estimated at the last look: of the spacing, on shells with that of the geometry.
-    nodes, iterations
-        Of the grid and of a solve then.
-    cells, level, content
-        Number of cells, concentration of the medium (mM) and content of the field (amol) then.
-    time, since : float, s
-        Of the last look, and of the last change of the medium before it.
+    - ``radial``, ``steady``: shells rather than cubes or squares; steady rather than transient
+    - ``spacing``, float, µm: the largest that its grid may have
+    - ``error``, float, mM: estimated at the last look: of the spacing, on shells with that of the
+      geometry
+    - ``nodes``, ``iterations``: of the grid and of a solve then
+    - ``cells``, ``level``, ``content``: number of cells, concentration of the medium (mM) and
+      content of the field (amol) then
+    - ``time``, ``since``, float, s: of the last look, and of the last change of the medium before
+      it
     """
 
     radial: bool
@@ -133,12 +128,9 @@ class Fit(NamedTuple):
 class Chooser:
     """Chooses for fields of a scene that share a grid: one, or those that react with each other.
 
-    Attributes
-    ----------
-    fits : list of Fit
-        The grids between which the last choice was made.
-    lagged : float or None, mM
-        How far the field was from its steady state, where that was looked at.
+    - ``fits``, list of Fit: the grids between which the last choice was made
+    - ``lagged``, float or None, mM: how far the field was from its steady state, where that was
+      looked at
     """
 
     def __init__(self, scene: Scene, *names: str) -> None:
@@ -167,26 +159,15 @@ class Chooser:
     ) -> dict[str, Choice]:  # fmt: skip
         """Return what each field should live on and be solved as.
 
-        Parameters
-        ----------
-        fields
-            As they are before the coupling step.
-        load
-            The cells as they are after it.
-        now
-            The choice for the first field so far; None at the start.
-        levels : mM
-            Of their media after it.
-        contents : amol
-            Of the fields before it.
+        - ``fields``: as they are before the coupling step
+        - ``load``: the cells as they are after it
+        - ``now``: the choice for the first field so far; None at the start
+        - ``levels``, mM: of their media after it
+        - ``contents``, amol: of the fields before it
 
-        Raises
-        ------
-        SceneError
-            At the start, if no grid that is allowed reaches the tolerance. Later the finest is
-            taken, and the error of the choice says what that is worth.
-        NutrientFailed
-            If a trial cannot be solved for.
+        Raises SceneError at the start, if no grid that is allowed reaches the tolerance. Later the
+        finest is taken, and the error of the choice says what that is worth; NutrientFailed if a
+        trial cannot be solved for.
         """
         level = levels[0]
         steady = self._rests(fields.first, load, now, level)

@@ -38,14 +38,10 @@ _NEARLY: Final = 1e-9
 class Load:
     """What the cells ask of fields, and when.
 
-    Attributes
-    ----------
-    position : (n, 3), µm
-    radius : (n,), µm
-    demand : name -> (n,), amol/s, and (n,), amol/s, or None
-        Largest uptake and secretion.
-    begin, end : float, s
-        Of the coupling step.
+    - ``position``, (n, 3), µm
+    - ``radius``, (n,), µm
+    - ``demand``, name -> (n,), amol/s, and (n,), amol/s, or None: largest uptake and secretion
+    - ``begin``, ``end``, float, s: of the coupling step
     """
 
     position: FloatArray
@@ -60,16 +56,12 @@ class Load:
 class Trial:
     """Fields as they would be on another grid.
 
-    Attributes
-    ----------
-    spacing : float, µm
-        Of their grid; at most what was asked for.
-    nodes : int
-    iterations : int
-        Of conjugate gradients; of shells, which are solved directly, Newton's.
-    around : (m, n), mM
-        What each cell finds of each field, without the dip that it makes itself. Those of fields
-        with another tolerance than the first are multiplied so that they may have its errors.
+    - ``spacing``, float, µm: of their grid; at most what was asked for
+    - ``nodes``, int
+    - ``iterations``, int: of conjugate gradients; of shells, which are solved directly, Newton's
+    - ``around``, (m, n), mM: what each cell finds of each field, without the dip that it makes
+      itself. Those of fields with another tolerance than the first are multiplied so that they may
+      have its errors.
     """
 
     spacing: float
@@ -93,10 +85,7 @@ def trial(fields: FieldGroup, parameters: Parameters, load: Load) -> Trial:
     Steady fields are solved for at the end of the step. Transient ones take one implicit step
     from what they are at the beginning; see :func:`remembered`.
 
-    Raises
-    ------
-    NutrientFailed
-        As for :meth:`FieldGroup.solve`.
+    Raises NutrientFailed as for :meth:`FieldGroup.solve`.
     """
     other = copied(fields, parameters, load.begin)
     steady = other.first.parameters.regime == "steady"
@@ -152,20 +141,11 @@ def remembered(fields: FieldGroup, load: Load, since: float) -> tuple[FieldGroup
     a = c - T s: one implicit step from a, as long as the time T since the medium last changed. All
     that a grid gets wrong in that time shows in it. T is shorter where a would be below zero.
 
-    Parameters
-    ----------
-    fields
-        At the beginning of the step; before the first solve, the medium.
-    load
-        The step.
-    since : float, s
+    - ``fields``: at the beginning of the step; before the first solve, the medium
+    - ``load``: the step
+    - ``since``, float, s
 
-    Returns
-    -------
-    fields
-        Copies that hold a.
-    load
-        The long step.
+    Returns fields: copies that hold a; load: the long step.
     """
     own = {name: field.parameters for name, field in fields.fields.items()}
     other, dt = copied(fields, own, load.begin), load.end - load.begin
@@ -198,25 +178,12 @@ def spacing_error(
     extrapolation: |c_h - c_H| / ((H/h)² - 1) on the finer of the two grids. Own dips of cells are
     left out: see :mod:`multicell.nutrient.choosing.own_dip`.
 
-    Parameters
-    ----------
-    fields, load
-    parameters
-        See :func:`on_grid`.
-    coarsest : float, µm
-        Spacing beyond which cells share cubes, and the scheme has no order.
+    - ``parameters``: see :func:`on_grid`
+    - ``coarsest``, float, µm: spacing beyond which cells share cubes, and the scheme has no order
 
-    Returns
-    -------
-    error : float, mM
-        The largest at any cell.
-    Trial
-        With the spacing.
+    Returns error : float, mM: the largest at any cell; Trial: with the spacing.
 
-    Raises
-    ------
-    NutrientFailed
-        As for :func:`trial`.
+    Raises NutrientFailed as for :func:`trial`.
     """
     found = trial(fields, parameters, load)
     if 2.0 * found.spacing <= coarsest * (1.0 + _NEARLY):
@@ -252,19 +219,12 @@ def lag(
     control in time, and its steady state, both on the same grid and in a medium that does not
     change.
 
-    Parameters
-    ----------
-    field
-        From which the march begins; before the first solve from the first of ``levels`` everywhere.
-    parameters, load
-        See :func:`trial`.
-    levels : mM
-        Of the field before the first solve, and of the medium.
+    - ``field``: from which the march begins; before the first solve from the first of ``levels``
+      everywhere
+    - ``parameters``, ``load``: see :func:`trial`
+    - ``levels``, mM: of the field before the first solve, and of the medium
 
-    Raises
-    ------
-    NutrientFailed
-        As for :meth:`NutrientField.advance`.
+    Raises NutrientFailed as for :meth:`NutrientField.advance`.
     """
     start, level = levels
     still = replace(parameters.nutrient, media=None)
@@ -291,11 +251,7 @@ def lag(
 def finest_grid(trial: Trial, axes: int) -> float:
     """Return the spacing at which a grid like that of a trial has the most nodes allowed, µm.
 
-    Parameters
-    ----------
-    trial
-    axes
-        Number of axes of the grid: 1 of shells, 2 or 3.
+    - ``axes``: number of axes of the grid: 1 of shells, 2 or 3
     """
     # counts of nodes are rounded up to sizes that suit the transforms, by up to a tenth an axis
     share: float = (trial.nodes / MAX_NODES) ** (1.0 / axes)

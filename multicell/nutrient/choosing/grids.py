@@ -23,18 +23,10 @@ if TYPE_CHECKING:
 class Grids:
     """Owner of what is chosen for the fields of a simulation.
 
-    Parameters
-    ----------
-    scene
-    groups
-        Names of the fields that share a grid, since they react with each other.
+    - ``groups``: names of the fields that share a grid, since they react with each other
 
-    Attributes
-    ----------
-    choosers : name -> Chooser
-        Of the fields with a tolerance.
-    choices : name -> Choice
-        The present ones.
+    - ``choosers``, name -> Chooser: of the fields with a tolerance
+    - ``choices``, name -> Choice: the present ones
     """
 
     def __init__(self, scene: Scene, groups: Iterable[Sequence[str]]) -> None:
@@ -48,10 +40,8 @@ class Grids:
     def begin(self, fields: FieldGroup, cells: Cells, demand: Demand, time: float) -> None:
         """Choose for the cells at the start.
 
-        Raises
-        ------
-        SceneError, NutrientFailed
-            See :meth:`multicell.nutrient.choosing.choice.Chooser.choose`.
+        Raises SceneError, NutrientFailed see
+        :meth:`multicell.nutrient.choosing.choice.Chooser.choose`.
         """
         self._choose(fields, _load(cells, demand, time, time + self._step), None, time)
 
@@ -60,9 +50,7 @@ class Grids:
     ) -> None:
         """Choose again for cells at the end of a coupling step, if there is reason to.
 
-        Raises
-        ------
-        NutrientFailed
+        Raises NutrientFailed.
         """
         chooser = self.choosers[fields.names[0]]
         if any(

@@ -35,14 +35,10 @@ def own_dip(
 
     In a plane up to a constant that is the same for all grids.
 
-    Parameters
-    ----------
-    layout
-        Where the field lives.
-    position : (n, 3), µm
-    taken : (n,), amol/s
-        What each cell takes up less what it secretes.
-    diffusion : float, µm²/s
+    - ``layout``: where the field lives
+    - ``position``, (n, 3), µm
+    - ``taken``, (n,), amol/s: what each cell takes up less what it secretes
+    - ``diffusion``, float, µm²/s
     """
     position = layout.nearest(position)
     if isinstance(layout, ShellLayout):

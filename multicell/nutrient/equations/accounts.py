@@ -29,12 +29,8 @@ if TYPE_CHECKING:
 class AccountedEquation(PDEBase):  # type: ignore[no-untyped-call]
     """The equation of some fields and the integrals of what happens to them.
 
-    Parameters
-    ----------
-    equation
-        Of the fields alone.
-    until : float, s
-        Until when rates are asked for: what holds from then on does not count.
+    - ``equation``: of the fields alone
+    - ``until``, float, s: until when rates are asked for: what holds from then on does not count
     """
 
     def __init__(self, equation: FieldEquation, until: float = np.inf) -> None:

@@ -24,17 +24,12 @@ _KINDS = ({"value"}, {"derivative"}, {"type", "value", "const"})
 def layout_on(grid: GridBase, *, height: float | None = None) -> Layout:
     """Return where nodes of a grid of py-pde's lie for cells.
 
-    Parameters
-    ----------
-    grid
-        ``CartesianGrid`` in two or three dimensions, or ``SphericalSymGrid`` round the origin.
-    height : float, µm, optional
-        Of the layer that a plane stands for; absent: one spacing.
+    - ``grid``: ``CartesianGrid`` in two or three dimensions, or ``SphericalSymGrid`` round the
+      origin
+    - ``height``, float, µm, optional: of the layer that a plane stands for; absent: one spacing
 
-    Raises
-    ------
-    SceneError
-        For other grids, periodic ones, a hollow ball, and spacings that differ between axes.
+    Raises SceneError for other grids, periodic ones, a hollow ball, and spacings that differ
+    between axes.
     """
     hint = "Cubes, squares and balls of shells are what fields of cells live on."
     steps = grid.discretization
@@ -87,17 +82,10 @@ def _is_number(given: Any) -> bool:
 def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
     """Return a condition for every side of a box, or the one on the surface of a ball.
 
-    Parameters
-    ----------
-    layout
-    given
-        A concentration, one condition in py-pde's terms, or a mapping of sides to conditions, with
-        ``"x"`` for both sides of an axis and ``"*"`` for all others.
+    - ``given``: a concentration, one condition in py-pde's terms, or a mapping of sides to
+      conditions, with ``"x"`` for both sides of an axis and ``"*"`` for all others
 
-    Raises
-    ------
-    SceneError
-        If a side has none, or a ball's is of another kind.
+    Raises SceneError if a side has none, or a ball's is of another kind.
     """
     if not isinstance(given, Mapping):
         given = {"value": _number(given)}

@@ -120,10 +120,7 @@ class _March:
     def advance(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return the data at ``end``.
 
-        Raises
-        ------
-        NutrientFailed
-            If SUNDIALS gives up, steps become too many, or rates are not finite.
+        Raises NutrientFailed if SUNDIALS gives up, steps become too many, or rates are not finite.
         """
         self.shape = data.shape
         jumps = self._jumps(begin, end)

@@ -27,16 +27,11 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     ``info["amounts"]`` holds what happened to each substance, with the columns of
     :data:`multicell.nutrient.balance.COLUMNS`.
 
-    Parameters
-    ----------
-    pde
-        A field equation.
-    backend
-        Not used: the steps are compiled kernels.
-    tolerance
-        Largest error of a step over the concentration of each field.
-    scales : (m,) mM
-        Concentrations that errors are compared with at least; absent: those of the media.
+    - ``pde``: a field equation
+    - ``backend``: not used: the steps are compiled kernels
+    - ``tolerance``: largest error of a step over the concentration of each field
+    - ``scales``, (m,) mM: concentrations that errors are compared with at least; absent: those of
+      the media
     """
 
     name = "multicell-march"
@@ -61,10 +56,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
 
         ``dt`` is the first step; absent: a tenth of the time between two jumps of the medium.
 
-        Raises
-        ------
-        SceneError
-            For an equation that takes no steps of backward Euler.
+        Raises SceneError for an equation that takes no steps of backward Euler.
         """
         pde: Stepped = suitable(self.pde, state, "implicit_step")
         done = March(np.zeros((len(pde.names), len(COLUMNS))))

@@ -66,26 +66,16 @@ class Flows(NamedTuple):
 class PlacedSubstance:
     """A substance on a grid.
 
-    Parameters
-    ----------
-    name, substance, layout
-        See :class:`multicell.FieldEquation`.
-    grid
-        Returns py-pde's grid; it is called where py-pde's own Laplacian or conditions are wanted.
-    position : (n, 3), µm
-        Of the cells.
-    threads
-        How many may share the loops over many nodes; it changes no result.
+    - ``name``, ``substance``, ``layout``: see :class:`multicell.FieldEquation`
+    - ``grid``: returns py-pde's grid; it is called where py-pde's own Laplacian or conditions are
+      wanted
+    - ``position``, (n, 3), µm: of the cells
+    - ``threads``: how many may share the loops over many nodes; it changes no result
 
-    Attributes
-    ----------
-    sink : mM/s
-        Largest uptake per volume at each node; nodes as solvers have them, with three axes in a
-        box and one on shells.
-    secreted, supplied : mM/s
-        What cells add, and what stands still.
-    operator
-        Diffusion, with the sides of the concentration that was asked for last.
+    - ``sink``, mM/s: largest uptake per volume at each node; nodes as solvers have them, with three
+      axes in a box and one on shells
+    - ``secreted``, ``supplied``, mM/s: what cells add, and what stands still
+    - ``operator``: diffusion, with the sides of the concentration that was asked for last
     """
 
     def __init__(
@@ -301,21 +291,14 @@ class PlacedSubstance:
     ) -> tuple[FloatArray, SolveReport]:
         """Solve for the state a step of backward Euler later, or at rest after an infinite one.
 
-        Parameters
-        ----------
-        start : mM
-            First guess.
-        level : float, mM
-            Concentration of the medium at the end.
-        dt : float, s
-        before : mM
-            Where the step begins.
-        demand : mM/s
-            Largest uptake and secretion of the nodes, in place of those of the term's cells.
+        - ``start``, mM: first guess
+        - ``level``, float, mM: concentration of the medium at the end
+        - ``dt``, float, s
+        - ``before``, mM: where the step begins
+        - ``demand``, mM/s: largest uptake and secretion of the nodes, in place of those of the
+          term's cells
 
-        Raises
-        ------
-        NutrientFailed
+        Raises NutrientFailed.
         """
         sink, secreted = (self.sink, None) if demand is None else demand
         supply, linear = self.supply(level, secreted), self.linear

@@ -31,20 +31,12 @@ Nodes = Mapping[str, FloatArray]
 class Reactions:
     """What makes and uses the substances of an equation besides cells.
 
-    Parameters
-    ----------
-    substances
-        The substances on the grid.
-    reactions
-        See :class:`multicell.FieldEquation`.
-    tissue : shape of the grid, optional
-        Part of each place that is tissue.
+    - ``substances``: the substances on the grid
+    - ``reactions``: see :class:`multicell.FieldEquation`
+    - ``tissue``, shape of the grid, optional: part of each place that is tissue
 
-    Raises
-    ------
-    SceneError
-        For a reaction that names no substance of the equation, or that cannot be used, and where
-        tissue is needed and not given.
+    Raises SceneError for a reaction that names no substance of the equation, or that cannot be
+    used, and where tissue is needed and not given.
     """
 
     def __init__(
@@ -104,12 +96,8 @@ class Reactions:
     ) -> tuple[FloatArray, dict[str, SolveReport]]:
         """Return the state of rest with what holds at ``t``, or that ``dt`` s after ``before``.
 
-        Raises
-        ------
-        NutrientFailed
-            If there is no state of rest, or a substance becomes denser than water.
-        StepRefused
-            If a step is too long.
+        Raises NutrientFailed if there is no state of rest, or a substance becomes denser than
+        water; StepRefused if a step is too long.
         """
         coupled, first = self._coupled(t), self._flat(start)
         if before is None:

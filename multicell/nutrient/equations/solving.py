@@ -72,10 +72,7 @@ class Steady(Protocol):
 def suitable(pde: PDEBase, state: Any, method: str) -> Any:
     """Return an equation that has the method by which a solver solves it.
 
-    Raises
-    ------
-    SceneError
-        If it has not, or the state is not one of its own.
+    Raises SceneError if it has not, or the state is not one of its own.
     """
     if not hasattr(pde, method):
         problem = f"is {type(pde).__name__}, but multicell's solvers solve equations of fields only"
@@ -93,13 +90,7 @@ def labels(state: Any) -> list[str]:
 
 
 def refuse_runaway(names: list[str], data: FloatArray, found: FloatArray, t: float) -> None:
-    """Refuse rates that are not finite.
-
-    Raises
-    ------
-    NutrientFailed
-        It names the field.
-    """
+    """Refuse rates that are not finite; raises NutrientFailed it names the field."""
     if np.isfinite(found).all():
         return
     fields, rates = (x.reshape(len(names), -1) for x in (data, found))

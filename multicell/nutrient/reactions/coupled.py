@@ -77,19 +77,13 @@ class Account:
 class Coupled:
     """Fields on one grid with the reactions between them.
 
-    Parameters
-    ----------
-    operators
-        Diffusion of each field, with its conditions.
-    sinks, supplies : (m, nodes), mM/s
-        Largest uptake, and what nodes gain besides, not negative.
-    half : (m,), mM
-    linear : (m,), 1/s
-        Decay and perfusion.
-    kinetics
-        The reactions.
-    tissue : (nodes,), optional
-        Part of each place that is tissue.
+    - ``operators``: diffusion of each field, with its conditions
+    - ``sinks``, ``supplies``, (m, nodes), mM/s: largest uptake, and what nodes gain besides, not
+      negative
+    - ``half``, (m,), mM
+    - ``linear``, (m,), 1/s: decay and perfusion
+    - ``kinetics``: the reactions
+    - ``tissue``, (nodes,), optional: part of each place that is tissue
     """
 
     def __init__(
@@ -124,15 +118,10 @@ class Coupled:
     def step(self, before: FloatArray, start: FloatArray, dt: float) -> FloatArray:
         """Return the state a step of ``dt`` s later, or the steady state where that is infinite.
 
-        Parameters
-        ----------
-        before, start : (m, nodes), mM
-            State before, not negative, and first guess.
+        - ``before``, ``start``, (m, nodes), mM: state before, not negative, and first guess
 
-        Raises
-        ------
-        StepRefused
-            If Newton's iterations do not converge to a state without negative values.
+        Raises StepRefused if Newton's iterations do not converge to a state without negative
+        values.
         """
         return _Newton(self, before, dt).solve(start)
 
@@ -308,10 +297,7 @@ def settle(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArray:
     Steps of implicit Euler that lengthen from one to the next, the last one without end: from where
     they start they follow the true course, and do not end in states that are unstable.
 
-    Raises
-    ------
-    NutrientFailed
-        If there is no such state, or it is not found.
+    Raises NutrientFailed if there is no such state, or it is not found.
     """
     rates = np.sum(np.abs(coupled.rates(c)) * coupled.volumes, axis=1)
     held = np.sum(np.abs(c) * coupled.volumes, axis=1)

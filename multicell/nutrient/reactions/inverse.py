@@ -35,12 +35,8 @@ Solve = Callable[[FloatArray], FloatArray]
 def inverse_of_blocks(operators: Sequence[AnyOperator], blocks: FloatArray) -> Solve:
     """Return a function of r, (m, nodes), that gives about the solution x.
 
-    Parameters
-    ----------
-    operators
-        Diffusion of each field, all on one grid.
-    blocks : (m, m, nodes), 1/s
-        See the module's text.
+    - ``operators``: diffusion of each field, all on one grid
+    - ``blocks``, (m, m, nodes), 1/s: see the module's text
     """
     if isinstance(operators[0], Diffusion):
         return _in_box([op for op in operators if isinstance(op, Diffusion)], blocks)

@@ -45,35 +45,23 @@ class Kinetics(Protocol):
     ) -> tuple[FloatArray, FloatArray]:
         """Return what reactions make of each field and the derivative of that.
 
-        Parameters
-        ----------
-        c : (m, nodes), mM
-        tissue : (nodes,)
-            Part of each place that is tissue, 0 to 1; needed where ``needs_tissue``.
+        - ``c``, (m, nodes), mM
+        - ``tissue``, (nodes,): part of each place that is tissue, 0 to 1; needed where
+          ``needs_tissue``
 
-        Returns
-        -------
-        (m, nodes), mM/s
-        (m, m, nodes), 1/s
-            Of the rate of the first by the concentration of the second.
+        Returns (m, nodes), mM/s; (m, m, nodes), 1/s: of the rate of the first by the concentration
+        of the second.
         """
 
 
 def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
     """Return the rates of reactions that are given as parts of a scene, tables or functions.
 
-    Parameters
-    ----------
-    names
-        Of the fields.
-    reactions
-        Name -> :class:`~multicell.scene.reactions.Reaction`, a table of its keys, or a reaction of
-        the user's own.
+    - ``names``: of the fields
+    - ``reactions``: name -> :class:`~multicell.scene.reactions.Reaction`, a table of its keys, or a
+      reaction of the user's own
 
-    Raises
-    ------
-    SceneError
-        For a field that is not one of these, and for what is no reaction.
+    Raises SceneError for a field that is not one of these, and for what is no reaction.
     """
     fixed: dict[str, Reaction] = {}
     own: list[Own] = []
@@ -135,12 +123,8 @@ class Together:
 class FixedForms:
     """Reactions as a scene has them.
 
-    Parameters
-    ----------
-    names
-        Of the fields, in the order of the rows.
-    reactions
-        Between these fields.
+    - ``names``: of the fields, in the order of the rows
+    - ``reactions``: between these fields
     """
 
     def __init__(self, names: Sequence[str], reactions: Mapping[str, Reaction]) -> None:
@@ -226,24 +210,16 @@ def react(
 ) -> None:
     """Write what reactions make of each field (mM/s) and the derivative of that (1/s).
 
-    Parameters
-    ----------
-    c : (m, nodes), mM
-    tissue : (nodes,)
-        Part of each place that is tissue.
-    rate : (r,)
-        Of each reaction, mM^(1 - n)/s or mM/s.
-    place : (r,)
-        0 everywhere, 1 in proportion to tissue, 2 to what is none.
-    first : (r + 1,)
-        First factor of each reaction.
-    field, form, half, power : (factors,)
-        Row of the field that a factor depends on, its form, K (mM) and n.
-    change : (r, m)
-        How many of each field a reaction makes.
-    out : (m, nodes)
-    slope : (m, m, nodes)
-        Written.
+    - ``c``, (m, nodes), mM
+    - ``tissue``, (nodes,): part of each place that is tissue
+    - ``rate``, (r,): of each reaction, mM^(1 - n)/s or mM/s
+    - ``place``, (r,): 0 everywhere, 1 in proportion to tissue, 2 to what is none
+    - ``first``, (r + 1,): first factor of each reaction
+    - ``field``, ``form``, ``half``, ``power``, (factors,): row of the field that a factor depends
+      on, its form, K (mM) and n
+    - ``change``, (r, m): how many of each field a reaction makes
+    - ``out``, (m, nodes)
+    - ``slope``, (m, m, nodes): written
     """
     m, nodes = c.shape
     value, steep = np.empty(field.size), np.empty(field.size)
@@ -280,19 +256,11 @@ def react(
 def growth_rate(derivative: FloatArray, losses: FloatArray) -> tuple[float, int]:
     """Return how fast the fastest growing mixture of fields grows at a node, and of which most is.
 
-    Parameters
-    ----------
-    derivative : (m, m), 1/s
-        Of the reactions' rates.
-    losses : (m,), 1/s
-        What else takes each field, in proportion to it.
+    - ``derivative``, (m, m), 1/s: of the reactions' rates
+    - ``losses``, (m,), 1/s: what else takes each field, in proportion to it
 
-    Returns
-    -------
-    float, 1/s
-        Largest real part of the eigenvalues; below zero nothing grows.
-    int
-        Row of the field that has the largest part in it.
+    Returns float, 1/s: largest real part of the eigenvalues; below zero nothing grows; int: row of
+    the field that has the largest part in it.
     """
     values, vectors = np.linalg.eig(derivative - np.diag(losses))
     worst = int(np.argmax(values.real))
