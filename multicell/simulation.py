@@ -53,8 +53,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-_STALE_ORDER = 0.05
-"""Part of the cells that may be new before all are sorted in space again."""
+_STALE_ORDER = 0.05  # part of the cells that may be new before all are sorted in space again
 
 
 @final
