@@ -12,6 +12,7 @@ from multicell.scene import domain as box
 from multicell.scene.coupling import fixed_step, usual_step
 from multicell.scene.nutrient import STEPPING, Nutrient
 from multicell.scene.reactions import Reaction, group_of
+from multicell.scene.responses import effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
 
@@ -229,18 +230,17 @@ def nutrient_notes(scene: Scene) -> list[str]:
     for name, nutrient in scene.nutrients.items():
         if nutrient.quiescence is not None and nutrient.highest < nutrient.quiescence:
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
-        effects = ("growth_half_saturation", "growth_inhibition", "quiescence", "necrosis",
-                   "necrosis_above")  # fmt: skip
-        read = [*checks.followed(scene)]
+        read = [*checks.followed(scene), *(part.oxygen for part in scene.radiation.values())]
+        read += [signal for effect in effects(scene) for signal in effect.signals]
+        read += [signal for derived in scene.signals.values() for signal in derived.of]
         for other in scene.nutrients.values():
             read += [*other.uptake_on, *(other.secretion_from or ())]
         for reaction in scene.reactions.values():
             read += reaction.fields
         read += [] if scene.energy is None else [*(scene.energy.yields or ())]
-        for kind in scene.types.values():
-            read += [*(kind.receptor_by or ()), *(kind.ligand_by or ())]
-        if name not in read and all(getattr(nutrient, effect) is None for effect in effects):
-            notes.append(f"{name} has no effect on the cells: give thresholds such as quiescence.")
+        if name not in read:
+            hint = "give thresholds such as quiescence, or a response to it"
+            notes.append(f"{name} has no effect on the cells: {hint}.")
         late = [t for t, _ in nutrient.media or () if t >= scene.duration]
         if late:
             notes.append(

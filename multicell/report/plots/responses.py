@@ -47,7 +47,7 @@ def response_curves(scene: Scene) -> Figure:
     columns = min(len(shown), 3)
     rows = -(-len(shown) // columns)
     grid = figure.add_gridspec(
-        rows, columns, left=0.06, right=0.97, top=0.84, bottom=0.1, wspace=0.24, hspace=0.85
+        rows, columns, left=0.06, right=0.97, top=0.82, bottom=0.1, wspace=0.24, hspace=0.85
     )
     for place, ((behaviour, signal), parts) in enumerate(shown):
         axes = figure.add_subplot(grid[place // columns, place % columns])
@@ -61,6 +61,8 @@ def _draw(axes: Axes, scene: Scene, behaviour: str, signal: str, parts: list[Eff
     rate = behaviour_named(behaviour, "")[0].unit == "1/s"
     scale, of = (3600.0, ", 1/h") if rate else (1.0, "")
     reach = max(_reach(part) for part in parts)
+    if signal in scene.nutrients:  # as far as the medium has it, if the curves then still show
+        reach = max(reach, min(scene.nutrients[signal].highest, 3.0 * reach))
     at = np.linspace(0.0, reach, _POINTS)
     colours = type_colours(scene.types)
     for part in parts:
