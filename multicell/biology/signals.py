@@ -54,7 +54,8 @@ def other_signals(
 def _overlap(cells: Cells, first: IntArray, second: IntArray) -> FloatArray:
     """Return the overlap of pairs of cells over the sum of their radii, (m,), zero if apart."""
     distance = np.linalg.norm(cells.position[first] - cells.position[second], axis=1)
-    return np.maximum(1.0 - distance / (cells.radius[first] + cells.radius[second]), 0.0)
+    reach = cells.radius[first] + cells.radius[second]
+    return np.asarray(np.maximum(1.0 - distance / reach, 0.0))
 
 
 def _of_newborn(cells: Cells) -> IntArray:
