@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, final
@@ -82,8 +83,19 @@ SIGNALS: Final = {
     "time": "s",
     "neighbours": "",
     "dead neighbours": "",
+    "crowding": "",
 }
-"""Signals besides fields and those that a scene derives -> base unit."""
+"""Signals besides fields and those that a scene derives -> base unit.
+
+``crowding`` is the sum over the neighbours of (1 - d/s)², d the distance and s the sum of the
+radii, over that of :data:`CROWDED`: 1 for a cell among twelve at the distance of close packing.
+"""
+
+CROWDED: Final = 12.0 * (1.0 - math.sqrt(math.pi / (2.0 * math.sqrt(3.0)))) ** 2
+"""Twelve neighbours in a plane's closest packing of one density: PhysiCell's unit of pressure.
+
+A. Ghaffarizadeh et al., PLoS Comput. Biol. 14 (2018) e1005991.
+"""
 
 CONTACTS: Final = "contacts with "
 """Signals that begin so count the neighbours of a type."""
@@ -132,5 +144,5 @@ def signal_unit(name: str, fields: Iterable[str], derived: Iterable[str], path: 
 
 
 def needs_contacts(signal: str) -> bool:
-    """Return whether a signal counts neighbours."""
-    return signal in ("neighbours", "dead neighbours") or signal.startswith(CONTACTS)
+    """Return whether a signal is made from the neighbours."""
+    return signal in ("neighbours", "dead neighbours", "crowding") or signal.startswith(CONTACTS)

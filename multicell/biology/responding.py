@@ -8,7 +8,8 @@ response k alone, all of them of the same cell:
 - ``minimum`` and ``maximum``: of v_k;
 - ``physicell``: with X_k = h_k / (1 - h_k) for the share h_k of the full effect, and
   U = Σ X / (1 + Σ X) over the responses that raise the value and D over those that lower it,
-  (1 - D) ((1 - U) v + U v_up) + D v_down, v_up the largest and v_down the least of their values.
+  (1 - D) ((1 - U) v + U v_up) + D v_down, v_up the largest and v_down the least of their values;
+  for types with a response by the law ``constant`` v is its value.
 
 A response of some types takes the place of one of all types with the same behaviour and signal.
 
@@ -31,7 +32,7 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.behaviours.catalogue import needs_contacts
-from multicell.behaviours.laws import ResponseLaw, Threshold
+from multicell.behaviours.laws import Constant, ResponseLaw, Threshold
 from multicell.random import Purpose
 from multicell.scene.responses import Effect, effects
 
@@ -256,20 +257,27 @@ def _physicell(
     pressure: FloatArray,
 ) -> FloatArray:
     """Return the values under PhysiCell's rule, (n,)."""
-    none = np.zeros(len(pressure))
-    sums, ends = {True: none, False: none}, {True: own, False: own}
+    base, graded = np.full(len(pressure), own), []
     for part in known:
+        here = True if part.mask is None else part.mask[_kind(cells)]
+        if isinstance(part.law, Constant):
+            base = np.where(here, part.high, base)
+        else:
+            graded.append((part, here))
+    none = np.zeros(len(pressure))
+    sums, ends = {True: none, False: none}, {True: base, False: base}
+    for part, here in graded:
         # the value at a high signal decides whether the signal raises or lowers the behaviour
-        end = part.low if part.falls else part.high
-        rises, share = end > own, np.asarray(part.share(found, cells, pressure), dtype=float)
+        start, end = (part.high, part.low) if part.falls else (part.low, part.high)
+        rises, share = end > start, np.asarray(part.share(found, cells, pressure), dtype=float)
         share = 1.0 - share if part.falls else share
         with np.errstate(divide="ignore"):
             odds = share / (1.0 - share)
-        here = odds if part.mask is None else np.where(part.mask[_kind(cells)], odds, 0.0)
-        sums[rises] = sums[rises] + here
-        ends[rises] = (max if rises else min)(ends[rises], end)
+        sums[rises] = sums[rises] + np.where(here, odds, 0.0)
+        farther = np.maximum if rises else np.minimum
+        ends[rises] = np.where(here, farther(ends[rises], end), ends[rises])
     up, down = (1.0 - 1.0 / (1.0 + sums[rises]) for rises in (True, False))
-    return np.asarray((1.0 - down) * ((1.0 - up) * own + up * ends[True]) + down * ends[False])
+    return np.asarray((1.0 - down) * ((1.0 - up) * base + up * ends[True]) + down * ends[False])
 
 
 def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> NDArray[np.bool_]:
@@ -303,6 +311,11 @@ def necrosis_hazard(plan: BiologyPlan, found: Found, cells: Cells | None) -> Flo
     if cells is None:
         known = tuple(part for part in known if part.is_local and "pressure" not in part.signals)
     hazard = None
+    named = tuple(part for part in known if not part.short)
+    if named and named[-1].combine == "physicell":
+        pressure = _count(found, None, None) if cells is None else cells.pressure
+        hazard = combine(named, 0.0, found, cells, pressure)
+        known = known[: -len(named)]
     for part in known:
         value = part.value(found, cells)
         before = np.zeros(len(value)) if hazard is None else hazard
@@ -312,6 +325,6 @@ def necrosis_hazard(plan: BiologyPlan, found: Found, cells: Cells | None) -> Flo
 
 
 def missing_signals(responses: Mapping[str, tuple[BoundResponse, ...]]) -> frozenset[str]:
-    """Return the signals that neither fields nor cells carry: time and counts of neighbours."""
+    """Return the signals that neither fields nor cells carry: time, and what neighbours make."""
     named = {name for known in responses.values() for part in known for name in part.signals}
     return frozenset(name for name in named if name == "time" or needs_contacts(name))

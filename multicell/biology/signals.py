@@ -1,4 +1,4 @@
-"""Signals that neither fields nor cells carry: the time, and numbers of neighbours."""
+"""Signals that neither fields nor cells carry: the time, and what neighbours make."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multicell.behaviours.catalogue import CONTACTS
+from multicell.behaviours.catalogue import CONTACTS, CROWDED
 from multicell.results.observables import contact_rows
 
 if TYPE_CHECKING:
@@ -33,16 +33,25 @@ def other_signals(
     first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
     names = list(plan.types)
     for name in sorted(counted):
-        who = np.ones(len(first), dtype=bool)
-        if name == "dead neighbours":
+        who, weight = np.ones(len(first), dtype=bool), None
+        if name == "crowding":
+            weight = _overlap(cells, first, second) ** 2 / CROWDED
+        elif name == "dead neighbours":
             who = cells.dead[second]
         elif name == "neighbours":
             who = ~cells.dead[second]
         else:
             kind = names.index(name.removeprefix(CONTACTS))
             who = (cells.kind[second] == kind) & ~cells.dead[second]
-        out[name] = np.bincount(first[who], minlength=len(cells)).astype(float)
+        out[name] = np.bincount(first[who], weight, minlength=len(cells)).astype(float)
     return out
+
+
+def _overlap(cells: Cells, first: IntArray, second: IntArray) -> FloatArray:
+    """Return the overlap of pairs of cells over the sum of their radii, (m,), zero if apart."""
+    distance = np.linalg.norm(cells.position[first] - cells.position[second], axis=1)
+    reach = cells.radius[first] + cells.radius[second]
+    return np.asarray(np.maximum(1.0 - distance / reach, 0.0))
 
 
 def _of_newborn(cells: Cells) -> IntArray:

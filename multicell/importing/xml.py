@@ -66,8 +66,8 @@ class Element:
         return SceneError(f"{self.file}, line {self.line}, {self.path}", problem, hint)
 
     def word(self) -> str:
-        """Return its text without blanks at both ends."""
-        return self.text.strip()
+        """Return its text without blanks and marks of direction at both ends."""
+        return self.text.strip().strip("\u200b\u202a\u202c\ufeff")
 
     def number(
         self,

@@ -163,22 +163,8 @@ def test_motion_has_the_speed_of_its_type(project):
 RULES = """// the grammar of PhysiCell
 tumour cell,oxygen,increases,cycle entry,0.005,21.5,4,0
 tumour cell,oxygen,decreases,necrosis,0,3.75,8,0
-tumour cell,pressure,decreases,cycle entry,0,1,4,0
-nobody,oxygen,decreases,necrosis,0,3.75,8,0
 """
 RULED = ('format="csv" enabled="false"', 'format="csv" enabled="true"')
-
-
-def test_rules_that_a_scene_can_say(project):
-    made = mc.import_physicell(project(RULED, rules=RULES))
-    oxygen = made.scene.nutrients["oxygen"]
-    assert oxygen.growth_half_saturation == pytest.approx(21.5 * MM_HG, rel=1e-3)
-    assert oxygen.necrosis == pytest.approx(3.75 * MM_HG, rel=1e-3)
-    assert made.scene.death.necrosis_rate == pytest.approx(0.003 / 60.0)
-    g1 = made.scene.growth.phases["G1"]
-    assert (g1.duration, g1.grows) == (pytest.approx(200.0 * 60.0), True)
-    found = [fates(made)[f"rules.csv, line {line}"] for line in (2, 3, 4, 5)]
-    assert found == [Fate.APPROXIMATED, Fate.APPROXIMATED, Fate.LEFT_OUT, Fate.OFF]
 
 
 def test_necrotic_cells_burst_when_they_do_in_physicell(project):

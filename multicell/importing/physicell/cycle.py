@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.cells import SPHERE
 from multicell.importing.account import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
+from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
     from multicell.importing.xml import Element
@@ -24,6 +25,7 @@ _PARTS = ("fluid_fraction", "nuclear", "fluid_change_rate", "nuclear_biomass_cha
 _SLOWEST, _FASTEST = 0.7, 12.0
 """Bounds of rate times growing time: beyond, cells become ever smaller, or grow at once."""
 _NAMES = ("G1", "S", "G2", "M")
+_HALVED = "each of two daughters has half the chance; in PhysiCell one of them has all of it"
 
 
 @final
@@ -89,11 +91,15 @@ MODELS: Final[Mapping[int, CycleModel]] = {
 @final
 @dataclass(frozen=True)
 class Cycle:
-    """The cycle of a type: its model, and its phases with their durations."""
+    """The cycle of a type: its model, and its phases with their durations.
+
+    Where a phase is left by rules only its duration is that at their saturation. ``rates`` are
+    those of leaving the phases without rules, 1/min.
+    """
 
     model: CycleModel
     stages: tuple[Stage, ...]
-    limited: bool = False
+    rates: tuple[float, ...]
 
     @property
     def minutes(self) -> float:
@@ -107,8 +113,7 @@ class Cycle:
             parts = [
                 s for s, home in zip(self.stages, self.model.homes, strict=True) if home == name
             ]
-            # a phase that a substance slows is one with growth
-            grows = name != "G1" or not self.model.doubles_before or self.limited
+            grows = name != "G1" or not self.model.doubles_before
             made[name] = {**_length([s for s in parts if s.minutes > 0.0]), "grows": grows}
         return made
 
@@ -132,7 +137,7 @@ def _length(parts: list[Stage]) -> dict[str, Any]:
 
 def read_cycle(model: Model) -> None:
     """Read ``cycle`` and ``volume/total`` of all types; set how large cells become."""
-    known = {kind: _cycle(kind) for kind in model.kinds}
+    known = {kind: _with_rules(model, kind, _cycle(kind)) for kind in model.kinds}
     dividing = [kind for kind, cycle in known.items() if math.isfinite(cycle.minutes)]
     lead = max(dividing, key=lambda kind: kind.count, default=None)
     sizes = 2.0 * model.leader.volume, 0.0
@@ -142,6 +147,8 @@ def read_cycle(model: Model) -> None:
         sizes = _sizes(model, lead, known[lead])
         for kind, cycle in known.items():
             model.of_type(kind, "cycle_scale", _scale(model, cycle, known[lead]))
+        _set_paces(model, known, lead)
+        _set_daughters(model)
         quickest = min(cycle.minutes for cycle in known.values()) * MINUTE
         model.scene["coupling_step"] = min(model.scene["coupling_step"], quickest)
     # with phases cells divide by their clock, at up to twice the volume of division
@@ -193,16 +200,79 @@ def _cycle(kind: Kind) -> Cycle:
     own = kind.own("cycle")
     above = None if kind.parent is None else _cycle(kind.parent)
     if own is None or "code" not in own.attributes:
-        return above or Cycle(MODELS[0], MODELS[0].usual)
+        return above or _cycle_of(MODELS[0], MODELS[0].usual)
     found = MODELS[_code(own)]
     stages = list(above.stages if above is not None and above.model is found else found.usual)
     for one, start, stage in _stated(own):
         if not 0 <= start < len(stages):
             raise one.error(f"is of phase {start}, but '{found.name}' has {len(stages)}")
         stages[start] = stage
-    if kind.entry is not None:
-        stages[0] = Stage(1.0 / kind.entry if kind.entry > 0.0 else math.inf, stages[0].fixed)
-    return Cycle(found, tuple(stages), kind.limited or kind.entry is not None)
+    return _cycle_of(found, tuple(stages))
+
+
+def _cycle_of(model: CycleModel, stages: tuple[Stage, ...]) -> Cycle:
+    rates = (math.inf if s.minutes == 0.0 else 1.0 / s.minutes for s in stages)
+    return Cycle(model, stages, tuple(rates))
+
+
+def _exits(model: Model, kind: Kind, place: int) -> list[Rule]:
+    """Return the rules about leaving a phase of a type."""
+    name = f"exit from cycle phase {place}" if place else "cycle entry"
+    return rules_of(model, name, [kind])
+
+
+def _with_rules(model: Model, kind: Kind, cycle: Cycle) -> Cycle:
+    """Return a cycle whose phases that only rules end last as long as at their saturation."""
+    stages = list(cycle.stages)
+    for place, stage in enumerate(stages):
+        most = max((rule.end for rule in _exits(model, kind, place)), default=0.0)
+        if math.isinf(stage.minutes) and most > 0.0:
+            stages[place] = Stage(1.0 / most, stage.fixed)
+    return replace(cycle, stages=tuple(stages))
+
+
+def _set_paces(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
+    """Let types go through the phases at their own rates, and rules change these."""
+    phases = model.part("growth")["phases"]
+    cycling = {kind: cycle for kind, cycle in known.items() if math.isfinite(cycle.minutes)}
+    for phase, after in zip(_NAMES, (*_NAMES[1:], _NAMES[0]), strict=True):
+        length = phases[phase]["duration"]
+        exits = {
+            rule: place
+            for kind, cycle in cycling.items()
+            for place, home in enumerate(cycle.model.homes)
+            for rule in _exits(model, kind, place)
+            if home == phase
+        }
+
+        def pace(
+            kind: Kind, rule: Rule | None, phase: str = phase, length: float = length,
+            exits: Mapping[Rule, int] = exits,
+        ) -> float:  # fmt: skip
+            cycle, minutes = cycling[kind], 0.0
+            for place, home in enumerate(cycle.model.homes):
+                if home == phase:
+                    ruled = rule is not None and exits[rule] == place
+                    rate = rule.end if rule is not None and ruled else cycle.rates[place]
+                    minutes += 1.0 / rate if rate > 0.0 else math.inf
+            if max(minutes * MINUTE, length) <= _INSTANT:
+                return 1.0
+            # factors are over the lengths that a type's scale gives the phases of all
+            own = _scale(model, cycle, known[lead]) if len(model.kinds) > 1 else 1.0
+            return length * own / max(minutes * MINUTE, _INSTANT)
+
+        shared = "its phase has two stages, or lasts equally long for all cells"
+        note = (
+            shared
+            if any(_is_shared(cycling[r.kind], p) for r, p in exits.items() if r.kind)
+            else ""
+        )
+        set_behaviour(model, f"entry into {after}", 1.0, pace, cycling, exits, note)
+
+
+def _is_shared(cycle: Cycle, place: int) -> bool:
+    home = cycle.model.homes[place]
+    return cycle.stages[place].fixed or cycle.model.homes.count(home) > 1
 
 
 def _stated(cycle: Element) -> list[tuple[Element, int, Stage]]:
@@ -237,18 +307,59 @@ def _account_for_cycle(
         note = f"volume doubles in the time in which it grows; its phases here: {homes}"
         account.take(element, Fate.APPROXIMATED, "growth.phases", note, cycle.model.name)
         alike = cycle.model is known[lead].model and _ratio(cycle, known[lead])
-        for one, start, _ in _stated(element):
-            if start == 0 and kind.entry is not None:
-                note = f"at most {kind.entry:g}: a rule lets a substance decide on it"
-                account.take(one, Fate.APPROXIMATED, "growth.phases", note)
-            elif alike:
+        for one, _, _ in _stated(element):
+            own = f"responses.entry_into_*_of_{kind.key}"
+            if alike:
                 account.take(one, Fate.MAPPED, "growth.phases")
+            elif _alike(cycle, known[lead]):
+                account.take(one, Fate.MAPPED, own)
             else:
-                note = f"phases as those of '{lead.name}', of this type's mean cycle in all"
-                account.take(one, Fate.APPROXIMATED, f"types.{kind.key}.cycle_scale", note)
+                note = f"its mean; whether all cells take that long is as in '{lead.name}'"
+                account.take(one, Fate.APPROXIMATED, own, note)
     for one in element.all("standard_asymmetric_division"):
-        note = "daughters are of the type of their mother"
-        account.leave_out([one], note, acts=one.says("enabled"))
+        _account_for_daughters(model, kind, one, grows=lead is not None)
+
+
+def _daughters(kind: Kind) -> dict[str, float]:
+    """Return the chances that a division gives a daughter of another type, by its name."""
+    found = kind.given("cycle/standard_asymmetric_division")
+    if found is None or not found.says("enabled"):
+        return {}
+    return {
+        one.attributes.get("name", ""): max(one.number(at_most=1.0), 0.0)
+        for one in found.all("asymmetric_division_probability")
+    }
+
+
+def _set_daughters(model: Model) -> None:
+    """Read chances of asymmetric division: here each of two daughters has half of it."""
+    for to in model.kinds:
+        known = {kind: _daughters(kind).get(to.name, 0.0) for kind in model.kinds if kind is not to}
+
+        def value(kind: Kind, rule: Rule | None, known: dict[Kind, float] = known) -> float:
+            return 0.5 * (known[kind] if rule is None else rule.end)
+
+        rules = rules_of(model, f"asymmetric division to {to.name}", known)
+        set_behaviour(model, f"mutation to {to.key}", 0.0, value, known, rules, _HALVED)
+
+
+def _account_for_daughters(model: Model, kind: Kind, table: Element, *, grows: bool) -> None:
+    on = table.says("enabled") and grows
+    for one in table.all("asymmetric_division_probability"):
+        to = model.kind_named(one.attributes.get("name", ""))
+        if not on or to is None or to is kind or one.number() <= 0.0:
+            model.account.take(one, Fate.OFF)
+        else:
+            key = f"responses.mutation_to_{to.key}_of_{kind.key}"
+            model.account.take(one, Fate.APPROXIMATED, key, _HALVED)
+    model.account.take_all([table], Fate.OFF)
+
+
+def _alike(cycle: Cycle, lead: Cycle) -> bool:
+    """Return whether phases of two cycles differ in nothing but how long they last."""
+    return cycle.model is lead.model and all(
+        a.fixed == b.fixed for a, b in zip(cycle.stages, lead.stages, strict=True)
+    )
 
 
 def _ratio(cycle: Cycle, lead: Cycle) -> bool:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, final
 
 from multicell.importing.account import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
+from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
     from multicell.importing.xml import Element
 
 APOPTOSIS, NECROSIS = "100", "101"
+_NAMES = {APOPTOSIS: "apoptosis", NECROSIS: "necrosis"}
 _REMOVED = 0.1
 _USUAL = {
     APOPTOSIS: {"unlysed_fluid_change_rate": 0.05, "lysed_fluid_change_rate": 0.0,
@@ -37,27 +39,39 @@ class Dying:
 
 def read_death(model: Model) -> None:
     """Read ``death`` of all types; what types share is that of the type with most cells."""
-    apoptosis = _dying(model.leader, APOPTOSIS)
-    if apoptosis.rate > 0.0:
-        death = model.part("death")
-        death["apoptosis_rate"] = apoptosis.rate / MINUTE
-        death["apoptosis_time"] = _fading(apoptosis.last) * MINUTE
-    if _necrotic(model):
-        _set_necrosis(model)
+    apoptosis, necrosis = (_lead(model, code) for code in (APOPTOSIS, NECROSIS))
+    if apoptosis is not None:
+        death, how = model.part("death"), _dying(apoptosis, APOPTOSIS)
+        death["apoptosis_rate"] = how.rate / MINUTE
+        death["apoptosis_time"] = _fading(how.last) * MINUTE
+        _set_rates(model, APOPTOSIS, how.rate / MINUTE)
+    if necrosis is not None:
+        _set_necrosis(model, necrosis)
+        _set_rates(model, NECROSIS, 0.0)
     if "death" in model.scene:
         model.part("death")["removal_fraction"] = _REMOVED
     for kind in model.kinds:
         _account_for(model, kind)
 
 
-def _necrotic(model: Model) -> bool:
-    """Return whether a rule lets cells become necrotic."""
-    return "necrosis_rate" in model.scene.get("death", {})
+def _lead(model: Model, code: str) -> Kind | None:
+    """Return the type with most cells of those that die in a way, by themselves or by rules."""
+    ruled = {rule.kind for rule in rules_of(model, _NAMES[code], model.kinds) if rule.end > 0.0}
+    dying = [kind for kind in model.kinds if kind in ruled or _dying(kind, code).rate > 0.0]
+    return max(dying, key=lambda kind: kind.count, default=None)
 
 
-def _set_necrosis(model: Model) -> None:
-    necrosis, death = _dying(model.leader, NECROSIS), model.part("death")
-    swelling = _time_to_burst(model.leader, necrosis)
+def _set_rates(model: Model, code: str, usual: float) -> None:
+    def value(kind: Kind, rule: Rule | None) -> float:
+        return (_dying(kind, code).rate if rule is None else rule.end) / MINUTE
+
+    rules = rules_of(model, _NAMES[code], model.kinds)
+    set_behaviour(model, f"{_NAMES[code]} rate", usual, value, model.kinds, rules)
+
+
+def _set_necrosis(model: Model, lead: Kind) -> None:
+    necrosis, death = _dying(lead, NECROSIS), model.part("death")
+    swelling = _time_to_burst(lead, necrosis)
     if swelling is not None:
         death["swelling"] = min(max(necrosis.parameters["relative_rupture_volume"], 1.0), 8.0)
         death["swelling_time"] = swelling * MINUTE
@@ -91,7 +105,7 @@ def _dying(kind: Kind, code: str) -> Dying:
     for tag in parameters:
         one = None if table is None else table.find(tag)
         if one is not None:
-            parameters[tag] = one.number()
+            parameters[tag] = one.number(at_least=0.0)
     last = 516.0 if code == APOPTOSIS else 86400.0
     value = 0.0 if rate is None else rate.number(at_least=0.0)
     return Dying(found, value, parameters, _last(found, code, last))
@@ -154,20 +168,14 @@ def _account_for_rate(model: Model, kind: Kind, one: Element, code: str) -> None
     rate = one.find("death_rate") or one.find("rate")
     if rate is None:
         return
-    leading = _dying(model.leader, code).rate
-    take = model.account.take
-    if code == NECROSIS and rate.number() == 0.0:
-        take(rate, Fate.OFF, note="unless C++ code or a rule sets it")
-    elif code == NECROSIS and kind is model.leader and _necrotic(model):
-        take(rate, Fate.APPROXIMATED, "death.necrosis_rate", "below a threshold, by a rule")
-    elif code == NECROSIS:
-        note = "cells become necrotic where a field falls below a threshold, not at any time"
-        take(rate, Fate.LEFT_OUT, note=note)
-    elif rate.number() == leading:
-        take(rate, Fate.MAPPED if leading else Fate.OFF, "death.apoptosis_rate" if leading else "")
+    if rate.number() == 0.0:
+        note = "unless C++ code or a rule sets it" if code == NECROSIS else ""
+        model.account.take(rate, Fate.OFF, note=note)
     else:
-        note = f"{leading:g}: types share one rate, that of '{model.leader.name}'"
-        take(rate, Fate.APPROXIMATED, "death.apoptosis_rate", note)
+        lead = _lead(model, code)
+        alike = lead is not None and _dying(lead, code).rate == rate.number() and code == APOPTOSIS
+        own = f"responses.{_NAMES[code]}_rate_of_{kind.key}"
+        model.account.take(rate, Fate.MAPPED, "death.apoptosis_rate" if alike else own)
 
 
 _COURSE = {
@@ -178,12 +186,13 @@ _COURSE = {
 
 def _account_for_course(model: Model, kind: Kind, one: Element, code: str) -> None:
     """Account for phases and parameters of a model of death."""
-    if not (_necrotic(model) if code == NECROSIS else _dying(model.leader, code).rate > 0.0):
+    leader = _lead(model, code)
+    if leader is None:
         model.account.take_all([one], Fate.OFF, note="no cell dies in this way")
         return
-    lead, own = _dying(model.leader, code), _dying(kind, code)
+    lead, own = _dying(leader, code), _dying(kind, code)
     same = lead.parameters == own.parameters and lead.last == own.last
-    note = _COURSE[code] if same else f"as in '{model.leader.name}': types share how they die"
+    note = _COURSE[code] if same else f"as in '{leader.name}': types share how they die"
     fades = "death.apoptosis_time" if code == APOPTOSIS else "death.lysis_time"
     keys = {
         "lysed_fluid_change_rate": "death.lysis_time",

@@ -61,7 +61,7 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
         made["height"] = thickness.number()
     _read_transport(model, variable, made)
     start = variable.find("initial_condition")
-    level = 0.0 if start is None else start.number(at_least=0.0)
+    level = 0.0 if start is None or not start.word() else start.number(at_least=0.0)
     made["boundary"] = level * unit
     if start is not None:
         model.account.take(start, Fate.MAPPED, f"nutrients.{key}.boundary")

@@ -17,7 +17,8 @@ def found_file(element: Element, home: Path) -> Path:
 
     PhysiCell runs in the folder above that of its settings, and names count from there. Settings
     may come from anybody: what they name is opened only below the model's folder, links followed.
-    That is the folder above ``config``, and for settings elsewhere their own folder.
+    That is the folder above ``config``, and for settings elsewhere their own folder. Of a path on
+    another machine the end counts: what is there by it below the model's folder.
 
     Parameters
     ----------
@@ -35,6 +36,10 @@ def found_file(element: Element, home: Path) -> Path:
     under = Path("." if folder is None else folder.word() or ".") / name.word()
     home = home.resolve()
     project = home.parent if home.name == _CONFIG else home
+    moved = [project.joinpath(*under.parts[k:]) for k in range(1, len(under.parts))]
+    for place in moved if under.is_absolute() and ".." not in under.parts else ():
+        if _is_below(place, project) and _is_file(place):
+            return place
     if under.is_absolute() or ".." in under.parts:
         problem = f"is '{under}', which is not below the folder of the model, '{project}'"
         raise name.error(problem, "Copy the file there, and name it from there.")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from multicell.cells import stokes_drag
 from multicell.importing.account import Fate
 from multicell.importing.physicell.model import MINUTE, VISCOSITY, Kind, Model
+from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
     from multicell.importing.xml import Element
@@ -56,6 +57,7 @@ def _read_repulsion(model: Model) -> None:
     for kind, value in known.items():
         if mixed and value > 0.0:
             model.of_type(kind, "young", _young(value))
+    _read_stiffness(model, known)
     for kind, element in model.each(path):
         if known[kind] == 0.0:
             note = f"cells repel each other here: as those of '{model.leader.name}'"
@@ -65,6 +67,18 @@ def _read_repulsion(model: Model) -> None:
             model.account.take(element, Fate.APPROXIMATED, f"types.{kind.key}.young", note)
         else:
             model.account.take(element, Fate.MAPPED, "cells.young")
+
+
+def _read_stiffness(model: Model, known: dict[Kind, float]) -> None:
+    """Let rules change how strongly cells repel others."""
+    firm = [kind for kind in model.kinds if known[kind] > 0.0]
+
+    def value(kind: Kind, rule: Rule | None) -> float:
+        return 1.0 if rule is None else rule.end / known[kind]
+
+    rules = [rule for rule in rules_of(model, "cell-cell repulsion", firm) if rule.end > 0.0]
+    note = "the harmonic mean of two cells' strengths, not the geometric one"
+    set_behaviour(model, "Young's modulus", 1.0, value, firm, rules, note)
 
 
 def _range(kind: Kind) -> float:

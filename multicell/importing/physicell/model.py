@@ -12,6 +12,7 @@ from multicell.cells import SPHERE, stokes_drag
 from multicell.importing.account import Account
 
 if TYPE_CHECKING:
+    from multicell.importing.physicell.rules import Rule
     from multicell.importing.physicell.start import Start
     from multicell.importing.xml import Element
 
@@ -44,10 +45,6 @@ class Kind:
         Whether it names that parent.
     count : int
         Cells at the start.
-    entry : float or None
-        Rate of leaving the first phase where a rule lets a substance decide on it, 1/min.
-    limited : bool
-        Whether a rule lets a substance slow the cycle.
     """
 
     name: str
@@ -57,8 +54,6 @@ class Kind:
     parent: Kind | None
     declared: bool
     count: int = 0
-    entry: float | None = None
-    limited: bool = False
 
     def own(self, path: str) -> Element | None:
         """Return an element of its own phenotype, or None."""
@@ -113,6 +108,10 @@ class Model:
         mM for one unit of a substance, by its name.
     top : dict
         The highest concentration of a substance that the settings name, in its own unit.
+    rules : list of Rule
+        Those that are read, with what becomes of each.
+    needs : field -> fields
+        On which its uptake and secretion depend by rules.
     cells : Start or None
         The cells at the start, once they are read.
     """
@@ -124,6 +123,8 @@ class Model:
     fields: dict[str, str] = field(default_factory=dict)
     unit: dict[str, float] = field(default_factory=dict)
     top: dict[str, float] = field(default_factory=dict)
+    rules: list[Rule] = field(default_factory=list)
+    needs: dict[str, set[str]] = field(default_factory=dict)
     cells: Start | None = None
 
     @property

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 
 from multicell.importing.account import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
+from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
     from multicell.importing.xml import Element
@@ -19,28 +20,44 @@ _STEEP = 1e-9
 @final
 @dataclass(frozen=True)
 class Migration:
-    """Motion of a type: µm/min, min, and the signed share of its speed along each gradient."""
+    """Motion of a type: µm/min, min, and the signed share of its speed along each gradient.
+
+    ``fastest`` is the largest speed that rules give it.
+    """
 
     speed: float
+    fastest: float
     persistence: float
     bias: float
     along: tuple[tuple[str, float], ...]
     summed: bool
 
     @property
-    def pattern(self) -> tuple[object, ...]:
-        """What must be alike for types that differ in speed only."""
-        return self.persistence, self.bias if self.along else 0.0, self.along
+    def field(self) -> str:
+        """The one substance that it moves along; empty where there is none, or several."""
+        return self.along[0][0] if len(self.along) == 1 else ""
+
+    def pattern(self, lead: Migration) -> bool:
+        """Return whether responses can let a type of this migration move in the pattern of one."""
+        biased = self.bias if self.along else 0.0
+        same = self.persistence == lead.persistence
+        if len(lead.along) < 2 and len(self.along) < 2:
+            return same and (not biased or self.field == lead.field)
+        return same and self.along == lead.along and self.bias == lead.bias
 
 
 def read_motility(model: Model) -> None:
     """Read ``motility`` of all types; to be called when the substances are known."""
     moving = {kind: _migration(model, kind) for kind in model.kinds if _moves(kind)}
-    moving = {kind: how for kind, how in moving.items() if how.speed > 0.0}
-    # the pattern of most cells, at the largest speed that any of them has
-    lead = max(moving, key=lambda kind: (kind.count, moving[kind].speed), default=None)
+    moving = {kind: how for kind, how in moving.items() if how.fastest > 0.0}
+    # the pattern of most cells that follow something, at the largest speed that any of them has
+    lead = max(
+        moving, key=lambda k: (bool(moving[k].along) and k.count > 0, k.count, moving[k].fastest),
+        default=None,
+    )  # fmt: skip
     if lead is not None:
         _set_scene(model, lead, moving)
+        _set_speeds(model, moving)
     for kind in model.kinds:
         if kind.own("motility") is not None:
             _account_for(model, kind, moving.get(kind), moving[lead] if lead else None)
@@ -54,8 +71,10 @@ def _moves(kind: Kind) -> bool:
 def _migration(model: Model, kind: Kind) -> Migration:
     along, summed = _directions(model, kind)
     bias = kind.number_of("motility/migration_bias", 0.0, at_least=0.0, at_most=1.0)
+    speed = kind.number_of("motility/speed", 1.0)
+    ends = [rule.end for rule in rules_of(model, "migration speed", [kind])]
     return Migration(
-        kind.number_of("motility/speed", 1.0), kind.number_of("motility/persistence_time", 1.0),
+        speed, max(speed, *ends, 0.0), kind.number_of("motility/persistence_time", 1.0),
         bias, tuple(along), summed,
     )  # fmt: skip
 
@@ -92,16 +111,17 @@ def _directions(model: Model, kind: Kind) -> tuple[list[tuple[str, float]], bool
 
 
 def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
-    how, fastest = moving[lead], max(moving, key=lambda kind: moving[kind].speed * kind.drag)
-    force = moving[fastest].speed * fastest.drag / MINUTE
-    bias = how.bias if how.along else 0.0
+    how, fastest = moving[lead], max(moving, key=lambda kind: moving[kind].fastest * kind.drag)
+    force = moving[fastest].fastest * fastest.drag / MINUTE
+    bias = _largest_bias(model, how, moving)
     motility = model.part("motility")
     motility.update(force=force, persistence=max(how.persistence * MINUTE, _step(model)))
     # below the step of mechanics PhysiCell takes a new direction in every step
     motility["renewal"] = "random" if how.persistence * MINUTE >= _step(model) else "regular"
-    if bias > 0.0 and len(how.along) == 1:
-        name, share = how.along[0]
-        motility.update(bias=math.copysign(bias, share), towards=model.fields[name])
+    if bias > 0.0 and how.field:
+        bias = math.copysign(bias, how.along[0][1])
+        motility.update(bias=bias, towards=model.fields[how.field])
+        _set_biases(model, how, moving)
     elif bias > 0.0:
         motility["force"] = force * (1.0 - bias)
         for name, share in how.along:
@@ -111,11 +131,42 @@ def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
                 "half": max(_STEEP * level, 1e-15),
             }
     for kind in model.kinds:
-        own = moving[kind].speed * kind.drag / MINUTE if kind in moving else 0.0
+        own = moving[kind].fastest * kind.drag / MINUTE if kind in moving else 0.0
         model.of_type(kind, "motility_scale", own / force)
     # forces are held in a coupling step
     shortest = min(max(moving[kind].persistence * MINUTE, _step(model)) for kind in moving)
     model.scene["coupling_step"] = min(model.scene["coupling_step"], shortest)
+
+
+def _set_speeds(model: Model, moving: dict[Kind, Migration]) -> None:
+    def value(kind: Kind, rule: Rule | None) -> float:
+        how = moving[kind]
+        return max(how.speed if rule is None else rule.end, 0.0) / how.fastest
+
+    set_behaviour(model, "speed", 1.0, value, moving, rules_of(model, "migration speed", moving))
+
+
+def _largest_bias(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> float:
+    """Return the largest bias of types and rules along one substance, or that along several."""
+    if not lead.field:
+        return lead.bias if lead.along else 0.0
+    along = {kind: how.bias for kind, how in moving.items() if how.field == lead.field}
+    ends = [rule.end for rule in rules_of(model, "migration bias", along)]
+    return min(max([*along.values(), *ends]), 1.0)
+
+
+def _set_biases(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> None:
+    """Set biases along the gradient of one substance; against it they are negative."""
+    signs = {
+        kind: how.along[0][1] if how.field == lead.field else 0.0 for kind, how in moving.items()
+    }
+
+    def value(kind: Kind, rule: Rule | None) -> float:
+        return signs[kind] * (moving[kind].bias if rule is None else min(max(rule.end, 0.0), 1.0))
+
+    turning = [kind for kind in moving if signs[kind]]
+    rules = rules_of(model, "migration bias", turning)
+    set_behaviour(model, "bias", model.part("motility")["bias"], value, moving, rules)
 
 
 def _step(model: Model) -> float:
@@ -133,8 +184,8 @@ def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migratio
     if how is None or lead is None:
         model.account.take_all([table], Fate.OFF)
         return
-    same = how.pattern == lead.pattern
-    other = "" if same else "types share one pattern, that of the type with most moving cells"
+    same = how.pattern(lead)
+    other = "" if same else "types share one persistence and one gradient, those of the most cells"
     size = f"a force that gives a cell of {kind.volume:g} um^3 this speed"
     fate = Fate.MAPPED if same else Fate.APPROXIMATED
     _take(model, table, "speed", Fate.APPROXIMATED, "motility.force", size)

@@ -17,7 +17,7 @@ from multicell.importing.physicell.mechanics import read_mechanics
 from multicell.importing.physicell.model import Model
 from multicell.importing.physicell.motility import read_motility
 from multicell.importing.physicell.others import read_others
-from multicell.importing.physicell.rules import read_rules
+from multicell.importing.physicell.rules import account_for_rules, read_rules
 from multicell.importing.physicell.secretion import read_secretion
 from multicell.importing.physicell.start import read_start
 from multicell.importing.xml import read_xml
@@ -105,4 +105,5 @@ def _read(root: Element, source: Path) -> Model:
     run.account_for_voxels(model)
     read_secretion(model)
     read_others(model)
+    account_for_rules(model)
     return model

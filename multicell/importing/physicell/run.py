@@ -180,7 +180,7 @@ def _read_options(model: Model) -> None:
 
 
 def _read_seed(model: Model, seed: Element) -> None:
-    word = seed.word()
+    word = seed.word().removesuffix(".0")
     if word.isdecimal() and int(word) < 2**63:
         model.scene["seed"] = int(word)
         note = "the same seed gives other random numbers than in PhysiCell"

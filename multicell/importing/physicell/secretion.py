@@ -8,11 +8,13 @@ U are rate and target of secretion and the rate of uptake, E the net export. Her
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from multicell.importing.account import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
+from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
     from multicell.importing.xml import Element
@@ -32,6 +34,13 @@ class Exchange:
     target: float
     uptake: float
     export: float
+
+    def under(self, name: str, rule: Rule | None) -> Exchange:
+        """Return the exchange of a substance at the saturation of a rule."""
+        if rule is None:
+            return self
+        what = rule.behaviour.removeprefix(f"{name} ")
+        return replace(self, **{what.removeprefix("secretion "): max(rule.end, 0.0)})
 
     def given_off(self, volume: float) -> float:
         """Return what it gives off whatever there is, unit µm³ / min."""
@@ -71,7 +80,7 @@ def _exchange(kind: Kind, name: str) -> Exchange:
     def number(tag: str) -> float:
         one = None if found is None else found.find(tag)
         least = None if tag == "net_export_rate" else 0.0
-        return 0.0 if one is None else one.number(at_least=least)
+        return 0.0 if one is None or not one.word() else one.number(at_least=least)
 
     return Exchange(
         number("secretion_rate"), number("secretion_target"), number("uptake_rate"),
@@ -83,18 +92,78 @@ def _set_field(model: Model, name: str, known: dict[Kind, Exchange]) -> None:
     key, unit = model.fields[name], model.unit[name]
     made = model.part("nutrients", key)
     top = max([model.top[name], *(x.target for x in known.values() if x.secretion > 0.0)])
-    fastest = max(x.taken_up for x in known.values())
+    rules = _rules(model, name)
+
+    def takes(kind: Kind, rule: Rule | None) -> float:
+        return known[kind].under(name, rule).taken_up
+
+    def gives(kind: Kind, rule: Rule | None) -> float:
+        return known[kind].under(name, rule).given_off(kind.volume)
+
+    def largest(kind: Kind, of: Callable[[Kind, Rule | None], float]) -> float:
+        return max(of(kind, rule) for rule in (None, *rules) if rule is None or rule.kind is kind)
+
+    limits = {kind: largest(kind, takes) for kind in known}
+    fastest = max(limits.values())
     if fastest > 0.0:
         half = min(max(_FAR * top * unit, _FAR * 1e-6), _MAX_HALF)
         del made["uptake"]
         made["half_saturation"] = half
         made["uptake_per_volume"] = fastest / MINUTE * half
-        _by_type(model, "uptake_of", key, {k: x.taken_up / fastest for k, x in known.items()})
-    given = {kind: x.given_off(kind.volume) for kind, x in known.items()}
+        _by_type(model, "uptake_of", key, {k: x / fastest for k, x in limits.items()})
+        own = [rule for rule in rules if rule.behaviour == f"{name} uptake"]
+        for rule in rules:
+            if rule.behaviour == f"{name} secretion":
+                if any(rule.kind is other.kind for other in own):
+                    rule.note += "; what is given off only, beside rules of uptake"
+                else:
+                    own.append(rule)
+        _respond(model, f"uptake of {key}", takes, limits, own)
+    given = {kind: largest(kind, gives) for kind in known}
     most = max(given.values())
     if most > 0.0:
         made["secretion"] = most * unit / MINUTE
         _by_type(model, "secretion_of", key, {kind: x / most for kind, x in given.items()})
+        others = [rule for rule in rules if rule.behaviour != f"{name} uptake"]
+        _respond(model, f"secretion of {key}", gives, given, others)
+
+
+def _respond(
+    model: Model,
+    behaviour: str,
+    of: Callable[[Kind, Rule | None], float],
+    limits: dict[Kind, float],
+    rules: list[Rule],
+) -> None:
+    """Let types do a part of what they do at most."""
+
+    def value(kind: Kind, rule: Rule | None) -> float:
+        return of(kind, rule) / limits[kind]
+
+    set_behaviour(model, behaviour, 1.0, value, [k for k in limits if limits[k] > 0.0],
+                  [rule for rule in rules if rule.kind and limits[rule.kind] > 0.0])  # fmt: skip
+
+
+def _rules(model: Model, name: str) -> list[Rule]:
+    """Return the rules of a substance that fields, which are solved one by one, can follow."""
+    found, key = [], model.fields[name]
+    for what in ("uptake", "secretion", "secretion target", "export"):
+        for rule in rules_of(model, f"{name} {what}", model.kinds):
+            assert rule.level is not None
+            signal = rule.level[0]
+            if signal in model.fields.values() and not _leads(model, signal, key):
+                model.needs.setdefault(key, set()).add(signal)
+                found.append(rule)
+            elif signal == "volume":
+                found.append(rule)
+            else:
+                rule.note = "fields respond to volumes, and to others that do not depend on them"
+    return found
+
+
+def _leads(model: Model, field: str, to: str) -> bool:
+    """Return whether a field is another one, or depends on it by rules."""
+    return field == to or any(_leads(model, one, to) for one in model.needs.get(field, ()))
 
 
 def _by_type(model: Model, table: str, key: str, factors: dict[Kind, float]) -> None:

@@ -103,6 +103,9 @@ def _from_table(model: Model, path: Path) -> Start:
     labels = None if _number(rows[0][1][0]) is not None else [w.lower() for w in rows.pop(0)[1]]
     if labels is not None:
         _check_labels(path, labels)
+    if not rows:
+        model.account.add(path.name, "", Fate.OFF, "", "has no cells: as if there were no table")
+        return _without_table(model)
     found = [_cell(model, path, n, row, labels) for n, row in rows]
     _account_for_columns(model, path, rows, labels)
     cells = [cell for cell in found if cell is not None]
