@@ -29,9 +29,10 @@ import numpy as np
 from defaults_tables import candidate_table, default_table
 
 import multicell as mc
-from multicell.comparison.files import Row, to_csv
+from multicell.comparison.files import Row
 from multicell.errors import MulticellError
 from multicell.integrators import registry
+from multicell.tables.text import table_text
 
 HERE = Path(__file__).parent
 RICH = str(HERE / "rich-medium.toml")
@@ -156,7 +157,7 @@ def kept(folder: Path) -> list[Row]:
 def keep(path: Path, rows: Sequence[Row]) -> None:
     """Append rows to a table."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = to_csv([{**row, "cpu_s": float(f"{row['cpu_s']:.4g}")} for row in rows])
+    text = table_text([{**row, "cpu_s": float(f"{row['cpu_s']:.4g}")} for row in rows])
     if path.exists():
         text = text.partition("\n")[2]
     with path.open("a", encoding="utf-8", newline="") as file:
@@ -168,7 +169,7 @@ def merge(folder: Path) -> list[Row]:
     rows = kept(folder)
     if rows:
         partial = folder / f"{NAME}.part"
-        partial.write_text(to_csv(rows), encoding="utf-8")
+        partial.write_text(table_text(rows), encoding="utf-8")
         partial.replace(folder / f"{NAME}.csv")
         for path in folder.glob(f"{NAME}.*-of-*.csv"):
             path.unlink()

@@ -30,8 +30,9 @@ from phase_problems import ACCURACIES, STATES, Solved, solved
 from phase_race import REACHED, SLOW, not_tried, race, warm_up
 from phase_tables import Point, crossings_table, points, points_table
 
-from multicell.comparison.files import Row, to_csv
+from multicell.comparison.files import Row
 from multicell.comparison.ladders import Method, find_method
+from multicell.tables.text import table_text
 
 HERE = Path(__file__).parent
 NAME = "phase-diagram"
@@ -165,7 +166,7 @@ def _order(key: tuple[object, ...]) -> tuple[object, ...]:
 def keep(path: Path, rows: Sequence[Row]) -> None:
     """Append rows to a table."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = to_csv([{n: _short(v) for n, v in row.items()} for row in rows])
+    text = table_text([{n: _short(v) for n, v in row.items()} for row in rows])
     if path.exists():
         text = text.partition("\n")[2]
     with path.open("a", encoding="utf-8", newline="") as file:
@@ -182,7 +183,7 @@ def merge(folder: Path) -> list[Row]:
     if rows:
         whole = folder / f"{NAME}.csv"
         partial = whole.with_suffix(".part")
-        partial.write_text(to_csv([{n: _short(v) for n, v in r.items()} for r in rows]))
+        partial.write_text(table_text([{n: _short(v) for n, v in r.items()} for r in rows]))
         partial.replace(whole)
         for path in folder.glob(f"{NAME}.*-of-*.csv"):
             path.unlink()

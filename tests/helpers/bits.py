@@ -32,7 +32,7 @@ PHYSICS = {
     "slack": ("growth", {"initial.count": 150, "initial.stage": "uniform", "duration": "100 min",
                          "growth.phases": PHASES, "growth.division": "smooth"}),
     "plane": ("settle", {**TISSUE, "dimensions": 2}),
-    "walls": ("settle", {**TISSUE, "domain": {axis: [-28, 28] for axis in "xyz"}}),
+    "walls": ("settle", {**TISSUE, "domain": {axis: [-22, 22] for axis in "xyz"}}),
     "driven": ("settle", {**TISSUE, "friction": {},
                           "motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}},
                           "forces": {"f": {"cells": [2], "force": [0.1, 0, 0]}}}),

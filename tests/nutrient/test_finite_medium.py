@@ -181,7 +181,7 @@ def test_what_a_change_leaves_and_brings():
 PLACES = {
     "half a millimetre's well": {
         "domain": WELL,
-        "nutrients.glucose.spacing": 25.0,
+        "nutrients.glucose.spacing": 20.0,
         "coupling_step": "40 min",
     },
     "cubes that follow": {"growth": {"cycle_time": "8 h"}},

@@ -19,6 +19,7 @@ from multicell.report.wording import clock
 NAMES = (
     "base.html", "parts.html", "run.html", "compare.html", "stability.html",
     "style.css", "viewer.html", "study.html", "sensitivity.html", "fit.html",
+    "dose_response.html",
 )  # fmt: skip
 
 

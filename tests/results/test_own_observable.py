@@ -242,8 +242,11 @@ WALLED = {
 }
 PULLED = {"duration": "1 min", "coupling_step": "10 s", "initial": {"count": 2, "spacing": 0.95},
           "pull": {"force": 1.0, "rate": 0.01}}  # fmt: skip
+HIT = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9}, "growth": {},
+       "radiation": {"course": {"dose": "2 Gy", "times": ["10 min"], "alpha": "0.3 1/Gy",
+                                "mitotic_divisions": 1}}}  # fmt: skip
 FURTHER = {**dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
-           "pull": PULLED}  # fmt: skip
+           "pull": PULLED, "clonogens": HIT, "doomed": HIT}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [o.name for o in OBSERVABLES if o.measure is not None])
