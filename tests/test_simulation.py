@@ -237,7 +237,8 @@ def test_public_names():
         "Reaction", "reaction", "response", "FieldEquation", "FieldProblem",
         "ImplicitFieldSolver", "Schedule", "SteadyFieldSolver", "Substance",
         "field_problem", "Study", "study", "load_study", "Sensitivity", "sensitivity", "Fit", "fit",
-        "growth_law", "DoseResponse", "dose_response", "Observable", "observable", "load_observable",
+        "DoseResponse", "dose_response", "growth_law", "Observable",
+        "observable", "load_observable",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
