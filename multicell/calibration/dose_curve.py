@@ -192,6 +192,9 @@ def fit_curve(
         (fit(viability, start, 1e-10) for start in starts), key=lambda found: found[1]
     )
     parameters = np.array(_decoded(coded, signed))
+    start = coded.copy()
+    if not signed:  # the bottom is a square: where it is zero, the search could not leave it
+        start[2] = max(abs(float(start[2])), 0.05)
     freedom = len(doses) - 4  # with a fixed top the control is no datum
     if draws is None and freedom > 0:
         sigma = math.sqrt(cost / freedom) * means[0] / weights
@@ -200,7 +203,7 @@ def fit_curve(
     found = np.full((0 if draws is None else len(draws), 4), np.nan)
     for row, drawn in enumerate(() if draws is None else draws):
         if drawn[0] > 0.0:
-            found[row] = _decoded(fit(drawn / drawn[0], coded, 1e-5)[0], signed)
+            found[row] = _decoded(fit(drawn / drawn[0], start, 1e-5)[0], signed)
     low, high = float(doses[1]), float(doses[-1])
     half = dose_at(0.5, parameters), dose_at(0.5, found)
     centre = np.exp(parameters[2]), np.exp(found[:, 2])

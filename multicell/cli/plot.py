@@ -35,8 +35,8 @@ _OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": 
     "--colour",
     "--color",
     metavar="NAME",
-    help="Of the cells in a section or in space: state, type, phase, clone, a quantity such as "
-    "pressure, radius or age, or the name of a field.",
+    help="Of the cells in a section or in space: state, type, phase, clone, doomed, a quantity "
+    "such as pressure, radius or age, or the name of a field.",
 )
 @shared.cut_option
 @click.option(

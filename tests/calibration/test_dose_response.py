@@ -91,6 +91,26 @@ def test_what_seeds_share_is_no_noise():
     assert apart.ic50.high / apart.ic50.low > 1.5
 
 
+def test_a_bottom_at_zero_leaves_intervals_their_width():
+    """Each resampled fit is as good as SciPy's with bounds, where the best bottom is zero."""
+    doses = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0])
+    values = hill(doses, np.array([-0.04, 1.0, 0.0, 2.0]))[:, None]
+    values = values * np.random.default_rng(2).normal(1.0, 0.05, (6, 3))
+    found = curve(values, doses, resamples=40)
+    assert found.bottom.value == pytest.approx(0.0, abs=1e-6)
+
+    def model(d, bottom, place, slope):
+        return hill(d, np.array([bottom, 1.0, place, slope]))
+
+    draws = draw_means(values, True, 40, 0)
+    for drawn, got in zip(draws / draws[:, :1], found.draws, strict=True):
+        best, _ = curve_fit(model, doses, drawn, [0.05, 0.0, 2.0],
+                            bounds=([0.0, -9.0, 0.1], [2.0, 9.0, 20.0]))  # fmt: skip
+        costs = [((model(doses, *p) - drawn) ** 2).sum() for p in (got[[0, 2, 3]], best)]
+        assert costs[0] < costs[1] + 1e-5
+    assert found.ic50.high / found.ic50.low > 1.02
+
+
 def test_half_beyond_the_doses_is_not_told():
     weak = curve(hill(DOSES, np.array([0.0, 1.0, math.log(200.0), 2.0]))[:, None].repeat(3, 1))
     assert math.isnan(weak.ic50.value)

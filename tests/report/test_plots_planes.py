@@ -76,11 +76,23 @@ def test_colours_follow_a_quantity_and_leave_out_the_rarest(run):
     assert "Pressure (kPa)" in text
 
 
-@pytest.mark.parametrize("name", ["state", "type", "phase", "clone", "radius", "volume", "oxygen"])
+@pytest.mark.parametrize(
+    "name", ["state", "type", "phase", "clone", "doomed", "radius", "volume", "oxygen"]
+)
 def test_everything_that_cells_have_can_be_shown(run, name, tmp_path):
     assert name in colourings(run.frames[-1])
     save(run.plot.section(colour=name), tmp_path / "section.png")
     assert (tmp_path / "section.png").stat().st_size > 20_000
+
+
+def test_irradiated_cells_are_coloured_by_their_fate(run):
+    cells = run.frames[-1].cells.copy()
+    cells.doomed[:3] = 2, 1, 1
+    cells.state[2:4] = State.APOPTOTIC, State.NECROTIC
+    shade = colouring(Frame(0.0, 0, cells), run.scene, "doomed", {})
+    assert list(shade.palette) == ["clonogenic", "doomed", "dead"]
+    assert shade.group[:4].tolist() == [1, 1, 2, 2]
+    assert not shade.group[4:].any()
 
 
 def test_clones_are_what_descends_from_one_cell(run):

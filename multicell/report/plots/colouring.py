@@ -1,4 +1,4 @@
-"""What the colour of a cell says: its state, type, phase or clone, or the value of a quantity."""
+"""What the colour of a cell says: its state or another group, or the value of a quantity."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from multicell.results.frame import Frame
     from multicell.scene.scene import Scene
 
-_GROUPS: Final = ("state", "type", "phase", "clone")
-_NO_COLOUR: Final = ("id", "parent", "position", "kind", "state", "phase")
+GROUPS: Final = ("state", "type", "phase", "clone", "doomed")
+_NO_COLOUR: Final = ("id", "parent", "position", "kind", "state", "phase", "doomed")
 _MIN_FOUNDERS: Final = 8  # clones into which the descendants of a single cell are parted
 _MAX_NAMED_CLONES: Final = 12  # more than these are coloured, not listed
 _NO_VALUE: Final = "#d5dbe0"  # of a cell without a value
@@ -58,7 +58,7 @@ SCALE: Final = "viridis"  # of quantities: even in lightness and for any colour 
 def colourings(frame: Frame) -> list[str]:
     """Return the names of all that cells of a frame can be coloured by."""
     columns = [name for name in Cells.schema() if name not in _NO_COLOUR]
-    return [*_GROUPS, *columns, "volume", *frame.concentrations]
+    return [*GROUPS, *columns, "volume", *frame.concentrations]
 
 
 def colouring(
@@ -88,6 +88,10 @@ def colouring(
         return _by_group("phase", frame.cells.phase, type_colours(NAMED["phase"]))
     if name == "clone":
         return _by_clone(frame.cells, lineage)
+    if name == "doomed":
+        group = np.where(frame.cells.dead, 2, frame.cells.doomed > 0)
+        colours = type_colours(("clonogenic", "doomed"))
+        return _by_group("irradiation", group, {**colours, "dead": COLOURS["necrotic"]})
     known = colourings(frame)
     if name not in known:
         hint = near_miss(name, known)

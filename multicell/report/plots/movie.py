@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
-from multicell.report.plots.colouring import colourings, limits_of, quantity
+from multicell.report.plots.colouring import GROUPS, colourings, limits_of, quantity
 from multicell.report.plots.plane import Plane
 from multicell.report.plots.section import section, window
 from multicell.report.plots.space import film_picture, room
@@ -35,7 +35,6 @@ TURN: Final = 90.0
 """Degrees between the outermost places of an eye that swings round cells in space."""
 _DPI: Final = 80  # 800 x 500 pixels
 _REST: Final = 1.5  # s for which a film continues after the last frame
-_GROUPS: Final = (None, "state", "type", "phase", "clone")
 
 
 def movie(
@@ -143,7 +142,7 @@ def _in_space(
 
 def _limits(result: Result, numbers: list[int], colour: str | None) -> tuple[float, float] | None:
     """Return one range of colours for all frames, or None where groups are shown."""
-    if colour in _GROUPS:
+    if colour is None or colour in GROUPS:
         return None
     frames: list[Frame] = [result.frames[k] for k in numbers]
     known = colourings(frames[0])

@@ -54,7 +54,7 @@ def profiles(frame: Frame, scene: Scene) -> Figure:
 
 def _two_panels(figure: Figure, frame: Frame, profile: RadialProfile, scene: Scene) -> None:
     """Draw one field, or the pressure, above the states or types."""
-    grid = figure.add_gridspec(2, 1, left=0.09, right=0.77, top=0.82, bottom=0.11, hspace=0.32)
+    grid = figure.add_gridspec(2, 1, left=0.115, right=0.77, top=0.82, bottom=0.11, hspace=0.32)
     upper = figure.add_subplot(grid[0])
     lower = figure.add_subplot(grid[1], sharex=upper)
     for name in profile.concentrations:
