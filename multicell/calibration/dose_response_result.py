@@ -81,7 +81,7 @@ class DoseResponse:
 
         return draw(self)
 
-    def tocsv_text(self) -> str:
+    def to_csv(self) -> str:
         """Return the table as CSV, which :func:`multicell.dose_response` reads as data."""
         names = DOSES[len(self.curves)]
         units = {n: f"{n} / {c.unit}" for n, c in zip(names, self.curves, strict=True) if c.unit}
@@ -135,14 +135,24 @@ class DoseResponse:
         """
         from multicell.calibration.dose_response_page import write_report
 
+        return write_report(self, self.write_tables(folder))
+
+    def write_tables(self, folder: str | Path | None = None) -> Path:
+        """Write ``dose_response.csv`` and ``.json``, and ``combination.csv``; return the folder.
+
+        Raises
+        ------
+        OutputError
+            As :meth:`report`.
+        """
         place = self.folder if folder is None else Path(folder)
         if place is None:
             raise OutputError("there is no output folder: say where the report shall go")
         with file_errors("use the output folder", place):
             place.mkdir(parents=True, exist_ok=True)
-        write_text(place / "dose_response.csv", self.tocsv_text())
+        write_text(place / "dose_response.csv", self.to_csv())
         write_text(place / "dose_response.json", self.to_json())
         if self.combination:
             rows = (row.values() for row in self.combination)
             write_text(place / "combination.csv", csv_text(self.combination[0], rows))
-        return write_report(self, place)
+        return place

@@ -132,6 +132,8 @@ def dose_response(
             )
         result = _carry_out(plan, output, options, quiet, quiet or as_json, **how)
     page = None if no_report else result.report()
+    if no_report:
+        result.write_tables()
     if as_json:
         print_json(result.to_dict())
     elif not quiet:

@@ -187,7 +187,7 @@ def test_the_table_that_is_written_is_read_as_data(tmp_path):
     table = {"dose / uM": DOSES.repeat(3), "response": values.ravel(),
              "replicate": np.tile([1, 2, 3], len(DOSES))}  # fmt: skip
     first = mc.dose_response(data=table, output=tmp_path, report=False)
-    (tmp_path / "again.csv").write_text(first.tocsv_text())
+    (tmp_path / "again.csv").write_text(first.to_csv())
     again = mc.dose_response(data=tmp_path / "again.csv")
     assert again.ic50 == first.ic50
     assert again.curve.unit == "uM"
@@ -314,8 +314,12 @@ def test_a_study_through_the_command(tmp_path, here):
     assert "drug boundary" in html
     study = mc.load_study(out)
     assert {state.state for state in study.status()} == {"done"}
-    # nothing is computed twice
+    # nothing is computed twice, and the tables are written without a page too
+    for name in ("report.html", "dose_response.csv", "dose_response.json"):
+        (out / name).unlink()
     words = CliRunner().invoke(main, [*asked, "--no-report"]).output
+    assert [(out / f"dose_response.{end}").exists() for end in ("csv", "json")] == [True, True]
+    assert not (out / "report.html").exists()
     assert "living cells over drug boundary (uM)" in words
     assert len(here) == 10
 
@@ -339,14 +343,14 @@ def test_a_run_that_fails_is_told_and_left_out(tmp_path, monkeypatch):
     assert math.isnan(row["viability"])
     assert len(found.table) == 15
     assert "NaN" not in found.to_json()
-    (tmp_path / "again.csv").write_text(found.tocsv_text())
+    (tmp_path / "again.csv").write_text(found.to_csv())
     again = mc.dose_response(data=tmp_path / "again.csv")
     assert again.curve.viability == pytest.approx(found.curve.viability)
 
 
 def test_the_command_of_measured_data(tmp_path):
     table = mc.dose_response(data=grid(lambda a, b: hill(a + b, ONE), 0.02))
-    (tmp_path / "data.csv").write_text(table.tocsv_text())
+    (tmp_path / "data.csv").write_text(table.to_csv())
     out = tmp_path / "out"
     done = CliRunner().invoke(
         main, ["dose-response", "--data", str(tmp_path / "data.csv"), "-o", str(out)]
