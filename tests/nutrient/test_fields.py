@@ -286,15 +286,14 @@ def test_what_cells_put_in_is_there_and_frames_restore_it(k):
 
 def test_uptakes_that_depend_on_each_other_are_those_of_two_coupled_equations():
     """A ball in its layer against SciPy's boundary value problem."""
-    radius, layer, medium = 370.0, 75.0, np.array([0.2, 5.5])
-    scene = mc.load_scene("emt6-rim").with_changes({
-        "energy.necrosis": None, "energy.quiescence": 1e-9, "death": None,
-        "nutrients.glucose.uptake_on": {"oxygen": {"effect": 2.0, "half": "0.03 mM"}},
-    })  # fmt: skip
+    radius, medium = 370.0, np.array([0.2, 5.5])
+    scene = mc.load_scene("emt6-rim").with_changes(
+        {"energy.necrosis": None, "energy.quiescence": 1e-9, "nutrients.lactate": None}
+    )
     simulation = mc.Simulation(scene, threads=1)
     cells, found = simulation.cells, simulation.concentrations
     o, g = scene.nutrients["oxygen"], scene.nutrients["glucose"]
-    e = o.uptake_on["glucose"]
+    e, f, layer = o.uptake_on["glucose"], g.uptake_on["oxygen"], o.layer
     share = float(cells.volume.sum()) / (4.0 / 3.0 * np.pi * radius**3)
     inside, outside = (np.array([getattr(x, k) for x in (o, g)])
                        for k in ("diffusion", "diffusion_medium"))  # fmt: skip
@@ -305,7 +304,7 @@ def test_uptakes_that_depend_on_each_other_are_those_of_two_coupled_equations():
         taken = np.array([
             o.uptake_per_volume * (1 + e.effect * e.half / (e.half + c[1]))
             * c[0] / (o.half_saturation + c[0]),
-            g.uptake_per_volume * (1 + 2.0 * 0.03 / (0.03 + c[0]))
+            g.uptake_per_volume * (1 + f.effect * f.half / (f.half + c[0]))
             * c[1] / (g.half_saturation + c[1]),
         ])  # fmt: skip
         return np.concatenate([y[2:], share * taken / inside[:, None] - 2.0 * y[2:] / r])
