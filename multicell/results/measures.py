@@ -80,7 +80,7 @@ def _hypoxic_radius(state: TissueState, field: str) -> float:
 
 
 OBSERVABLES: Final = (
-    Observable("cells", lambda s: len(s.cells), shown="{:,}".format),
+    Observable("cells", lambda s: len(s.cells), shown="{:,}".format, counts=True),
     Observable(
         "diameter",
         lambda s: of.diameter(s.cells, s.dimensions, s.extent),
@@ -120,7 +120,7 @@ OBSERVABLES: Final = (
         unit="kPa",
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
     ),
-    *(Observable(name, _count_in(name), entry=f"states.{name}") for name in _STATES),
+    *(Observable(name, _count_in(name), entry=f"states.{name}", counts=True) for name in _STATES),
     Observable(
         "clonogens",
         lambda s: int((~s.cells.dead & (s.cells.doomed == 0)).sum()),
@@ -128,6 +128,7 @@ OBSERVABLES: Final = (
         shown="{:,}".format,
         doc="living cells that are not doomed; over those before irradiation, without growth, the "
         "surviving fraction; only with `radiation`",
+        counts=True,
     ),
     Observable(
         "doomed",
@@ -135,6 +136,7 @@ OBSERVABLES: Final = (
         exists=lambda scene: scene.radiation,
         doc="living cells that irradiation lets die at one of their next divisions; only with "
         "`radiation`",
+        counts=True,
     ),
     Observable(
         "volume_fraction",
@@ -177,8 +179,15 @@ OBSERVABLES: Final = (
         shown=lambda n: f"{n:,} cell{'' if n == 1 else 's'}",
         shown_if_zero=False,
         doc="number of living cells in which `pressure_factor` is 1/2 or less",
+        counts=True,
     ),
-    Observable("contacts", lambda s: len(s.frame.contacts), exists=counts_contacts, entry=None),
+    Observable(
+        "contacts",
+        lambda s: len(s.frame.contacts),
+        exists=counts_contacts,
+        entry=None,
+        counts=True,
+    ),
     Observable(
         "heterotypic_fraction",
         lambda s: of.heterotypic_fraction(s.cells, s.frame.contacts),
@@ -204,6 +213,7 @@ OBSERVABLES: Final = (
         exists=lambda scene: list(scene.types) if _has_types(scene) else [],
         entry="living.*",
         doc="number of living cells of a type, where there are several",
+        counts=True,
     ),
     Observable("pull", _load, unit="nN", exists=_is_pulled, entry=None),
     # found by the coupling step
