@@ -26,6 +26,10 @@ _LEDGER: Final = (
 )  # fmt: skip
 
 
+def _has_phases(scene: Scene) -> bool:
+    return scene.growth is not None and bool(scene.growth.phases)
+
+
 def _has_types(scene: Scene) -> bool:
     return len(scene.types) > 1
 
@@ -88,6 +92,7 @@ OBSERVABLES: Final = (
         shown="{:.0f} µm".format,
         doc="2 R",
     ),
+    Observable("radius", lambda s: s.extent.radius(), unit="um", doc="R"),
     Observable(
         "viable_rim",
         lambda s: of.viable_rim(s.cells, s.dimensions, s.extent),
@@ -104,6 +109,31 @@ OBSERVABLES: Final = (
         shown="{:.0f} µm".format,
         shown_if_zero=False,
         doc="the same formula over necrotic cells about the common centre; 0 without any",
+    ),
+    Observable(
+        "necrotic_ratio",
+        lambda s: of.necrotic_radius(s.cells, s.dimensions, s.extent) / s.extent.radius(),
+        exists=_has_phases,
+        absent="without cells",
+        doc="the necrotic radius over R; with `growth.phases`",
+    ),
+    Observable(
+        "inhibited_radius",
+        lambda s: s.inhibited_radius,
+        unit="um",
+        exists=_has_phases,
+        shown="{:.0f} µm".format,
+        shown_if_zero=False,
+        doc="within it the part of cells in S, G2 or M is below a fifth of that in the outermost "
+        "tenth of the cells (isotonic regression over the distance from the centre); with "
+        "`growth.phases`",
+    ),
+    Observable(
+        "inhibited_ratio",
+        lambda s: s.inhibited_radius / s.extent.radius(),
+        exists=_has_phases,
+        absent="without cells",
+        doc="the inhibited radius over R; with `growth.phases`",
     ),
     Observable(
         "packing_ratio",

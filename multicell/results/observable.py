@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, FloatArray, IntArray
 from multicell.errors import SceneError
 from multicell.results.contacts import touching
-from multicell.results.observables import Extent, pressure_factors, state_counts
+from multicell.results.observables import Extent, inhibited_radius, pressure_factors, state_counts
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
@@ -75,6 +75,11 @@ class TissueState:
     def state_counts(self) -> Mapping[str, int]:
         """Number of cells in each state, by the name of the state in lower case."""
         return state_counts(self.cells)
+
+    @cached_property
+    def inhibited_radius(self) -> float:
+        """Radius within which proliferation is inhibited, µm."""
+        return inhibited_radius(self.cells, self.dimensions)
 
     @cached_property
     def pressure_factors(self) -> FloatArray:

@@ -259,6 +259,9 @@ class Death:
 
     Necrotic cells may swell first: exponentially to ``swelling`` times their volume within
     ``swelling_time``, at the end of which they burst.
+
+    With ``damage_time`` T a threshold of necrosis does not kill but damages: dD/dt = 1/T beyond it,
+    less D/``damage_repair_time``. A cell dies where D is at its own tolerance, 1 in the mean.
     """
 
     necrosis_rate: float | None = quantity(
@@ -266,6 +269,15 @@ class Death:
         default=None,
         above=0,
         doc="at which cells die beyond a threshold of necrosis; absent: they die at once",
+    )
+    damage_time: float | None = quantity(
+        "s", default=None, above=0, doc="beyond a threshold of necrosis until a mean cell dies"
+    )
+    damage_repair_time: float | None = quantity(
+        "s", default=None, above=0, doc="in which damage falls to 1/e; absent: it stays"
+    )
+    damage_variation: float = number(
+        default=0.0, at_least=0, at_most=1, doc="coefficient of variation (gamma) of the tolerance"
     )
     swelling: float = number(
         default=1.0, at_least=1, at_most=8, doc="volume of a necrotic cell that bursts / at death"
@@ -285,6 +297,12 @@ class Death:
     removal_fraction: float = number(
         default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
     )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for two laws of the same death."""
+        if self.necrosis_rate is not None and self.damage_time is not None:
+            hint = "Leave one out: exponential times are damage_time with damage_variation = 1."
+            raise SceneError("necrosis_rate", "contradicts damage_time", hint)
 
 
 @final

@@ -248,7 +248,8 @@ def _check_start(result, summary):
     scene, first = result.scene, result.frames[0]
     table, death = scene.initial.cells, scene.death
     given = table is not None and "state" in table.given.columns
-    if first.step or given or (death is not None and death.necrosis_rate is not None):
+    slow = death is not None and (death.necrosis_rate or death.damage_time) is not None
+    if first.step or given or slow:
         return
     short = np.zeros(len(first.cells), bool)
     for name, field_ in scene.nutrients.items():

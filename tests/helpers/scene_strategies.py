@@ -734,7 +734,8 @@ def _fit_energy(scene, fields):
 
 BEHAVIOURS = {
     "growth rate": ("growth", 1.0), "rest": ("growth", 1.0), "apoptosis rate": ("", 1e-5),
-    "necrosis rate": ("", 1e-5), "division radius": ("growth", 1.1), "speed": ("motility", 2.0),
+    "necrosis rate": ("", 1e-5), "damage rate": ("", 1e-5), "division radius": ("growth", 1.1),
+    "speed": ("motility", 2.0),
     "receptors": ("adhesion", 0.5), "Young's modulus": ("", 2.0),
 }  # fmt: skip
 """Behaviours -> the table that they need, and a value that responses may lead to."""

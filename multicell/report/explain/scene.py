@@ -101,7 +101,7 @@ def _may_lack(scene: Scene) -> bool:
     signals = {
         name
         for effect in effects(scene)
-        if effect.behaviour in ("rest", "necrosis rate")
+        if effect.behaviour in ("rest", "necrosis rate", "damage rate")
         for name in effect.signals
     }
     return bool(signals - {"pressure"})
@@ -131,6 +131,9 @@ def _death_words(scene: Scene) -> str:
     words = ""
     if death.necrosis_rate is not None:
         words = f"starved cells die after {hours(1.0 / death.necrosis_rate)} on average; "
+    if death.damage_time is not None:
+        words = f"cells beyond a threshold of necrosis die after {hours(death.damage_time)} of it; "
+    words += _damage_words(scene)
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
@@ -139,6 +142,21 @@ def _death_words(scene: Scene) -> str:
         life = hours(1.0 / death.apoptosis_rate)
         words += f"; cells live {life} on average until they die by themselves"
     return words
+
+
+def _damage_words(scene: Scene) -> str:
+    """Say how cells bear damage, and repair it."""
+    death = scene.death
+    if death is None or not any(e.behaviour == "damage rate" for e in effects(scene)):
+        return ""
+    words, repair = "damage stays", death.damage_repair_time
+    if repair is not None:
+        words = f"damage falls to 1/e in {hours(repair)}"
+        if death.damage_time is not None and repair <= death.damage_time:
+            words += ", as fast as it comes: a mean cell bears it for ever"
+    if death.damage_variation > 0.0:
+        words += f", tolerance varies by {100.0 * death.damage_variation:g} %"
+    return f"{words}; "
 
 
 def _radiation_words(scene: Scene) -> Iterator[str]:
