@@ -84,7 +84,7 @@ def _hypoxic_radius(state: TissueState, field: str) -> float:
 
 
 OBSERVABLES: Final = (
-    Observable("cells", lambda s: len(s.cells), shown="{:,}".format),
+    Observable("cells", lambda s: len(s.cells), shown="{:,}".format, counts=True),
     Observable(
         "diameter",
         lambda s: of.diameter(s.cells, s.dimensions, s.extent),
@@ -150,7 +150,7 @@ OBSERVABLES: Final = (
         unit="kPa",
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
     ),
-    *(Observable(name, _count_in(name), entry=f"states.{name}") for name in _STATES),
+    *(Observable(name, _count_in(name), entry=f"states.{name}", counts=True) for name in _STATES),
     Observable(
         "clonogens",
         lambda s: int((~s.cells.dead & (s.cells.doomed == 0)).sum()),
@@ -158,6 +158,7 @@ OBSERVABLES: Final = (
         shown="{:,}".format,
         doc="living cells that are not doomed; over those before irradiation, without growth, the "
         "surviving fraction; only with `radiation`",
+        counts=True,
     ),
     Observable(
         "doomed",
@@ -165,6 +166,7 @@ OBSERVABLES: Final = (
         exists=lambda scene: scene.radiation,
         doc="living cells that irradiation lets die at one of their next divisions; only with "
         "`radiation`",
+        counts=True,
     ),
     Observable(
         "volume_fraction",
@@ -207,8 +209,15 @@ OBSERVABLES: Final = (
         shown=lambda n: f"{n:,} cell{'' if n == 1 else 's'}",
         shown_if_zero=False,
         doc="number of living cells in which `pressure_factor` is 1/2 or less",
+        counts=True,
     ),
-    Observable("contacts", lambda s: len(s.frame.contacts), exists=counts_contacts, entry=None),
+    Observable(
+        "contacts",
+        lambda s: len(s.frame.contacts),
+        exists=counts_contacts,
+        entry=None,
+        counts=True,
+    ),
     Observable(
         "heterotypic_fraction",
         lambda s: of.heterotypic_fraction(s.cells, s.frame.contacts),
@@ -234,6 +243,7 @@ OBSERVABLES: Final = (
         exists=lambda scene: list(scene.types) if _has_types(scene) else [],
         entry="living.*",
         doc="number of living cells of a type, where there are several",
+        counts=True,
     ),
     Observable("pull", _load, unit="nN", exists=_is_pulled, entry=None),
     # found by the coupling step

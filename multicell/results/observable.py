@@ -143,6 +143,8 @@ class Observable:
         How key figures write it; None where it is none.
     shown_if_zero
         Whether it is a key figure also where it is 0.
+    counts
+        Whether it counts cells, of which each may stand for several (``cells.represents``).
     function, source
         Of the user's own: ``file.py:name@fingerprint``, by which scenes find it, and
         ``/path/file.py:name``, which other processes load. Empty for ours.
@@ -160,6 +162,7 @@ class Observable:
     signed: bool = False
     shown: Callable[[Any], str] | None = None
     shown_if_zero: bool = True
+    counts: bool = False
     function: str = ""
     source: str = ""
 
@@ -187,7 +190,14 @@ class Observable:
     def value(self, state: TissueState, key: str = "") -> float | int:
         """Return the number for one of :meth:`keys`."""
         assert self.measure is not None
-        return self.measure(state, key) if key else self.measure(state)
+        found = self.measure(state, key) if key else self.measure(state)
+        return represented(state.scene, int(found)) if self.counts else found
+
+
+def represented(scene: Scene, count: int) -> int:
+    """Return how many cells of the tissue a number of cells stands for."""
+    each = scene.cells.represents
+    return count if each is None else round(count * each)
 
 
 OWN: Final[dict[str, Observable]] = {}

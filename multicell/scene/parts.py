@@ -75,6 +75,11 @@ class CellParameters:
         at_most=1,
         doc="of heritable traits by name: standard deviation of ln(trait) in one division",
     )
+    represents: float | None = number(
+        default=None, at_least=1, at_most=1e6,
+        doc="how many cells of the tissue a cell stands for, which counts in results are "
+        "multiplied by; absent: 1",
+    )  # fmt: skip
 
     def check(self) -> None:
         """Raise ``SceneError`` for drift of what is not inherited and for no solid's Poisson ratio.

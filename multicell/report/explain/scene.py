@@ -72,7 +72,9 @@ def _start_words(scene: Scene) -> str:
     shape = "row along x" if start.shape == "row" else "ball"
     if scene.dimensions == 2:
         shape = "plane, where they stay" if shape == "ball" else f"{shape}, in a plane"
-    return f"{start.count:,} cell(s) in a {shape}{_stage(scene)}"
+    each = scene.cells.represents
+    many = "" if each is None else f", each for {each:g} of the tissue,"
+    return f"{start.count:,} cell(s){many} in a {shape}{_stage(scene)}"
 
 
 def _stage(scene: Scene) -> str:
