@@ -43,13 +43,13 @@ FLOOR = 0.03
 SEEDINGS = (2500, 5000, 10000)
 BUDGET = 150
 FREE = {
-    "initial.count": "log 200:900",
-    "growth.phases.G1.duration": "10:50 h",
-    "nutrients.oxygen.uptake_per_volume": "log 0.015:0.08 mM/s",
-    "nutrients.oxygen.quiescence": "log 0.008:0.06 mM",
-    "nutrients.oxygen.necrosis": "log 0.002:0.0079 mM",
-    "death.damage_time": "2:8 d",
-    "death.lysis_time": "log 2:40 d",
+    "initial.count": "log 250:550",
+    "growth.phases.G1.duration": "15:55 h",
+    "nutrients.oxygen.uptake_per_volume": "log 0.02:0.06 mM/s",
+    "nutrients.oxygen.quiescence": "log 0.018:0.05 mM",
+    "nutrients.oxygen.necrosis": "log 0.004:0.0179 mM",
+    "death.damage_time": "2.5:8 d",
+    "death.lysis_time": "log 4:30 d",
 }
 
 
@@ -129,7 +129,10 @@ def draws_of(found: mc.Fit, count: int) -> list[dict[str, str]]:
     shares, _ = found.sample
     ranges = found.problem.ranges
     chosen = shares[:: len(shares) // count][:count]
-    return [{f.key: f.setting(f.value(float(x))) for f, x in zip(ranges, row)} for row in chosen]
+    return [
+        {f.key: f.setting(f.value(float(x))) for f, x in zip(ranges, row, strict=True)}
+        for row in chosen
+    ]
 
 
 def predict(seedings: list[int], best: dict[str, str]) -> dict[int, Array]:

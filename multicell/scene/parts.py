@@ -298,6 +298,12 @@ class Death:
         default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
     )
 
+    inflow: bool = flag(
+        default=False,
+        doc="the medium that drags the cells flows in to where the dead lose volume, and takes the "
+        "tissue along; false: the medium is at rest",
+    )
+
     def check(self) -> None:
         """Raise ``SceneError`` for two laws of the same death."""
         if self.necrosis_rate is not None and self.damage_time is not None:

@@ -138,6 +138,8 @@ def _death_words(scene: Scene) -> str:
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
     words += f"lose their volume in about {hours(death.lysis_time)}"
+    if death.inflow:
+        words += "; the medium flows in to what they lose"
     if death.apoptosis_rate > 0.0:
         life = hours(1.0 / death.apoptosis_rate)
         words += f"; cells live {life} on average until they die by themselves"
