@@ -1,6 +1,6 @@
 """Greenspan's model of a spheroid along its radius (Stud. Appl. Math. 51, 1972, 317).
 
-Nutrient is used up at a constant rate and diffuses in; cells die where it falls below a level.
+Nutrient is used up at a constant rate and diffuses in; cells die where it falls below a level. Waste
 is made by living cells and diffuses out; cells stop dividing where it exceeds a level. Both fields
 are at rest. What divides makes volume at the rate s, what is dead loses it at the rate `loss`:
 

@@ -47,7 +47,9 @@ def inflow_velocity(
     return -inward[:, None] * (cells.position - origin)
 
 
-def inflow_drag(plan: BiologyPlan, cells: Cells, radius: FloatArray, dt: float) -> FloatArray | None:
+def inflow_drag(
+    plan: BiologyPlan, cells: Cells, radius: FloatArray, dt: float
+) -> FloatArray | None:
     """Return the force of the moving medium on each cell, 6πηr u: (n, 3) nN, or None."""
     if plan.inflow == 0.0 or plan.death is None:
         return None
