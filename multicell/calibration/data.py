@@ -40,6 +40,7 @@ from typing import Any, Final, final
 
 from multicell.calibration.columns import Column, columns_of
 from multicell.errors import DataError, SceneError
+from multicell.results.observable import represented
 from multicell.scene.scene import Scene
 from multicell.schema import leaves
 from multicell.studies.observed import at_the_end, in_history, suggest
@@ -374,7 +375,7 @@ class _Rows:
 
     def _refuse_stop(self, scene: Scene, own: Sequence[Datum]) -> None:
         """Refuse data that a run cannot reach because it ends with fewer cells."""
-        stop = scene.stop_cells
+        stop = represented(scene, scene.stop_cells or 0)
         late = next((d for d in own if d.observable == "cells" and stop and d.value > stop), None)
         if late is not None:
             raise DataError(

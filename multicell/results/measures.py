@@ -26,6 +26,10 @@ _LEDGER: Final = (
 )  # fmt: skip
 
 
+def _has_phases(scene: Scene) -> bool:
+    return scene.growth is not None and bool(scene.growth.phases)
+
+
 def _has_types(scene: Scene) -> bool:
     return len(scene.types) > 1
 
@@ -80,7 +84,7 @@ def _hypoxic_radius(state: TissueState, field: str) -> float:
 
 
 OBSERVABLES: Final = (
-    Observable("cells", lambda s: len(s.cells), shown="{:,}".format),
+    Observable("cells", lambda s: len(s.cells), shown="{:,}".format, counts=True),
     Observable(
         "diameter",
         lambda s: of.diameter(s.cells, s.dimensions, s.extent),
@@ -88,6 +92,7 @@ OBSERVABLES: Final = (
         shown="{:.0f} µm".format,
         doc="2 R",
     ),
+    Observable("radius", lambda s: s.extent.radius(), unit="um", doc="R"),
     Observable(
         "viable_rim",
         lambda s: of.viable_rim(s.cells, s.dimensions, s.extent),
@@ -106,6 +111,31 @@ OBSERVABLES: Final = (
         doc="the same formula over necrotic cells about the common centre; 0 without any",
     ),
     Observable(
+        "necrotic_ratio",
+        lambda s: of.necrotic_radius(s.cells, s.dimensions, s.extent) / s.extent.radius(),
+        exists=_has_phases,
+        absent="without cells",
+        doc="the necrotic radius over R; with `growth.phases`",
+    ),
+    Observable(
+        "inhibited_radius",
+        lambda s: s.inhibited_radius,
+        unit="um",
+        exists=_has_phases,
+        shown="{:.0f} µm".format,
+        shown_if_zero=False,
+        doc="within it the part of cells in S, G2 or M is below a fifth of that in the outermost "
+        "tenth of the cells (isotonic regression over the distance from the centre); with "
+        "`growth.phases`",
+    ),
+    Observable(
+        "inhibited_ratio",
+        lambda s: s.inhibited_radius / s.extent.radius(),
+        exists=_has_phases,
+        absent="without cells",
+        doc="the inhibited radius over R; with `growth.phases`",
+    ),
+    Observable(
         "packing_ratio",
         lambda s: of.packing_ratio(s.cells, s.dimensions, s.extent),
         absent="without cells",
@@ -120,7 +150,7 @@ OBSERVABLES: Final = (
         unit="kPa",
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
     ),
-    *(Observable(name, _count_in(name), entry=f"states.{name}") for name in _STATES),
+    *(Observable(name, _count_in(name), entry=f"states.{name}", counts=True) for name in _STATES),
     Observable(
         "clonogens",
         lambda s: int((~s.cells.dead & (s.cells.doomed == 0)).sum()),
@@ -128,6 +158,7 @@ OBSERVABLES: Final = (
         shown="{:,}".format,
         doc="living cells that are not doomed; over those before irradiation, without growth, the "
         "surviving fraction; only with `radiation`",
+        counts=True,
     ),
     Observable(
         "doomed",
@@ -135,6 +166,7 @@ OBSERVABLES: Final = (
         exists=lambda scene: scene.radiation,
         doc="living cells that irradiation lets die at one of their next divisions; only with "
         "`radiation`",
+        counts=True,
     ),
     Observable(
         "volume_fraction",
@@ -177,8 +209,15 @@ OBSERVABLES: Final = (
         shown=lambda n: f"{n:,} cell{'' if n == 1 else 's'}",
         shown_if_zero=False,
         doc="number of living cells in which `pressure_factor` is 1/2 or less",
+        counts=True,
     ),
-    Observable("contacts", lambda s: len(s.frame.contacts), exists=counts_contacts, entry=None),
+    Observable(
+        "contacts",
+        lambda s: len(s.frame.contacts),
+        exists=counts_contacts,
+        entry=None,
+        counts=True,
+    ),
     Observable(
         "heterotypic_fraction",
         lambda s: of.heterotypic_fraction(s.cells, s.frame.contacts),
@@ -204,6 +243,7 @@ OBSERVABLES: Final = (
         exists=lambda scene: list(scene.types) if _has_types(scene) else [],
         entry="living.*",
         doc="number of living cells of a type, where there are several",
+        counts=True,
     ),
     Observable("pull", _load, unit="nN", exists=_is_pulled, entry=None),
     # found by the coupling step

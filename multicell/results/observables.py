@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, IntArray, State
+from multicell.cells import Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import compliance
 
 if TYPE_CHECKING:
@@ -147,6 +147,33 @@ def hypoxic_radius(
     if not lacking.any():
         return 0.0
     return (extent or Extent(cells, dimensions)).radius(lacking)
+
+
+FEWEST_INHIBITED = 10
+"""Cells: fewer at the centre, by chance without one in S, G2 or M, are no inhibited region."""
+
+
+def inhibited_radius(cells: Cells, dimensions: int, threshold: float = 0.2) -> float:
+    """Return the radius within which proliferation is inhibited, in µm; 0 if it is nowhere.
+
+    Inside, the share of the cells that are alive and in S, G2 or M (green with FUCCI) is below a
+    fifth (``threshold``) of that in the outermost tenth: the criterion of Browning et al. (2021,
+    doi:10.7554/eLife.73020) for confocal sections. The share as a function of the distance from
+    the centre is the isotonic regression of single cells, which needs no bins.
+    """
+    if len(cells) == 0:
+        return 0.0
+    from scipy.optimize import isotonic_regression
+
+    radius = distances(cells, centre(cells, dimensions))
+    order = np.argsort(radius)
+    cycling = (~cells.dead & (cells.phase > Phase.G1))[order].astype(float)
+    surface = cycling[-max(FEWEST_INHIBITED, len(cells) // 10) :].mean()
+    share = isotonic_regression(cycling).x
+    inhibited = int(np.searchsorted(share, threshold * surface))
+    if inhibited < FEWEST_INHIBITED:
+        return 0.0
+    return float(radius[order[inhibited - 1 : inhibited + 1]].mean())
 
 
 def packing_ratio(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:

@@ -32,6 +32,9 @@ def check_domain(scene: Scene) -> None:
     """Raise ``SceneError`` for a box that does not fit to the scene's dimensions and cells."""
     if scene.domain is None:
         return
+    if scene.death is not None and scene.death.inflow:
+        hint = "Walls would stop the medium: leave out inflow, or the domain."
+        raise SceneError("death.inflow", "has no meaning in a domain", hint)
     axes = "xyz"[: scene.dimensions]
     if scene.dimensions == 2 and scene.domain.z is not None:
         hint = "The cells lie in the plane z = 0; leave z out."

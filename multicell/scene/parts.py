@@ -75,6 +75,11 @@ class CellParameters:
         at_most=1,
         doc="of heritable traits by name: standard deviation of ln(trait) in one division",
     )
+    represents: float | None = number(
+        default=None, at_least=1, at_most=1e6,
+        doc="how many cells of the tissue a cell stands for, which counts in results are "
+        "multiplied by; absent: 1",
+    )  # fmt: skip
 
     def check(self) -> None:
         """Raise ``SceneError`` for drift of what is not inherited and for no solid's Poisson ratio.
@@ -291,6 +296,12 @@ class Death:
     )
     removal_fraction: float = number(
         default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
+    )
+
+    inflow: bool = flag(
+        default=False,
+        doc="the medium that drags the cells flows in to where the dead lose volume, and takes the "
+        "tissue along; false: the medium is at rest",
     )
 
     def check(self) -> None:

@@ -72,7 +72,9 @@ def _start_words(scene: Scene) -> str:
     shape = "row along x" if start.shape == "row" else "ball"
     if scene.dimensions == 2:
         shape = "plane, where they stay" if shape == "ball" else f"{shape}, in a plane"
-    return f"{start.count:,} cell(s) in a {shape}{_stage(scene)}"
+    each = scene.cells.represents
+    many = "" if each is None else f", each for {each:g} of the tissue,"
+    return f"{start.count:,} cell(s){many} in a {shape}{_stage(scene)}"
 
 
 def _stage(scene: Scene) -> str:
@@ -136,6 +138,8 @@ def _death_words(scene: Scene) -> str:
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
     words += f"lose their volume in about {hours(death.lysis_time)}"
+    if death.inflow:
+        words += "; the medium flows in to what they lose"
     if death.apoptosis_rate > 0.0:
         life = hours(1.0 / death.apoptosis_rate)
         words += f"; cells live {life} on average until they die by themselves"
