@@ -134,5 +134,5 @@ def test_growth_follows_the_data_as_near_as_it_did(docs):
     data = fitting.measured()
     tissue = ball.Tissue.of(mc.load_scene("emt6"), PACKING)
     cells, diameters = fitting.growth_errors(tissue, data)
-    assert np.sqrt(np.mean(np.square(cells))) < 0.3
-    assert np.sqrt(np.mean(np.square(diameters))) < 0.15
+    assert np.sqrt(np.mean(np.square(cells))) < 0.33
+    assert np.sqrt(np.mean(np.square(diameters))) < 0.09
