@@ -41,7 +41,7 @@ _SAME: Final = """
     growth.phases.*.shift growth.phases.*.grows
     growth.division growth.restriction growth.cycle_variation growth.critical_pressure
     death.necrosis_rate death.damage_time death.damage_repair_time death.damage_variation
-    death.inflow death.swelling death.swelling_time death.lysis_time
+    surface.tension death.inflow death.core death.swelling death.swelling_time death.lysis_time
     death.apoptosis_rate death.apoptosis_time death.removal_fraction
     types.*.fraction types.*.young types.*.receptor types.*.ligand types.*.receptor_by_phase
     types.*.ligand_by_phase types.*.receptor_by types.*.ligand_by types.*.cycle_scale
