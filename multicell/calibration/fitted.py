@@ -108,7 +108,7 @@ class Fit:
         runs = self.fresh.runs
         whole = np.isfinite(runs).any(axis=1)
         again = runs[whole] if whole.any() else runs
-        there = misfit(problem.observed, problem.sigma, again, None, problem.tissues)
+        there = misfit(problem.observed, problem.sigma, again, None, problem.noise)
         values = problem.values([float(x) for x in self.fresh.shares])
         units = {free.key: free.unit for free in problem.ranges}
         settings = {free.key: free.setting(values[free.key]) for free in problem.ranges}
