@@ -118,23 +118,24 @@ class Noise:
 def _of_specimens(data: Sequence[Datum]) -> tuple[Array, Array]:
     """Return the covariance of the errors of means over named specimens, and what tissues share.
 
-    Correlations over the specimens that two data have in common are shrunk as those of runs are.
+    Correlations are those over the specimens that two data have in common, m of n_i and n_j. They
+    are drawn towards none by the part of their squares that chance explains (Schäfer & Strimmer
+    2005, Stat. Appl. Genet. Mol. Biol. 4, 32), at least by a tenth.
     """
     rows = {name: k for k, name in enumerate({x: 0 for d in data for x, _ in d.specimens})}
     away, there = np.zeros((len(rows), len(data))), np.zeros((len(rows), len(data)))
     for column, datum in enumerate(data):
         for name, deviation in datum.specimens:
             away[rows[name], column], there[rows[name], column] = deviation, 1.0
-    alone = np.array([1.0 / len(d.specimens) if np.isfinite(d.tissues) else 0.0 for d in data])
-    shared = there.T @ there * np.outer(alone, alone)
-    errors = np.eye(len(data))
-    if away.any():
-        covariance = shrink(away)
-        deviation = np.sqrt(np.diag(covariance))
-        moving = np.flatnonzero(deviation)
-        pairs = np.ix_(moving, moving)
-        errors[pairs] = covariance[pairs] / np.outer(deviation[moving], deviation[moving])
-    return errors, shared
+    counts = there.sum(axis=0)
+    overlap = there.T @ there / np.outer(counts, counts)
+    single = np.array([np.isfinite(d.tissues) for d in data])
+    size = np.sqrt((away**2).sum(axis=0))
+    found = away.T @ away / np.outer(*2 * [np.where(size > 0.0, size, 1.0)])
+    np.fill_diagonal(found, 0.0)  # without rounding; a lone specimen has no deviation
+    chance = (overlap * (1.0 - found**2) ** 2)[found != 0.0].sum()
+    part = min(1.0, max(_SHRINKAGE, chance / max((found**2).sum(), chance, 1e-300)))
+    return np.eye(len(data)) + (1.0 - part) * found, overlap * np.outer(single, single)
 
 
 def _sizes(data: Sequence[Datum]) -> Array:
