@@ -37,6 +37,7 @@ from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.special import polygamma, psi
 
 from multicell.calibration.distance import Array
@@ -143,7 +144,7 @@ def likelihood(
     share = noise.shared + 1.0 / scatter.count
     # scatter of the tissues, and of the mean
     total = noise.errors + np.diag(variances[0] + error) + shrink(scatter.away) * share
-    unknown = _unknown(noise, emulator, best, scatter.mean, total)
+    unknown = _unknown(noise.around(scatter.mean), emulator, best, scatter.mean, total)
     errors = noise.errors + np.diag(unknown.variance)
     values, vectors = np.linalg.eigh(total + np.diag(unknown.variance))
     whitening = (vectors / np.sqrt(values)) @ vectors.T
@@ -172,7 +173,7 @@ def _unknown(
     """Return what residuals at the best point say of unknown scatter; ``total`` is C without it."""
     n, count = len(total), len(noise.names)
     if not count:
-        return _Unknown(np.zeros((0, 0)), np.zeros(n), np.full(n, _EXACT))
+        return _Unknown(np.zeros((0, 0)), np.zeros(n), np.full(n, min(noise.freedom, _EXACT)))
     steps = 0.02 * np.eye(len(best))
     above, below = np.clip(best + steps, 0.0, 1.0), np.clip(best - steps, 0.0, 1.0)
     width = np.diag(above - below)
@@ -237,14 +238,17 @@ def _student(
     weights = working.whitening.T @ directions
     # the emulator's error is added where it is used
     spread = weights.T @ errors @ weights + scatter
-    whole = float(np.trace(spread))
-    # parts of the spread with their degrees of freedom; one variance, unlike a covariance, loses
-    # none of them to directions
-    uncertain = (float(np.trace(scatter)) / whole) ** 2 / (count - 1.0)
-    for freedom in set(unknown.freedom[unknown.freedom < _EXACT].tolist()):
-        own = weights[unknown.freedom == freedom]
-        part = float((own**2 * np.diag(errors)[unknown.freedom == freedom, None]).sum()) / whole
-        uncertain += part**2 / (freedom + along - 1.0)
+    uncertain = float(np.trace(scatter) / np.trace(spread)) ** 2 / (count - 1.0)
+    # parts of unknown scatter, along what depends on one of them most; one variance, unlike a
+    # covariance, loses none of its degrees of freedom to directions
+    parts = [(x, unknown.freedom == x) for x in set(unknown.freedom.tolist()) if x < _EXACT]
+    spreads = [(x, weights[own].T @ (errors[np.ix_(own, own)] @ weights[own])) for x, own in parts]
+    worst = 0.0
+    for _, mine in spreads:
+        along_it = eigh(mine, spread)[1][:, -1]
+        shares = [(x, along_it @ part @ along_it) for x, part in spreads]  # of a spread of 1
+        worst = max(worst, sum(share**2 / (x + along - 1.0) for x, share in shares))
+    uncertain += worst
     freedom = min(1.0 / max(uncertain, 1e-12), _EXACT)
     left = freedom - along + 1.0
     return replace(working, directions=directions, spread=spread * freedom / left, freedom=left)

@@ -10,8 +10,9 @@ Data less the mean of runs have, in units of their σ, the covariance
   times (1/√(n_i n_j)), and share none of it where σ holds the scatter of tissues.
 - S/K and E: errors of the mean over K runs and of an emulator
 - ω: unknown scatter of an observable, relative to its values h (to the largest one if any is
-  below its σ); over √n for a mean of n tissues, independent from datum to datum. Data without a
-  stated deviation have no other error then. A priori ln ω is uniform (Jeffreys) from 0.3 to 300 %.
+  below its σ), which are those of the data in a search and those of the best runs for intervals;
+  over √n for a mean of n tissues, independent from datum to datum. Data without a stated deviation
+  have no other error then. A priori ln ω is uniform (Jeffreys) from 0.3 to 300 %.
 
 :meth:`Noise.loss` integrates over ω, with all else in C diagonal; the likelihood of the intervals
 estimates ω with the whole of C (:mod:`multicell.calibration.likelihood`).
@@ -19,8 +20,9 @@ estimates ω with the whole of C (:mod:`multicell.calibration.likelihood`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Self, final
 
 import numpy as np
@@ -35,6 +37,10 @@ SCATTERS: Final = ("stated", "unknown")
 """What data scatter beyond runs: what the table states, or parameters of their own."""
 
 OMEGA: Final = (0.003, 3.0)  # range of unknown scatter
+PRIOR: Final = 1.0
+"""Degrees of freedom that the mean scatter of specimens counts for beside that of one datum."""
+_LEAST: Final = 0.1
+"""Part of a datum that unknown scatter is relative to at least, where a model has less."""
 _NODES: Final = 61
 _SHRINKAGE: Final = 0.1
 
@@ -49,6 +55,8 @@ class Noise:
     - ``names``: observables with unknown scatter, G of them
     - ``group``, (n,): which of these a datum is of; G for none
     - ``sizes``, (n,): h/√n in σ; 0 for none
+    - ``slopes``, (n,): ±1/√n where h is the size of the datum's value; else 0
+    - ``freedom``: degrees of freedom of errors that are known from specimens; infinite for others
     """
 
     errors: Array
@@ -56,13 +64,15 @@ class Noise:
     names: tuple[str, ...]
     group: NDArray[np.int64]
     sizes: Array
+    slopes: Array
+    freedom: float = math.inf
 
     @classmethod
     def of_means(cls, tissues: Array) -> Self:
         """Return the noise of independently measured means over the same tissues."""
         n = len(tissues)
         shared = np.sqrt(1.0 / np.outer(tissues, tissues))
-        return cls(np.eye(n), shared, (), np.zeros(n, dtype=np.int64), np.zeros(n))
+        return cls(np.eye(n), shared, (), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n))
 
     @classmethod
     def of(cls, data: Sequence[Datum], scatter: str = "stated") -> Self:
@@ -71,15 +81,29 @@ class Noise:
         - ``scatter``: ``"unknown"`` where it is to be estimated
         """
         noise = cls.of_means(np.array([d.tissues for d in data]))
-        errors, shared = noise.errors, noise.shared
+        errors, shared, freedom = noise.errors, noise.shared, math.inf
         if any(d.specimens for d in data):
             errors, shared = _of_specimens(data)
+        counts = [len(d.specimens) for d in data if d.specimens and math.isinf(d.tissues)]
+        if counts:
+            freedom = float(np.median(counts)) - 1.0 + PRIOR
         names = tuple(dict.fromkeys(d.observable for d in data)) if scatter == "unknown" else ()
         if not names:
-            return cls(errors, shared, names, noise.group, noise.sizes)
+            return replace(noise, errors=errors, shared=shared, freedom=freedom)
         group = np.array([names.index(d.observable) for d in data])
         known = np.array([not d.assumed for d in data])
-        return cls(errors * np.outer(known, known), shared, names, group, _sizes(data))
+        errors = errors * np.outer(known, known)
+        return cls(errors, shared, names, group, *_sizes(data), freedom)
+
+    def around(self, residuals: Array) -> Self:
+        """Return the noise with values of h that are those of a model, not of the data.
+
+        Measured values would give weight to those that are too small by chance.
+
+        - ``residuals``, (n,): of the model
+        """
+        model = np.abs(self.sizes + self.slopes * residuals)
+        return replace(self, sizes=np.maximum(model, _LEAST * self.sizes))
 
     @property
     def omegas(self) -> Array:
@@ -138,16 +162,22 @@ def _of_specimens(data: Sequence[Datum]) -> tuple[Array, Array]:
     return np.eye(len(data)) + (1.0 - part) * found, overlap * np.outer(single, single)
 
 
-def _sizes(data: Sequence[Datum]) -> Array:
-    """Return what unknown scatter is relative to, in σ of the data and over √n."""
-    sizes = np.ones(len(data))
+def _sizes(data: Sequence[Datum]) -> tuple[Array, Array]:
+    """Return what unknown scatter is relative to, in σ and over √n, and ±1/√n where it is a value.
+
+    Elsewhere it is the largest value of the observable, or 1 of logarithms.
+    """
+    counts = np.array([d.tissues if np.isfinite(d.tissues) else 1.0 for d in data])
+    sizes, slopes = np.ones(len(data)), np.zeros(len(data))
     for name in {d.observable for d in data}:
         own = [k for k, d in enumerate(data) if d.observable == name and not d.log]
         values = np.array([abs(data[k].value) for k in own])
-        below = any(abs(data[k].value) < data[k].sigma for k in own)
-        sizes[own] = values.max() if below else values
-    counts = np.array([d.tissues if np.isfinite(d.tissues) else 1.0 for d in data])
-    return sizes / np.array([d.sigma for d in data]) / np.sqrt(counts)
+        if any(abs(data[k].value) < data[k].sigma for k in own):
+            values[:] = values.max()
+        else:
+            slopes[own] = np.sign([data[k].value for k in own])
+        sizes[own] = values
+    return sizes / np.array([d.sigma for d in data]) / np.sqrt(counts), slopes / np.sqrt(counts)
 
 
 def shrink(away: Array) -> Array:

@@ -18,17 +18,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multicell.calibration.distance import groups_of, moderate
+from multicell.calibration.noise import PRIOR
 from multicell.errors import DataError
 
 if TYPE_CHECKING:
     from multicell.calibration.data import Datum
-
-_PRIOR: Final = 1.0  # degrees of freedom that the average scatter of specimens counts for
 
 
 def group(data: Sequence[Datum], table: str) -> list[Datum]:
@@ -82,7 +81,7 @@ def _scattered(data: Sequence[Datum]) -> list[Datum]:
     if (counts == 1).all():
         return list(data)
     squares = np.array([sum(away**2 for _, away in d.specimens) for d in data])
-    variance = moderate(squares / np.maximum(counts - 1, 1), counts - 1.0, *groups_of(data), _PRIOR)
+    variance = moderate(squares / np.maximum(counts - 1, 1), counts - 1.0, *groups_of(data), PRIOR)
     found = []
     for datum, deviation, count in zip(data, np.sqrt(variance / counts), counts, strict=True):
         zero = datum.assumed and datum.value == 0.0
