@@ -25,10 +25,12 @@ curvature, count as normal.
 
 Unknown scatter ω of G observables has the posterior of the data less the mean at the best point,
 where what the parameters can move is integrated out (restricted likelihood: the parameters count as
-normal about that point with the variance 1/12 of their ranges). Each variance b + ω², with what is
-known as b, is taken to be ν s²/χ²_ν, with s² and ν from mean and variance of its logarithm. Then it
-is s² in C, and ν degrees of freedom along the directions: with unknown scatter alone, and a model
-that is linear in the parameters, this is Student's t of the usual regression.
+normal about that point with the variance 1/12 of their ranges). A priori the logarithm of b + ω² is
+uniform, with b for what else is known to scatter, given the other data: Jeffreys' prior where that
+is nothing. The variance b + ω² is taken to be ν s²/χ²_ν, with s² and ν from mean and variance of
+its logarithm. Then it is s² in C, and ν degrees of freedom along the directions: with unknown
+scatter alone, and a model that is linear in the parameters, this is Student's t of the usual
+regression.
 """
 
 from __future__ import annotations
@@ -179,6 +181,9 @@ def _unknown(
     width = np.diag(above - below)
     moved = ((emulator.means(above) - emulator.means(below)) / width[:, None]).T
     restricted = total + moved @ moved.T / 12.0
+    members = np.eye(count)[noise.group]
+    alone = np.linalg.inv(total + np.diag((OMEGA[0] * noise.sizes) ** 2)).diagonal()
+    base = members.sum(axis=0) / ((alone * noise.sizes**2) @ members)
 
     def omegas(places: Array) -> Array:
         return np.asarray(OMEGA[0] * (OMEGA[1] / OMEGA[0]) ** places)
@@ -187,17 +192,19 @@ def _unknown(
         each = (omegas(places)[:, noise.group] * noise.sizes) ** 2
         covariance = restricted + each[:, None] * np.eye(n)
         solved = np.linalg.solve(covariance, np.broadcast_to(residuals[:, None], (len(each), n, 1)))
-        return np.asarray(solved[..., 0] @ residuals + np.linalg.slogdet(covariance)[1])
+        normal = solved[..., 0] @ residuals + np.linalg.slogdet(covariance)[1]
+        return np.asarray(normal + 2.0 * np.log1p(base / omegas(places) ** 2).sum(axis=1))
 
     omega = omegas(draws(loss, count, seed=0, count=FEW))
     variance, freedom = np.empty(n), np.empty(n)
     for k in range(count):
         own = noise.group == k
-        base = float(np.mean(np.diag(total)[own] / noise.sizes[own] ** 2))
-        logs = np.log(base + omega[:, k] ** 2)
+        logs = np.log(base[k] + omega[:, k] ** 2)
         half = _half_freedom(float(logs.var()))
         size = np.exp(logs.mean() + psi(half)) / half
-        variance[own] = max(size - base, 0.0) * noise.sizes[own] ** 2  # never below what is known
+        variance[own] = (
+            max(size - base[k], 0.0) * noise.sizes[own] ** 2
+        )  # never below what is known
         freedom[own] = 2.0 * half
     return _Unknown(omega, variance, freedom)
 

@@ -12,7 +12,7 @@ Data less the mean of runs have, in units of their σ, the covariance
 - ω: unknown scatter of an observable, relative to its values h (to the largest one if any is
   below its σ), which are those of the data in a search and those of the best runs for intervals;
   over √n for a mean of n tissues, independent from datum to datum. Data without a stated deviation
-  have no other error then. A priori ln ω is uniform (Jeffreys) from 0.3 to 300 %.
+  have no other error then. It lies between 0.3 and 300 %, and ln ω is uniform a priori.
 
 :meth:`Noise.loss` integrates over ω, with all else in C diagonal; the likelihood of the intervals
 estimates ω with the whole of C (:mod:`multicell.calibration.likelihood`).
@@ -107,8 +107,9 @@ class Noise:
 
     @property
     def omegas(self) -> Array:
-        """Values of ω between which integrals are sums."""
-        return np.geomspace(*OMEGA, _NODES)
+        """Values of ω whose mean is the integral over a uniform logarithm."""
+        places = (np.arange(_NODES) + 0.5) / _NODES
+        return np.asarray(OMEGA[0] * (OMEGA[1] / OMEGA[0]) ** places)
 
     def loss(self, residuals: Array, more: Array | float) -> Array:
         """Return -2 ln L of residuals (k, n) with further variances, as if C were diagonal: (k,).
