@@ -304,6 +304,8 @@ def carry_out(
         facts = {
             "method": plan.method,
             "sd": plan.sd,
+            "specimens": plan.specimens,
+            "scatter": plan.problem.scatter,
             "seeds": list(plan.problem.seeds),
             "sets_of_parameters": len(evaluations),
             "draws": 0 if draws is None else draws.drawn,

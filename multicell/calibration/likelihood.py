@@ -252,9 +252,8 @@ def _student(
     spreads = [(x, weights[own].T @ (errors[np.ix_(own, own)] @ weights[own])) for x, own in parts]
     worst = 0.0
     for _, mine in spreads:
-        along_it = eigh(mine, spread)[1][:, -1]
-        shares = [(x, along_it @ part @ along_it) for x, part in spreads]  # of a spread of 1
-        worst = max(worst, sum(share**2 / (x + along - 1.0) for x, share in shares))
+        way = eigh(mine, spread)[1][:, -1]  # along which the spread is 1
+        worst = max(worst, sum((way @ x @ way) ** 2 / (nu + along - 1.0) for nu, x in spreads))
     uncertain += worst
     freedom = min(1.0 / max(uncertain, 1e-12), _EXACT)
     left = freedom - along + 1.0

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ from multicell.calibration.data import Datum, read_data
 from multicell.calibration.emulator import best_of, draws, emulator
 from multicell.calibration.likelihood import likelihood, scatter_of
 from multicell.calibration.noise import OMEGA, Noise
-from multicell.calibration.simulator import SceneSimulator
+from multicell.calibration.simulator import Reading, SceneSimulator
 from multicell.errors import DataError, SceneError
 from multicell.results.observables import centre, field_at, uniform_radius
 from multicell.units import oxygen_solubility
@@ -437,3 +439,37 @@ def test_measured_profiles_and_consumption_of_emt6_can_be_read():
     # 4.81e-4 cm³ per cm³ and s of 22.4 l/mol
     assert rates.data[5].value == pytest.approx(4.81e-4 / 22.4 * 1e3, rel=1e-3)
     assert len(rates.conditions) == 8
+
+
+@dataclass(frozen=True)
+class Decaying:
+    """Oxygen that falls off with depth: over a length of 20 to 120 µm."""
+
+    depths: tuple[float, ...]
+
+    def __call__(self, shares, condition, seed):
+        length = 20.0 + 100.0 * shares[0]
+        return Reading(tuple(0.2 * math.exp(-x / length) for x in self.depths))
+
+
+def test_a_fit_to_a_profile_states_its_unknown_scatter(tmp_path):
+    depths, rng = np.linspace(5.0, 95.0, 10), np.random.default_rng(2)
+    values = 0.2 * np.exp(-depths / 60.0) * (1.0 + 0.05 * rng.standard_normal(10))
+    table = {"day": [3] * 10, "depth / um": depths, "oxygen / mM": values}
+    fit = mc.fit(
+        SCENE, table, {"growth.cycle_time": "20:120 h"}, cores=1, scatter="unknown",
+        output=tmp_path / "fit", simulator=Decaying(tuple(depths)),
+    )  # fmt: skip
+    interval = fit.intervals()["cycle_time"]
+    assert interval.low < 60.0 * 3600.0 < interval.high
+    assert interval.high - interval.low < 10.0 * 3600.0
+    stated = json.loads((tmp_path / "fit" / "result.json").read_text(encoding="utf-8"))
+    low, middle, high = stated["unknown_scatter"]["oxygen"]
+    assert low < 0.05 < high
+    assert low < middle < high < 0.15
+    assert stated["scatter"] == "unknown"
+    assert [row["depth"] for row in stated["residuals"]] == depths.tolist()
+    assert any("scatter beyond runs and stated errors was estimated" in x for x in fit.notes)
+    assert fit.best.per_datum == pytest.approx(1.0, abs=0.5)
+    (axes,) = fit.plot().axes
+    assert axes.get_xlabel() == "depth below the surface (µm)"
