@@ -229,7 +229,7 @@ class Fit:
     @property
     def unknown_scatter(self) -> dict[str, list[float]]:
         """Unknown scatter by observable, as parts of the values: 95 % interval round the median."""
-        if self.fresh.likelihood is None:
+        if self.fresh.likelihood is None or not self.problem.noise.names:
             return {}
         ends = np.quantile(self.fresh.likelihood.omega, (0.025, 0.5, 0.975), axis=0)
         return dict(zip(self.problem.noise.names, ends.T.tolist(), strict=True))

@@ -272,6 +272,11 @@ def _unknown_beside_runs(truth, rng):
     return _table(truth + tissue() + noise), tissue
 
 
+def _unknown_beyond_stated(truth, rng):
+    values = truth * (1.0 + 0.1 * rng.standard_normal(12)) + 3.0 * rng.standard_normal(12)
+    return {**_table(values), "diameter sd / um": [3] * 6, "necrotic_radius sd / um": [3] * 6}, None
+
+
 def _specimens(truth, rng, *, same):
     rows = {"time / h": [], "diameter / um": [], "necrotic_radius / um": [], "specimen": []}
     own = rng.standard_normal((8, 2))
@@ -292,6 +297,7 @@ def _specimens(truth, rng, *, same):
 CASES = {
     "unknown": _unknown,
     "unknown beside runs": _unknown_beside_runs,
+    "unknown beyond stated": _unknown_beyond_stated,
     "other specimens": lambda truth, rng: _specimens(truth, rng, same=False),
     "the same specimens": lambda truth, rng: _specimens(truth, rng, same=True),
 }
