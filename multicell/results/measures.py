@@ -255,6 +255,21 @@ OBSERVABLES: Final = (
         entry=None,
     ),
     Observable(
+        "uptake_*",
+        unit="amol/s",
+        exists=lambda scene: scene.nutrients,
+        entry=None,
+        doc="rate at which all cells take up a field",
+    ),
+    Observable(
+        "rim_uptake_*",
+        unit="mM/s",
+        exists=lambda scene: scene.nutrients if scene.dimensions == 3 else (),
+        entry=None,
+        absent="without living cells, and where the dead lie outside the living",
+        doc="that rate over the volume of the ball of this diameter, less that of the core",
+    ),
+    Observable(
         "force_*",
         unit="nN",
         exists=lambda scene: [f"{motion}_{axis}" for motion in scene.motions for axis in "xyz"],

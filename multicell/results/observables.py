@@ -112,6 +112,16 @@ def necrotic_radius(cells: Cells, dimensions: int, extent: Extent | None = None)
     return (extent or Extent(cells, dimensions)).radius(dead)
 
 
+def viable_volume(cells: Cells) -> float:
+    """Return the volume of the ball of all cells less that of the necrotic core in µm³.
+
+    NaN without living cells, and where the dead lie outside the living.
+    """
+    extent = Extent(cells, 3)
+    volume = 4.0 / 3.0 * np.pi * (extent.radius() ** 3 - necrotic_radius(cells, 3, extent) ** 3)
+    return volume if volume > 0.0 and not cells.dead.all() else float("nan")
+
+
 def viable_rim(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
     """Return the thickness of the layer outside the necrotic core in µm, NaN without a core.
 
@@ -314,6 +324,22 @@ def field_profile(field: Field, origin: FloatArray, edges: FloatArray) -> FloatA
     axes = np.meshgrid(*(field.axis(k) - origin[k] for k in range(3)), indexing="ij", sparse=True)
     radius = np.sqrt(sum(axis**2 for axis in axes)).ravel()
     return _means(radius, edges, field.values.ravel())
+
+
+def field_at(field: Field, origin: FloatArray, distance: float) -> float:
+    """Return the mean of a field over the shell at a distance from ``origin``, in the field's unit.
+
+    Linear between the means over shells as thick as the grid's spacing. Beyond the grid it is the
+    value at its edge, at a negative distance that on the other side of ``origin``.
+    """
+    middles, means = field.axis(0) - field.origin[0], field.values.ravel()
+    if field.kind != "radial":
+        ends = [np.abs(field.axis(k)[[0, -1]] - origin[k]).max() for k in range(3)]
+        edges = np.arange(0.0, np.linalg.norm(ends) + field.spacing, field.spacing)
+        found = field_profile(field, origin, edges)
+        filled = np.isfinite(found)
+        middles, means = 0.5 * (edges[1:] + edges[:-1])[filled], found[filled]
+    return float(np.interp(abs(distance), middles, means))
 
 
 def _means(radius: FloatArray, edges: FloatArray, values: NDArray[Any]) -> FloatArray:
