@@ -62,7 +62,7 @@ ASSUMED: Final = 0.1
 SPECIMENS: Final = ("same", "single")
 """What rows without a name of a specimen are: the same tissues at all times, or one each."""
 
-_OF_RADIUS: Final = ("inhibited_fraction", "necrotic_fraction")
+_OF_RADIUS: Final = ("inhibited_ratio", "necrotic_ratio")
 """Lengths over the radius of the tissue, which are as uncertain as a cell's radius over it."""
 
 
