@@ -91,7 +91,7 @@ class OdeProblem:
         from multicell.mechanics.jacobian import Pattern
 
         self._refuse_friction()
-        pattern = Pattern.near(_cells(self.y0), self.system.motion, margin)
+        pattern = Pattern.near(_cells(self.y0), self.system, margin)
         return pattern.matrix(np.ones(len(pattern.index)))
 
     def _refuse_friction(self) -> None:

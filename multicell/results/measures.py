@@ -15,6 +15,7 @@ from multicell.results import observables as of
 from multicell.results.contacts import counts_contacts
 from multicell.results.observable import Observable, TissueState, find_own
 from multicell.scene.domain import walls
+from multicell.scene.pairs import compression
 
 if TYPE_CHECKING:
     from multicell.mechanics.walls import Walls
@@ -145,7 +146,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "wall_pressure",
-        lambda s: of.wall_pressure(s.cells, _box(s)),
+        lambda s: of.wall_pressure(s.cells, _box(s), compression(s.scene)),
         unit="kPa",
         exists=_has_walls,
         doc="normal force of the cells on a wall over its area, mean of the six sides; with "

@@ -18,6 +18,7 @@ from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.contact.law import compliance
 
 if TYPE_CHECKING:
+    from multicell.mechanics.compression import Compression
     from multicell.mechanics.walls import Walls
     from multicell.results.frame import Field, Frame
 
@@ -167,10 +168,17 @@ def volume_fraction(cells: Cells, walls: Walls) -> float:
     return float(cells.volume.sum()) / _volume(walls)
 
 
-def wall_pressure(cells: Cells, walls: Walls) -> float:
-    """Return the pressure on the walls of a box in kPa, mean of the six sides."""
+def wall_pressure(cells: Cells, walls: Walls, compression: Compression | None = None) -> float:
+    """Return the pressure on the walls of a box in kPa, mean of the six sides.
+
+    - ``compression``: what else resists in compressed tissue; sisters that have just parted count
+      with their whole overlap
+    """
     softness = np.asarray(compliance(cells.young, cells.poisson))
-    return float(walls.pressures(cells.position, cells.radius, softness).mean())
+    pressure = float(walls.pressures(cells.position, cells.radius, softness).mean())
+    if compression is not None:
+        pressure += compression.wall_pressure(cells.position, cells.radius, walls)
+    return pressure
 
 
 def tissue_pressure(cells: Cells, walls: Walls) -> float:

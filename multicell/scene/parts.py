@@ -448,6 +448,23 @@ class Friction:
 
 @final
 @parameters
+class Compression:
+    """Resistance of tissue to compression by all neighbours of a cell together; in space only."""
+
+    bulk_modulus: float = quantity(
+        "kPa", default=10.0, above=0, at_most=1e6, doc="of close-packed cells above the onset"
+    )
+    onset: float = number(
+        default=1.0,
+        at_least=0.85,
+        at_most=2.0,
+        doc="volume fraction, of cells over space, below which nothing resists but the contacts",
+        hint="Equal spheres touch at 0.74; at 1 the cells leave no gaps.",
+    )
+
+
+@final
+@parameters
 class Pull:
     """An external force that pulls every cell away from the centre of all cells.
 
