@@ -41,6 +41,7 @@ from multicell.compiling.threads import two_drivers
 from multicell.mechanics import forces, neighbours
 
 if TYPE_CHECKING:
+    from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.system import Linearisation
     from multicell.mechanics.walls import Contacts, Walls
 
@@ -227,12 +228,15 @@ class Compression:
 
     def pressed(
         self, rows: FloatArray, pairs: Any, offset: FloatArray | None, chunk: int,
-        walls: Walls | None, *, shared: bool = False,
+        walls: Walls | Sphere | None, *, shared: bool = False,
     ) -> Pressed:  # fmt: skip
-        """Return compression and pressure of all cells at a state."""
+        """Return compression and pressure of all cells at a state; walls that yield do so."""
         taken = np.empty(len(rows))
         _LENSES[shared](chunk, rows, pairs, offset, taken)
-        contacts = None if walls is None else walls.contacts(rows)
+        contacts = None
+        if walls is not None:
+            walls.settle(rows, self, taken)
+            contacts = walls.contacts(rows)
         if contacts is not None:
             caps = np.pi * rows[contacts.cell, 3] * contacts.overlap**2
             np.add.at(taken, contacts.cell, caps)
@@ -256,10 +260,12 @@ class Compression:
         np.add.at(virials, found.cell, force * found.distance)
         np.subtract.at(out, found.cell, (force * mobility[found.cell])[:, None] * found.normal)
 
-    def wall_pressure(self, position: FloatArray, radius: FloatArray, walls: Walls) -> float:
-        """Return the pressure of the cells' pressures on walls, kPa; of pairs without offsets."""
-        rows = np.column_stack([position, radius])
-        near = neighbours.build(np.ascontiguousarray(position), radius, 0.0)
+    def wall_pressure(self, rows: FloatArray, walls: Walls | Sphere) -> float:
+        """Return the pressure of the cells' pressures on walls, kPa; of pairs without offsets.
+
+        Walls that yield do so.
+        """
+        near = neighbours.build(rows[:, :3].copy(), rows[:, 3].copy(), 0.0)
         ends = near.start, near.inner_end, near.outer_end
         pairs = forces.PairData(near.first, near.second, *ends, None, None, None)
         pressed = self.pressed(rows, pairs, None, near.chunk, walls)
@@ -290,13 +296,26 @@ class Compression:
             )
         return Coupling(slope, weight, found, area)
 
+    def add_yielding(
+        self, chunk: int, rows: FloatArray, linear: Linearisation, pressed: Pressed,
+        out: FloatArray, *, shared: bool = False,
+    ) -> None:  # fmt: skip
+        """Add the derivative of the forces by the radius of a spherical wall, (n, 3) nN/µm."""
+        found, still = pressed.contacts, np.zeros_like(out)
+        assert found is not None
+        fixed = pressed.pressure[found.cell] * 2.0 * np.pi * rows[found.cell, 3]
+        out[found.cell] += fixed[:, None] * found.normal
+        self.add_products(chunk, rows, linear, 0.0, still, out, shared=shared, widened=1.0)
+
     def add_products(
         self, chunk: int, rows: FloatArray, linear: Linearisation, drag: float,
-        vector: FloatArray, out: FloatArray, *, shared: bool = False,
+        vector: FloatArray, out: FloatArray, *, shared: bool = False, widened: float = 0.0,
     ) -> None:  # fmt: skip
         """Add what the change of pressures does along ``vector``, (n, 3), to forces or velocities.
 
-        Cells far from the threshold do not come into it.
+        - ``widened``, µm: how far a spherical wall goes outwards meanwhile
+
+        Where no cell is above the threshold there is nothing to do.
         """
         coupling = linear.coupling
         assert coupling is not None
@@ -304,8 +323,8 @@ class Compression:
             return
         change, found, mobility = np.zeros(len(rows)), coupling.contacts, _mobility(rows, drag)
         if found is not None:
-            inward = (found.normal * vector[found.cell]).sum(axis=1)
-            np.add.at(change, found.cell, coupling.area * inward)
+            deeper = (found.normal * vector[found.cell]).sum(axis=1) - widened
+            np.add.at(change, found.cell, coupling.area * deeper)
         _PRODUCTS[shared](
             chunk, linear.data, linear.normal, coupling.slope, coupling.weight, mobility,
             vector, change, out,

@@ -8,6 +8,7 @@ values at the two ends, so that volumes are exact at both ends.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.compression import Compression, Coupling, Pressed
     from multicell.mechanics.friction import PairFriction
     from multicell.mechanics.prescribed import Prescribed
+    from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
 
 
@@ -40,7 +42,9 @@ class Linearisation:
     """Direction, dF/dh + F/d and F/d of every pair at one state.
 
     ``walls`` is the stiffness of each cell's walls along each axis, (n, 3) nN/µm, or empty;
-    ``coupling`` what the change of the cells' pressures adds where tissue resists compression.
+    for a spherical wall xx, yy, zz, xy, xz, yz at a fixed radius. ``coupling`` is what the change
+    of the cells' pressures adds where tissue resists compression, ``yielding``, (n, 3), the g of
+    the + g gᵀ that the yielding of a gel adds to the derivative of forces.
     """
 
     pairs: neighbours.PairList
@@ -50,6 +54,7 @@ class Linearisation:
     data: forces.PairData | None = None
     walls: FloatArray = field(default_factory=lambda: _NOTHING)
     coupling: Coupling | None = None
+    yielding: FloatArray | None = None
 
     @classmethod
     def room(cls, pairs: neighbours.PairList) -> Linearisation:
@@ -106,7 +111,7 @@ class Mechanics:
     bond_strength: float = 0.0
     friction: tuple[float, float] = (0.0, 0.0)
     surface_energies: FloatArray | None = None
-    walls: Walls | None = None
+    walls: Walls | Sphere | None = None
     compression: Compression | None = None
     work: Work = field(default_factory=Work)
 
@@ -197,6 +202,7 @@ class Mechanics:
             linear.normal, linear.along, linear.across,
         )  # fmt: skip
         linear.data = self._pair_data
+        pressed = self._settle_pressures(time, pairs)
         if self.walls is not None:
             linear.walls = self.walls.stiffness(self._rows)
         if self._offsets.data is not None:
@@ -205,11 +211,18 @@ class Mechanics:
                 time - self.motion.begin, *self._offsets.places(self._pair_data),
                 linear.along, linear.across,
             )  # fmt: skip
-        if self.compression is not None:
+        add_pressures = None
+        if self.compression is not None and pressed is not None:
+            shared = self._shared(pairs)
             linear.coupling = self.compression.linearise(
-                self._rows, self._offset_list(time), self._pressed(time, pairs), linear,
-                shared=self._shared(pairs),
+                self._rows, self._offset_list(time), pressed, linear, shared=shared
+            )
+            add_pressures = partial(
+                self.compression.add_yielding, self.chunk, self._rows, linear, pressed,
+                shared=shared,
             )  # fmt: skip
+        if self.walls is not None:
+            linear.yielding = self.walls.yielding(self._rows, add_pressures)
         if self._pair_friction is not None:
             self._pair_friction.linearise(
                 self._rows, pairs, self._shared(pairs), self._listed_offsets(time)
@@ -256,6 +269,9 @@ class Mechanics:
                 self.chunk, self._rows, linear, drag, _frozen(vector), out,
                 shared=self._shared(linear.pairs),
             )  # fmt: skip
+        if linear.yielding is not None:
+            force = (linear.yielding * vector).sum() * linear.yielding
+            out += force / (drag * self._rows[:, 3, None]) if drag > 0.0 else force
         if given is not None:
             out[given.held] = 0.0
         friction = self._pair_friction
@@ -304,14 +320,14 @@ class Mechanics:
 
     def energy(self, time: float, position: FloatArray) -> float:
         """Return the contact energy Σ U(h) over all pairs, and of walls and compression, fJ."""
-        pairs = self._settle(time, position)
+        pressed = self._settle_pressures(time, self._settle(time, position))
         elapsed = time - self.motion.begin
         total = float(forces.energy(self._rows, self._pair_data, self._law, elapsed))
         total += self._add_offset_virials(elapsed, np.empty(len(self)))
         if self.walls is not None:
             total += self.walls.energy(self._rows)
-        if self.compression is not None:
-            total += self.compression.energy(self._rows, self._pressed(time, pairs))
+        if self.compression is not None and pressed is not None:
+            total += self.compression.energy(self._rows, pressed)
         return total
 
     def pressure(self, time: float, position: FloatArray) -> FloatArray:
@@ -328,9 +344,10 @@ class Mechanics:
         run = forces.half_virials_parallel if self._shared(pairs) else forces.half_virials
         run(self._rows, self._pair_data, self._law, elapsed, virials)
         self._add_offset_virials(elapsed, virials)
+        pressed = self._settle_pressures(time, pairs)
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
-        self._resist(time, pairs, 0.0, np.zeros((len(self), 3)), virials)
+        self._resist(time, pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
         return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
@@ -370,28 +387,33 @@ class Mechanics:
             time - self.motion.begin, stokes, self._rows, out,
         ):  # fmt: skip
             pairs = self._rebuild(position)
+        pressed = self._settle_pressures(time, pairs)
         if self.walls is not None:
             self.walls.add_forces(self._rows, self.drag if stokes else 0.0, out)
-        self._resist(time, pairs, self.drag if stokes else 0.0, out, np.empty(len(self)))
+        drag = self.drag if stokes else 0.0
+        self._resist(time, pairs, pressed, drag, out, np.empty(len(self)))
         return pairs
 
-    def _pressed(self, time: float, pairs: neighbours.PairList) -> Pressed:
-        """Return the cells' compressions and pressures at the state in ``rows``."""
-        assert self.compression is not None
+    def _settle_pressures(self, time: float, pairs: neighbours.PairList) -> Pressed | None:
+        """Let walls that yield do so at the state in ``rows``; return the cells' pressures."""
+        if self.compression is None:
+            if self.walls is not None:
+                self.walls.settle(self._rows, None, None)
+            return None
         return self.compression.pressed(
             self._rows, self._pair_data, self._offset_list(time), self.chunk, self.walls,
             shared=self._shared(pairs),
         )  # fmt: skip
 
     def _resist(
-        self, time: float, pairs: neighbours.PairList, drag: float, out: FloatArray,
-        virials: FloatArray,
+        self, time: float, pairs: neighbours.PairList, pressed: Pressed | None, drag: float,
+        out: FloatArray, virials: FloatArray,
     ) -> None:  # fmt: skip
         """Add what compressed tissue adds to forces or velocities, and to virials."""
-        if self.compression is not None:
+        if self.compression is not None and pressed is not None:
             self.compression.add_forces(
-                self._rows, self._pair_data, self._offset_list(time), self._pressed(time, pairs),
-                drag, out, virials, shared=self._shared(pairs),
+                self._rows, self._pair_data, self._offset_list(time), pressed, drag, out, virials,
+                shared=self._shared(pairs),
             )  # fmt: skip
 
     def _placed(self, time: float, position: FloatArray) -> FloatArray:

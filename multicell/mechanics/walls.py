@@ -17,13 +17,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 from numba import njit
 
 from multicell.cells import FloatArray, IntArray
 from multicell.compiling import KERNEL
+
+if TYPE_CHECKING:
+    from multicell.mechanics.compression import Compression
 
 
 @njit(**KERNEL)
@@ -130,6 +133,11 @@ class Walls:
         """Add the forces to ``out``, (n, 3) nN, or with a ``drag`` 6πη the velocities, µm/s."""
         _add_forces(rows, self.low, self.high, self.soft, drag, out)
 
+    @property
+    def volume(self) -> float:
+        """Volume within the sides, µm³."""
+        return float((self.high - self.low).prod())
+
     def contacts(self, rows: FloatArray) -> Contacts:
         """Return the contacts of cells, as :class:`Contacts` has them, side by side."""
         distance = np.stack([rows[:, :3] - self.low, self.high - rows[:, :3]])
@@ -154,6 +162,14 @@ class Walls:
         force = ((np.sqrt(radius) / (softness + self.soft))[:, None] * pressed).sum(axis=1)
         lengths = self.high - self.low
         return np.asarray(force * lengths / lengths.prod())
+
+    def settle(
+        self, rows: FloatArray, compression: Compression | None, taken: FloatArray | None
+    ) -> None:
+        """Do nothing: the sides do not yield."""
+
+    def yielding(self, rows: FloatArray, add_pressures: object) -> None:
+        """Return None: the sides do not yield."""
 
     def mean_pressure(self, contacts: Contacts, force: FloatArray) -> float:
         """Return the forces of contacts over the area of their sides, mean of all six, kPa."""

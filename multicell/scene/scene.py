@@ -222,6 +222,11 @@ class Scene:
         if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
             raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
 
+    @property
+    def box(self) -> Domain | None:
+        """The domain if it is a box, which fields live on; None without one."""
+        return None if self.domain is None or self.domain.shape != "box" else self.domain
+
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> Scene:
         """Return the scene that a dict with the keys of the TOML file describes.

@@ -380,7 +380,7 @@ def test_cells_that_grow_in_a_box_fill_it_and_no_more():
     ],
 )
 def test_wrong_input_is_refused_by_name(change, path, words):
-    entries = {k: v for k, v in growing().to_dict().items()} | change
+    entries = growing().to_dict() | change
     with pytest.raises(mc.SceneError, match=words) as refused:
         mc.Scene.from_dict({k: v for k, v in entries.items() if v is not None})
     assert refused.value.path == path
