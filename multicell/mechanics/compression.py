@@ -163,8 +163,9 @@ def _products(chunk, pairs, normal, slope, weight, mobility, v, change, out):
         _answer_chunk(c, pairs, normal, slope, change, mobility, out)
 
 
-_LENSES, _PUSH, _SOFTEN, _PRODUCTS = map(two_drivers, (_lenses, _push, _soften, _products))
-"""Each for one thread, and for all of them."""
+# each for one thread, and for all of them
+_LENSES, _PUSH = two_drivers(_lenses), two_drivers(_push)
+_SOFTEN, _PRODUCTS = two_drivers(_soften), two_drivers(_products)
 
 
 class Coupling(NamedTuple):
@@ -207,7 +208,7 @@ class Compression:
     @property
     def threshold(self) -> float:
         """Compression s_0 from which on a cell resists."""
-        return 9.0 * (1.0 - (CLOSE_PACKED / self.onset) ** (1.0 / 3.0)) ** 2
+        return 9.0 * float(1.0 - (CLOSE_PACKED / self.onset) ** (1.0 / 3.0)) ** 2
 
     @property
     def scale(self) -> float:

@@ -166,9 +166,9 @@ class Pattern:
         first, second = linear.pairs.first[place], linear.pairs.second[place]
         part = coupling.slope[place, None] * linear.normal[place]
         # of the first cells, of the second ones in pairs within a chunk, and of walls
-        row = [first, first, second[inner], second[inner]]
-        column, value = [first, second, first[inner], second[inner]], [part, -part]
-        value += [part[inner], -part[inner]]
+        row: list[Any] = [first, first, second[inner], second[inner]]
+        column: list[Any] = [first, second, first[inner], second[inner]]
+        value = [part, -part, part[inner], -part[inner]]
         if coupling.contacts is not None:
             row, column = [*row, coupling.contacts.cell], [*column, coupling.contacts.cell]
             value.append(coupling.area[:, None] * coupling.contacts.normal)
