@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.calibration.distance import Array
+from multicell.calibration.noise import Noise
 
 PARTICLES: Final = 2000  # draws from a posterior
 FEW: Final = 500  # draws that are enough to see where a posterior is, if not where its tails end
@@ -67,11 +68,13 @@ class Emulator:
     - ``lowest``, (n,): of (mean - datum) / σ: where the observable is 0 and cannot be negative;
       else -inf
     - ``scatter``, (n,): variance over runs and of their mean, s² (1 + 1/K) / σ²
+    - ``noise``: of the data
     """
 
     processes: tuple[Process, ...]
     lowest: Array
     scatter: Array
+    noise: Noise
 
     @property
     def dimensions(self) -> int:
@@ -94,8 +97,7 @@ class Emulator:
     def loss(self, shares: Array) -> Array:
         """Return -2 ln L for parameters (k, d), as if all data scattered independently: (k,)."""
         residuals, error = self.predict(shares)
-        total = 1.0 + self.scatter + error
-        return np.asarray((residuals**2 / total + np.log(total)).sum(axis=1))
+        return self.noise.loss(residuals, self.scatter + error)
 
 
 def emulator(
@@ -106,6 +108,7 @@ def emulator(
     *,
     observables: Sequence[str] | None = None,
     lowest: Array | None = None,
+    noise: Noise | None = None,
 ) -> Emulator | None:
     """Return processes through the best of the points that were tried, None if these are too few.
 
@@ -115,6 +118,7 @@ def emulator(
     - ``loss``, (k,): -2 ln L of the runs
     - ``observables``: of the data; None: all are of one
     - ``lowest``, (n,): see :class:`Emulator`; None: no datum has a lowest value
+    - ``noise``: of the data; None: independent errors
     """
     whole = np.isfinite(residuals).all(axis=1)
     shares, residuals, scatter, loss = (x[whole] for x in (shares, residuals, scatter, loss))
@@ -127,7 +131,8 @@ def emulator(
         for name in dict.fromkeys(names.tolist())
     )
     floor = np.full(residuals.shape[1], -np.inf) if lowest is None else lowest
-    return Emulator(processes, floor, _near_scatter(scatter, loss))
+    noise = noise or Noise.of_means(np.ones(residuals.shape[1]))
+    return Emulator(processes, floor, _near_scatter(scatter, loss), noise)
 
 
 def _process(shares: Array, residuals: Array, columns: NDArray[np.int64]) -> Process:

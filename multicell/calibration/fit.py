@@ -15,6 +15,7 @@ from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
 from multicell.calibration.fitted import Fit
 from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
 from multicell.calibration.likelihood import MIN_REPEATS
+from multicell.calibration.noise import SCATTERS
 from multicell.calibration.pool import Pool, open_pool
 from multicell.calibration.problem import Problem, problem_of, ranges_of
 from multicell.errors import SceneError
@@ -52,6 +53,8 @@ def fit(
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    specimens: str = "same",
+    scatter: str = "stated",
     cores: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -91,6 +94,12 @@ def fit(
         Time of the data at which runs begin, where no column ``start`` says so.
     sd
         Relative standard deviation of data that come without one.
+    specimens
+        ``"single"``: each row is another specimen, measured once, also without a column that
+        says so.
+    scatter
+        ``"unknown"``: what data scatter beyond runs and their stated errors is estimated with the
+        parameters, relative to the values of each observable. With ``method="best"``.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -117,7 +126,8 @@ def fit(
     """
     plan = plan_of(
         scene, data, free, method=method, seeds=seeds, repeats=repeats, budget=budget,
-        population=population, start=start, sd=sd, simulator=simulator,
+        population=population, start=start, sd=sd, specimens=specimens, scatter=scatter,
+        simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -145,6 +155,7 @@ class FitPlan:
     population: int
     sd: float
     repeats: int
+    specimens: str
 
     @property
     def runs(self) -> int:
@@ -166,7 +177,10 @@ class FitPlan:
         from multicell.calibration.fit_folder import describe
 
         times = [datum.time for datum in self.problem.measured.data]
-        options = {"sd": self.sd, "population": self.population, "times": times}
+        options = {
+            "sd": self.sd, "population": self.population, "times": times,
+            "specimens": self.specimens, "scatter": self.problem.scatter,
+        }  # fmt: skip
         return describe(self.problem, self.scene, self.table, options)
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
@@ -196,6 +210,8 @@ def plan_of(
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    specimens: str = "same",
+    scatter: str = "stated",
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
@@ -204,19 +220,24 @@ def plan_of(
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     chosen(method, METHODS, "method")
+    chosen(scatter, SCATTERS, "scatter")
+    if scatter == "unknown" and method == "posterior":
+        raise SceneError("scatter", "is 'unknown', which needs the method 'best'")
     seeds = check_seeds(seeds, scene.seed)
     whole(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
     whole("population", population, 10, MAX_POINTS, "It is the number of draws in a generation.")
     table = read_table(data, MAX_BYTES)
-    measured = read_data(table, scene, start=start, sd=sd)
+    measured = read_data(table, scene, start=start, sd=sd, specimens=specimens)
     ranges = ranges_of(free, measured)
     check_runs(len(measured.conditions), seeds)
-    problem = problem_of(measured, ranges, seeds, scene.seed, simulator)
+    problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter)
     fresh = _fresh_runs(method, repeats)
     points, draws, seconds = _spend(problem, method, budget, population, fresh)
-    return FitPlan(problem, scene, table, method, points, draws, seconds, population, sd, repeats)
+    return FitPlan(
+        problem, scene, table, method, points, draws, seconds, population, sd, repeats, specimens
+    )
 
 
 def _fresh_runs(method: str, repeats: int) -> int:
@@ -283,6 +304,8 @@ def carry_out(
         facts = {
             "method": plan.method,
             "sd": plan.sd,
+            "specimens": plan.specimens,
+            "scatter": plan.problem.scatter,
             "seeds": list(plan.problem.seeds),
             "sets_of_parameters": len(evaluations),
             "draws": 0 if draws is None else draws.drawn,

@@ -20,6 +20,7 @@ from multicell.calibration.distance import (
     scales,
     standardise,
 )
+from multicell.calibration.noise import Noise
 from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
 from multicell.errors import SceneError
 from multicell.studies.axes import Range, check_ranges, parse_ranges
@@ -35,12 +36,19 @@ class Problem:
       the logarithm)
     - ``simulator``: gives the readings of one run
     - ``seeds``: random numbers of the runs that are averaged, the same ones for all parameters
+    - ``scatter``: ``"unknown"`` where what data scatter beyond runs is estimated
     """
 
     measured: Measured
     ranges: tuple[Range, ...]
     simulator: Simulator
     seeds: tuple[int, ...]
+    scatter: str = "stated"
+
+    @cached_property
+    def noise(self) -> Noise:
+        """Errors and scatter of the data."""
+        return Noise.of(self.measured.data, self.scatter)
 
     @cached_property
     def _scales(self) -> tuple[Array, Array]:
@@ -96,7 +104,7 @@ class Problem:
     def misfit(self, readings: Mapping[tuple[int, int], Array]) -> Misfit:
         """Return how the runs of one set of parameters differ from the data."""
         runs = self.runs(readings, self.seeds)
-        return misfit(self.observed, self.sigma, runs, self._groups, self.tissues)
+        return misfit(self.observed, self.sigma, runs, self._groups, self.noise)
 
     @cached_property
     def _groups(self) -> tuple[NDArray[np.int64], Array]:
@@ -140,6 +148,7 @@ def problem_of(
     seeds: int,
     first_seed: int,
     simulator: Simulator | None = None,
+    scatter: str = "stated",
 ) -> Problem:
     """Return the problem of fitting a scene to data.
 
@@ -147,6 +156,8 @@ def problem_of(
     - ``seeds``: number of runs with different random numbers for each set of parameters
     - ``first_seed``: of these runs
     - ``simulator``: what stands for the scene's runs; by default they themselves
+    - ``scatter``: see :class:`Problem`
     """
     chosen = SceneSimulator.of(measured, ranges) if simulator is None else simulator
-    return Problem(measured, tuple(ranges), chosen, tuple(range(first_seed, first_seed + seeds)))
+    numbers = tuple(range(first_seed, first_seed + seeds))
+    return Problem(measured, tuple(ranges), chosen, numbers, scatter)

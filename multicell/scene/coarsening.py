@@ -53,6 +53,7 @@ _SAME: Final = """
     forces.*.type forces.*.x forces.*.y forces.*.z forces.*.begin forces.*.end
     motions.*.type motions.*.x motions.*.y motions.*.z motions.*.begin motions.*.end
     motions.*.velocity
+    compression.bulk_modulus compression.onset domain.shape domain.radius domain.stiffness
     domain.x domain.y domain.z domain.wall domain.young domain.poisson
     nutrients.*.diffusion nutrients.*.diffusion_medium nutrients.*.boundary nutrients.*.media
     nutrients.*.temperature nutrients.*.finite_medium.volume
