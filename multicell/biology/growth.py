@@ -77,8 +77,8 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     one that nothing limits doubles in its cycle time; quiescent cells keep their volume. Necrotic
     cells shrink as V' = -V / lysis_time, after they have swollen, where the scene has them swell,
     as V' = V ln(swelling) / swelling_time, unless fluid takes the place of what they lose;
-    apoptotic ones as V' = -V / apoptosis_time. All is integrated exactly for the given factor. Growth may pass the division volume within the step:
-    the excess goes to the daughters.
+    apoptotic ones as V' = -V / apoptosis_time. All is integrated exactly for the given factor.
+    Growth may pass the division volume within the step: the excess goes to the daughters.
 
     - ``plan``: without ``growth`` no cell grows, without ``death`` no cell shrinks
     - ``cells``: the population, n cells

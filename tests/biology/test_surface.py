@@ -1,4 +1,4 @@
-"""Tension of the tissue's surface: Laplace's pressure, lost cores that close, fluid ones that stay."""
+"""Tension of the tissue's surface: Laplace's pressure, lost cores that close, fluid ones."""
 
 from types import SimpleNamespace
 
@@ -80,12 +80,12 @@ def _with_core(cells):
     return cells
 
 
-def _occupied(cells, shells=3, points=40_000):
+def _occupied(cells, shells=3, points=100_000):
     """Part of each shell of equal thickness within 0.9 radii that lies in a cell, by lots."""
     radius = 0.9 * Extent(cells, 3).radius()
     rng = np.random.default_rng(3)
     x = rng.normal(size=(points, 3))
-    far = radius * rng.random(points)
+    far = radius * np.cbrt(rng.random(points))
     x *= (far / np.linalg.norm(x, axis=1))[:, None]
     x += np.average(cells.position, axis=0, weights=cells.volume)
     near, which = cKDTree(cells.position).query(x, k=12)
@@ -154,6 +154,47 @@ def test_a_fluid_core_stays_and_holds_up_the_rim(rested):
     filled = rested.volume.sum() / (SPHERE * radius**3)
     # Laplace's pressure on the tissue, of which cells are a part
     assert row["core_pressure"] * filled == pytest.approx(2.0 * TENSION / radius, rel=0.3)
+
+
+@pytest.mark.slow
+def test_a_growing_rim_and_a_core_that_is_lost_balance():
+    """What grows less what is lost is the change of the ball, which stays packed and round."""
+    scene = mc.Scene.from_dict(
+        {
+            "duration": "14 d", "coupling_step": "30 min",
+            "initial": {"count": 500, "stage": "asynchronous", "spacing": 0.93, "jitter": 0.1},
+            "cells": {"division_radius": "20 um"},
+            "contact": {"surface_energy": "0.02 nN/um"}, "drag": {"viscosity": "0.5 kPa s"},
+            "growth": {"cycle_time": "40 h", "cycle_variation": 0.2},
+            "death": {"lysis_time": "60 h"}, "surface": {"tension": TENSION},
+            "nutrients": {"oxygen": {
+                "diffusion": "2000 um^2/s", "boundary": "0.2 mM", "layer": "10 um",
+                "diffusion_medium": "2600 um^2/s", "uptake_per_volume": "0.08 mM/s",
+                "half_saturation": "0.005 mM", "quiescent_uptake": 1.0, "quiescence": "0.1 mM",
+                "necrosis": "0.01 mM", "geometry": "radial", "spacing": "10 um",
+            }},
+        }
+    )  # fmt: skip
+    simulation, seen = Simulation(scene, threads=1), []
+    for end in (7.0, 14.0):
+        while simulation.time < end * 86400.0 - 1.0:
+            simulation.step()
+        cells = simulation.cells
+        ball = SPHERE * Extent(cells, 3).radius() ** 3
+        seen.append((cells.volume.sum(), ball, simulation.released))
+    (before, ball, released), (after, larger, lost) = seen
+    packing = after / larger
+    assert 0.7 < packing < 0.8
+    grown = after - before + lost - released
+    # a third and more of what grows is lost, and the packing stays
+    assert (lost - released) / grown > 0.33
+    assert packing * (larger - ball) == pytest.approx(after - before, rel=0.1)
+    assert largest_hole(cells) < np.median(cells.radius[~cells.dead])
+    occupied = _occupied(cells)
+    assert min(occupied) > 0.6
+    assert max(occupied) < 0.85
+    axes = np.sqrt(np.linalg.eigvalsh(np.cov(cells.position.T)))
+    assert axes[2] / axes[0] < 1.1
 
 
 def test_wrong_surfaces_are_refused():
