@@ -47,6 +47,7 @@ from typing import Any, Final, final
 from multicell.calibration.columns import Column, columns_of, fields_of
 from multicell.calibration.specimens import group
 from multicell.errors import DataError, SceneError
+from multicell.results.observable import represented
 from multicell.scene.scene import Scene
 from multicell.schema import chosen, leaves
 from multicell.studies.observed import at_the_end, in_history, suggest
@@ -61,7 +62,7 @@ ASSUMED: Final = 0.1
 SPECIMENS: Final = ("same", "single")
 """What rows without a name of a specimen are: the same tissues at all times, or one each."""
 
-_OF_RADIUS: Final = ("inhibited_fraction", "necrotic_fraction")
+_OF_RADIUS: Final = ("inhibited_ratio", "necrotic_ratio")
 """Lengths over the radius of the tissue, which are as uncertain as a cell's radius over it."""
 
 
@@ -435,7 +436,7 @@ class _Rows:
 
     def _refuse_stop(self, scene: Scene, own: Sequence[Datum]) -> None:
         """Refuse data that a run cannot reach because it ends with fewer cells."""
-        stop = scene.stop_cells
+        stop = represented(scene, scene.stop_cells or 0)
         late = next((d for d in own if d.observable == "cells" and stop and d.value > stop), None)
         if late is not None:
             raise DataError(
