@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +16,7 @@ from multicell.calibration.fitted import Fit
 from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
 from multicell.calibration.likelihood import MIN_REPEATS
 from multicell.calibration.pool import Pool, open_pool
-from multicell.calibration.problem import Problem, problem_of, ranges_of
+from multicell.calibration.problem import Problem, free_of, problem_of
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
@@ -52,6 +52,7 @@ def fit(
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    constraints: Sequence[str] = (),
     cores: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -68,8 +69,11 @@ def fit(
         CSV file, ``DataFrame`` or mapping of titles to columns, with units in the titles; see
         :mod:`multicell.calibration.data`.
     free
-        Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values. Within it
-        all values are equally likely beforehand (on a logarithmic range: all ratios).
+        Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values, in which
+        all values are equally likely beforehand (on a logarithmic range: all ratios); or its
+        distribution, as ``"norm(18 h, 2 h)"``, ``"lognorm(median=0.02 mM/s, sigma=0.3)"``,
+        ``"norm(18 h, 2 h) in 10:30 h"``, ``(scipy.stats.norm(18, 2), "h")``: see
+        :mod:`multicell.calibration.priors`.
     output
         Folder for everything. The same fit in the same folder continues: nothing is run twice,
         and a larger budget adds to what is there.
@@ -91,6 +95,8 @@ def fit(
         Time of the data at which runs begin, where no column ``start`` says so.
     sd
         Relative standard deviation of data that come without one.
+    constraints
+        What must hold between free parameters, as ``"death.necrosis < 0.5 * KEY"``.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -117,7 +123,8 @@ def fit(
     """
     plan = plan_of(
         scene, data, free, method=method, seeds=seeds, repeats=repeats, budget=budget,
-        population=population, start=start, sd=sd, simulator=simulator,
+        population=population, start=start, sd=sd, constraints=constraints,
+        simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -196,6 +203,7 @@ def plan_of(
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    constraints: Sequence[str] = (),
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
@@ -211,9 +219,9 @@ def plan_of(
     whole("population", population, 10, MAX_POINTS, "It is the number of draws in a generation.")
     table = read_table(data, MAX_BYTES)
     measured = read_data(table, scene, start=start, sd=sd)
-    ranges = ranges_of(free, measured)
+    ranges, prior = free_of(free, measured, constraints)
     check_runs(len(measured.conditions), seeds)
-    problem = problem_of(measured, ranges, seeds, scene.seed, simulator)
+    problem = problem_of(measured, ranges, seeds, scene.seed, simulator, prior)
     fresh = _fresh_runs(method, repeats)
     points, draws, seconds = _spend(problem, method, budget, population, fresh)
     return FitPlan(problem, scene, table, method, points, draws, seconds, population, sd, repeats)

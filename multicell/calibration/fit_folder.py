@@ -55,6 +55,7 @@ def describe(
             for free in problem.ranges
         },
         "seeds": list(problem.seeds),
+        **problem.prior.describe(),
         **options,
     }
 

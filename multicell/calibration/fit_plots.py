@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from multicell.calibration.distance import Array
+from multicell.calibration.priors import values_at
 from multicell.calibration.verdict import quantiles
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, blank, counts, styled
 from multicell.report.wording import TimeUnit, time_unit
@@ -245,10 +246,7 @@ def _window(fit: Fit, k: int) -> tuple[float, float]:
 
 def _at(free: Range, shares: Array) -> Array:
     """Return the values at shares of a range in the unit that is shown, as if not whole."""
-    size = _unit(free)[1]
-    if free.log:
-        return np.asarray(free.low * (free.high / free.low) ** shares / size)
-    return np.asarray((free.low + (free.high - free.low) * shares) / size)
+    return values_at(free, shares) / _unit(free)[1]
 
 
 def _marginal(
@@ -266,7 +264,9 @@ def _marginal(
         axes.set_title(
             f"95 %: {100.0 * (ends[1] - ends[0]):.0f} % of its range", fontsize=10, weight="normal"
         )
-    axes.axhline(1.0, color=QUIET, linewidth=1.0, linestyle="--")
+    before = np.linspace(*window, 101)
+    density = fit.problem.prior.marginal(k, before)
+    axes.plot(_at(free, before), density, color=QUIET, linewidth=1.0, linestyle="--")
     axes.axvline(fit.best.values[free.key] / _unit(free)[1], color=RED, linewidth=1.6)
     axes.set_ylim(bottom=0.0)
     axes.set_yticks([])

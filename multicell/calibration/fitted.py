@@ -136,7 +136,7 @@ class Fit:
         found = self._likelihood
         if found is None:
             return None
-        shares = draws_of(found.loss, len(self.problem.ranges), seed=0)
+        shares = draws_of(found.loss, self.problem.prior, seed=0)
         return shares, np.full(len(shares), 1.0 / len(shares))
 
     @cached_property
@@ -182,7 +182,9 @@ class Fit:
     @cached_property
     def undetermined(self) -> list[Undetermined]:
         """What the data do not determine; empty if they determine all."""
-        return [] if self.sample is None else undetermined(self.problem.ranges, *self.sample)
+        if self.sample is None:
+            return []
+        return undetermined(self.problem.ranges, *self.sample, self.problem.prior)
 
     def predicted(self, levels: Sequence[float] = (0.025, 0.5, 0.975)) -> Array:
         """Return quantiles of what a tissue shows in place of each datum: (levels, n), base units.

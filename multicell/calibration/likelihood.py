@@ -128,8 +128,8 @@ class Likelihood:
         return np.asarray(normal + student + np.linalg.slogdet(spread)[1])
 
     def draws(self, count: int = PARTICLES) -> Array:
-        """Return draws from the posterior under a uniform prior: (count, d), of equal weight."""
-        return draws(self.loss, self.emulator.dimensions, seed=0, count=count)
+        """Return draws from the posterior: (count, d), of equal weight."""
+        return draws(self.loss, self.emulator.prior, seed=0, count=count)
 
 
 def likelihood(

@@ -101,8 +101,9 @@ def _sample(
 
     kernel = pyabc.distance.IndependentNormalKernel(var=1.0, keys=["z"])
     smc = pyabc.ABCSMC(
-        model, Box(problem.names), kernel, population_size=population, eps=pyabc.Temperature(),
-        acceptor=pyabc.StochasticAcceptor(), sampler=sampler, model_prior=OneModel(),
+        model, Box(problem.names, problem.prior), kernel, population_size=population,
+        eps=pyabc.Temperature(), acceptor=pyabc.StochasticAcceptor(), sampler=sampler,
+        model_prior=OneModel(),
     )  # fmt: skip
     observed = {"z": np.zeros(len(problem.observed))}
     if folder is None:

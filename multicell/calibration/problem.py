@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from multicell.calibration.distance import (
     scales,
     standardise,
 )
+from multicell.calibration.priors import Prior, prior_of, split_free
 from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
 from multicell.errors import SceneError
 from multicell.studies.axes import Range, check_ranges, parse_ranges
@@ -31,16 +32,17 @@ from multicell.studies.observed import may_be_negative
 class Problem:
     """Data and how runs are compared with them.
 
-    - ``ranges``: the free parameters; all of them are uniform a priori (on a logarithmic range: in
-      the logarithm)
+    - ``ranges``: the free parameters
     - ``simulator``: gives the readings of one run
     - ``seeds``: random numbers of the runs that are averaged, the same ones for all parameters
+    - ``known``: their prior; None: all places in the ranges are equally likely
     """
 
     measured: Measured
     ranges: tuple[Range, ...]
     simulator: Simulator
     seeds: tuple[int, ...]
+    known: Prior | None = None
 
     @cached_property
     def _scales(self) -> tuple[Array, Array]:
@@ -67,6 +69,11 @@ class Problem:
         data = self.measured.data
         free = np.array([datum.log or may_be_negative(datum.observable) for datum in data])
         return np.where(free, -np.inf, -self.observed / self.sigma)
+
+    @cached_property
+    def prior(self) -> Prior:
+        """What is known of the parameters beforehand."""
+        return Prior(len(self.ranges)) if self.known is None else self.known
 
     @property
     def names(self) -> list[str]:
@@ -134,12 +141,25 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
     return ranges
 
 
+def free_of(
+    free: Mapping[str, Any], measured: Measured, constraints: Sequence[str] = ()
+) -> tuple[tuple[Range, ...], Prior]:
+    """Return the ranges and the prior of free parameters, some of which have distributions.
+
+    Raises SceneError as :func:`ranges_of`, :func:`split_free` and :func:`prior_of`.
+    """
+    plain, densities = split_free(free, measured.conditions[0].scene)
+    ranges = ranges_of(plain, measured)
+    return ranges, prior_of(ranges, list(densities.values()), constraints)
+
+
 def problem_of(
     measured: Measured,
     ranges: Sequence[Range],
     seeds: int,
     first_seed: int,
     simulator: Simulator | None = None,
+    prior: Prior | None = None,
 ) -> Problem:
     """Return the problem of fitting a scene to data.
 
@@ -147,6 +167,8 @@ def problem_of(
     - ``seeds``: number of runs with different random numbers for each set of parameters
     - ``first_seed``: of these runs
     - ``simulator``: what stands for the scene's runs; by default they themselves
+    - ``prior``: of the parameters; by default uniform
     """
     chosen = SceneSimulator.of(measured, ranges) if simulator is None else simulator
-    return Problem(measured, tuple(ranges), chosen, tuple(range(first_seed, first_seed + seeds)))
+    numbers = tuple(range(first_seed, first_seed + seeds))
+    return Problem(measured, tuple(ranges), chosen, numbers, prior)

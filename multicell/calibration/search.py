@@ -47,12 +47,14 @@ class Evaluation:
     - ``number``: in the order in which they were asked for
     - ``shares``, (d,): places in the ranges
     - ``misfit``: of its runs
+    - ``loss``: -2 ln of likelihood and prior density
     - ``reasons``: why runs failed; empty if none did
     """
 
     number: int
     shares: Array
     misfit: Misfit
+    loss: float
     reasons: tuple[str, ...]
 
 
@@ -164,14 +166,18 @@ class Search:
         for found in self.evaluations():
             params = dict(zip(names, found.shares.tolist(), strict=True))
             study.add_trial(
-                optuna.trial.create_trial(
-                    params=params, distributions=space, value=found.misfit.loss
-                )
+                optuna.trial.create_trial(params=params, distributions=space, value=found.loss)
             )
         for shares in proposed:
             study.enqueue_trial(dict(zip(names, shares, strict=True)))
-        trials = [study.ask(space) for _ in range(count)]
-        return [[trial.params[name] for name in names] for trial in trials]
+        random = np.random.default_rng((self._seed, known))
+        prior, points = self._problem.prior, []
+        for _ in range(count):
+            trial = study.ask(space)
+            point = [trial.params[name] for name in names]
+            allowed = math.isfinite(prior.loss(np.array([point]))[0])
+            points.append(point if allowed else prior.draw(random, 1)[0].tolist())
+        return points
 
     @property
     def _first_points(self) -> int:
@@ -186,16 +192,19 @@ class Search:
         if found is None:
             return []
         wanted = max(1, count - max(1, count // 4))
-        likely = draws(found.loss, found.dimensions, self._seed + known, FEW)
-        best = best_of(found.loss, likely)
+        likely = draws(found.loss, found.prior, self._seed + known, FEW)
+        best = best_of(found.loss, found.prior, likely)
         return [best.tolist(), *likely[: wanted - 1].tolist()]
 
     def _sobol(self) -> Array:
         from scipy.stats import qmc
 
-        sequence = qmc.Sobol(len(self._problem.ranges), rng=self._seed)
-        power = math.ceil(math.log2(self._first_points + BATCH))
-        return np.asarray(sequence.random_base2(max(power, 6)))
+        prior, wanted = self._problem.prior, self._first_points + BATCH
+        power, found = max(math.ceil(math.log2(wanted)), 6), np.empty((0, prior.dimensions))
+        while len(found) < wanted:  # constraints leave some of them
+            sequence = qmc.Sobol(prior.dimensions, rng=self._seed)
+            found, power = prior.places(np.asarray(sequence.random_base2(power))), power + 1
+        return found
 
     def _runs(self, points: Sequence[Point]) -> list[Run]:
         """Return the runs that some points of the search take."""
@@ -247,7 +256,9 @@ class Search:
         readings = {(k, seed): self._readings[shares, k, seed] for k, seed in tasks}
         known = {(k, seed): self._problem.on_scales(k, r) for (k, seed), r in readings.items()}
         reasons = tuple(reading.reason for reading in readings.values() if reading.reason)
-        return Evaluation(number, np.array(shares), self._problem.misfit(known), reasons)
+        misfit, place = self._problem.misfit(known), np.array(shares)
+        loss = misfit.loss + float(self._problem.prior.loss(place[None])[0])
+        return Evaluation(number, place, misfit, loss, reasons)
 
     def _refuse_failures(self) -> None:
         """Refuse to continue where no run succeeds."""
@@ -276,6 +287,7 @@ def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator
         np.array([m.loss for m in misfits]),
         observables=[datum.observable for datum in problem.measured.data],
         lowest=problem.lowest,
+        prior=problem.prior,
     )
 
 

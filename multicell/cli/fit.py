@@ -40,6 +40,14 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     "'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
 )
 @studies.free_option
+@click.option(
+    "--constraint",
+    "constraints",
+    multiple=True,
+    metavar="LEFT<RIGHT",
+    help="What must hold between free parameters, as 'KEY < 0.5 * KEY' or 'KEY + KEY < 20 h'. May "
+    "be given several times.",
+)
 @shared.output_option("Folder of the fit; the same fit there is continued.")
 @click.option(
     "--method",
@@ -109,6 +117,8 @@ def fit(
     **options: Any,
 ) -> None:
     """Fit free parameters of a SCENE to measured data.
+
+    --free takes distributions too, as growth.cycle_time='norm(18 h, 2 h) in 10:30 h'.
 
     The result states how far each parameter is determined, and what the data leave open. A fit that
     was stopped continues with the same command; a larger --budget adds to it.
