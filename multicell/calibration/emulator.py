@@ -36,6 +36,7 @@ _MAX_POINTS: Final = 100
 """Points that a process is fitted to, the nearest ones: its cost is their number cubed."""
 _ABOVE: Final = 3  # readings above zero without which nothing is known of what is behind them
 _JITTER: Final = 1e-10  # of the diagonal of covariances, in variances of the values
+_DIFFERENCE: Final = 1e-7  # step of slopes, in parts of a range
 _SWEEPS: Final = 60  # of expectation propagation, at most
 
 Loss = Callable[[Array], Array]  # from parameters (k, d) to -2 ln L, (k,)
@@ -257,7 +258,7 @@ def _targets(
     Where they are seen these are the values without noise; where not, the factors of expectation
     propagation.
     """
-    from scipy.special import log_ndtr
+    from scipy.special import erfcx
 
     noise = np.zeros(len(hidden))
     if not hidden.any():
@@ -276,7 +277,7 @@ def _targets(
         centre = without * ((mean + after @ (shift - precision * mean)) / variance - shift)
         # moments of a normal number that is not above the lowest one
         place = (lowest - centre) / np.sqrt(without)
-        ratio = np.exp(-0.5 * place**2 - log_ndtr(place)) / np.sqrt(2.0 * np.pi)
+        ratio = np.sqrt(2.0 / np.pi) / erfcx(-place / np.sqrt(2.0))
         cut = without * np.maximum(1.0 - ratio * (place + ratio), 1e-6)
         wanted = np.maximum(1.0 / cut - 1.0 / without, 0.0)
         pulled = (centre - np.sqrt(without) * ratio) / cut - centre / without
@@ -334,20 +335,29 @@ def descend(loss: Loss, prior: Prior, start: Array, moving: Mask) -> Array:
     """
     from scipy.optimize import minimize
 
+    count = int(moving.sum())
+    if count == 0:
+        return start
+
     def point(x: Array) -> Array:
-        whole = start.copy()
-        whole[moving] = x
-        return whole[None]
+        whole = np.tile(start, (len(x), 1))
+        whole[:, moving] = x
+        return whole
+
+    def value_and_slope(x: Array) -> tuple[float, Array]:
+        steps = np.where(x < 0.5, _DIFFERENCE, -_DIFFERENCE)
+        points = point(np.vstack([x, x + np.diag(steps)]))
+        found = loss(points) + prior.density_loss(points)
+        return float(found[0]), (found[1:] - found[0]) / steps
 
     way: dict[str, Any] = {"method": "L-BFGS-B"}
     if prior.constraints:
-        margins = {"type": "ineq", "fun": lambda x: prior.margins(point(x))[0]}
+        margins = {"type": "ineq", "fun": lambda x: prior.margins(point(x[None]))[0]}
         way = {"method": "SLSQP", "constraints": [margins]}
     down = minimize(
-        lambda x: float((loss(point(x)) + prior.density_loss(point(x)))[0]), start[moving],
-        bounds=[(0.0, 1.0)] * int(moving.sum()), **way,
+        value_and_slope, start[moving], jac=True, bounds=[(0.0, 1.0)] * count, **way
     )  # fmt: skip
-    end = point(np.clip(down.x, 0.0, 1.0))[0]
+    end = point(np.clip(down.x, 0.0, 1.0)[None])[0]
     back = 1e-9
     while not np.isfinite(prior.loss(end[None])[0]):  # SLSQP may end just beyond a constraint
         end, back = start + max(1.0 - back, 0.0) * (end - start), 2.0 * back

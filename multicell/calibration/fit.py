@@ -17,6 +17,7 @@ from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
 from multicell.calibration.likelihood import MIN_REPEATS
 from multicell.calibration.pool import Pool, open_pool
 from multicell.calibration.problem import Problem, free_of, problem_of
+from multicell.calibration.profiles import MIN_RUNS
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
@@ -27,6 +28,7 @@ from multicell.units import to_base
 if TYPE_CHECKING:
     from multicell.calibration.fresh import Fresh
     from multicell.calibration.posterior import Draws
+    from multicell.calibration.profiles import End
     from multicell.calibration.search import Evaluation
     from multicell.calibration.simulator import Simulator
     from multicell.scene.scene import Scene
@@ -48,6 +50,7 @@ def fit(
     method: str = "best",
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
+    profile_runs: int = 0,
     budget: int | str | None = None,
     population: int = 200,
     start: float | str | None = None,
@@ -86,6 +89,9 @@ def fit(
     repeats
         Runs with fresh random numbers at the best point, from which the intervals of a search have
         the scatter of runs; 8 to 16 are sensible.
+    profile_runs
+        Runs at each end of each parameter's profile interval, which check the emulator there; 4 are
+        sensible, by default none. They may be added to a fit that is done.
     budget
         Number of runs, or a time such as ``"2 h"``, in all. By default as many runs as the number
         of free parameters asks for.
@@ -122,8 +128,8 @@ def fit(
         If no run gives anything to compare, or a budget ends before there is a result.
     """
     plan = plan_of(
-        scene, data, free, method=method, seeds=seeds, repeats=repeats, budget=budget,
-        population=population, start=start, sd=sd, constraints=constraints,
+        scene, data, free, method=method, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
+        budget=budget, population=population, start=start, sd=sd, constraints=constraints,
         simulator=simulator,
     )  # fmt: skip
     return carry_out(
@@ -152,6 +158,7 @@ class FitPlan:
     population: int
     sd: float
     repeats: int
+    profile_runs: int = 0
 
     @property
     def runs(self) -> int:
@@ -162,7 +169,8 @@ class FitPlan:
     def _planned_runs(self) -> int:
         """How many runs are not draws: those of the search, and fresh ones."""
         each = len(self.problem.tasks())
-        return self.points * each + _fresh_runs(self.method, self.repeats) * self._conditions
+        fresh = _fresh_runs(self.method, self.repeats, self.profile_runs, self.problem)
+        return self.points * each + fresh * self._conditions
 
     @property
     def _conditions(self) -> int:
@@ -199,6 +207,7 @@ def plan_of(
     method: str = "best",
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
+    profile_runs: int = 0,
     budget: int | str | None = None,
     population: int = 200,
     start: float | str | None = None,
@@ -216,20 +225,29 @@ def plan_of(
     whole(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
+    if profile_runs and method != "best":
+        raise SceneError("profile_runs", f"has no meaning with method '{method}'")
+    if profile_runs:
+        hint = "It is the number of runs at each end of an interval; 0 makes none."
+        whole("profile_runs", profile_runs, MIN_RUNS, repeats, hint)
     whole("population", population, 10, MAX_POINTS, "It is the number of draws in a generation.")
     table = read_table(data, MAX_BYTES)
     measured = read_data(table, scene, start=start, sd=sd)
     ranges, prior = free_of(free, measured, constraints)
     check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, prior)
-    fresh = _fresh_runs(method, repeats)
+    fresh = _fresh_runs(method, repeats, profile_runs, problem)
     points, draws, seconds = _spend(problem, method, budget, population, fresh)
-    return FitPlan(problem, scene, table, method, points, draws, seconds, population, sd, repeats)
+    return FitPlan(
+        problem, scene, table, method, points, draws, seconds, population, sd, repeats,
+        profile_runs,
+    )  # fmt: skip
 
 
-def _fresh_runs(method: str, repeats: int) -> int:
+def _fresh_runs(method: str, repeats: int, profile_runs: int, problem: Problem) -> int:
     """Return how many runs of each condition have fresh seeds."""
-    return repeats + (CHECKS if method == "best" else 0)
+    ends = 2 * len(problem.ranges) * profile_runs
+    return repeats + ends + (CHECKS if method == "best" else 0)
 
 
 def _spend(
@@ -287,7 +305,7 @@ def carry_out(
             )
         begin = clock.monotonic()
         with open_pool(cores, scheduler) as pool:
-            evaluations, draws, again = _make_runs(plan, folder, pool, begin, progress)
+            evaluations, draws, again, ends = _make_runs(plan, folder, pool, begin, progress)
         facts = {
             "method": plan.method,
             "sd": plan.sd,
@@ -297,9 +315,10 @@ def carry_out(
             "generations": 0 if draws is None else draws.generations,
             "temperature": None if draws is None else draws.temperature,
             "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
+            "profile_runs": len(ends) * plan.profile_runs,
             "seconds": clock.monotonic() - begin,
         }
-        found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts, again)
+        found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts, again, ends)
         if folder is not None:
             write_result(found, folder)
             found.report()
@@ -308,11 +327,12 @@ def carry_out(
 
 def _make_runs(
     plan: FitPlan, folder: Path | None, pool: Pool, begin: float, progress: Progress
-) -> tuple[list[Evaluation], Draws | None, Fresh]:
+) -> tuple[list[Evaluation], Draws | None, Fresh, tuple[End, ...]]:
     """Make all runs of a fit that are not there."""
     from multicell.calibration.fit_folder import SEARCH
     from multicell.calibration.fresh import fresh
     from multicell.calibration.posterior import posterior
+    from multicell.calibration.profiles import check_ends
     from multicell.calibration.search import Search
 
     def note_draws(generation: int, accepted: int, wanted: int, drawn: int) -> None:
@@ -334,4 +354,6 @@ def _make_runs(
         )  # fmt: skip
     note = partial(progress, "fresh runs")
     again = fresh(plan.problem, search, pool, search.emulator(), draws, plan.repeats, note)
-    return evaluations, draws, again
+    note = partial(progress, "runs at the ends of profiles")
+    ends = check_ends(plan.problem, search, pool, again, plan.profile_runs, note)
+    return evaluations, draws, again, ends

@@ -37,7 +37,7 @@ _JOURNAL: Final = "posterior.journal"
 FILES: Final = (
     FIT, "scene.toml", "data.csv", SEARCH, "posterior.db", _JOURNAL,
     "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
-    "parameters.png", *COPIES,
+    "parameters.png", "profiles.png", *COPIES,
 )  # fmt: skip
 _PACKAGES: Final = ("optuna", "pyabc", "distributed", "pandas", "scikit-learn")
 

@@ -49,6 +49,10 @@ class FitPlots:
         """Draw the posterior: each parameter, and each pair of them."""
         return parameters(self._fit)
 
+    def profiles(self) -> Figure:
+        """Draw the profile likelihood of each parameter, and what runs say at its ends."""
+        return profiles(self._fit)
+
 
 @styled
 def data(fit: Fit) -> Figure:
@@ -218,6 +222,40 @@ def parameters(fit: Fit) -> Figure:
             else:
                 _pair(axes, fit, (ranges[j], ranges[i]), (j, i), sample)
             _edges(axes, (ranges[j], ranges[i]), (windows[j], windows[i]), (i, j), count)
+    return figure
+
+
+@styled
+def profiles(fit: Fit) -> Figure:
+    """Draw by how much -2 ln L rises at best over the values of each parameter."""
+    found = fit.profiles
+    columns = min(len(found), 3)
+    rows = -(-len(found) // max(columns, 1))
+    subtitle = "least -2 ln (likelihood · prior) over the other parameters; dotted: 95 % interval"
+    if fit.ends:
+        subtitle += "; red: runs at its ends"
+    height = 1.25 + 3.3 * max(rows, 1)
+    figure = blank(_title(fit), subtitle, (10.0, height))
+    grid = figure.add_gridspec(
+        max(rows, 1), max(columns, 1), left=0.09, right=0.97, top=1.0 - 1.25 / height,
+        bottom=0.7 / height, wspace=0.3, hspace=0.35,
+    )  # fmt: skip
+    for k, profile in enumerate(found):
+        axes = figure.add_subplot(grid[k // columns, k % columns])
+        free = fit.problem.ranges[profile.number]
+        axes.plot(_at(free, profile.shares[:, profile.number]), profile.rises, color=BLUE)
+        axes.axhline(profile.limit, color=QUIET, linewidth=1.0, linestyle="--")
+        ends = _at(free, profile.ends[:, profile.number])
+        for x, is_open in zip(ends, profile.open, strict=True):
+            if not is_open:
+                axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
+        for end in (end for end in fit.ends if end.number == profile.number):
+            axes.errorbar(ends[end.side], end.found, end.error, fmt="o", color=RED, capsize=3)
+        axes.set_ylim(0.0, 3.0 * profile.limit)
+        axes.set_xlabel(_named(free.name, _unit(free)[0]))
+        if k % columns == 0:
+            axes.set_ylabel("rise of -2 ln L")
+        axes.xaxis.set_major_locator(MaxNLocator(4))
     return figure
 
 

@@ -16,6 +16,7 @@ from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.fresh import Fresh
 from multicell.calibration.posterior import Draws
 from multicell.calibration.problem import Problem
+from multicell.calibration.profiles import POINTS, End, Profile, profiles
 from multicell.calibration.search import Evaluation, emulator_of
 from multicell.calibration.verdict import (
     Interval,
@@ -25,7 +26,10 @@ from multicell.calibration.verdict import (
     quantiles,
     undetermined,
 )
+from multicell.errors import FitFailed, SceneError
 from multicell.host.extras import needs
+from multicell.schema import chosen
+from multicell.studies.limits import whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -91,6 +95,8 @@ class Fit:
         How the fit was made: method, numbers of runs, seconds.
     fresh
         What runs with fresh seeds have shown at the best point and at draws from the intervals.
+    ends
+        What runs have shown at the ends of profile intervals; empty without ``profile_runs``.
     """
 
     problem: Problem
@@ -100,6 +106,7 @@ class Fit:
     folder: Path | None
     facts: Mapping[str, Any]
     fresh: Fresh
+    ends: Sequence[End] = ()
 
     @cached_property
     def best(self) -> Best:
@@ -178,6 +185,71 @@ class Fit:
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
         return intervals(self.problem.ranges, *self._some_sample(), level)
+
+    @cached_property
+    def profiles(self) -> list[Profile]:
+        """The profile likelihoods of all parameters by the emulator; none without one."""
+        found = self._likelihood if self.draws is None else None
+        return [] if found is None else profiles(found, range(len(self.problem.ranges)))
+
+    def profile(self, key: str, points: int = POINTS, level: float = 0.95) -> pd.DataFrame:
+        """Return the profile likelihood of a parameter, by the emulator.
+
+        Parameters
+        ----------
+        key
+            Of the parameter, or its short name.
+        points
+            Values of it, over somewhat more than its interval.
+        level
+            Of the interval.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row for each value: the best parameters with it in base units, and ``rise``, by how
+            much -2 ln of likelihood and prior are above their least value. ``attrs`` hold units,
+            ``level``, ``limit`` (the rise at the ends of the interval), ``interval``, and
+            ``open``: whether its ends are those of the range.
+
+        Raises
+        ------
+        SceneError
+            For an unknown key, fewer than three points or a level that is none.
+        FitFailed
+            Without an emulator: too few points were tried, or the posterior was sampled with runs.
+        """
+        needs("pandas")
+        import pandas
+
+        known = {name: k for k, free in enumerate(self.problem.ranges)
+                 for name in (free.key, free.name)}  # fmt: skip
+        number = known[chosen(key, known, "key")]
+        whole("points", points, 3, 1000, "It is the number of values of the parameter.")
+        if not 0.0 < level < 1.0:
+            raise SceneError("level", f"is {level!r}, must be between 0 and 1")
+        likelihood = self._likelihood if self.draws is None else None
+        if likelihood is None:
+            hint = "Method 'best' with a larger budget has one."
+            raise FitFailed("there is no emulator that a profile could be of", hint)
+        if (points, level) == (POINTS, 0.95):
+            found = self.profiles[number]
+        else:
+            (found,) = profiles(likelihood, [number], points, level)
+        free = self.problem.ranges[number]
+        frame = pandas.DataFrame(
+            {r.name: [r.value(float(x)) for x in column]
+             for r, column in zip(self.problem.ranges, found.shares.T, strict=True)}
+        )  # fmt: skip
+        frame["rise"] = found.rises
+        frame.attrs = {
+            "units": {r.name: r.unit for r in self.problem.ranges},
+            "level": level,
+            "limit": found.limit,
+            "interval": [free.value(float(x)) for x in found.ends[:, number]],
+            "open": list(found.open),
+        }
+        return frame
 
     @cached_property
     def undetermined(self) -> list[Undetermined]:
@@ -324,6 +396,13 @@ class Fit:
             )
             return notes
         off = np.flatnonzero(self.fresh.checks.off)
+        for end in self.ends:
+            if end.off:
+                side, free = ("lower", "upper")[end.side], self.problem.ranges[end.number]
+                notes.append(
+                    f"At the {side} end of the profile interval of {free.name} runs give a rise of "
+                    f"{end.found:.3g} ± {end.error:.2g}, the emulator {end.claimed:.3g}."
+                )
         if len(off):
             data = self.problem.measured.data
             ratio = self.fresh.checks.found / self.fresh.checks.expected
@@ -360,8 +439,9 @@ class Fit:
         best = self.best
         known = self.intervals() if self.sample is not None else {}
         parameters = {}
+        profiles_of = dict(zip(known, self.profiles, strict=False))
         for free in self.problem.ranges:
-            interval = known.get(free.name)
+            interval, profile = known.get(free.name), profiles_of.get(free.name)
             parameters[free.key] = {
                 "name": free.name,
                 "unit": free.unit,
@@ -369,6 +449,9 @@ class Fit:
                 "median": None if interval is None else interval.median,
                 "interval": None if interval is None else [interval.low, interval.high],
                 "part_of_range": None if interval is None else interval.part,
+                "profile_interval": None
+                if profile is None
+                else [free.value(float(x)) for x in profile.ends[:, profile.number]],
                 "range": [free.low, free.high],
                 "log": free.log,
             }
@@ -389,8 +472,6 @@ class Fit:
 
     def _some_sample(self) -> tuple[Array, Array]:
         if self.sample is None:
-            from multicell.errors import FitFailed
-
             raise FitFailed(
                 "too few points were tried for a posterior", "A larger budget continues the fit."
             )

@@ -112,7 +112,10 @@ class Likelihood:
 
     def loss(self, shares: Array) -> Array:
         """Return -2 ln L up to a constant for parameters (k, d): (k,)."""
-        means, variances = self.predict(shares)
+        return self.loss_of(*self.predict(shares))
+
+    def loss_of(self, means: Array, variances: Array) -> Array:
+        """Return -2 ln L for (mean - datum) / σ and the variances of their errors, (k, n): (k,)."""
         white = means @ self.whitening.T
         count, along = self.directions.shape
         part = white @ self.directions

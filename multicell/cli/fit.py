@@ -72,6 +72,13 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     help="Runs with fresh seeds at the best point, from which intervals have the scatter of runs.",
 )
 @click.option(
+    "--profile-runs",
+    type=int,
+    default=0,
+    show_default=True,
+    help="Runs at each end of each parameter's profile interval, which check the emulator there.",
+)
+@click.option(
     "--budget",
     callback=_budget,
     metavar="RUNS|TIME",

@@ -128,6 +128,16 @@ def test_processes_follow_the_kink_where_a_core_begins_and_know_their_error():
     assert (means - lowest).min() >= 0.0
 
 
+def test_zeros_that_contradict_their_neighbours_are_taken_for_scatter():
+    """Every second reading is zero where the others rise evenly from 5 to 10."""
+    shares = np.linspace(0.0, 1.0, 24)[:, None]
+    values = np.where(np.arange(24) % 2, 0.0, 5.0 + 5.0 * shares[:, 0])[:, None]
+    found = emulator(shares, values, np.zeros((24, 1)), np.ones(24), lowest=np.zeros(1))
+    means, variances = found.predict(np.linspace(0.0, 1.0, 7)[:, None])
+    assert np.isfinite(variances).all()
+    assert 0.0 <= means.min() <= means.max() < 11.0
+
+
 def test_draws_of_an_emulator_have_the_posterior_in_closed_form():
     problem = linear(MATRIX, [0.45, 0.6, 1.0, -0.2], 0.05)
     shares = np.random.default_rng(5).random((40, 2))
