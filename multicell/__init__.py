@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from multicell.calibration.dose_response_result import DoseResponse
     from multicell.calibration.fit import fit
     from multicell.calibration.fitted import Fit
+    from multicell.calibration.model_comparison import compare_fits
     from multicell.calibration.sensitivity import sensitivity
     from multicell.calibration.sensitivity_result import Sensitivity
     from multicell.cells import Cells, State
@@ -99,6 +100,7 @@ __all__ = [
     "Substance",
     "WorkPrecision",
     "compare",
+    "compare_fits",
     "dose_response",
     "export",
     "field_problem",
@@ -173,6 +175,7 @@ _LAZY = {
     "sensitivity": "multicell.calibration.sensitivity",
     "Fit": "multicell.calibration.fitted",
     "fit": "multicell.calibration.fit",
+    "compare_fits": "multicell.calibration.model_comparison",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",

@@ -357,7 +357,7 @@ def descend(loss: Loss, prior: Prior, start: Array, moving: Mask) -> Array:
     down = minimize(
         value_and_slope, start[moving], jac=True, bounds=[(0.0, 1.0)] * count, **way
     )  # fmt: skip
-    end = point(np.clip(down.x, 0.0, 1.0)[None])[0]
+    end: Array = point(np.clip(down.x, 0.0, 1.0)[None])[0]
     back = 1e-9
     while not np.isfinite(prior.loss(end[None])[0]):  # SLSQP may end just beyond a constraint
         end, back = start + max(1.0 - back, 0.0) * (end - start), 2.0 * back

@@ -56,6 +56,21 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         emulated=fit.kind == "emulated",
         rows=_rows(fit),
         ends=_ends(fit),
+        checked=_checked(fit),
+    )
+
+
+def _checked(fit: Fit) -> str:
+    """Return what posterior predictive checks say in words."""
+    if fit.sample is None:
+        return ""
+    found = fit.predictive_check()
+    return (
+        f"Data replicated from the posterior have a larger χ² than the data with probability "
+        f"{found.chi_squared:.2g}, and a larger deviation of a single datum with probability "
+        f"{found.largest:.2g}; {found.outside} of {len(found.table)} data are outside the interval "
+        "of 95 % of their replicates. Probabilities near 0 speak against the model, or against the "
+        "standard deviations."
     )
 
 

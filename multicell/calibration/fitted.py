@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from multicell.calibration.emulator import Emulator
     from multicell.calibration.fit_plots import FitPlots
     from multicell.calibration.likelihood import Likelihood
+    from multicell.calibration.predictive import PredictiveCheck
     from multicell.scene.scene import Scene
 
 
@@ -140,14 +141,14 @@ class Fit:
         """
         if self.draws is not None:
             return self.draws.shares, self.draws.weights
-        found = self._likelihood
+        found = self.likelihood
         if found is None:
             return None
         shares = draws_of(found.loss, self.problem.prior, seed=0)
         return shares, np.full(len(shares), 1.0 / len(shares))
 
     @cached_property
-    def _likelihood(self) -> Likelihood | Emulator | None:
+    def likelihood(self) -> Likelihood | Emulator | None:
         """What the intervals of a search come from; where fresh runs failed its emulator alone."""
         if self.fresh.likelihood is not None:
             return self.fresh.likelihood
@@ -163,7 +164,7 @@ class Fit:
         needs("pandas")
         import pandas
 
-        shares, weights = self._some_sample()
+        shares, weights = self.some_sample()
         columns = {
             free.name: [free.value(float(x)) for x in column]
             for free, column in zip(self.problem.ranges, shares.T, strict=True)
@@ -184,12 +185,12 @@ class Fit:
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
-        return intervals(self.problem.ranges, *self._some_sample(), level)
+        return intervals(self.problem.ranges, *self.some_sample(), level)
 
     @cached_property
     def profiles(self) -> list[Profile]:
         """The profile likelihoods of all parameters by the emulator; none without one."""
-        found = self._likelihood if self.draws is None else None
+        found = self.likelihood if self.draws is None else None
         return [] if found is None else profiles(found, range(len(self.problem.ranges)))
 
     def profile(self, key: str, points: int = POINTS, level: float = 0.95) -> pd.DataFrame:
@@ -228,7 +229,7 @@ class Fit:
         whole("points", points, 3, 1000, "It is the number of values of the parameter.")
         if not 0.0 < level < 1.0:
             raise SceneError("level", f"is {level!r}, must be between 0 and 1")
-        likelihood = self._likelihood if self.draws is None else None
+        likelihood = self.likelihood if self.draws is None else None
         if likelihood is None:
             hint = "Method 'best' with a larger budget has one."
             raise FitFailed("there is no emulator that a profile could be of", hint)
@@ -267,10 +268,10 @@ class Fit:
         if self.draws is not None:
             found, weights = self.draws.residuals, self.draws.weights
         else:
-            emulated = self._likelihood
+            emulated = self.likelihood
             if emulated is None:
                 return np.full((len(levels), len(problem.observed)), np.nan)
-            found, weights = emulated.predict(self._some_sample()[0])[0], self._some_sample()[1]
+            found, weights = emulated.predict(self.some_sample()[0])[0], self.some_sample()[1]
             random = np.random.default_rng(0)
             found = found + self._scatter * random.standard_normal(found.shape)
             found = np.maximum(found, problem.lowest)
@@ -299,6 +300,19 @@ class Fit:
         assert self.fresh.checks is not None
         own = np.sqrt(self.fresh.likelihood.predict(self.sample[0])[1].mean(axis=0))
         return own, self.fresh.checks.found
+
+    def predictive_check(self) -> PredictiveCheck:
+        """Return posterior predictive checks: whether data like these come from the posterior.
+
+        Raises
+        ------
+        FitFailed
+            If there is no posterior.
+        """
+        from multicell.calibration.predictive import predictive_check
+
+        needs("pandas")
+        return predictive_check(self)
 
     def residuals(self) -> pd.DataFrame:
         """Return the data one by one: where, when, measured, in the runs, and how far apart."""
@@ -465,12 +479,21 @@ class Fit:
                 {"names": list(u.names), "kind": u.kind, "words": u.words}
                 for u in self.undetermined
             ],
+            "predictive_check": self._checked(),
             "residuals": self.rows(),
             "notes": self.notes,
             **self.facts,
         }
 
-    def _some_sample(self) -> tuple[Array, Array]:
+    def _checked(self) -> dict[str, float] | None:
+        if self.sample is None:
+            return None
+        found = self.predictive_check()
+        return {"chi_squared": found.chi_squared, "largest": found.largest,
+                "outside": found.outside}  # fmt: skip
+
+    def some_sample(self) -> tuple[Array, Array]:
+        """Return the draws and weights of :attr:`sample`; raises FitFailed where there are none."""
         if self.sample is None:
             raise FitFailed(
                 "too few points were tried for a posterior", "A larger budget continues the fit."

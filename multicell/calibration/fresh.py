@@ -121,7 +121,7 @@ def _best(search: Search, prior: Prior, emulator: Emulator | None, drawn: Draws 
         mean = np.asarray(drawn.weights @ drawn.shares)
         if np.isfinite(prior.loss(mean[None])[0]):
             return mean
-        return drawn.shares[np.argmin(((drawn.shares - mean) ** 2).sum(axis=1))]
+        return np.asarray(drawn.shares[np.argmin(((drawn.shares - mean) ** 2).sum(axis=1))])
     if emulator is None:
         return min(search.evaluations(), key=lambda e: e.loss).shares
     return best_of(emulator.loss, prior, draws(emulator.loss, prior, seed=0, count=FEW))

@@ -69,6 +69,7 @@ class End:
     - ``number``, ``side``: of the parameter; 0 at the lower end, 1 at the upper one
     - ``claimed``: D by the emulator
     - ``found``, ``error``: D by runs, and its standard error; NaN where runs failed
+    - ``runs``: how many there are
     """
 
     number: int
@@ -76,11 +77,15 @@ class End:
     claimed: float
     found: float
     error: float
+    runs: int
 
     @property
     def off(self) -> bool:
         """Whether runs and emulator differ by more than chance explains, and by what matters."""
-        return abs(self.found - self.claimed) > 3.0 * self.error + 0.25 * self.claimed
+        from scipy import stats
+
+        chance = stats.t.ppf(0.995, max(self.runs - 1, 1)) * self.error
+        return bool(abs(self.found - self.claimed) > chance + 0.25 * self.claimed)
 
 
 def limit_of(likelihood: Likelihood | Emulator, level: float) -> float:
@@ -155,7 +160,7 @@ class _Course:
                 )  # fmt: skip
             ends.append(self.at(outer))
             reach.append(min(max(outer + 0.35 * (outer - centre), 0.0), 1.0))
-        found = [self.at(x) for x in np.linspace(*reach, points)]
+        found = [self.at(x) for x in np.linspace(reach[0], reach[1], points)]
         return Profile(
             self._number, np.array([x for x, _ in found]), np.array([d for _, d in found]),
             level, limit, np.array([x for x, _ in ends]), (ends[0][1], ends[1][1]),
@@ -205,7 +210,8 @@ def check_ends(
                 return float(likelihood.loss_of(means[:1] + x, error)[0])
 
             found_there, error = _jackknife(rise, away)
-            results.append(End(profile.number, side, claimed, begin + found_there, error))
+            by_runs = begin + found_there
+            results.append(End(profile.number, side, claimed, by_runs, error, len(away)))
     return tuple(results)
 
 
