@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from multicell.calibration.model_comparison import compare_fits
     from multicell.calibration.sensitivity import sensitivity
     from multicell.calibration.sensitivity_result import Sensitivity
+    from multicell.calibration.stored import load_fit
     from multicell.cells import Cells, State
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability_limits.result import StabilityMap
@@ -107,6 +108,7 @@ __all__ = [
     "fit",
     "growth_law",
     "import_physicell",
+    "load_fit",
     "load_law",
     "load_observable",
     "load_result",
@@ -175,6 +177,7 @@ _LAZY = {
     "sensitivity": "multicell.calibration.sensitivity",
     "Fit": "multicell.calibration.fitted",
     "fit": "multicell.calibration.fit",
+    "load_fit": "multicell.calibration.stored",
     "compare_fits": "multicell.calibration.model_comparison",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",

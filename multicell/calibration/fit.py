@@ -6,7 +6,7 @@ import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from multicell.calibration.fresh import Fresh
     from multicell.calibration.posterior import Draws
     from multicell.calibration.profiles import End
-    from multicell.calibration.search import Evaluation
-    from multicell.calibration.simulator import Simulator
+    from multicell.calibration.search import Evaluation, Run
+    from multicell.calibration.simulator import Reading, Simulator
     from multicell.scene.scene import Scene
 
 METHODS: Final = ("best", "posterior")
@@ -56,6 +56,7 @@ def fit(
     start: float | str | None = None,
     sd: float = ASSUMED,
     constraints: Sequence[str] = (),
+    reuse: str | Path | None = None,
     cores: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -103,6 +104,10 @@ def fit(
         Relative standard deviation of data that come without one.
     constraints
         What must hold between free parameters, as ``"death.necrosis < 0.5 * KEY"``.
+    reuse
+        Folder of another fit of the same scene and free parameters, whose search serves this one
+        too; its data are at least these, with whatever values and ranges. What is tried comes on
+        top of that.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -130,7 +135,7 @@ def fit(
     plan = plan_of(
         scene, data, free, method=method, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
         budget=budget, population=population, start=start, sd=sd, constraints=constraints,
-        simulator=simulator,
+        reuse=reuse, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -159,6 +164,8 @@ class FitPlan:
     sd: float
     repeats: int
     profile_runs: int = 0
+    request: Mapping[str, Any] = field(default_factory=dict)
+    adopted: Sequence[Mapping[str, Any]] = ()
 
     @property
     def runs(self) -> int:
@@ -213,6 +220,7 @@ def plan_of(
     start: float | str | None = None,
     sd: float = ASSUMED,
     constraints: Sequence[str] = (),
+    reuse: str | Path | None = None,
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
@@ -238,9 +246,17 @@ def plan_of(
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, prior)
     fresh = _fresh_runs(method, repeats, profile_runs, problem)
     points, draws, seconds = _spend(problem, method, budget, population, fresh)
+    request = {"start": start, "constraints": list(constraints)}
+    adopted: Sequence[Mapping[str, Any]] = ()
+    if reuse is not None:
+        from multicell.calibration.stored import reusable
+
+        if method != "best":
+            raise SceneError("reuse", f"has no meaning with method '{method}'")
+        adopted = reusable(problem, reuse)
     return FitPlan(
         problem, scene, table, method, points, draws, seconds, population, sd, repeats,
-        profile_runs,
+        profile_runs, request, adopted,
     )  # fmt: skip
 
 
@@ -296,38 +312,58 @@ def carry_out(
     needs("optuna", "pyabc", "distributed", "pandas", "sklearn", "sqlalchemy")
     from multicell.calibration.fit_folder import open_folder, write_result
 
-    progress = progress or (lambda what, done, wanted: None)
     with ExitStack() as stack:
         folder = None
         if output is not None:
-            folder = stack.enter_context(
-                open_folder(output, plan.describe(), plan.scene, plan.table, overwrite=overwrite)
-            )
+            opened = open_folder(
+                output, plan.describe(), plan.scene, plan.table, overwrite=overwrite,
+                request=plan.request,
+            )  # fmt: skip
+            folder = stack.enter_context(opened)
         begin = clock.monotonic()
         with open_pool(cores, scheduler) as pool:
-            evaluations, draws, again, ends = _make_runs(plan, folder, pool, begin, progress)
+            made = make_runs(plan, folder, pool, begin, progress)
+        draws = made.draws
         facts = {
             "method": plan.method,
             "sd": plan.sd,
             "seeds": list(plan.problem.seeds),
-            "sets_of_parameters": len(evaluations),
+            "repeats": plan.repeats,
+            "sets_of_parameters": len(made.evaluations) - made.reused,
+            "reused": made.reused,
             "draws": 0 if draws is None else draws.drawn,
             "generations": 0 if draws is None else draws.generations,
             "temperature": None if draws is None else draws.temperature,
-            "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
-            "profile_runs": len(ends) * plan.profile_runs,
+            "fresh_runs": plan.repeats if made.fresh.checks is None else plan.repeats + CHECKS,
+            "profile_runs": len(made.ends) * plan.profile_runs,
             "seconds": clock.monotonic() - begin,
         }
-        found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts, again, ends)
+        found = Fit(
+            plan.problem, plan.scene, made.evaluations, draws, folder, facts, made.fresh,
+            made.ends, made.readings,
+        )  # fmt: skip
         if folder is not None:
             write_result(found, folder)
             found.report()
         return found
 
 
-def _make_runs(
-    plan: FitPlan, folder: Path | None, pool: Pool, begin: float, progress: Progress
-) -> tuple[list[Evaluation], Draws | None, Fresh, tuple[End, ...]]:
+@final
+@dataclass(frozen=True, eq=False)
+class Made:
+    """What the runs of a fit have come to; see :class:`Fit`. ``reused`` counts points."""
+
+    evaluations: list[Evaluation]
+    draws: Draws | None
+    fresh: Fresh
+    ends: tuple[End, ...]
+    readings: Mapping[Run, Reading]
+    reused: int
+
+
+def make_runs(
+    plan: FitPlan, folder: Path | None, pool: Pool, begin: float, progress: Progress | None = None
+) -> Made:
     """Make all runs of a fit that are not there."""
     from multicell.calibration.fit_folder import SEARCH
     from multicell.calibration.fresh import fresh
@@ -339,7 +375,9 @@ def _make_runs(
         of = "calibration" if generation < 0 else f"generation {generation + 1}"
         progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
 
+    progress = progress or (lambda what, done, wanted: None)
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
+    search.adopt(plan.adopted)
     evaluations: list[Evaluation] = []
     draws: Draws | None = None
     if plan.method == "best":
@@ -356,4 +394,4 @@ def _make_runs(
     again = fresh(plan.problem, search, pool, search.emulator(), draws, plan.repeats, note)
     note = partial(progress, "runs at the ends of profiles")
     ends = check_ends(plan.problem, search, pool, again, plan.profile_runs, note)
-    return evaluations, draws, again, ends
+    return Made(evaluations, draws, again, ends, search.readings, search.reused)

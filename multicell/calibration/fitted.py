@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -17,7 +17,8 @@ from multicell.calibration.fresh import Fresh
 from multicell.calibration.posterior import Draws
 from multicell.calibration.problem import Problem
 from multicell.calibration.profiles import POINTS, End, Profile, profiles
-from multicell.calibration.search import Evaluation, emulator_of
+from multicell.calibration.search import Evaluation, Run, emulator_of
+from multicell.calibration.simulator import Reading
 from multicell.calibration.verdict import (
     Interval,
     Undetermined,
@@ -33,12 +34,14 @@ from multicell.studies.limits import whole
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
 
     from multicell.calibration.emulator import Emulator
     from multicell.calibration.fit_plots import FitPlots
     from multicell.calibration.likelihood import Likelihood
     from multicell.calibration.predictive import PredictiveCheck
     from multicell.scene.scene import Scene
+    from multicell.studies.study import Study
 
 
 @final
@@ -98,6 +101,9 @@ class Fit:
         What runs with fresh seeds have shown at the best point and at draws from the intervals.
     ends
         What runs have shown at the ends of profile intervals; empty without ``profile_runs``.
+    readings
+        What each run of the search and each fresh one has in place of its data, by place in the
+        ranges, condition and seed; :attr:`runs` is a table of them.
     """
 
     problem: Problem
@@ -108,6 +114,7 @@ class Fit:
     facts: Mapping[str, Any]
     fresh: Fresh
     ends: Sequence[End] = ()
+    readings: Mapping[Run, Reading] = field(default_factory=dict)
 
     @cached_property
     def best(self) -> Best:
@@ -351,6 +358,56 @@ class Fit:
                 }
             )
         return rows
+
+    def run_rows(self) -> list[dict[str, Any]]:
+        """Return all runs but those of draws one by one, base units; see :attr:`runs`."""
+        from multicell.calibration.run_table import rows
+
+        return rows(self)
+
+    @property
+    def runs(self) -> pd.DataFrame:
+        """All runs of search and checks: a row for each, with parameters and readings.
+
+        Columns are ``point``, ``stage`` (``"search"``, or ``"fresh"`` for seeds that had no part in
+        it), ``condition``, ``seed``, the parameters, a column for each reading as
+        ``diameter at 48 h``, and ``reason`` where a run failed; base units.
+        """
+        needs("pandas")
+        import pandas
+
+        return pandas.DataFrame(self.run_rows())
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return all runs in the form of a study's table, for its pictures and for analyses.
+
+        Dimensions are ``point`` (a set of parameters under a condition), ``seed`` and ``time``;
+        see :mod:`multicell.studies.table`.
+        """
+        from multicell.calibration.run_table import dataset
+
+        needs("xarray")
+        return dataset(self)
+
+    def to_study(self, folder: str | Path) -> Study:
+        """Write a study of the sets of parameters that were tried, under all conditions.
+
+        A fit keeps readings only. The study's runs, which are made when it is run, are whole ones:
+        with frames, histories and pictures. It can be widened as others can.
+
+        Parameters
+        ----------
+        folder
+            Of the study.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be used.
+        """
+        from multicell.calibration.run_table import to_study
+
+        return to_study(self, folder)
 
     @property
     def notes(self) -> list[str]:

@@ -114,6 +114,10 @@ class Prior:
             inside &= (self.margins(shares) > 0.0).all(axis=1)
         return np.where(inside, self.density_loss(np.clip(shares, 0.0, 1.0)), np.inf)
 
+    def allows(self, place: Sequence[float]) -> bool:
+        """Return whether a place in the ranges is within them and keeps all constraints."""
+        return bool(np.isfinite(self.loss(np.array([place]))[0]))
+
     def margins(self, shares: Array) -> Array:
         """Return by how much of its bound or size each constraint is kept, (k, constraints)."""
         values = np.stack([values_at(r, x) for r, x in zip(self.ranges, shares.T, strict=True)])

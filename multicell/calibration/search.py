@@ -73,12 +73,26 @@ class Search:
         self._points: list[Point] = []
         self._readings: dict[Run, Reading] = {}
         self._known: dict[int, Evaluation] = {}
+        self.reused = 0  # points of another fit, whose runs were adopted
         self._lines = None if path is None else Lines(path)
         for entry in () if self._lines is None else self._lines.entries:
             try:
                 self._take(entry)
             except (KeyError, TypeError, ValueError) as error:
                 raise OutputError(f"'{path}' is damaged: {error!r}") from error
+
+    @property
+    def readings(self) -> Mapping[Run, Reading]:
+        """All runs that are known."""
+        return self._readings
+
+    def adopt(self, entries: Sequence[Mapping[str, Any]]) -> None:
+        """Take over points and runs of another fit where nothing is known yet."""
+        if not self._points and entries:
+            if self._lines is not None:
+                self._lines.append(entries)
+            for entry in entries:
+                self._take(entry)
 
     def evaluations(self) -> list[Evaluation]:
         """Return all that is known, in order."""
@@ -98,7 +112,7 @@ class Search:
         """Go on until there are so many points; return all of them.
 
         - ``pool``: where runs are made
-        - ``points``: number of points that are wanted in all
+        - ``points``: number of points that are wanted in all, besides those of another fit
         - ``deadline``: time (as of ``time.monotonic``) after which no batch is begun
         - ``progress``: called with the numbers of runs done and wanted after each run
 
@@ -108,6 +122,7 @@ class Search:
 
         with quiet("optuna"), warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            points += self.reused
             self._finish(pool, progress, points)
             while (known := len(self.evaluations())) < points and clock.monotonic() < deadline:
                 self._refuse_failures()
@@ -175,8 +190,7 @@ class Search:
         for _ in range(count):
             trial = study.ask(space)
             point = [trial.params[name] for name in names]
-            allowed = math.isfinite(prior.loss(np.array([point]))[0])
-            points.append(point if allowed else prior.draw(random, 1)[0].tolist())
+            points.append(point if prior.allows(point) else prior.draw(random, 1)[0].tolist())
         return points
 
     @property
@@ -245,6 +259,7 @@ class Search:
     def _take(self, entry: Mapping[str, Any]) -> None:
         if "points" in entry:
             self._points += map(_point, entry["points"])
+            self.reused += len(entry["points"]) if entry.get("reused") else 0
             return
         values = tuple(math.nan if v is None else float(v) for v in entry["values"])
         run = _point(entry["shares"]), int(entry["condition"]), int(entry["seed"])

@@ -102,6 +102,11 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
 @shared.changes_option
 @shared.law_option
 @shared.observable_option
+@click.option(
+    "--reuse",
+    metavar="FOLDER",
+    help="Another fit of the same scene and free parameters, whose runs serve this one too.",
+)
 @studies.cores_option
 @studies.scheduler_option
 @studies.yes_option
