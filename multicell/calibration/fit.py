@@ -4,41 +4,33 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
+from multicell.calibration.fit_plan import FitPlan, Progress, fresh_runs, make_runs
 from multicell.calibration.fitted import Fit
 from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
 from multicell.calibration.likelihood import MIN_REPEATS
-from multicell.calibration.pool import Pool, open_pool
+from multicell.calibration.pool import open_pool
 from multicell.calibration.problem import Problem, free_of, problem_of
 from multicell.calibration.profiles import MIN_RUNS
+from multicell.calibration.stored import reusable
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
 from multicell.studies.limits import MAX_POINTS, MAX_RUNS, check_runs, check_seeds, whole
-from multicell.tables.fields import Table, read_table
+from multicell.tables.fields import read_table
 from multicell.units import to_base
 
 if TYPE_CHECKING:
-    from multicell.calibration.fresh import Fresh
-    from multicell.calibration.posterior import Draws
-    from multicell.calibration.profiles import End
-    from multicell.calibration.search import Evaluation, Run
-    from multicell.calibration.simulator import Reading, Simulator
+    from multicell.calibration.simulator import Simulator
     from multicell.scene.scene import Scene
 
 METHODS: Final = ("best", "posterior")
 _LEAST: Final = 10  # sets of parameters that a search must be able to try
-_SEARCHED: Final = 0.8  # part of a budget of time that the search takes; the rest is for fresh runs
-
-Progress = Callable[[str, int, int], None]
-"""Called with the stage, how much of it is done and how much is wanted."""
 
 
 def fit(
@@ -143,69 +135,6 @@ def fit(
     )  # fmt: skip
 
 
-@final
-@dataclass(frozen=True)
-class FitPlan:
-    """A fit that was checked and not begun.
-
-    - ``points``: sets of parameters that the search will try
-    - ``draws``: most draws of the posterior
-    - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
-    """
-
-    problem: Problem
-    scene: Scene
-    table: Table
-    method: str
-    points: int
-    draws: int
-    seconds: float
-    population: int
-    sd: float
-    repeats: int
-    profile_runs: int = 0
-    request: Mapping[str, Any] = field(default_factory=dict)
-    adopted: Sequence[Mapping[str, Any]] = ()
-
-    @property
-    def runs(self) -> int:
-        """How many runs there will be at most."""
-        return self._planned_runs + self.draws * self._conditions
-
-    @property
-    def _planned_runs(self) -> int:
-        """How many runs are not draws: those of the search, and fresh ones."""
-        each = len(self.problem.tasks())
-        fresh = _fresh_runs(self.method, self.repeats, self.profile_runs, self.problem)
-        return self.points * each + fresh * self._conditions
-
-    @property
-    def _conditions(self) -> int:
-        return len(self.problem.measured.conditions)
-
-    def describe(self) -> dict[str, Any]:
-        """Return what decides all numbers of the fit."""
-        from multicell.calibration.fit_folder import describe
-
-        times = [datum.time for datum in self.problem.measured.data]
-        options = {"sd": self.sd, "population": self.population, "times": times}
-        return describe(self.problem, self.scene, self.table, options)
-
-    def left(self, folder: str | Path | None) -> tuple[int, float]:
-        """Return how many runs are left at most, and the time on one core in s that they take."""
-        from multicell.calibration.fit_folder import work_done
-        from multicell.studies.cost import cost_of
-
-        runs, draws, finished = (
-            (0, 0, False) if folder is None else work_done(folder, self.describe())
-        )
-        searched = max(0, self._planned_runs - runs)
-        drawn = 0 if finished else max(0, self.draws - draws)
-        each = [cost_of(c.scene).seconds for c in self.problem.measured.conditions]
-        count = searched + drawn * self._conditions
-        return count, float(sum(each) / len(each) * count)
-
-
 def plan_of(
     scene: Scene | str | Path,
     data: Any,
@@ -244,13 +173,11 @@ def plan_of(
     ranges, prior = free_of(free, measured, constraints)
     check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, prior)
-    fresh = _fresh_runs(method, repeats, profile_runs, problem)
+    fresh = fresh_runs(method, repeats, profile_runs, problem)
     points, draws, seconds = _spend(problem, method, budget, population, fresh)
     request = {"start": start, "constraints": list(constraints)}
     adopted: Sequence[Mapping[str, Any]] = ()
     if reuse is not None:
-        from multicell.calibration.stored import reusable
-
         if method != "best":
             raise SceneError("reuse", f"has no meaning with method '{method}'")
         adopted = reusable(problem, reuse)
@@ -258,12 +185,6 @@ def plan_of(
         problem, scene, table, method, points, draws, seconds, population, sd, repeats,
         profile_runs, request, adopted,
     )  # fmt: skip
-
-
-def _fresh_runs(method: str, repeats: int, profile_runs: int, problem: Problem) -> int:
-    """Return how many runs of each condition have fresh seeds."""
-    ends = 2 * len(problem.ranges) * profile_runs
-    return repeats + ends + (CHECKS if method == "best" else 0)
 
 
 def _spend(
@@ -322,7 +243,7 @@ def carry_out(
             folder = stack.enter_context(opened)
         begin = clock.monotonic()
         with open_pool(cores, scheduler) as pool:
-            made = make_runs(plan, folder, pool, begin, progress)
+            made = make_runs(plan, folder, pool, begin, progress or (lambda *state: None))
         draws = made.draws
         facts = {
             "method": plan.method,
@@ -346,52 +267,3 @@ def carry_out(
             write_result(found, folder)
             found.report()
         return found
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Made:
-    """What the runs of a fit have come to; see :class:`Fit`. ``reused`` counts points."""
-
-    evaluations: list[Evaluation]
-    draws: Draws | None
-    fresh: Fresh
-    ends: tuple[End, ...]
-    readings: Mapping[Run, Reading]
-    reused: int
-
-
-def make_runs(
-    plan: FitPlan, folder: Path | None, pool: Pool, begin: float, progress: Progress | None = None
-) -> Made:
-    """Make all runs of a fit that are not there."""
-    from multicell.calibration.fit_folder import SEARCH
-    from multicell.calibration.fresh import fresh
-    from multicell.calibration.posterior import posterior
-    from multicell.calibration.profiles import check_ends
-    from multicell.calibration.search import Search
-
-    def note_draws(generation: int, accepted: int, wanted: int, drawn: int) -> None:
-        of = "calibration" if generation < 0 else f"generation {generation + 1}"
-        progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
-
-    progress = progress or (lambda what, done, wanted: None)
-    search = Search(plan.problem, None if folder is None else folder / SEARCH)
-    search.adopt(plan.adopted)
-    evaluations: list[Evaluation] = []
-    draws: Draws | None = None
-    if plan.method == "best":
-        evaluations = search.run(
-            pool, plan.points, deadline=begin + _SEARCHED * plan.seconds,
-            progress=partial(progress, "runs of the search"),
-        )  # fmt: skip
-    else:
-        draws = posterior(
-            plan.problem, pool, folder=folder, population=plan.population, most=plan.draws,
-            deadline=begin + plan.seconds, progress=note_draws,
-        )  # fmt: skip
-    note = partial(progress, "fresh runs")
-    again = fresh(plan.problem, search, pool, search.emulator(), draws, plan.repeats, note)
-    note = partial(progress, "runs at the ends of profiles")
-    ends = check_ends(plan.problem, search, pool, again, plan.profile_runs, note)
-    return Made(evaluations, draws, again, ends, search.readings, search.reused)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.calibration.data import Datum
 from multicell.calibration.distance import ABSENT, Array, misfit
 from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.fresh import Fresh
@@ -131,7 +130,7 @@ class Fit:
             values=values,
             units=units,
             words={key: in_words(value, units[key]) for key, value in values.items()},
-            readings=unscale(problem.measured.data, there.means),
+            readings=problem.unscale(there.means),
             residuals=there.residuals,
             chi_squared=there.chi_squared,
             per_datum=there.per_datum,
@@ -284,7 +283,7 @@ class Fit:
             found = np.maximum(found, problem.lowest)
         scaled = problem.observed + found * problem.sigma
         rows = quantiles(scaled, weights, levels)
-        return np.array([unscale(problem.measured.data, row) for row in rows])
+        return np.array([problem.unscale(row) for row in rows])
 
     @property
     def _scatter(self) -> Array:
@@ -320,6 +319,26 @@ class Fit:
 
         needs("pandas")
         return predictive_check(self)
+
+    def to_arviz(self) -> Any:
+        """Return the fit for ArviZ, an ``InferenceData``.
+
+        Groups are ``posterior`` and ``prior`` (draws in base units, of equal weight),
+        ``observed_data``, ``posterior_predictive`` (data replicated from the posterior) and
+        ``log_likelihood``: ln p(y_i | y_-i, θ), as data scatter together, so that ``arviz.loo``
+        leaves out one datum.
+
+        Raises
+        ------
+        MissingPackage
+            Without ArviZ, which ``multicell[export]`` has.
+        FitFailed
+            If there is no posterior.
+        """
+        from multicell.calibration.arviz_export import to_arviz
+
+        needs("arviz")
+        return to_arviz(self)
 
     def residuals(self) -> pd.DataFrame:
         """Return the data one by one: where, when, measured, in the runs, and how far apart."""
@@ -556,8 +575,3 @@ class Fit:
                 "too few points were tried for a posterior", "A larger budget continues the fit."
             )
         return self.sample
-
-
-def unscale(data: Sequence[Datum], values: Array) -> Array:
-    """Return values on the scales of comparison in base units."""
-    return np.array([np.exp(v) if d.log else v for d, v in zip(data, values, strict=True)])

@@ -81,7 +81,7 @@ class Predictive:
     @cached_property
     def precision(self) -> Array:
         """The inverse of C, (n, n)."""
-        return np.linalg.inv(self.covariance)
+        return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
 
     @cached_property
     def pointwise(self) -> Array:
@@ -170,14 +170,12 @@ def predictive_check(fit: Fit) -> PredictiveCheck:
     """Return the posterior predictive checks of a fit."""
     import pandas
 
-    from multicell.calibration.fitted import unscale
-
     found = predictive_of(fit)
     problem = fit.problem
     again = np.maximum(found.replicate(), problem.lowest)
     above = found.weights @ (again > 0.0) + 0.5 * (found.weights @ (again == 0.0))
     rows = quantiles(problem.observed + again * problem.sigma, found.weights, (0.025, 0.5, 0.975))
-    low, median, high = (unscale(problem.measured.data, row) for row in rows)
+    low, median, high = map(problem.unscale, rows)
     about = pandas.DataFrame(fit.rows())[["row", "condition", "observable", "unit", "time", "at"]]
     table = about.assign(
         measured=[d.value for d in problem.measured.data], low=low, median=median, high=high,

@@ -92,6 +92,11 @@ class Problem:
         """Return the readings of a run on the scales of its data."""
         return scale_readings(self.measured.of(condition), reading.values)
 
+    def unscale(self, values: Array) -> Array:
+        """Return values on the scales of the data, (n,), in base units."""
+        log = np.array([datum.log for datum in self.measured.data])
+        return np.where(log, np.exp(np.where(log, values, 0.0)), values)
+
     def runs(self, readings: Mapping[tuple[int, int], Array], seeds: Sequence[int]) -> Array:
         """Return the readings of all conditions by seed, (K, n)."""
         found = np.full((len(seeds), len(self.measured.data)), np.nan)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def rows(fit: Fit) -> list[dict[str, Any]]:
     """Return the runs one by one, base units; see :attr:`Fit.runs`."""
     problem, found = fit.problem, []
-    columns = list(dict.fromkeys(map(_title, problem.measured.data)))
+    columns = list(dict.fromkeys(map(title_of, problem.measured.data)))
     numbers: dict[tuple[float, ...], int] = {}
     for (shares, condition, seed), reading in fit.readings.items():
         values = problem.values(shares)
@@ -33,12 +33,12 @@ def rows(fit: Fit) -> list[dict[str, Any]]:
             **dict.fromkeys(columns, np.nan),
         }
         data = problem.measured.of(condition)
-        row.update(zip(map(_title, data), reading.values, strict=True))
+        row.update(zip(map(title_of, data), reading.values, strict=True))
         found.append({**row, "reason": reading.reason})
     return found
 
 
-def _title(datum: Datum) -> str:
+def title_of(datum: Datum) -> str:
     """Return the title of the readings of a datum."""
     if datum.at is not None:
         return f"{datum.observable} at {datum.at[0]} = {datum.at[1]:g}"
@@ -61,7 +61,7 @@ def dataset(fit: Fit) -> xarray.Dataset:
     values: dict[str, tuple[tuple[str, ...], Any, dict[str, str]]] = {}
     for datum in measured.data:
         timed = datum.time is not None
-        name = datum.observable.replace(".", "_") if timed else _title(datum)
+        name = datum.observable.replace(".", "_") if timed else title_of(datum)
         wide, dims = ((*shape, len(times)), ("time",)) if timed else (shape, ())
         about = {"units": measured.units[datum.observable]}
         values.setdefault(name, (("point", "seed", *dims), np.full(wide, np.nan), about))
@@ -71,7 +71,7 @@ def dataset(fit: Fit) -> xarray.Dataset:
         reason[place] = reading.reason
         for datum, value in zip(measured.of(condition), reading.values, strict=True):
             if datum.time is None:
-                values[_title(datum)][1][place] = value
+                values[title_of(datum)][1][place] = value
             else:
                 name = datum.observable.replace(".", "_")
                 values[name][1][(*place, times.index(datum.time))] = value

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.calibration.data import MAX_BYTES, read_data
+from multicell.calibration.fit_plan import FitPlan, make_runs
 from multicell.calibration.fitted import Fit
 from multicell.calibration.pool import InProcessExecutor, Pool
 from multicell.calibration.priors import Density, prior_of
@@ -23,7 +24,6 @@ from multicell.tables.fields import read_table
 
 if TYPE_CHECKING:
     from multicell.calibration.data import Condition, Datum
-    from multicell.calibration.fit import FitPlan
     from multicell.scene.scene import Scene
 
 
@@ -53,8 +53,6 @@ def load_fit(folder: str | Path) -> Fit:
     OutputError
         If there is no fit in it, it is not done, or files are damaged.
     """
-    from multicell.calibration.fit import make_runs
-
     folder = Path(folder)
     result = read_document(folder / "result.json")
     if result is None:
@@ -75,7 +73,6 @@ def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
 
     Raises OutputError if there is none, or it is damaged.
     """
-    from multicell.calibration.fit import FitPlan
     from multicell.calibration.fit_folder import FIT
     from multicell.scene.scene import load_scene
 

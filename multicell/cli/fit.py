@@ -17,7 +17,7 @@ from multicell.cli.progress import display
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from multicell.calibration.fit import FitPlan
+    from multicell.calibration.fit_plan import FitPlan
     from multicell.calibration.fitted import Fit
 
 _LINES: Final = 20  # lines of a log
