@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from multicell.results.observable import Observable
     from multicell.results.own_observable import load_observable, observable
     from multicell.runner import resume, run
+    from multicell.scene.coarsening import coarsen
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
@@ -100,6 +101,7 @@ __all__ = [
     "Study",
     "Substance",
     "WorkPrecision",
+    "coarsen",
     "compare",
     "compare_fits",
     "dose_response",
@@ -163,6 +165,7 @@ _LAZY = {
     "load_observable": "multicell.results.own_observable",
     "observable": "multicell.results.own_observable",
     "load_scene": "multicell.scene.scene",
+    "coarsen": "multicell.scene.coarsening",
     "WorkPrecision": "multicell.comparison.result",
     "StabilityMap": "multicell.comparison.stability_limits.result",
     "compare": "multicell.comparison.work_precision",

@@ -100,6 +100,8 @@ class Cells:
     doomed : (n,) int8
         At which of its next divisions the cell dies, counted from 1, also of one that has died;
         zero for sound cells.
+    damage : (n,) float64
+        Part of the damage that kills the cell; a dead one keeps it, daughters have the mother's.
     """
 
     id: IntArray = _column(np.int64, "")
@@ -119,6 +121,7 @@ class Cells:
     progress: FloatArray = _column(np.float64, "s", optional=True)
     phase_length: FloatArray = _column(np.float64, "s", optional=True)
     doomed: NDArray[np.int8] = _column(np.int8, "", optional=True)
+    damage: FloatArray = _column(np.float64, "", optional=True)
 
     def __post_init__(self) -> None:
         n = len(self.id)

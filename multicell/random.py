@@ -50,6 +50,7 @@ class Purpose(IntEnum):
     MUTATION = 18
     RADIATION = 19
     DRIFT = 20
+    TOLERANCE = 21
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:

@@ -55,6 +55,7 @@ BEHAVIOURS: Final = (
     Behaviour("rest", "chance that a cell rests", combine="maximum", at_most=1.0),
     _rate("apoptosis rate", "rate of death by apoptosis"),
     _rate("necrosis rate", "rate of death by necrosis"),
+    _rate("damage rate", "rate of taking damage, of which 1 kills a mean cell by necrosis"),
     _rate("change to", "rate of becoming another type", "type"),
     Behaviour("mutation to", "chance of a daughter to be of another type", "type", "", "sum", 1.0),
     Behaviour("division radius", "factor on the radius at which a cell divides", at_most=4.0),

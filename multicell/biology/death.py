@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.responding import value_of
+from multicell.biology.responding import rate_of_harm, value_of
 from multicell.cells import Cells, FloatArray
 from multicell.random import Purpose
 
@@ -62,7 +62,7 @@ def necrotic(
 
     - ``plan``: gives the seed
     - ``cells``: the population; the identities are read
-    - ``hazard``, (n,), 1/s: from :func:`multicell.biology.responding.necrosis_hazard`
+    - ``hazard``, (n,), 1/s: from :func:`multicell.biology.responding.rate_of_harm`
     - ``step``: number of the coupling step, which the random numbers depend on
     - ``dt``: time since the last decision, s
     """
@@ -72,6 +72,36 @@ def necrotic(
         u = random.uniform(plan.seed, Purpose.NECROSIS, step, cells.id[at_rate])[:, 0]
         dies[at_rate] = u < -np.expm1(-hazard[at_rate] * dt)
     return dies
+
+
+def damage_after(
+    plan: BiologyPlan, cells: Cells, found: Mapping[str, FloatArray], dt: float
+) -> FloatArray:
+    """Return the damage of the cells after a time ``dt`` (s), (n,), in parts of what kills them.
+
+    dD/dt = k/θ - D/τ in closed form, with the damage rate k held for the step, the tolerance θ of
+    the cell (gamma, mean 1, drawn once by its identity) and the time τ of repair. D changes
+    monotonically, so that who is below one at the end was so throughout. The dead keep theirs.
+
+    - ``plan``: gives responses and ``death``; without ``death`` nothing varies, nor is repaired
+    - ``found``, name -> (n,): signals at the cells
+    """
+    rate = rate_of_harm(plan, "damage rate", found, cells)
+    death, dead = plan.death, cells.dead
+    if rate is None or not (rate.any() or cells.damage.any()):
+        return cells.damage
+    if death is not None and death.damage_variation > 0.0:
+        from scipy.special import gammainccinv  # loaded where it is used
+
+        hit, shape = np.flatnonzero(rate), death.damage_variation**-2
+        u = random.uniform(plan.seed, Purpose.TOLERANCE, 0, cells.id[hit])[:, 0]
+        rate[hit] *= shape / gammainccinv(shape, u)
+    if death is None or death.damage_repair_time is None:
+        after = cells.damage + rate * dt
+    else:
+        repair = death.damage_repair_time
+        after = cells.damage + (rate * repair - cells.damage) * -np.expm1(-dt / repair)
+    return np.where(dead, cells.damage, after)
 
 
 def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:

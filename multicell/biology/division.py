@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # A cell that reaches the division volume up to rounding has reached it: else cells in step with
 # the coupling times would divide in this step or the next at the whim of the last bit.
-_ROUNDING = 1e-12
+ROUNDING = 1e-12
 
 _NONE: Mapping[str, FloatArray] = {}
 
@@ -39,7 +39,7 @@ def due_to_divide(
         scale = value_of(plan, "division radius", 1.0, found, cells)
         if scale is not None:
             least = least * scale**3
-        ripe = cells.volume >= least * (1.0 - _ROUNDING)
+        ripe = cells.volume >= least * (1.0 - ROUNDING)
     return np.asarray(ripe & (cells.state == State.PROLIFERATING))
 
 
@@ -65,8 +65,8 @@ def divide(
 
     Returns cells: the cells that did not divide, in their old order, followed by the daughters in
     the order of their mothers' identities. The daughters have age 0, the mother's pressure and
-    Poisson ratio, and draw cycle time and modulus anew unless these are heritable; next_id: first
-    identity that is free now; it has grown by two a division.
+    Poisson ratio and damage, and draw cycle time and modulus anew unless these are heritable;
+    next_id: first identity that is free now; it has grown by two a division.
     """
     if plan.growth is None:
         return cells, next_id

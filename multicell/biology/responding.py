@@ -301,13 +301,15 @@ def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> NDArray[np.bool
     return resting
 
 
-def necrosis_hazard(plan: BiologyPlan, found: Found, cells: Cells | None) -> FloatArray | None:
-    """Return the rate at which each cell dies by necrosis, (n,) 1/s; infinite: at once.
+def rate_of_harm(
+    plan: BiologyPlan, behaviour: str, found: Found, cells: Cells | None
+) -> FloatArray | None:
+    """Return the necrosis rate or the damage rate of each cell, (n,) 1/s; infinite: death at once.
 
     Short forms (thresholds of fields and ATP) have one rate in common, however many of them hold.
-    None where nothing makes cells necrotic. Without ``cells`` only what fields do to all types.
+    None where nothing has this effect. Without ``cells`` only what fields do to all types.
     """
-    known = plan.responses.get("necrosis rate", ())
+    known = plan.responses.get(behaviour, ())
     if cells is None:
         known = tuple(part for part in known if part.is_local and "pressure" not in part.signals)
     hazard = None

@@ -10,7 +10,8 @@ of those that rest find enough and wake, which may cost more lives, until nothin
 become more and the resting ones fewer in each pass, so that this ends.
 
 How many of the poorest is found by bisection, to a small part of a layer of cells; the cells are
-ranked anew in each field. Who dies at a rate (``death.necrosis_rate``) is not dead at the start.
+ranked anew in each field. Who dies at a rate (``death.necrosis_rate``) or of damage is not dead at
+the start.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.cycle import time_before_phase, volume_in_phase
-from multicell.biology.responding import necrosis_hazard, wants_rest
+from multicell.biology.responding import rate_of_harm, wants_rest
 from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ class StartStates:
 
     def _starve(self, found: Concentrations) -> Mask:
         """Return which cells would die at once of what they find, (n,)."""
-        hazard = necrosis_hazard(self._plan, found, self._first)
+        hazard = rate_of_harm(self._plan, "necrosis rate", found, self._first)
         return np.zeros(len(self.dead), dtype=bool) if hazard is None else np.isinf(hazard)
 
     def _turn(

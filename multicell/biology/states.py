@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.death import apoptotic, necrotic
-from multicell.biology.division import due_to_divide
-from multicell.biology.responding import necrosis_hazard, wants_rest
+from multicell.biology.division import ROUNDING, due_to_divide
+from multicell.biology.responding import rate_of_harm, wants_rest
 from multicell.cells import Cells, FloatArray, State
 
 if TYPE_CHECKING:
@@ -40,10 +40,10 @@ def update_states(
     """Return the new state of each cell.
 
     A cell turns necrotic at the rate that its responses give (a threshold: at once;
-    :func:`multicell.biology.death.necrotic`), and stays so for ever; one whose life by
-    apoptosis has run out turns apoptotic, and so does one at the end of its cycle that irradiation
-    has doomed to die in place of this division. Another cell that is due to decide
-    (:func:`deciding`) rests (quiescent) if a response lets it
+    :func:`multicell.biology.death.necrotic`) or with as much damage as it bears, and stays so for
+    ever; one whose life by apoptosis has run out turns apoptotic, and so does one at the end of its
+    cycle that irradiation has doomed to die in place of this division. Another cell that is due to
+    decide (:func:`deciding`) rests (quiescent) if a response lets it
     (:func:`multicell.biology.responding.wants_rest`), and proliferates if none does. Where nothing
     lets cells rest, their states stay as they are.
 
@@ -77,19 +77,24 @@ def _with_deaths(
     time: float,
 ) -> NDArray[np.int8]:
     """Return the states that cells have if they live, but for those that are dead or die now."""
-    hazard = necrosis_hazard(plan, concentrations, cells)
+    hazard = rate_of_harm(plan, "necrosis rate", concentrations, cells)
     dies_by_clock = "apoptosis rate" in plan.base_rates
+    fatal = "damage rate" in plan.responses and cells.damage >= 1.0 - ROUNDING
     last = cells.doomed == 1 if plan.growth is not None else np.zeros(len(cells), dtype=bool)
     if last.any():
         last &= due_to_divide(plan, cells, concentrations)
     if not (
-        dies_by_clock or last.any() or (hazard is not None and hazard.any()) or cells.dead.any()
+        dies_by_clock
+        or last.any()
+        or (hazard is not None and hazard.any())
+        or np.any(fatal)
+        or cells.dead.any()
     ):
         return living.copy()
     apoptosis = (cells.state == State.APOPTOTIC) | last
     if dies_by_clock:
         apoptosis |= apoptotic(plan, cells, concentrations, step, dt, time) & ~cells.dead
-    necrosis = cells.state == State.NECROTIC
+    necrosis = (cells.state == State.NECROTIC) | fatal
     if hazard is not None:
         necrosis |= necrotic(plan, cells, hazard, step, dt)
     state = living.copy()

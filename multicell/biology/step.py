@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from multicell.biology.adhesion import bond_levels
 from multicell.biology.cycle import Cycling, advance, leave_rest, phase_pace
-from multicell.biology.death import remove_lysed
+from multicell.biology.death import damage_after, remove_lysed
 from multicell.biology.division import divide
 from multicell.biology.growth import volumes_after
 from multicell.biology.responding import wants_rest
@@ -129,8 +129,10 @@ def decide(
     dt: float,
     time: float,
 ) -> NDArray[np.bool_]:
-    """Set the states of cells by what they find around them; return which have died, (n,) bool."""
+    """Set damage and states of cells by what they find; return which have died, (n,) bool."""
     before = cells.state
+    if "damage rate" in plan.responses:
+        cells.damage = damage_after(plan, cells, concentrations, dt)
     cells.state = update_states(plan, cells, concentrations, step, dt, time)
     if plan.restricted:
         due = deciding(cells, plan.step or dt, plan.reaction_time)

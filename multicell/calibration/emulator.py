@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.calibration.distance import Array
+from multicell.calibration.noise import Noise
 from multicell.calibration.priors import Prior
 
 PARTICLES: Final = 2000  # draws from a posterior
@@ -99,12 +100,14 @@ class Emulator:
     - ``lowest``, (n,): of (mean - datum) / σ: where the observable is 0 and cannot be negative;
       else -inf
     - ``scatter``, (n,): variance over runs and of their mean, s² (1 + 1/K) / σ²
+    - ``noise``: of the data
     - ``prior``: of the parameters
     """
 
     processes: tuple[Process, ...]
     lowest: Array
     scatter: Array
+    noise: Noise
     prior: Prior
 
     @property
@@ -127,8 +130,7 @@ class Emulator:
     def loss(self, shares: Array) -> Array:
         """Return -2 ln L for parameters (k, d), as if all data scattered independently: (k,)."""
         residuals, error = self.predict(shares)
-        total = 1.0 + self.scatter + error
-        return np.asarray((residuals**2 / total + np.log(total)).sum(axis=1))
+        return self.noise.loss(residuals, self.scatter + error)
 
 
 def _cut_off(means: Array, variances: Array, lowest: Array) -> tuple[Array, Array]:
@@ -155,6 +157,7 @@ def emulator(
     *,
     observables: Sequence[str] | None = None,
     lowest: Array | None = None,
+    noise: Noise | None = None,
     prior: Prior | None = None,
 ) -> Emulator | None:
     """Return processes through the best of the points that were tried, None if these are too few.
@@ -165,6 +168,7 @@ def emulator(
     - ``loss``, (k,): -2 ln L of the runs
     - ``observables``: of the data; None: all are of one
     - ``lowest``, (n,): see :class:`Emulator`; None: no datum has a lowest value
+    - ``noise``: of the data; None: independent errors
     - ``prior``: of the parameters; None: uniform
     """
     whole = np.isfinite(residuals).all(axis=1)
@@ -178,8 +182,11 @@ def emulator(
         _process(shares[nearest] - 0.5, residuals[nearest], np.flatnonzero(names == name), floor)
         for name in dict.fromkeys(names.tolist())
     )
-    known = Prior(shares.shape[1]) if prior is None else prior
-    return Emulator(processes, floor, _near_scatter(scatter, loss), known)
+    return Emulator(
+        processes, floor, _near_scatter(scatter, loss),
+        noise or Noise.of_means(np.ones(residuals.shape[1])),
+        Prior(shares.shape[1]) if prior is None else prior,
+    )  # fmt: skip
 
 
 def _process(points: Array, residuals: Array, numbers: NDArray[np.int64], lowest: Array) -> Process:

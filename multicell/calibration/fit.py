@@ -14,6 +14,7 @@ from multicell.calibration.fit_plan import FitPlan, Progress, fresh_runs, make_r
 from multicell.calibration.fitted import Fit
 from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
 from multicell.calibration.likelihood import MIN_REPEATS
+from multicell.calibration.noise import SCATTERS
 from multicell.calibration.pool import open_pool
 from multicell.calibration.problem import Problem, free_of, problem_of
 from multicell.calibration.profiles import MIN_RUNS
@@ -47,6 +48,8 @@ def fit(
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    specimens: str = "same",
+    scatter: str = "stated",
     constraints: Sequence[str] = (),
     reuse: str | Path | None = None,
     cores: int | None = None,
@@ -94,6 +97,12 @@ def fit(
         Time of the data at which runs begin, where no column ``start`` says so.
     sd
         Relative standard deviation of data that come without one.
+    specimens
+        ``"single"``: each row is another specimen, measured once, also without a column that
+        says so.
+    scatter
+        ``"unknown"``: what data scatter beyond runs and their stated errors is estimated with the
+        parameters, relative to the values of each observable. With ``method="best"``.
     constraints
         What must hold between free parameters, as ``"death.necrosis < 0.5 * KEY"``.
     reuse
@@ -126,8 +135,8 @@ def fit(
     """
     plan = plan_of(
         scene, data, free, method=method, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
-        budget=budget, population=population, start=start, sd=sd, constraints=constraints,
-        reuse=reuse, simulator=simulator,
+        budget=budget, population=population, start=start, sd=sd, specimens=specimens,
+        scatter=scatter, constraints=constraints, reuse=reuse, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -148,6 +157,8 @@ def plan_of(
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    specimens: str = "same",
+    scatter: str = "stated",
     constraints: Sequence[str] = (),
     reuse: str | Path | None = None,
     simulator: Simulator | None = None,
@@ -158,6 +169,9 @@ def plan_of(
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     chosen(method, METHODS, "method")
+    chosen(scatter, SCATTERS, "scatter")
+    if scatter == "unknown" and method == "posterior":
+        raise SceneError("scatter", "is 'unknown', which needs the method 'best'")
     seeds = check_seeds(seeds, scene.seed)
     whole(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
@@ -169,10 +183,10 @@ def plan_of(
         whole("profile_runs", profile_runs, MIN_RUNS, repeats, hint)
     whole("population", population, 10, MAX_POINTS, "It is the number of draws in a generation.")
     table = read_table(data, MAX_BYTES)
-    measured = read_data(table, scene, start=start, sd=sd)
+    measured = read_data(table, scene, start=start, sd=sd, specimens=specimens)
     ranges, prior = free_of(free, measured, constraints)
     check_runs(len(measured.conditions), seeds)
-    problem = problem_of(measured, ranges, seeds, scene.seed, simulator, prior)
+    problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
     fresh = fresh_runs(method, repeats, profile_runs, problem)
     points, draws, seconds = _spend(problem, method, budget, population, fresh)
     request = {"start": start, "constraints": list(constraints)}
@@ -183,7 +197,7 @@ def plan_of(
         adopted = reusable(problem, reuse)
     return FitPlan(
         problem, scene, table, method, points, draws, seconds, population, sd, repeats,
-        profile_runs, request, adopted,
+        specimens, profile_runs, request, adopted,
     )  # fmt: skip
 
 
@@ -248,6 +262,8 @@ def carry_out(
         facts = {
             "method": plan.method,
             "sd": plan.sd,
+            "specimens": plan.specimens,
+            "scatter": plan.problem.scatter,
             "seeds": list(plan.problem.seeds),
             "repeats": plan.repeats,
             "sets_of_parameters": len(made.evaluations) - made.reused,

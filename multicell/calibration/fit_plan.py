@@ -47,6 +47,7 @@ class FitPlan:
     population: int
     sd: float
     repeats: int
+    specimens: str = "same"
     profile_runs: int = 0
     request: Mapping[str, Any] = field(default_factory=dict)
     adopted: Sequence[Mapping[str, Any]] = ()
@@ -72,7 +73,10 @@ class FitPlan:
         from multicell.calibration.fit_folder import describe
 
         times = [datum.time for datum in self.problem.measured.data]
-        options = {"sd": self.sd, "population": self.population, "times": times}
+        options = {
+            "sd": self.sd, "population": self.population, "times": times,
+            "specimens": self.specimens, "scatter": self.problem.scatter,
+        }  # fmt: skip
         return describe(self.problem, self.scene, self.table, options)
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:

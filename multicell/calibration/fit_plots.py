@@ -78,12 +78,12 @@ def data(fit: Fit) -> Figure:
         wspace=0.27, hspace=(below + 0.45) / 3.1,
     )  # fmt: skip
     band = fit.predicted(_BAND)
-    for k, (name, timed, numbers) in enumerate(panels):
+    for k, (name, over, numbers) in enumerate(panels):
         axes = figure.add_subplot(grid[k // columns, k % columns])
         unit = fit.problem.measured.units[name]
         axes.set_title(_named(name, unit))
-        if timed:
-            _over_time(axes, fit, numbers, band)
+        if over:
+            _over_axis(axes, fit, numbers, band)
         else:
             _one_by_one(axes, fit, numbers, band)
         if fit.problem.measured.data[numbers[0]].log:
@@ -100,31 +100,41 @@ def data(fit: Fit) -> Figure:
 
 def _panels(fit: Fit) -> list[tuple[str, bool, list[int]]]:
     """Return observable, whether it is over time, and the numbers of the data, by panel."""
-    found: dict[tuple[str, bool], list[int]] = {}
+    found: dict[tuple[Any, ...], list[int]] = {}
     for number, datum in enumerate(fit.problem.measured.data):
-        found.setdefault((datum.observable, datum.time is not None), []).append(number)
+        when = datum.time is not None if datum.depth is None else (datum.time, datum.at)
+        found.setdefault((datum.observable, when), []).append(number)
     panels = []
-    for (name, timed), numbers in found.items():
-        times = {fit.problem.measured.data[k].time for k in numbers}
-        panels.append((name, timed and len(times) > 1, numbers))
+    for (name, _), numbers in found.items():
+        places = {_abscissa(fit.problem.measured.data[k]) for k in numbers}
+        panels.append((name, None not in places and len(places) > 1, numbers))
     return panels
 
 
-def _over_time(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
-    """Draw one observable against time, each condition in a colour."""
+def _abscissa(datum: Datum) -> float | None:
+    """Return what a datum is drawn against: its depth, else its time."""
+    return datum.time if datum.depth is None else datum.depth
+
+
+def _over_axis(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
+    """Draw one observable against time or depth, each condition in a colour."""
     data = fit.problem.measured.data
+    profile = data[numbers[0]].depth is not None
     unit = time_unit(max(data[k].time or 0.0 for k in numbers))
+    if profile:
+        unit = TimeUnit("µm", 1.0)
     conditions = list(dict.fromkeys(data[k].condition for k in numbers))
     for condition in conditions:
         own = sorted(
             (k for k in numbers if data[k].condition == condition),
-            key=lambda k: data[k].time or 0.0,
+            key=lambda k: _abscissa(data[k]) or 0.0,
         )
         colour = _COLOURS[condition % len(_COLOURS)]
         label = fit.problem.measured.conditions[condition].label
         _draw_course(axes, fit, own, band, unit, colour, label)
-    axes.set_xlabel(f"time ({unit.name})")
-    axes.set_xlim(left=0.0)
+    axes.set_xlabel("depth below the surface (µm)" if profile else f"time ({unit.name})")
+    if not profile:
+        axes.set_xlim(left=0.0)
     if len(conditions) > 1:
         axes.legend(fontsize=9)
 
@@ -133,7 +143,7 @@ def _draw_course(
     axes: Axes, fit: Fit, own: Sequence[int], band: Array, unit: TimeUnit, colour: str, label: str
 ) -> None:
     data = fit.problem.measured.data
-    times = np.array([data[k].time or 0.0 for k in own]) / unit.seconds
+    times = np.array([_abscissa(data[k]) or 0.0 for k in own]) / unit.seconds
     axes.fill_between(times, band[0, own], band[2, own], color=colour, alpha=0.22, linewidth=0)
     axes.plot(times, fit.best.readings[list(own)], color=colour, linewidth=1.8)
     values, errors = _bars([data[k] for k in own])

@@ -122,7 +122,7 @@ class Fit:
         runs = self.fresh.runs
         whole = np.isfinite(runs).any(axis=1)
         again = runs[whole] if whole.any() else runs
-        there = misfit(problem.observed, problem.sigma, again, None, problem.tissues)
+        there = misfit(problem.observed, problem.sigma, again, None, problem.noise)
         values = problem.values([float(x) for x in self.fresh.shares])
         units = {free.key: free.unit for free in problem.ranges}
         settings = {free.key: free.setting(values[free.key]) for free in problem.ranges}
@@ -340,6 +340,14 @@ class Fit:
         needs("arviz")
         return to_arviz(self)
 
+    @property
+    def unknown_scatter(self) -> dict[str, list[float]]:
+        """Unknown scatter by observable, as parts of the values: 95 % interval round the median."""
+        if self.fresh.likelihood is None or not self.problem.noise.names:
+            return {}
+        ends = np.quantile(self.fresh.likelihood.omega, (0.025, 0.5, 0.975), axis=0)
+        return dict(zip(self.problem.noise.names, ends.T.tolist(), strict=True))
+
     def residuals(self) -> pd.DataFrame:
         """Return the data one by one: where, when, measured, in the runs, and how far apart."""
         import pandas
@@ -365,6 +373,7 @@ class Fit:
                     "unit": data.units[datum.observable],
                     "time": np.nan if datum.time is None else datum.time,
                     "at": "" if datum.at is None else f"{datum.at[0]} = {datum.at[1]:g}",
+                    "depth": np.nan if datum.depth is None else datum.depth,
                     "measured": datum.value,
                     "sd": datum.deviation,
                     "assumed": datum.assumed,
@@ -434,13 +443,22 @@ class Fit:
         notes = []
         data = self.problem.measured.data
         assumed = sum(datum.assumed for datum in data)
-        if assumed:
+        if self.unknown_scatter:
+            words = ", ".join(
+                f"'{name}' {100.0 * at:.2g} % ({100.0 * low:.2g} to {100.0 * high:.2g})"
+                for name, (low, at, high) in self.unknown_scatter.items()
+            )
+            notes.append(
+                "What data scatter beyond runs and stated errors was estimated with the "
+                f"parameters (95 % intervals, parts of the values): {words}."
+            )
+        elif assumed:
             said = f"{assumed} of {len(data)} data" if assumed < len(data) else "The data"
             notes.append(
                 f"{said} come without a standard deviation: {100.0 * self.facts['sd']:g} % of the "
                 "value was assumed, on which all intervals depend."
             )
-        several = sum(1.0 < datum.tissues < np.inf for datum in data)
+        several = sum(1.0 < d.tissues < np.inf and not d.specimens for d in data)
         if several:
             notes.append(
                 f"{several} of {len(data)} data are means of several tissues. These count as the "
@@ -557,6 +575,7 @@ class Fit:
             ],
             "predictive_check": self._checked(),
             "residuals": self.rows(),
+            "unknown_scatter": self.unknown_scatter,
             "notes": self.notes,
             **self.facts,
         }

@@ -103,7 +103,7 @@ def fresh(
     scatter = scatter_of(np.where(known, residuals, instead))
     if emulator is None or drawn is not None:
         return Fresh(best, runs, tuple(reasons), scatter, None, None)
-    found = likelihood(emulator, problem.tissues, best, scatter)
+    found = likelihood(emulator, problem.noise, best, scatter)
     likely = found.draws(FEW)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
     points = [(x.tolist(), first + MAX_REPEATS + k) for k, x in enumerate(chosen)]
@@ -111,7 +111,7 @@ def fresh(
     away = (runs_there - problem.observed) / problem.sigma - found.predict(chosen)[0]
     checks, error = _check(away, found.predict(chosen)[1], scatter)
     if checks.off.any():
-        found = likelihood(emulator, problem.tissues, best, scatter, error)
+        found = likelihood(emulator, problem.noise, best, scatter, error)
     return Fresh(best, runs, (*reasons, *more), scatter, found, checks)
 
 

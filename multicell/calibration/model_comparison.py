@@ -126,7 +126,8 @@ def _key(fit: Fit) -> list[tuple[object, ...]]:
     """Return all that the likelihood takes from data."""
     measured = fit.problem.measured
     return [
-        (d.observable, d.value, d.sigma, d.log, d.time, d.at, d.tissues,
+        (d.observable, d.value, d.sigma, d.log, d.time, d.at, d.depth,
+         d.tissues, d.specimens,
          sorted(measured.conditions[d.condition].changes.items(), key=str))
         for d in measured.data
     ]  # fmt: skip

@@ -3,7 +3,7 @@
 Given parameters θ, data minus mean m(θ) of runs are taken to be normal with the covariance C of
 :mod:`multicell.calibration.likelihood` at the best point: errors of measurement, scatter of tissues
 and of the mean of fresh runs, error of the emulator. From a posterior that was sampled with runs, a
-draw has a tissue of its own, and what is left are the independent errors of measurement.
+draw has a tissue of its own, and what is left are the errors of measurement.
 
 - Posterior predictive checks (Gelman, Meng & Stern 1996, Statistica Sinica 6, 733) compare a
   discrepancy of the data with that of replicated data: χ² = r'C⁻¹r with r = m(θ) - y, and the
@@ -136,13 +136,13 @@ def predictive_of(fit: Fit) -> Predictive:
     logs = np.array([math.log(d.value) if d.log else 0.0 for d in problem.measured.data])
     jacobian = np.log(problem.sigma) + logs
     if fit.draws is not None:
-        return Predictive(fit.draws.residuals, weights, np.eye(len(problem.sigma)), jacobian)
+        return Predictive(fit.draws.residuals, weights, problem.noise.errors, jacobian)
     known = fit.likelihood
     assert known is not None
     residuals = known.predict(shares)[0]
     if isinstance(known, Emulator):
         error = known.predict(fit.fresh.shares[None])[1][0]
-        covariance = np.diag(1.0 + known.scatter + error)
+        covariance = problem.noise.errors + np.diag(known.scatter + error)
     else:
         root = np.linalg.inv(known.whitening)
         covariance = root @ root.T

@@ -20,6 +20,7 @@ from multicell.calibration.distance import (
     scales,
     standardise,
 )
+from multicell.calibration.noise import Noise
 from multicell.calibration.priors import Prior, prior_of, split_free
 from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
 from multicell.errors import SceneError
@@ -35,6 +36,7 @@ class Problem:
     - ``ranges``: the free parameters
     - ``simulator``: gives the readings of one run
     - ``seeds``: random numbers of the runs that are averaged, the same ones for all parameters
+    - ``scatter``: ``"unknown"`` where what data scatter beyond runs is estimated
     - ``known``: their prior; None: all places in the ranges are equally likely
     """
 
@@ -42,7 +44,13 @@ class Problem:
     ranges: tuple[Range, ...]
     simulator: Simulator
     seeds: tuple[int, ...]
+    scatter: str = "stated"
     known: Prior | None = None
+
+    @cached_property
+    def noise(self) -> Noise:
+        """Errors and scatter of the data."""
+        return Noise.of(self.measured.data, self.scatter)
 
     @cached_property
     def _scales(self) -> tuple[Array, Array]:
@@ -108,7 +116,7 @@ class Problem:
     def misfit(self, readings: Mapping[tuple[int, int], Array]) -> Misfit:
         """Return how the runs of one set of parameters differ from the data."""
         runs = self.runs(readings, self.seeds)
-        return misfit(self.observed, self.sigma, runs, self._groups, self.tissues)
+        return misfit(self.observed, self.sigma, runs, self._groups, self.noise)
 
     @cached_property
     def _groups(self) -> tuple[NDArray[np.int64], Array]:
@@ -164,6 +172,7 @@ def problem_of(
     seeds: int,
     first_seed: int,
     simulator: Simulator | None = None,
+    scatter: str = "stated",
     prior: Prior | None = None,
 ) -> Problem:
     """Return the problem of fitting a scene to data.
@@ -172,8 +181,9 @@ def problem_of(
     - ``seeds``: number of runs with different random numbers for each set of parameters
     - ``first_seed``: of these runs
     - ``simulator``: what stands for the scene's runs; by default they themselves
+    - ``scatter``: see :class:`Problem`
     - ``prior``: of the parameters; by default uniform
     """
     chosen = SceneSimulator.of(measured, ranges) if simulator is None else simulator
     numbers = tuple(range(first_seed, first_seed + seeds))
-    return Problem(measured, tuple(ranges), chosen, numbers, prior)
+    return Problem(measured, tuple(ranges), chosen, numbers, scatter, prior)

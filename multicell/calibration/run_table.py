@@ -40,11 +40,13 @@ def rows(fit: Fit) -> list[dict[str, Any]]:
 
 def title_of(datum: Datum) -> str:
     """Return the title of the readings of a datum."""
+    deep = "" if datum.depth is None else f" {datum.depth:g} um deep"
+    name = f"{datum.observable}{deep}"
     if datum.at is not None:
-        return f"{datum.observable} at {datum.at[0]} = {datum.at[1]:g}"
+        return f"{name} at {datum.at[0]} = {datum.at[1]:g}"
     if datum.time is None:
-        return f"{datum.observable} at the end"
-    return f"{datum.observable} at {time_unit(datum.time).text(datum.time)}"
+        return f"{name} at the end"
+    return f"{name} at {time_unit(datum.time).text(datum.time)}"
 
 
 def dataset(fit: Fit) -> xarray.Dataset:
@@ -60,8 +62,7 @@ def dataset(fit: Fit) -> xarray.Dataset:
     reason = np.full(shape, "", dtype=object)
     values: dict[str, tuple[tuple[str, ...], Any, dict[str, str]]] = {}
     for datum in measured.data:
-        timed = datum.time is not None
-        name = datum.observable.replace(".", "_") if timed else title_of(datum)
+        timed, name = _over_time(datum), _variable(datum)
         wide, dims = ((*shape, len(times)), ("time",)) if timed else (shape, ())
         about = {"units": measured.units[datum.observable]}
         values.setdefault(name, (("point", "seed", *dims), np.full(wide, np.nan), about))
@@ -70,11 +71,8 @@ def dataset(fit: Fit) -> xarray.Dataset:
         state[place] = "failed" if reading.reason else "done"
         reason[place] = reading.reason
         for datum, value in zip(measured.of(condition), reading.values, strict=True):
-            if datum.time is None:
-                values[title_of(datum)][1][place] = value
-            else:
-                name = datum.observable.replace(".", "_")
-                values[name][1][(*place, times.index(datum.time))] = value
+            where = [times.index(t) for t in (datum.time,) if t is not None and _over_time(datum)]
+            values[_variable(datum)][1][(*place, *where)] = value
     coordinates: dict[str, Any] = {
         "point": np.arange(len(points)), "seed": seeds,
         "time": ("time", np.array(times), {"units": "s"}),
@@ -85,6 +83,14 @@ def dataset(fit: Fit) -> xarray.Dataset:
         coordinates[free.name] = ("point", column, {"units": free.unit, "key": free.key})
     states = {"state": (("point", "seed"), state), "reason": (("point", "seed"), reason)}
     return xarray.Dataset({**values, **states}, coordinates, {"title": fit.scene.title})
+
+
+def _over_time(datum: Datum) -> bool:
+    return datum.time is not None and datum.depth is None
+
+
+def _variable(datum: Datum) -> str:
+    return datum.observable.replace(".", "_") if _over_time(datum) else title_of(datum)
 
 
 def to_study(fit: Fit, folder: str | Path) -> Study:

@@ -302,6 +302,7 @@ def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator
         np.array([m.loss for m in misfits]),
         observables=[datum.observable for datum in problem.measured.data],
         lowest=problem.lowest,
+        noise=problem.noise,
         prior=problem.prior,
     )
 

@@ -6,7 +6,7 @@ import json
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.data import MAX_BYTES, read_data
 from multicell.calibration.fit_plan import FitPlan, make_runs
@@ -25,6 +25,12 @@ from multicell.tables.fields import read_table
 if TYPE_CHECKING:
     from multicell.calibration.data import Condition, Datum
     from multicell.scene.scene import Scene
+
+
+FACTS: Final = (
+    "method", "sd", "specimens", "scatter", "seeds", "repeats", "population", "sets_of_parameters",
+    "reused", "draws", "generations", "temperature", "fresh_runs", "profile_runs", "seconds",
+)  # fmt: skip
 
 
 @final
@@ -64,10 +70,6 @@ def load_fit(folder: str | Path) -> Fit:
                found.fresh, found.ends, found.readings)  # fmt: skip
 
 
-FACTS = ("method", "sd", "seeds", "repeats", "population", "sets_of_parameters", "reused", "draws",
-         "generations", "temperature", "fresh_runs", "profile_runs", "seconds")  # fmt: skip
-
-
 def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
     """Return what a folder holds a fit of; without a result its runs are those of a search.
 
@@ -85,18 +87,23 @@ def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
         request = entry.get("request", {})
         scene = load_scene(folder / "scene.toml")
         table = read_table(folder / "data.csv", MAX_BYTES)
-        measured = read_data(table, scene, start=request.get("start"), sd=problem["sd"])
+        measured = read_data(
+            table, scene, start=request.get("start"), sd=problem["sd"],
+            specimens=problem["specimens"],
+        )  # fmt: skip
         given = {key: (r["low"], r["high"], *(["log"] if r["log"] else []))
                  for key, r in problem["free"].items()}  # fmt: skip
         ranges = ranges_of(given, measured)
         densities = [_density(problem.get("densities", {}).get(r.key)) for r in ranges]
         prior = prior_of(ranges, densities, request.get("constraints", ()))
         seeds = problem["seeds"]
-        stated = problem_of(measured, ranges, len(seeds), seeds[0], prior=prior)
+        stated = problem_of(
+            measured, ranges, len(seeds), seeds[0], scatter=problem["scatter"], prior=prior
+        )
         plan = FitPlan(
             stated, scene, table, known["method"], int(known.get("sets_of_parameters", 0)), 0,
             float("inf"), int(problem["population"]), float(problem["sd"]),
-            int(known.get("repeats", 0)),
+            int(known.get("repeats", 0)), problem["specimens"],
             int(known.get("profile_runs", 0)) // (2 * len(ranges)),
         )  # fmt: skip
     except MulticellError as error:
@@ -203,4 +210,4 @@ def _without_end(scene: Scene) -> Any:
 def _asked(datum: Datum, condition: Condition) -> tuple[Any, ...]:
     """Return what a run has to be read for."""
     end = condition.scene.duration if datum.time is None and datum.at is None else None
-    return datum.observable, datum.time, datum.at, end
+    return datum.observable, datum.time, datum.at, datum.depth, end

@@ -99,6 +99,20 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     show_default=True,
     help="Relative standard deviation of data that come without one.",
 )
+@click.option(
+    "--specimens",
+    default="same",
+    show_default=True,
+    metavar="NAME",
+    help="single: each row is another specimen, measured once, as the column 'specimen' says too.",
+)
+@click.option(
+    "--scatter",
+    default="stated",
+    show_default=True,
+    metavar="NAME",
+    help="unknown: estimate what data scatter beyond runs and their stated errors.",
+)
 @shared.changes_option
 @shared.law_option
 @shared.observable_option

@@ -15,8 +15,10 @@ from multicell.results import observables as of
 from multicell.results.contacts import counts_contacts
 from multicell.results.observable import Observable, TissueState, find_own
 from multicell.scene.domain import walls
+from multicell.scene.pairs import compression
 
 if TYPE_CHECKING:
+    from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
     from multicell.scene.scene import Scene
 
@@ -24,6 +26,10 @@ _STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
 _LEDGER: Final = (
     "inflow", "outflow", "washed", "uptake", "secreted", "decayed", "stored", "content",
 )  # fmt: skip
+
+
+def _has_phases(scene: Scene) -> bool:
+    return scene.growth is not None and bool(scene.growth.phases)
 
 
 def _has_types(scene: Scene) -> bool:
@@ -42,13 +48,20 @@ def _has_walls(scene: Scene) -> bool:
     return scene.dimensions == 3 and scene.domain is not None and scene.domain.wall == "elastic"
 
 
+def _has_gel(scene: Scene) -> bool:
+    return scene.domain is not None and scene.domain.stiffness is not None
+
+
 def _has_shells(scene: Scene) -> bool:
     return scene.dimensions == 3 and any(n.layout != "box" for n in scene.nutrients.values())
 
 
-def _box(state: TissueState) -> Walls:
+def _walls(state: TissueState) -> Walls | Sphere:
+    """Return the walls as they stand round the cells."""
     found = walls(state.scene)
     assert found is not None
+    if _has_gel(state.scene):
+        of.settle(state.cells, found, compression(state.scene))
     return found
 
 
@@ -80,7 +93,7 @@ def _hypoxic_radius(state: TissueState, field: str) -> float:
 
 
 OBSERVABLES: Final = (
-    Observable("cells", lambda s: len(s.cells), shown="{:,}".format),
+    Observable("cells", lambda s: len(s.cells), shown="{:,}".format, counts=True),
     Observable(
         "diameter",
         lambda s: of.diameter(s.cells, s.dimensions, s.extent),
@@ -88,6 +101,7 @@ OBSERVABLES: Final = (
         shown="{:.0f} µm".format,
         doc="2 R",
     ),
+    Observable("radius", lambda s: s.extent.radius(), unit="um", doc="R"),
     Observable(
         "viable_rim",
         lambda s: of.viable_rim(s.cells, s.dimensions, s.extent),
@@ -106,6 +120,31 @@ OBSERVABLES: Final = (
         doc="the same formula over necrotic cells about the common centre; 0 without any",
     ),
     Observable(
+        "necrotic_ratio",
+        lambda s: of.necrotic_radius(s.cells, s.dimensions, s.extent) / s.extent.radius(),
+        exists=_has_phases,
+        absent="without cells",
+        doc="the necrotic radius over R; with `growth.phases`",
+    ),
+    Observable(
+        "inhibited_radius",
+        lambda s: s.inhibited_radius,
+        unit="um",
+        exists=_has_phases,
+        shown="{:.0f} µm".format,
+        shown_if_zero=False,
+        doc="within it the part of cells in S, G2 or M is below a fifth of that in the outermost "
+        "tenth of the cells (isotonic regression over the distance from the centre); with "
+        "`growth.phases`",
+    ),
+    Observable(
+        "inhibited_ratio",
+        lambda s: s.inhibited_radius / s.extent.radius(),
+        exists=_has_phases,
+        absent="without cells",
+        doc="the inhibited radius over R; with `growth.phases`",
+    ),
+    Observable(
         "packing_ratio",
         lambda s: of.packing_ratio(s.cells, s.dimensions, s.extent),
         absent="without cells",
@@ -120,7 +159,7 @@ OBSERVABLES: Final = (
         unit="kPa",
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
     ),
-    *(Observable(name, _count_in(name), entry=f"states.{name}") for name in _STATES),
+    *(Observable(name, _count_in(name), entry=f"states.{name}", counts=True) for name in _STATES),
     Observable(
         "clonogens",
         lambda s: int((~s.cells.dead & (s.cells.doomed == 0)).sum()),
@@ -128,6 +167,7 @@ OBSERVABLES: Final = (
         shown="{:,}".format,
         doc="living cells that are not doomed; over those before irradiation, without growth, the "
         "surviving fraction; only with `radiation`",
+        counts=True,
     ),
     Observable(
         "doomed",
@@ -135,25 +175,33 @@ OBSERVABLES: Final = (
         exists=lambda scene: scene.radiation,
         doc="living cells that irradiation lets die at one of their next divisions; only with "
         "`radiation`",
+        counts=True,
     ),
     Observable(
         "volume_fraction",
-        lambda s: of.volume_fraction(s.cells, _box(s)),
+        lambda s: of.volume_fraction(s.cells, _walls(s)),
         exists=_has_walls,
         doc="sum of the cells' volumes over the volume of the `domain`; with elastic walls in"
         " space",
     ),
     Observable(
+        "domain_radius",
+        lambda s: of.domain_radius(_walls(s)),
+        unit="um",
+        exists=_has_gel,
+        doc="radius to which the cells have widened the cavity of a gel (`domain.stiffness`)",
+    ),
+    Observable(
         "wall_pressure",
-        lambda s: of.wall_pressure(s.cells, _box(s)),
+        lambda s: of.wall_pressure(s.cells, _walls(s), compression(s.scene)),
         unit="kPa",
         exists=_has_walls,
-        doc="normal force of the cells on a wall over its area, mean of the six sides; with "
-        "elastic walls in space",
+        doc="normal force of the cells on a wall over its area, mean of the six sides of a box; "
+        "with elastic walls in space",
     ),
     Observable(
         "tissue_pressure",
-        lambda s: of.tissue_pressure(s.cells, _box(s)),
+        lambda s: of.tissue_pressure(s.cells, _walls(s)),
         unit="kPa",
         exists=_has_walls,
         signed=True,
@@ -177,8 +225,15 @@ OBSERVABLES: Final = (
         shown=lambda n: f"{n:,} cell{'' if n == 1 else 's'}",
         shown_if_zero=False,
         doc="number of living cells in which `pressure_factor` is 1/2 or less",
+        counts=True,
     ),
-    Observable("contacts", lambda s: len(s.frame.contacts), exists=counts_contacts, entry=None),
+    Observable(
+        "contacts",
+        lambda s: len(s.frame.contacts),
+        exists=counts_contacts,
+        entry=None,
+        counts=True,
+    ),
     Observable(
         "heterotypic_fraction",
         lambda s: of.heterotypic_fraction(s.cells, s.frame.contacts),
@@ -204,6 +259,7 @@ OBSERVABLES: Final = (
         exists=lambda scene: list(scene.types) if _has_types(scene) else [],
         entry="living.*",
         doc="number of living cells of a type, where there are several",
+        counts=True,
     ),
     Observable("pull", _load, unit="nN", exists=_is_pulled, entry=None),
     # found by the coupling step
@@ -213,6 +269,21 @@ OBSERVABLES: Final = (
         unit="mM",
         exists=lambda scene: [n for n, f in scene.nutrients.items() if f.finite_medium is not None],
         entry=None,
+    ),
+    Observable(
+        "uptake_*",
+        unit="amol/s",
+        exists=lambda scene: scene.nutrients,
+        entry=None,
+        doc="rate at which all cells take up a field",
+    ),
+    Observable(
+        "rim_uptake_*",
+        unit="mM/s",
+        exists=lambda scene: scene.nutrients if scene.dimensions == 3 else (),
+        entry=None,
+        absent="without living cells, and where the dead lie outside the living",
+        doc="that rate over the volume of the ball of this diameter, less that of the core",
     ),
     Observable(
         "force_*",

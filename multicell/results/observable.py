@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, FloatArray, IntArray
 from multicell.errors import SceneError
 from multicell.results.contacts import touching
-from multicell.results.observables import Extent, pressure_factors, state_counts
+from multicell.results.observables import Extent, inhibited_radius, pressure_factors, state_counts
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
@@ -77,6 +77,11 @@ class TissueState:
         return state_counts(self.cells)
 
     @cached_property
+    def inhibited_radius(self) -> float:
+        """Radius within which proliferation is inhibited, µm."""
+        return inhibited_radius(self.cells, self.dimensions)
+
+    @cached_property
     def pressure_factors(self) -> FloatArray:
         """Factor of pressure on the growth of each living cell, where pressure limits growth."""
         growth = self.scene.growth
@@ -138,6 +143,8 @@ class Observable:
         How key figures write it; None where it is none.
     shown_if_zero
         Whether it is a key figure also where it is 0.
+    counts
+        Whether it counts cells, of which each may stand for several (``cells.represents``).
     function, source
         Of the user's own: ``file.py:name@fingerprint``, by which scenes find it, and
         ``/path/file.py:name``, which other processes load. Empty for ours.
@@ -155,6 +162,7 @@ class Observable:
     signed: bool = False
     shown: Callable[[Any], str] | None = None
     shown_if_zero: bool = True
+    counts: bool = False
     function: str = ""
     source: str = ""
 
@@ -182,7 +190,14 @@ class Observable:
     def value(self, state: TissueState, key: str = "") -> float | int:
         """Return the number for one of :meth:`keys`."""
         assert self.measure is not None
-        return self.measure(state, key) if key else self.measure(state)
+        found = self.measure(state, key) if key else self.measure(state)
+        return represented(state.scene, int(found)) if self.counts else found
+
+
+def represented(scene: Scene, count: int) -> int:
+    """Return how many cells of the tissue a number of cells stands for."""
+    each = scene.cells.represents
+    return count if each is None else round(count * each)
 
 
 OWN: Final[dict[str, Observable]] = {}

@@ -45,7 +45,7 @@ FIELD: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
-SPARSE: Final = frozenset({"cells/doomed"})
+SPARSE: Final = frozenset({"cells/doomed", "cells/damage"})
 """Arrays that a frame has only where they are not all zero, and a file only if a frame has them."""
 
 _OF_PARTS: Final = ("driven", "first_states", "replays", "stability")
@@ -150,7 +150,7 @@ def _check(frame: Frame) -> None:
     if not np.isfinite(frame.time) or frame.step < 0:
         raise OutputError(f"its time is {frame.time:g} s, its step {frame.step}")
     ranges = {"state": max(State), "phase": max(Phase), "kind": np.iinfo(np.int16).max,
-              "doomed": np.iinfo(np.int8).max}  # fmt: skip
+              "doomed": np.iinfo(np.int8).max, "damage": np.finfo(float).max}  # fmt: skip
     for name, most in ranges.items():
         values = getattr(cells, name)
         if len(values) and not (values.min() >= 0 and values.max() <= most):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from multicell.results.contacts import counts_contacts, remembers_contacts
 from multicell.results.folder import versions
 from multicell.results.measures import observables_of
-from multicell.results.observable import TissueState
+from multicell.results.observable import TissueState, represented
 from multicell.results.quantities import units_of
 from multicell.scene.coupling import fixed_step
 
@@ -95,8 +95,8 @@ def run_summary(
         "title": scene.title,
         "seed": scene.seed,
         "steps": frame.step,
-        "divisions": progress.divisions,
-        "removals": progress.removals,
+        "divisions": represented(scene, progress.divisions),
+        "removals": represented(scene, progress.removals),
         "volume_released": progress.released,
         "integrator": {
             "method": scene.integrator.method,

@@ -12,8 +12,8 @@ leaves ``frames.h5`` as it is and begins a journal that says from which frame on
 Layout of ``frames.h5`` for k frames and m history rows::
 
     /cells/<column>                  all columns of cells, all frames one after another, with a
-                                     ``unit``; concentration_<nutrient> in mM; doomed only
-                                     where a cell of any frame is
+                                     ``unit``; concentration_<nutrient> in mM; doomed and
+                                     damage only where a cell of any frame has some
     /frames/offset (k + 1)           frame j owns the rows offset[j] ... offset[j + 1] - 1
     /frames/time, /frames/step (k)
     /frames/digest (k)               CRC-32 of all that a frame holds

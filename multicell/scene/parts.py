@@ -75,6 +75,11 @@ class CellParameters:
         at_most=1,
         doc="of heritable traits by name: standard deviation of ln(trait) in one division",
     )
+    represents: float | None = number(
+        default=None, at_least=1, at_most=1e6,
+        doc="how many cells of the tissue a cell stands for, which counts in results are "
+        "multiplied by; absent: 1",
+    )  # fmt: skip
 
     def check(self) -> None:
         """Raise ``SceneError`` for drift of what is not inherited and for no solid's Poisson ratio.
@@ -254,6 +259,9 @@ class Death:
 
     Necrotic cells may swell first: exponentially to ``swelling`` times their volume within
     ``swelling_time``, at the end of which they burst.
+
+    With ``damage_time`` T a threshold of necrosis does not kill but damages: dD/dt = 1/T beyond it,
+    less D/``damage_repair_time``. A cell dies where D is at its own tolerance, 1 in the mean.
     """
 
     necrosis_rate: float | None = quantity(
@@ -261,6 +269,15 @@ class Death:
         default=None,
         above=0,
         doc="at which cells die beyond a threshold of necrosis; absent: they die at once",
+    )
+    damage_time: float | None = quantity(
+        "s", default=None, above=0, doc="beyond a threshold of necrosis until a mean cell dies"
+    )
+    damage_repair_time: float | None = quantity(
+        "s", default=None, above=0, doc="in which damage falls to 1/e; absent: it stays"
+    )
+    damage_variation: float = number(
+        default=0.0, at_least=0, at_most=1, doc="coefficient of variation (gamma) of the tolerance"
     )
     swelling: float = number(
         default=1.0, at_least=1, at_most=8, doc="volume of a necrotic cell that bursts / at death"
@@ -280,6 +297,18 @@ class Death:
     removal_fraction: float = number(
         default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
     )
+
+    inflow: bool = flag(
+        default=False,
+        doc="the medium that drags the cells flows in to where the dead lose volume, and takes the "
+        "tissue along; false: the medium is at rest",
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for two laws of the same death."""
+        if self.necrosis_rate is not None and self.damage_time is not None:
+            hint = "Leave one out: exponential times are damage_time with damage_variation = 1."
+            raise SceneError("necrosis_rate", "contradicts damage_time", hint)
 
 
 @final
@@ -448,6 +477,23 @@ class Friction:
 
 @final
 @parameters
+class Compression:
+    """Resistance of tissue to compression by all neighbours of a cell together; in space only."""
+
+    bulk_modulus: float = quantity(
+        "kPa", default=10.0, above=0, at_most=1e6, doc="of close-packed cells above the onset"
+    )
+    onset: float = number(
+        default=1.0,
+        at_least=0.85,
+        at_most=2.0,
+        doc="volume fraction, of cells over space, below which nothing resists but the contacts",
+        hint="Equal spheres touch at 0.74; at 1 the cells leave no gaps.",
+    )
+
+
+@final
+@parameters
 class Pull:
     """An external force that pulls every cell away from the centre of all cells.
 
@@ -530,9 +576,24 @@ class Motility:
 class Domain:
     """A box that stands still: the fields live on it, and its sides are walls for the cells.
 
-    Absent, a field's grid is laid round the cells anew in every step.
+    Absent, a field's grid is laid round the cells anew in every step. So it is in a sphere, a wall
+    about the origin that fields pass; with a stiffness it is the cavity of a gel that gives way.
     """
 
+    shape: str = choice(["box", "sphere"], default="box", doc="sphere: a wall for cells alone")
+    radius: float | None = quantity(
+        "um",
+        default=None,
+        above=0,
+        doc="of the sphere; of the cavity of a gel, where it is at rest",
+    )
+    stiffness: float | None = quantity(
+        "kPa",
+        default=None,
+        above=0,
+        at_most=1e9,
+        doc="Young's modulus of an elastic gel round the sphere; absent: it stays as wide as it is",
+    )
     x: tuple[float, float] | None = span(doc="from side x- to side x+")
     y: tuple[float, float] | None = span(doc="from side y- to side y+")
     z: tuple[float, float] | None = span(doc="from side z- to side z+; not in two dimensions")
@@ -558,8 +619,14 @@ class Domain:
     )
 
     def check(self) -> None:
-        """Raise ``SceneError`` for a stiffness of walls that there are not."""
-        for name in ("young", "poisson"):
+        """Raise ``SceneError`` for keys that have no meaning together."""
+        sphere = self.shape == "sphere"
+        for name in ("x", "y", "z") if sphere else ("radius", "stiffness"):
+            if getattr(self, name) is not None:
+                raise SceneError(name, f"has no meaning where shape = '{self.shape}'")
+        if sphere and self.radius is None:
+            raise SceneError("radius", "is missing: a sphere has one", "Such as '100 um'.")
+        for name in ("young", "poisson", "stiffness"):
             if self.wall == "refuse" and getattr(self, name) is not None:
                 hint = "Only elastic walls have a stiffness."
                 raise SceneError(name, "has no meaning where wall = 'refuse'", hint)

@@ -200,8 +200,11 @@ def own_value(scene: Scene, behaviour: Behaviour) -> float:
 
 def _short_forms(scene: Scene) -> Iterator[Effect]:
     """Yield the effects that keys of fields, energy, growth and adhesion stand for, in order."""
-    rate = scene.death.necrosis_rate if scene.death is not None else None
-    dying = math.inf if rate is None else rate
+    death, dying, what_kills = scene.death, math.inf, "necrosis rate"
+    if death is not None and death.damage_time is not None:
+        dying, what_kills = 1.0 / death.damage_time, "damage rate"
+    elif death is not None and death.necrosis_rate is not None:
+        dying = death.necrosis_rate
 
     def short(what: str, signal: str, law: ResponseLaw, key: str, falls: bool, high: float = 1.0,
               types: tuple[str, ...] = ()) -> Effect:  # fmt: skip
@@ -214,8 +217,8 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
             "growth_half_saturation": ("growth rate", Monod, False, 1.0),
             "growth_inhibition": ("growth rate", Monod, True, 1.0),
             "quiescence": ("rest", Threshold, True, 1.0),
-            "necrosis": ("necrosis rate", Threshold, True, dying),
-            "necrosis_above": ("necrosis rate", partial(Threshold, strict=True), False, dying),
+            "necrosis": (what_kills, Threshold, True, dying),
+            "necrosis_above": (what_kills, partial(Threshold, strict=True), False, dying),
         }
         for key, (what, law, falls, high) in laws.items():
             level = getattr(part, key, None)

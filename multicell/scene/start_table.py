@@ -40,7 +40,7 @@ START_COLUMNS: Final[Mapping[str, str]] = {
     "id": "", "parent": "", "position_x": "um", "position_y": "um", "position_z": "um",
     "radius": "um", "young": "kPa", "poisson": "", "state": "", "age": "s", "cycle_time": "s",
     "pressure": "kPa", "kind": "", "phase": "", "progress": "s", "phase_length": "s",
-    "doomed": "",
+    "doomed": "", "damage": "",
 }  # fmt: skip
 """Columns that a start takes, with their base units, in the order in which they are written."""
 ALIASES: Final = {"x": "position_x", "y": "position_y", "z": "position_z", "type": "kind"}
@@ -57,7 +57,7 @@ _NAMES: Final[Mapping[str, Mapping[str, int]]] = {
     "phase": {phase.name: int(phase) for phase in Phase},
 }
 _POSITIVE: Final = ("radius", "young", "cycle_time")
-_NOT_NEGATIVE: Final = ("age", "progress", "phase_length")
+_NOT_NEGATIVE: Final = ("age", "progress", "phase_length", "damage")
 
 
 @final

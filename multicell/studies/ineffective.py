@@ -82,7 +82,7 @@ def _responds(scene: Scene, behaviour: str) -> bool:
 
 def _never_starves(scene: Scene) -> bool:
     """Return whether no cell can become necrotic."""
-    return not _responds(scene, "necrosis rate")
+    return not (_responds(scene, "necrosis rate") or _responds(scene, "damage rate"))
 
 
 def _never_by_apoptosis(scene: Scene) -> bool:
@@ -107,6 +107,10 @@ _NO_OXYGEN: Final[Rule] = (
 )  # fmt: skip
 _NECROSIS: Final[Rule] = (
     _never_starves, "neither a nutrient nor ATP has a threshold of necrosis"
+)  # fmt: skip
+_NO_DAMAGE: Final[Rule] = (
+    lambda s: not _responds(s, "damage rate"),
+    "death.damage_time is absent, and nothing responds with a damage rate",
 )  # fmt: skip
 _KEYS: Final[Mapping[str, Sequence[Rule]]] = {
     "growth.cycle_time": [_CYCLE],
@@ -134,6 +138,9 @@ _KEYS: Final[Mapping[str, Sequence[Rule]]] = {
     "initial.spacing": [_ALONE],
     "initial.jitter": [_ALONE],
     "death.necrosis_rate": [_NECROSIS],
+    "death.damage_time": [_NECROSIS],
+    "death.damage_repair_time": [_NO_DAMAGE],
+    "death.damage_variation": [_NO_DAMAGE],
     "death.swelling": [_NECROSIS],
     "death.lysis_time": [_NECROSIS],
     "death.swelling_time": [
@@ -144,6 +151,9 @@ _KEYS: Final[Mapping[str, Sequence[Rule]]] = {
         (_never_by_apoptosis, "death.apoptosis_rate is 0, and no cell is irradiated"),
     ],
     "death.removal_fraction": [
+        (lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),
+    ],
+    "death.inflow": [
         (lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),
     ],
     "nutrients.*.temperature": [

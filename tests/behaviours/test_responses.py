@@ -218,10 +218,10 @@ def test_a_response_of_one_type_takes_the_place_of_that_of_all():
                     "half": "0.01 mM", "falls": True, "cells": "tough"}],
     )  # fmt: skip
     plan, cells = state(made, kind=np.array([0, 0, 0, 1, 1, 1], dtype=np.int16))
-    from multicell.biology.responding import necrosis_hazard
+    from multicell.biology.responding import rate_of_harm
 
     found = {"drug": np.array([0.04, 0.06, 0.005, 0.04, 0.06, 0.005])}
-    hazard = necrosis_hazard(plan, found, cells)
+    hazard = rate_of_harm(plan, "necrosis rate", found, cells)
     np.testing.assert_array_equal(np.isinf(hazard), [True, False, True, False, False, True])
 
 

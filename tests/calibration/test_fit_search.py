@@ -19,6 +19,7 @@ from multicell.calibration.distance import (
     standardise,
 )
 from multicell.calibration.emulator import draws, emulator
+from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
 from multicell.calibration.priors import Prior
 from multicell.calibration.problem import Problem
@@ -82,7 +83,7 @@ def test_what_grows_has_its_scatter_pooled_in_proportion():
 
 def test_means_of_tissues_share_their_scatter_and_standard_errors_hold_it():
     y, sigma, runs = np.zeros(3), np.ones(3), np.array([[1.0] * 3, [5.0] * 3])
-    found = misfit(y, sigma, runs, None, np.array([1.0, 4.0, np.inf]))
+    found = misfit(y, sigma, runs, None, Noise.of_means(np.array([1.0, 4.0, np.inf])))
     variance = 8.0  # of the runs, which are two
     expected = 3.0 / np.sqrt(1.0 + variance * (np.array([1.0, 0.25, 0.0]) + 0.5))
     np.testing.assert_allclose(found.residuals, expected, rtol=1e-12)

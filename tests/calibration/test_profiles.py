@@ -14,6 +14,7 @@ import multicell as mc
 from multicell.calibration.emulator import emulator
 from multicell.calibration.fit import plan_of
 from multicell.calibration.likelihood import likelihood, scatter_of
+from multicell.calibration.noise import Noise
 from multicell.calibration.priors import Constraint, Density, Prior
 from multicell.calibration.profiles import _jackknife, profiles
 
@@ -54,7 +55,7 @@ def test_the_interval_of_few_fresh_runs_is_students():
     means = 2000.0 * (shares - 0.5)
     found = emulator(shares, means, np.zeros_like(means), means[:, 0] ** 2)
     runs = np.array([[-30.0], [-10.0], [10.0], [30.0]])
-    known = likelihood(found, np.ones(1), np.array([0.5]), scatter_of(runs))
+    known = likelihood(found, Noise.of_means(np.ones(1)), np.array([0.5]), scatter_of(runs))
     scale = math.sqrt(runs.var(ddof=1) * 1.25) / 2000.0
     for level in (0.8, 0.95):
         (profile,) = profiles(known, [0], level=level)

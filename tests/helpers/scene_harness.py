@@ -248,7 +248,8 @@ def _check_start(result, summary):
     scene, first = result.scene, result.frames[0]
     table, death = scene.initial.cells, scene.death
     given = table is not None and "state" in table.given.columns
-    if first.step or given or (death is not None and death.necrosis_rate is not None):
+    slow = death is not None and (death.necrosis_rate or death.damage_time) is not None
+    if first.step or given or slow:
         return
     short = np.zeros(len(first.cells), bool)
     for name, field_ in scene.nutrients.items():
@@ -295,12 +296,16 @@ def _walk(where, value):
 def _check_numbers(result, summary):
     """Check that cells come from divisions and go by removal only, and volume by growth, death."""
     scene, last = result.scene, result.frames[-1].cells
-    expected = scene.initial.count + summary["divisions"] - summary["removals"]
-    if not len(last) == summary["cells"] == result.history["cells"][-1] == expected:
+    # each cell stands for several where the scene says so, rounded to whole ones
+    each = scene.cells.represents or 1.0
+    divisions, removals = (round(summary[name] / each) for name in ("divisions", "removals"))
+    expected = scene.initial.count + divisions - removals
+    counted = round(len(last) * each)
+    if not counted == summary["cells"] == result.history["cells"][-1] == round(expected * each):
         raise Fault(f"cells: {len(last)} in the frame, {summary['cells']} counted, {expected} due")
     born = result.lineage["id"]
-    if len(born) != scene.initial.count + 2 * summary["divisions"] or len(set(born)) != len(born):
-        raise Fault(f"lineage: {len(born)} cells after {summary['divisions']} divisions")
+    if len(born) != scene.initial.count + 2 * divisions or len(set(born)) != len(born):
+        raise Fault(f"lineage: {len(born)} cells after {divisions} divisions")
     if not set(last.id) <= set(born):
         raise Fault("lineage: a cell was never born")
     before, after = result.frames[0].cells.volume.sum(), last.volume.sum()

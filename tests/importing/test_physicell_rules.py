@@ -9,7 +9,7 @@ from physicell_project import writer
 import multicell as mc
 from multicell.behaviours.catalogue import CROWDED
 from multicell.biology.plan import biology_plan
-from multicell.biology.responding import necrosis_hazard, value_of
+from multicell.biology.responding import rate_of_harm, value_of
 from multicell.biology.signals import other_signals
 from multicell.importing.account import Fate
 from multicell.results.observables import contact_rows
@@ -65,7 +65,7 @@ def values(made, behaviour, own, **others):
         found[name][row] = level
     plan = biology_plan(made.scene)
     if behaviour == "necrosis rate":
-        return necrosis_hazard(plan, found, cells)[row]
+        return rate_of_harm(plan, "necrosis rate", found, cells)[row]
     return value_of(plan, behaviour, own, found, cells)[row]
 
 

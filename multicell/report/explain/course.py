@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from multicell.biology.durations import malthusian_rate
 from multicell.biology.growth import growth_factor
 from multicell.biology.plan import biology_plan
-from multicell.biology.responding import necrosis_hazard
+from multicell.biology.responding import rate_of_harm
 from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import solving_order
 from multicell.scene.nutrient import Nutrient
@@ -149,28 +149,25 @@ class _Tissue:
         shells = np.linspace(self._radius(self._core()), self.radius, SHELLS + 1)
         share = np.diff(shells**self._dimensions)
         share /= share.sum()
-        growth, starved = self._supply(shells, begin, end)
+        growth, hazard = self._supply(shells, begin, end)
         growth *= self._pressure_factor(shells, growth)
-        lost = min(float(share[starved].sum()), 1.0)  # rounding may exceed 1
         if math.isnan(self.starved):  # cells that die at a rate do not at once
-            at_a_rate = self._plan.death is not None and self._plan.death.necrosis_rate is not None
-            self.starved = 0.0 if at_a_rate else lost
+            self.starved = min(float(share[np.isinf(hazard)].sum()), 1.0)  # rounding may exceed 1
         self._grow(float((share * growth).sum()), dt)
-        self._die(lost, begin, dt)
+        self._die(min(float((share * -np.expm1(-hazard * dt)).sum()), 1.0), begin, dt)
         self._clear(end)
 
     def _supply(
         self, shells: FloatArray, begin: float, end: float
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Solve the fields; return the factor on growth in each shell, and where cells starve."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Solve the fields; return growth's factor and the rate of necrosis (1/s) in each shell."""
         scene = self._scene
         # fields without effect on cells are not solved
         levels = {name: np.full(SHELLS, n.medium(begin)) for name, n in scene.nutrients.items()}
         for name, field in self._fields.items():
             levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
         growth = growth_factor(self._plan, levels, np.zeros(SHELLS))
-        hazard = necrosis_hazard(self._plan, levels, None)
-        starved = np.zeros(SHELLS, dtype=bool) if hazard is None else hazard > 0.0
+        hazard = self._hazard(levels)
         for name, field in self._fields.items():
             growth *= _active(field.nutrient, levels[name])
         if scene.energy is not None and scene.energy.quiescence is not None:
@@ -178,8 +175,23 @@ class _Tissue:
             growth[resting] = 0.0
             for field in self._fields.values():
                 field.rest(resting)
-        growth[starved] = 0.0
-        return growth, starved
+        growth[np.isinf(hazard)] = 0.0
+        return growth, hazard
+
+    def _hazard(self, levels: Mapping[str, FloatArray]) -> FloatArray:
+        """Return the rate of necrosis, (SHELLS,) 1/s; of damage as over the time that it takes."""
+        hazard = np.zeros(SHELLS)
+        for behaviour in ("necrosis rate", "damage rate"):
+            rate = rate_of_harm(self._plan, behaviour, levels, None)
+            if rate is not None and behaviour == "damage rate":
+                death = self._scene.death
+                repair = None if death is None else death.damage_repair_time
+                if repair is not None:
+                    over = np.maximum(rate * repair, 1.0)
+                    with np.errstate(divide="ignore"):
+                        rate = -1.0 / (repair * np.log1p(-1.0 / over))
+            hazard += 0.0 if rate is None else rate
+        return hazard
 
     def _clear(self, end: float) -> None:
         """Remove the remains of those that died long ago."""
@@ -221,11 +233,8 @@ class _Tissue:
         if self._scene.growth is not None:
             self._living *= math.exp(min(self._rate * factor * dt, _MAX_EXPONENT))
 
-    def _die(self, starved: float, begin: float, dt: float) -> None:
+    def _die(self, lost: float, begin: float, dt: float) -> None:
         death: Death | None = self._scene.death
-        lost = starved
-        if death is not None and death.necrosis_rate is not None:
-            lost *= -math.expm1(-death.necrosis_rate * dt)
         if death is not None:
             lost += (1.0 - lost) * -math.expm1(-death.apoptosis_rate * dt)
         if lost > 0.0:

@@ -72,7 +72,9 @@ def _start_words(scene: Scene) -> str:
     shape = "row along x" if start.shape == "row" else "ball"
     if scene.dimensions == 2:
         shape = "plane, where they stay" if shape == "ball" else f"{shape}, in a plane"
-    return f"{start.count:,} cell(s) in a {shape}{_stage(scene)}"
+    each = scene.cells.represents
+    many = "" if each is None else f", each for {each:g} of the tissue,"
+    return f"{start.count:,} cell(s){many} in a {shape}{_stage(scene)}"
 
 
 def _stage(scene: Scene) -> str:
@@ -99,7 +101,7 @@ def _may_lack(scene: Scene) -> bool:
     signals = {
         name
         for effect in effects(scene)
-        if effect.behaviour in ("rest", "necrosis rate")
+        if effect.behaviour in ("rest", "necrosis rate", "damage rate")
         for name in effect.signals
     }
     return bool(signals - {"pressure"})
@@ -129,14 +131,34 @@ def _death_words(scene: Scene) -> str:
     words = ""
     if death.necrosis_rate is not None:
         words = f"starved cells die after {hours(1.0 / death.necrosis_rate)} on average; "
+    if death.damage_time is not None:
+        words = f"cells beyond a threshold of necrosis die after {hours(death.damage_time)} of it; "
+    words += _damage_words(scene)
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
     words += f"lose their volume in about {hours(death.lysis_time)}"
+    if death.inflow:
+        words += "; the medium flows in to what they lose"
     if death.apoptosis_rate > 0.0:
         life = hours(1.0 / death.apoptosis_rate)
         words += f"; cells live {life} on average until they die by themselves"
     return words
+
+
+def _damage_words(scene: Scene) -> str:
+    """Say how cells bear damage, and repair it."""
+    death = scene.death
+    if death is None or not any(e.behaviour == "damage rate" for e in effects(scene)):
+        return ""
+    words, repair = "damage stays", death.damage_repair_time
+    if repair is not None:
+        words = f"damage falls to 1/e in {hours(repair)}"
+        if death.damage_time is not None and repair <= death.damage_time:
+            words += ", as fast as it comes: a mean cell bears it for ever"
+    if death.damage_variation > 0.0:
+        words += f", tolerance varies by {100.0 * death.damage_variation:g} %"
+    return f"{words}; "
 
 
 def _radiation_words(scene: Scene) -> Iterator[str]:
@@ -176,12 +198,25 @@ def _domain_words(scene: Scene) -> str:
     names = ", ".join(scene.nutrients)
     if domain is None:
         return f"absent: no walls; fields that follow the cells: {names or 'none'}"
+    if domain.radius is not None:
+        words = f"a sphere of {domain.radius:g} um about the origin, which fields pass"
+        if domain.stiffness is not None:
+            most = domain.stiffness * 2.5 / 3.0
+            words += f"; the cavity of a gel of {domain.stiffness:g} kPa, which presses with at "
+            return f"{words}most {most:.3g} kPa: from there on it widens without end"
+        return f"{words}; {_wall_words(scene)}"
     lengths = " x ".join(f"{length:g}" for length in sides(domain))
     words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
+    return f"{words}; {_wall_words(scene)}"
+
+
+def _wall_words(scene: Scene) -> str:
+    domain = scene.domain
+    assert domain is not None
     if domain.wall == "refuse":
-        return f"{words}; no walls: a cell whose centre leaves it ends the run"
+        return "no walls: a cell whose centre leaves it ends the run"
     young = scene.cells.young if domain.young is None else domain.young
-    return f"{words}; its sides are elastic walls of {young:g} kPa"
+    return f"its sides are elastic walls of {young:g} kPa"
 
 
 def _integrator_words(scene: Scene) -> str:

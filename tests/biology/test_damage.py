@@ -1,0 +1,228 @@
+"""Damage that cells accumulate: closed forms of survival, repair, daughters, files, words."""
+
+import h5py
+import numpy as np
+import pytest
+from scipy import integrate, stats
+from stored import assert_same_bits
+
+import multicell as mc
+from multicell import Scene, SceneError, Simulation
+from multicell.biology.plan import biology_plan
+from multicell.biology.responding import rate_of_harm
+from multicell.cells import State
+from multicell.errors import DataError
+from multicell.report.explain.scene import explain
+from multicell.results.records import arrays_of, frame_of
+from multicell.units import to_base
+
+HOUR = 3600.0
+COUNT = 3000
+
+
+def starving(death, *, count=COUNT, dt="1 h", oxygen=0.01, **more):
+    """Return cells at rest in a constant field below their threshold."""
+    field = {"boundary": oxygen, "uptake": 0.0, "necrosis": 0.02}
+    return Scene.from_dict(
+        {"contact": {"law": "hertz"}, "duration": "40 h", "coupling_step": dt, "seed": 4,
+         "output": {"every": "40 h"}, "initial": {"count": count, "spacing": 3.0},
+         "nutrients": {"oxygen": field}, "death": {"lysis_time": "100 d", **death}, **more}
+    )  # fmt: skip
+
+
+def deaths(scene):
+    """Return the times of death, (n,) h, infinite for survivors."""
+    times = mc.run(scene, threads=1).lineage["death_time"] / HOUR
+    return np.where(np.isnan(times), np.inf, times)
+
+
+@pytest.mark.parametrize("dt", ["15 min", "1 h", "5 h"])
+@pytest.mark.parametrize("variation", [0.25, 0.7, 1.0])
+def test_survival_is_that_of_the_tolerances(variation, dt):
+    """In a constant field times of death are gamma variates of mean T, rounded up to a step."""
+    death = {"damage_time": "20 h", "damage_variation": variation}
+    found, step = deaths(starving(death, dt=dt)), to_base(dt, "s") / HOUR
+    law = stats.gamma(a=variation**-2, scale=20.0 * variation**2)
+    ends = np.arange(step, 40.0 + 0.5 * step, step)
+    dead = np.array([(found <= end * (1 + 1e-9)).mean() for end in ends])
+    expected = law.cdf(ends)
+    allowed = 4.5 * np.sqrt(expected * (1.0 - expected) / COUNT) + 1e-3
+    assert (np.abs(dead - expected) < allowed).all()
+
+
+def test_the_step_does_not_matter():
+    """Each cell dies in the step that its time of death falls into, whatever the length."""
+    death = {"damage_time": "12 h", "damage_variation": 0.5, "damage_repair_time": "30 h"}
+    fine, coarse = (deaths(starving(death, count=300, dt=dt)) for dt in ("10 min", "4 h"))
+    np.testing.assert_allclose(coarse, np.ceil(fine / 4.0 - 1e-9) * 4.0)
+    assert 50 < np.isfinite(fine).sum() < 300
+
+
+@pytest.mark.parametrize(
+    ("death", "expected"),
+    [
+        ({"damage_time": "6 h"}, 6.0),
+        ({"damage_time": "6 h", "damage_repair_time": "10 h"}, -10.0 * np.log1p(-6.0 / 10.0)),
+        ({"damage_time": "6 h", "damage_repair_time": "6 h"}, np.inf),
+    ],
+)
+def test_all_die_together_without_variation(death, expected):
+    found = deaths(starving(death, count=20, dt="10 min"))
+    np.testing.assert_allclose(found, np.ceil(expected * 6.0 - 1e-9) / 6.0)
+
+
+def test_damage_is_the_solution_of_its_equation():
+    """A medium that comes and goes: the damage is that of an outside solver, cell by cell."""
+    death = {"damage_time": "8 h", "damage_variation": 0.4, "damage_repair_time": "5 h"}
+    media = [["0 h", 0.01], ["3 h", 0.2], ["9 h", 0.01], ["13 h", 0.2]]
+    scene = starving(death, count=60).with_changes({"nutrients.oxygen.media": media})
+    simulation = Simulation(scene, threads=1)
+    twin = Simulation(scene.with_changes({"death.damage_repair_time": None}), threads=1)
+    for _ in range(2):
+        twin.step()
+    tolerance = 2.0 / 8.0 / twin.cells.damage  # of all who live for two hours
+    alive, worst = tolerance > 0.6, 0.0
+    order = np.argsort(twin.cells.id)
+
+    def rate(t, damage):
+        starved = 1.0 / 8.0 if (0.0 <= t < 3.0) or (9.0 <= t < 13.0) else 0.0
+        return starved / tolerance[order][alive[order]] - damage / 5.0
+
+    damage = np.zeros(int(alive.sum()))
+    for hour in range(16):
+        simulation.step()
+        # what cells find at the end of a step holds for all of it
+        middle = hour + 1.0 + 1e-9
+        damage = integrate.solve_ivp(
+            lambda _, y, at=middle: rate(at, y), (0.0, 1.0), damage, rtol=1e-10, atol=1e-12
+        ).y[:, -1]
+        cells = simulation.cells
+        found = cells.damage[np.argsort(cells.id)][alive[order]]
+        living = damage < 1.0
+        worst = max(worst, float(np.abs(found - damage)[living].max()))
+        damage[~living] = found[~living]
+    assert worst < 1e-8
+    assert simulation.cells.damage.max() > 0.0
+
+
+def test_daughters_have_the_damage_of_their_mother_and_tolerances_of_their_own():
+    death = {"damage_time": "100 h", "damage_variation": 0.3}
+    scene = starving(death, count=50, growth={"cycle_time": "10 h", "cycle_variation": 0.0})
+    simulation = Simulation(scene.with_changes({"initial.stage": "birth"}), threads=1)
+    while simulation.divisions < 50:
+        before = simulation.cells
+        simulation.step()
+    born = simulation.cells.take(np.argsort(simulation.cells.id))
+    simulation.step()
+    cells = simulation.cells.take(np.argsort(simulation.cells.id))
+    gained = cells.damage - born.damage  # in a step, by the tolerance of each
+    mothers = before.damage[before.rows_of(born.parent)]
+    np.testing.assert_allclose(born.damage - gained, mothers, rtol=1e-9)
+    assert len(np.unique(gained)) == 100
+
+
+def test_responses_add_to_the_thresholds():
+    """A waste product harms in proportion, besides a threshold and a constant rate."""
+    responses = [
+        {"behaviour": "damage rate", "signal": "waste", "law": "linear", "begin": 0, "end": 4.0,
+         "largest": "0.1 1/h"},
+        {"behaviour": "damage rate", "law": "constant", "largest": "0.02 1/h"},
+    ]  # fmt: skip
+    waste = {"nutrients.waste": {"boundary": 2.0, "uptake": 0.0}, "responses": responses}
+    scene = starving({"damage_time": "20 h"}, count=5).with_changes(waste)
+    simulation = Simulation(scene, threads=1)
+    found = rate_of_harm(
+        biology_plan(scene), "damage rate", simulation.concentrations, simulation.cells
+    )
+    np.testing.assert_allclose(found * HOUR, 0.05 + 0.02 + 0.05, rtol=1e-9)
+    simulation.step()
+    np.testing.assert_allclose(simulation.cells.damage, 0.12, rtol=1e-9)
+
+
+def test_a_resumed_run_has_the_bits_of_the_whole(tmp_path):
+    """Frames before the first damage have no such column; tables of cells keep it."""
+    media = [["0 h", 0.2], ["6 h", 0.01]]
+    scene = starving(
+        {"damage_time": "10 h", "damage_variation": 0.5, "damage_repair_time": "20 h"},
+        count=30, growth={"cycle_time": "12 h"},
+    )  # fmt: skip
+    changes = {"nutrients.oxygen.media": media, "duration": "16 h", "output.every": "4 h"}
+    scene = scene.with_changes(changes)
+    whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
+    worst = [float(frame.cells.damage.max()) for frame in whole.frames]
+    assert worst[:2] == [0.0, 0.0]
+    assert 0.0 < worst[2] < worst[4]
+    for k in (0, 2, 3):
+        mc.resume(tmp_path / "whole", k, output=tmp_path / f"{k}", report=False, threads=1)
+        assert_same_bits(tmp_path / "whole", tmp_path / f"{k}")
+    last = whole.to_pandas("cells").query("frame == 4").drop(columns=["frame"])
+    again = Simulation(scene, cells=last)
+    found = again.cells.take(np.argsort(again.cells.id))
+    np.testing.assert_array_equal(found.damage, last.sort_values("id")["damage"])
+    with pytest.raises(DataError, match="must not be negative"):
+        Simulation(scene, cells=last.assign(damage=-0.5))
+
+
+def test_folders_of_runs_without_damage_are_as_before(tmp_path):
+    scene = starving({}, count=3, oxygen=0.2).with_changes(
+        {"duration": "2 h", "output.every": "1 h"}
+    )
+    mc.run(scene, output=tmp_path / "out", report=False, threads=1)
+    with h5py.File(tmp_path / "out" / "frames.h5") as file:
+        assert "damage" not in file["cells"]
+    arrays = arrays_of(Simulation(scene, threads=1).frame(), ["oxygen"])
+    with pytest.raises(mc.OutputError, match="damage holds values out of range"):
+        frame_of(arrays | {"cells/damage": np.array([0.0, np.nan, 0.0])}, ["oxygen"])
+
+
+def test_nobody_is_dead_of_damage_at_the_start():
+    scene = mc.load_scene("spheroid").with_changes(
+        {"initial.count": 8000, "death.damage_time": "2 h", "duration": "4 h"}
+    )
+    simulation = Simulation(scene, threads=1)
+    assert not simulation.cells.dead.any()
+    while simulation.time < 1.99 * HOUR:
+        simulation.step()
+        if simulation.time < 1.9 * HOUR:
+            assert not simulation.cells.dead.any()
+    assert (simulation.cells.state == State.NECROTIC).sum() > 100
+
+
+def words(scene):
+    return next(part["what"] for part in explain(scene)["parts"] if part["part"] == "death")
+
+
+def test_explain_says_what_damage_does():
+    said = words(starving({"damage_time": "24 h", "damage_repair_time": "48 h",
+                           "damage_variation": 0.3}))  # fmt: skip
+    assert said == (
+        "cells beyond a threshold of necrosis die after 24 h of it; damage falls to 1/e in 48 h, "
+        "tolerance varies by 30 %; necrotic cells lose their volume in about 100 d"
+    )
+    healing = words(starving({"damage_time": "24 h", "damage_repair_time": "24 h"}))
+    assert "as fast as it comes: a mean cell bears it for ever" in healing
+
+
+@pytest.mark.parametrize(
+    ("death", "path", "problem"),
+    [
+        ({"damage_time": 0}, "death.damage_time", "above 0"),
+        ({"damage_time": "3 um"}, "death.damage_time", "um"),
+        ({"damage_repair_time": "-1 h"}, "death.damage_repair_time", "above 0"),
+        ({"damage_variation": 1.5}, "death.damage_variation", "at most 1"),
+        ({"damage_variation": float("nan")}, "death.damage_variation", "nan"),
+        ({"damage_time": "1 h", "necrosis_rate": "1 1/h"}, "death.necrosis_rate", "contradicts"),
+        ({"damage_tim": "1 h"}, "death.damage_tim", "not a known key"),
+    ],
+)
+def test_bad_input(death, path, problem):
+    with pytest.raises(SceneError) as caught:
+        starving(death, count=1)
+    assert caught.value.path == path
+    assert problem in str(caught.value)
+
+
+def test_a_threshold_of_damage_needs_its_rate():
+    with pytest.raises(SceneError, match="largest"):
+        starving({}, count=1, responses=[{"behaviour": "damage rate", "signal": "oxygen",
+                                          "law": "threshold", "half": "0.1 mM"}])  # fmt: skip
