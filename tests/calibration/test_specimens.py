@@ -335,7 +335,7 @@ def test_intervals_cover_with_scatter_that_data_show(case, request):
         model = emulator(
             shares, away, np.zeros_like(away), (away**2).sum(axis=1), observables=names, noise=noise
         )
-        best = best_of(model.loss, draws(model.loss, 2, seed=0, count=300))
+        best = best_of(model.loss, model.prior, draws(model.loss, model.prior, seed=0, count=300))
         runs = [growth(best)[0] + (0.0 if tissue is None else tissue()) for _ in range(12)]
         posterior = likelihood(model, noise, best, scatter_of((np.array(runs) - values) / sigma))
         sample = posterior.draws(1000)
