@@ -40,6 +40,7 @@ _SAME: Final = """
     growth.phases.*.duration growth.phases.*.distribution growth.phases.*.variation
     growth.phases.*.shift growth.phases.*.grows
     growth.division growth.restriction growth.cycle_variation growth.critical_pressure
+    death.damage_time death.damage_variation death.damage_repair_time
     death.necrosis_rate death.swelling death.swelling_time death.lysis_time
     death.apoptosis_rate death.apoptosis_time death.removal_fraction
     types.*.fraction types.*.young types.*.receptor types.*.ligand types.*.receptor_by_phase
