@@ -62,6 +62,9 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
+    from multicell.studies.coarse_and_fine import compare_coarse
+    from multicell.studies.derivatives import gradient
+    from multicell.studies.run_table import RunTable
     from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
@@ -86,6 +89,7 @@ __all__ = [
     "OwnReaction",
     "Reaction",
     "Result",
+    "RunTable",
     "Scene",
     "SceneError",
     "Schedule",
@@ -101,10 +105,12 @@ __all__ = [
     "WorkPrecision",
     "coarsen",
     "compare",
+    "compare_coarse",
     "dose_response",
     "export",
     "field_problem",
     "fit",
+    "gradient",
     "growth_law",
     "import_physicell",
     "load_law",
@@ -179,6 +185,9 @@ _LAZY = {
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",
+    "compare_coarse": "multicell.studies.coarse_and_fine",
+    "gradient": "multicell.studies.derivatives",
+    "RunTable": "multicell.studies.run_table",
 }
 
 
