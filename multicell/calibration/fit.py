@@ -52,6 +52,7 @@ def fit(
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    coarse: float = 1.0,
     cores: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -91,6 +92,10 @@ def fit(
         Time of the data at which runs begin, where no column ``start`` says so.
     sd
         Relative standard deviation of data that come without one.
+    coarse
+        Search with runs of the scene that is coarse by this factor (:func:`multicell.coarsen`),
+        corrected by fine runs at draws from the intervals; runs with fresh seeds are fine. See
+        :mod:`multicell.calibration.coarse_to_fine`. With ``method="best"``; 1: all runs are fine.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -117,7 +122,7 @@ def fit(
     """
     plan = plan_of(
         scene, data, free, method=method, seeds=seeds, repeats=repeats, budget=budget,
-        population=population, start=start, sd=sd, simulator=simulator,
+        population=population, start=start, sd=sd, coarse=coarse, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -133,6 +138,7 @@ class FitPlan:
     - ``points``: sets of parameters that the search will try
     - ``draws``: most draws of the posterior
     - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
+    - ``coarse``: factor of the coarse runs that search first; 1 where there are none
     """
 
     problem: Problem
@@ -145,6 +151,7 @@ class FitPlan:
     population: int
     sd: float
     repeats: int
+    coarse: float = 1.0
 
     @property
     def runs(self) -> int:
@@ -167,6 +174,7 @@ class FitPlan:
 
         times = [datum.time for datum in self.problem.measured.data]
         options = {"sd": self.sd, "population": self.population, "times": times}
+        options |= getattr(self.problem.simulator, "stated", {})
         return describe(self.problem, self.scene, self.table, options)
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
@@ -174,6 +182,10 @@ class FitPlan:
         from multicell.calibration.fit_folder import work_done
         from multicell.studies.cost import cost_of
 
+        if self.coarse != 1.0:
+            from multicell.calibration.coarse_to_fine import expected
+
+            return expected(self)
         runs, draws, finished = (
             (0, 0, False) if folder is None else work_done(folder, self.describe())
         )
@@ -196,6 +208,7 @@ def plan_of(
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    coarse: float = 1.0,
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
@@ -216,7 +229,15 @@ def plan_of(
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator)
     fresh = _fresh_runs(method, repeats)
     points, draws, seconds = _spend(problem, method, budget, population, fresh)
-    return FitPlan(problem, scene, table, method, points, draws, seconds, population, sd, repeats)
+    if coarse != 1.0:
+        from multicell.calibration.coarse_to_fine import coarse_simulator
+
+        if method != "best" or isinstance(budget, str):
+            raise SceneError("coarse", "needs the method 'best' and a budget in runs")
+        coarse_simulator(problem.simulator, coarse)
+    return FitPlan(
+        problem, scene, table, method, points, draws, seconds, population, sd, repeats, coarse
+    )
 
 
 def _fresh_runs(method: str, repeats: int) -> int:
@@ -268,6 +289,12 @@ def carry_out(
 ) -> Fit:
     """Carry out a fit that was checked; parameters as of :func:`fit`."""
     needs("optuna", "pyabc", "distributed", "pandas", "sklearn", "sqlalchemy")
+    if plan.coarse != 1.0:
+        from multicell.calibration.coarse_to_fine import fit_coarse_first
+
+        return fit_coarse_first(
+            plan, output, cores=cores, scheduler=scheduler, overwrite=overwrite, progress=progress
+        )
     from multicell.calibration.fit_folder import open_folder, write_result
 
     progress = progress or (lambda what, done, wanted: None)
