@@ -255,12 +255,15 @@ def _ratios(
         for name in ("fine", "coarse"):
             rows = np.array([v for key, v in runs[name].items() if key[1] == condition])
             if not np.isfinite(rows).any():
-                raise FitFailed(f"no {name} run beside the others has any of the data")
+                words = f"no {name} run at draws from the first fit has any of the data"
+                raise FitFailed(words, "See whether the ranges make sense.")
             known = np.isfinite(rows)
             count = known.sum(axis=0)
             means.append(np.where(known, rows, 0.0).sum(axis=0) / np.maximum(count, 1))
-        usable = means[0] * means[1] > 0.0
-        found.append(tuple(np.divide(*means, out=np.ones_like(means[0]), where=usable).tolist()))
+        fine, coarse = means
+        ratio = np.ones_like(fine)
+        np.divide(fine, coarse, out=ratio, where=fine * coarse > 0.0)
+        found.append(tuple(ratio.tolist()))
     return tuple(found)
 
 

@@ -238,4 +238,4 @@ def _scale_signals(scene: Scene, entries: dict[str, Any], factor: float) -> None
         for key in {"half", "begin", "end"} & set(plain):
             plain[key] *= by
         if part.points is not None:
-            plain["points"] = [[x * by, y] for x, y in part.points]
+            plain["points"] = [[float(x) * by, y] for x, y in part.points]

@@ -85,14 +85,13 @@ def compare_coarse(
     rows = []
     for name in named:
         for t, time in enumerate([fine.duration] if at is None else at):
-            (one, its), (other, error) = (
-                mean_and_error(found[which][name][0, :, t]) for which in scenes
-            )
-            apart = other - one
+            mean, its = mean_and_error(found["fine"][name][0, :, t])
+            other, error = mean_and_error(found["coarse"][name][0, :, t])
+            apart = other - mean
             rows.append({
                 "observable": name, "unit": known_unit(name), "time": float(time),
-                "fine": one, "fine_se": its, "coarse": other, "coarse_se": error,
+                "fine": mean, "fine_se": its, "coarse": other, "coarse_se": error,
                 "difference": apart, "difference_se": float(np.hypot(its, error)),
-                "relative": apart / one if one else float("nan"),
+                "relative": apart / mean if mean else float("nan"),
             })  # fmt: skip
     return RunTable(rows, notes, {"factor": float(factor), "seeds": seeds, **seconds})
