@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import tempfile
 import time as clock
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -107,6 +107,7 @@ def expected(plan: FitPlan) -> tuple[int, float]:
 
 def fit_coarse_first(
     plan: FitPlan,
+    carry_out: Callable[..., Fit],
     output: str | Path | None,
     *,
     cores: int | None,
@@ -114,11 +115,10 @@ def fit_coarse_first(
     overwrite: bool,
     progress: Progress | None,
 ) -> Fit:
-    """Carry out a fit with a ``coarse`` factor; parameters as of :func:`multicell.fit`.
+    """Carry out a fit with a ``coarse`` factor by two without; parameters as of `carry_out`.
 
     The folder holds the first fit as ``coarse`` and the result as ``fine``.
     """
-    from multicell.calibration.fit import carry_out
     from multicell.calibration.fit_folder import SEARCH, write_result
 
     note = progress or (lambda what, done, wanted: None)

@@ -293,8 +293,9 @@ def carry_out(
         from multicell.calibration.coarse_to_fine import fit_coarse_first
 
         return fit_coarse_first(
-            plan, output, cores=cores, scheduler=scheduler, overwrite=overwrite, progress=progress
-        )
+            plan, carry_out, output, cores=cores, scheduler=scheduler, overwrite=overwrite,
+            progress=progress,
+        )  # fmt: skip
     from multicell.calibration.fit_folder import open_folder, write_result
 
     progress = progress or (lambda what, done, wanted: None)
