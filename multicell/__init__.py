@@ -64,6 +64,9 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
+    from multicell.studies.coarse_and_fine import compare_coarse
+    from multicell.studies.derivatives import gradient
+    from multicell.studies.run_table import RunTable
     from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
@@ -88,6 +91,7 @@ __all__ = [
     "OwnReaction",
     "Reaction",
     "Result",
+    "RunTable",
     "Scene",
     "SceneError",
     "Schedule",
@@ -104,10 +108,12 @@ __all__ = [
     "coarsen",
     "compare",
     "compare_fits",
+    "compare_coarse",
     "dose_response",
     "export",
     "field_problem",
     "fit",
+    "gradient",
     "growth_law",
     "import_physicell",
     "load_fit",
@@ -185,6 +191,9 @@ _LAZY = {
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",
+    "compare_coarse": "multicell.studies.coarse_and_fine",
+    "gradient": "multicell.studies.derivatives",
+    "RunTable": "multicell.studies.run_table",
 }
 
 

@@ -52,6 +52,7 @@ def fit(
     scatter: str = "stated",
     constraints: Sequence[str] = (),
     reuse: str | Path | None = None,
+    coarse: float = 1.0,
     cores: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -109,6 +110,10 @@ def fit(
         Folder of another fit of the same scene and free parameters, whose search serves this one
         too; its data are at least these, with whatever values and ranges. What is tried comes on
         top of that.
+    coarse
+        Search with runs of the scene that is coarse by this factor (:func:`multicell.coarsen`),
+        corrected by fine runs at draws from the intervals; runs with fresh seeds are fine. See
+        :mod:`multicell.calibration.coarse_to_fine`. With ``method="best"``; 1: all runs are fine.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -136,7 +141,8 @@ def fit(
     plan = plan_of(
         scene, data, free, method=method, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
         budget=budget, population=population, start=start, sd=sd, specimens=specimens,
-        scatter=scatter, constraints=constraints, reuse=reuse, simulator=simulator,
+        scatter=scatter, constraints=constraints, reuse=reuse, coarse=coarse,
+        simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -161,6 +167,7 @@ def plan_of(
     scatter: str = "stated",
     constraints: Sequence[str] = (),
     reuse: str | Path | None = None,
+    coarse: float = 1.0,
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
@@ -195,9 +202,15 @@ def plan_of(
         if method != "best":
             raise SceneError("reuse", f"has no meaning with method '{method}'")
         adopted = reusable(problem, reuse)
+    if coarse != 1.0:
+        from multicell.calibration.coarse_to_fine import coarse_simulator
+
+        if method != "best" or isinstance(budget, str):
+            raise SceneError("coarse", "needs the method 'best' and a budget in runs")
+        coarse_simulator(problem.simulator, coarse)
     return FitPlan(
         problem, scene, table, method, points, draws, seconds, population, sd, repeats,
-        specimens, profile_runs, request, adopted,
+        specimens, profile_runs, request, adopted, coarse,
     )  # fmt: skip
 
 
@@ -245,6 +258,13 @@ def carry_out(
 ) -> Fit:
     """Carry out a fit that was checked; parameters as of :func:`fit`."""
     needs("optuna", "pyabc", "distributed", "pandas", "sklearn", "sqlalchemy")
+    if plan.coarse != 1.0:
+        from multicell.calibration.coarse_to_fine import fit_coarse_first
+
+        return fit_coarse_first(
+            plan, carry_out, output, cores=cores, scheduler=scheduler, overwrite=overwrite,
+            progress=progress,
+        )  # fmt: skip
     from multicell.calibration.fit_folder import open_folder, write_result
 
     with ExitStack() as stack:

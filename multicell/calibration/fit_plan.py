@@ -35,6 +35,7 @@ class FitPlan:
     - ``points``: sets of parameters that the search will try
     - ``draws``: most draws of the posterior
     - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
+    - ``coarse``: factor of the coarse runs that search first; 1 where there are none
     """
 
     problem: Problem
@@ -51,6 +52,7 @@ class FitPlan:
     profile_runs: int = 0
     request: Mapping[str, Any] = field(default_factory=dict)
     adopted: Sequence[Mapping[str, Any]] = ()
+    coarse: float = 1.0
 
     @property
     def runs(self) -> int:
@@ -77,6 +79,7 @@ class FitPlan:
             "sd": self.sd, "population": self.population, "times": times,
             "specimens": self.specimens, "scatter": self.problem.scatter,
         }  # fmt: skip
+        options |= getattr(self.problem.simulator, "stated", {})
         return describe(self.problem, self.scene, self.table, options)
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
@@ -84,6 +87,10 @@ class FitPlan:
         from multicell.calibration.fit_folder import work_done
         from multicell.studies.cost import cost_of
 
+        if self.coarse != 1.0:
+            from multicell.calibration.coarse_to_fine import expected
+
+            return expected(self)
         runs, draws, finished = (
             (0, 0, False) if folder is None else work_done(folder, self.describe())
         )

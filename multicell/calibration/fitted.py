@@ -469,6 +469,8 @@ class Fit:
                 "Draws of the posterior are single runs, whose scatter counts in full also for "
                 "means of several tissues: intervals are too wide."
             )
+        if "coarse" in self.facts:
+            notes.append(self.facts["coarse"]["words"])
         if self.kind == "emulated":
             notes += self._emulator_notes()
         if self.kind == "tempered":

@@ -91,6 +91,13 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     show_default=True,
     help="Draws in a generation of the posterior.",
 )
+@click.option(
+    "--coarse",
+    type=float,
+    default=1.0,
+    metavar="FACTOR",
+    help="Search with cells so many times as wide, corrected by a few runs of the scene itself.",
+)
 @click.option("--start", metavar="TIME", help="Time of the data at which runs begin, as '102 h'.")
 @click.option(
     "--sd",
@@ -169,7 +176,7 @@ def fit(
     if as_json:
         print_json(found.summary())
     elif not quiet:
-        _print(shared.console(), found, output)
+        _print(shared.console(), found, found.folder or output)
 
 
 def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
