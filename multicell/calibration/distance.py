@@ -119,8 +119,7 @@ def misfit(
     if count > 1:
         scatter = np.where(known, runs.var(axis=0, ddof=1), 0.0)
         if groups is not None:
-            drawn = moderate(scatter, (count - 1.0) * known, *groups, PRIOR)
-            scatter = np.where(known, drawn, 0.0)
+            scatter = _moderate(scatter, known, count - 1.0, *groups)
     noise = noise or Noise.of_means(np.ones(len(observed)))
     away = np.where(known, (means - observed) / sigma, ABSENT)
     more = scatter / sigma**2 * (np.diag(noise.shared) + 1.0 / count)
@@ -131,19 +130,16 @@ def misfit(
     return Misfit(means, scatter, residuals, float(noise.loss(away[None], more)[0]))
 
 
-def moderate(
-    scatter: Array, freedom: Array, groups: NDArray[np.int64], sizes: Array, prior: float
-) -> Array:
-    """Return variances drawn towards the mean of their groups, (n,).
-
-    - ``freedom``, (n,): degrees of freedom of each
-    - ``groups``, ``sizes``: of :func:`groups_of`
-    - ``prior``: degrees of freedom that the mean counts for
-    """
-    count = np.bincount(groups, weights=freedom)
-    relative = np.bincount(groups, weights=freedom * scatter / sizes**2)
-    mean = relative / np.where(count > 0.0, count, 1.0)
-    return np.asarray((freedom * scatter + prior * mean[groups] * sizes**2) / (freedom + prior))
+def _moderate(
+    scatter: Array, known: NDArray[np.bool_], freedom: float, groups: NDArray[np.int64],
+    sizes: Array,
+) -> Array:  # fmt: skip
+    """Return variances drawn towards the mean of their groups."""
+    relative = np.where(known, scatter / sizes**2, 0.0)
+    members = np.bincount(groups, weights=known)
+    mean = np.bincount(groups, weights=relative) / np.maximum(members, 1.0)
+    drawn = (freedom * scatter + PRIOR * mean[groups] * sizes**2) / (freedom + PRIOR)
+    return np.where(known, drawn, 0.0)
 
 
 def standardise(observed: Array, sigma: Array, run: Array) -> Array:

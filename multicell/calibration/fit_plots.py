@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from multicell.calibration.distance import Array
+from multicell.calibration.priors import values_at
 from multicell.calibration.verdict import quantiles
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, blank, counts, styled
 from multicell.report.wording import TimeUnit, time_unit
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from multicell.calibration.data import Datum
     from multicell.calibration.fitted import Fit
     from multicell.studies.axes import Range
+    from multicell.studies.plots import StudyPlots
 
 _COLOURS: Final = (
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
@@ -47,6 +49,17 @@ class FitPlots:
     def parameters(self) -> Figure:
         """Draw the posterior: each parameter, and each pair of them."""
         return parameters(self._fit)
+
+    @property
+    def runs(self) -> StudyPlots:
+        """Pictures of all runs as those of a study, ``fit.plot.runs.response("diameter")``."""
+        from multicell.studies.plots import StudyPlots
+
+        return StudyPlots(self._fit.to_xarray(), self._fit.scene.title or "Fit")
+
+    def profiles(self) -> Figure:
+        """Draw the profile likelihood of each parameter, and what runs say at its ends."""
+        return profiles(self._fit)
 
 
 @styled
@@ -230,6 +243,40 @@ def parameters(fit: Fit) -> Figure:
     return figure
 
 
+@styled
+def profiles(fit: Fit) -> Figure:
+    """Draw by how much -2 ln L rises at best over the values of each parameter."""
+    found = fit.profiles
+    columns = min(len(found), 3)
+    rows = -(-len(found) // max(columns, 1))
+    subtitle = "least -2 ln (likelihood · prior) over the other parameters; dotted: 95 % interval"
+    if fit.ends:
+        subtitle += "; red: runs at its ends"
+    height = 1.25 + 3.3 * max(rows, 1)
+    figure = blank(_title(fit), subtitle, (10.0, height))
+    grid = figure.add_gridspec(
+        max(rows, 1), max(columns, 1), left=0.09, right=0.97, top=1.0 - 1.25 / height,
+        bottom=0.7 / height, wspace=0.3, hspace=0.35,
+    )  # fmt: skip
+    for k, profile in enumerate(found):
+        axes = figure.add_subplot(grid[k // columns, k % columns])
+        free = fit.problem.ranges[profile.number]
+        axes.plot(_at(free, profile.shares[:, profile.number]), profile.rises, color=BLUE)
+        axes.axhline(profile.limit, color=QUIET, linewidth=1.0, linestyle="--")
+        ends = _at(free, profile.ends[:, profile.number])
+        for x, is_open in zip(ends, profile.open, strict=True):
+            if not is_open:
+                axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
+        for end in (end for end in fit.ends if end.number == profile.number):
+            axes.errorbar(ends[end.side], end.found, end.error, fmt="o", color=RED, capsize=3)
+        axes.set_ylim(0.0, 3.0 * profile.limit)
+        axes.set_xlabel(_named(free.name, _unit(free)[0]))
+        if k % columns == 0:
+            axes.set_ylabel("rise of -2 ln L")
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+    return figure
+
+
 def _unit(free: Range) -> tuple[str, float]:
     """Return the unit that a parameter is shown in, and its size in base units."""
     if free.unit == "s":
@@ -255,10 +302,7 @@ def _window(fit: Fit, k: int) -> tuple[float, float]:
 
 def _at(free: Range, shares: Array) -> Array:
     """Return the values at shares of a range in the unit that is shown, as if not whole."""
-    size = _unit(free)[1]
-    if free.log:
-        return np.asarray(free.low * (free.high / free.low) ** shares / size)
-    return np.asarray((free.low + (free.high - free.low) * shares) / size)
+    return values_at(free, shares) / _unit(free)[1]
 
 
 def _marginal(
@@ -276,7 +320,9 @@ def _marginal(
         axes.set_title(
             f"95 %: {100.0 * (ends[1] - ends[0]):.0f} % of its range", fontsize=10, weight="normal"
         )
-    axes.axhline(1.0, color=QUIET, linewidth=1.0, linestyle="--")
+    before = np.linspace(*window, 101)
+    density = fit.problem.prior.marginal(k, before)
+    axes.plot(_at(free, before), density, color=QUIET, linewidth=1.0, linestyle="--")
     axes.axvline(fit.best.values[free.key] / _unit(free)[1], color=RED, linewidth=1.6)
     axes.set_ylim(bottom=0.0)
     axes.set_yticks([])

@@ -45,6 +45,7 @@ from scipy.special import polygamma, psi
 from multicell.calibration.distance import Array
 from multicell.calibration.emulator import FEW, PARTICLES, Emulator, draws
 from multicell.calibration.noise import OMEGA, Noise, shrink
+from multicell.calibration.priors import Prior
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
 _STILL: Final = 0.02
@@ -110,7 +111,10 @@ class Likelihood:
 
     def loss(self, shares: Array) -> Array:
         """Return -2 ln L up to a constant for parameters (k, d): (k,)."""
-        means, variances = self.predict(shares)
+        return self.loss_of(*self.predict(shares))
+
+    def loss_of(self, means: Array, variances: Array) -> Array:
+        """Return -2 ln L for (mean - datum) / σ and the variances of their errors, (k, n): (k,)."""
         white = means @ self.whitening.T
         count, along = self.directions.shape
         part = white @ self.directions
@@ -126,8 +130,8 @@ class Likelihood:
         return np.asarray(normal + student + np.linalg.slogdet(spread)[1])
 
     def draws(self, count: int = PARTICLES) -> Array:
-        """Return draws from the posterior under a uniform prior: (count, d), of equal weight."""
-        return draws(self.loss, self.emulator.dimensions, seed=0, count=count)
+        """Return draws from the posterior: (count, d), of equal weight."""
+        return draws(self.loss, self.emulator.prior, seed=0, count=count)
 
 
 def likelihood(
@@ -195,7 +199,7 @@ def _unknown(
         normal = solved[..., 0] @ residuals + np.linalg.slogdet(covariance)[1]
         return np.asarray(normal + 2.0 * np.log1p(base / omegas(places) ** 2).sum(axis=1))
 
-    omega = omegas(draws(loss, count, seed=0, count=FEW))
+    omega = omegas(draws(loss, Prior(count), seed=0, count=FEW))
     variance, freedom = np.empty(n), np.empty(n)
     for k in range(count):
         own = noise.group == k

@@ -38,7 +38,7 @@ SCATTERS: Final = ("stated", "unknown")
 
 OMEGA: Final = (0.003, 3.0)  # range of unknown scatter
 PRIOR: Final = 1.0
-"""Degrees of freedom that the mean scatter of specimens counts for beside that of one datum."""
+"""Degrees of freedom that the usual scatter of specimens counts for beside that of one datum."""
 _LEAST: Final = 0.1
 """Part of a datum that unknown scatter is relative to at least, where a model has less."""
 _NODES: Final = 61

@@ -106,8 +106,9 @@ def _sample(
             cov=problem.noise.errors, keys=["z"], ret_scale=pyabc.distance.SCALE_LOG
         )
     smc = pyabc.ABCSMC(
-        model, Box(problem.names), kernel, population_size=population, eps=pyabc.Temperature(),
-        acceptor=pyabc.StochasticAcceptor(), sampler=sampler, model_prior=OneModel(),
+        model, Box(problem.names, problem.prior), kernel, population_size=population,
+        eps=pyabc.Temperature(), acceptor=pyabc.StochasticAcceptor(), sampler=sampler,
+        model_prior=OneModel(),
     )  # fmt: skip
     observed = {"z": np.zeros(len(problem.observed))}
     if folder is None:

@@ -3,9 +3,11 @@
 Rows without specimens' names are replicates: as many tissues as there are rows, whose scatter is
 that of runs. Of named specimens the scatter is what the rows show. It holds the errors of measuring
 them, so that the mean of n specimens with the variance s² has the variance s²/n, and nothing is
-added for tissues. Of a few specimens s² itself is uncertain: each is moderated by what the data of
-the same observable and condition have on average, as if that were known from one more specimen
-(:func:`multicell.calibration.distance.moderate`); a time with a single specimen has the average.
+added for tissues. Of a few specimens s² itself is uncertain: each is moderated by the median of the
+same observable and condition, as if that were known from one more specimen; a time with a single
+specimen has the median. It is over variances relative to the squares of the values, or in the
+observable's own unit where one of the values is not above its s. A mean would be that of the few
+times at which specimens differ much, such as when their cores begin.
 
 Where all specimens have a value of 0, they do not scatter, and yet the mean is not known to any
 precision: its deviation is no less than the error of one zero (:mod:`multicell.calibration.data`).
@@ -22,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multicell.calibration.distance import groups_of, moderate
 from multicell.calibration.noise import PRIOR
 from multicell.errors import DataError
 
@@ -81,7 +82,12 @@ def _scattered(data: Sequence[Datum]) -> list[Datum]:
     if (counts == 1).all():
         return list(data)
     squares = np.array([sum(away**2 for _, away in d.specimens) for d in data])
-    variance = moderate(squares / np.maximum(counts - 1, 1), counts - 1.0, *groups_of(data), PRIOR)
+    variance = squares / np.maximum(counts - 1, 1)
+    sizes = np.array([d.value**2 for d in data])
+    if data[0].log or (sizes <= variance).any():
+        sizes[:] = 1.0
+    usual = float(np.median((variance / sizes)[variance > 0.0])) if variance.any() else 0.0
+    variance = ((counts - 1) * variance + PRIOR * usual * sizes) / (counts - 1 + PRIOR)
     found = []
     for datum, deviation, count in zip(data, np.sqrt(variance / counts), counts, strict=True):
         zero = datum.assumed and datum.value == 0.0

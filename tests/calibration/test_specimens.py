@@ -69,7 +69,7 @@ def test_few_specimens_are_moderated_by_the_others_of_their_observable(tmp_path)
         1: np.var([100, 102], ddof=1) / 101**2,
         3: np.var([300, 318, 330], ddof=1) / 316**2,
     }
-    pooled = (variances[1] + 2 * variances[3]) / 3
+    pooled = (variances[1] + variances[3]) / 2
     assert one.sigma == pytest.approx(101 * math.sqrt((variances[1] + pooled) / 2 / 2))
     assert alone.sigma == pytest.approx(200 * math.sqrt(pooled))
     assert three.sigma == pytest.approx(316 * math.sqrt((2 * variances[3] + pooled) / 3 / 3))
@@ -79,9 +79,21 @@ def test_zeros_without_spread_are_known_to_the_radius_of_a_cell(tmp_path):
     text = "day, necrotic_radius / um, specimen\n" + "3, 0,\n" * 9 + "9, 40,\n9, 44,\n"
     zero, later = read(text, tmp_path).data
     assert zero.sigma == SCENE.cells.division_radius
-    assert later.sigma == pytest.approx(math.sqrt((8.0 + 8.0 / 9.0) / 2.0 / 2.0))
+    assert later.sigma == pytest.approx(2.0)
     stated = read(text.replace("specimen", "necrotic_radius sd / um, specimen").replace(",\n", ", 6,\n"), tmp_path)  # fmt: skip
     assert stated.data[0].sigma == pytest.approx(6.0 / 3.0)
+
+
+def test_days_on_which_cores_begin_do_not_blur_the_others():
+    """Ratios as of spheroids whose inhibited core begins on day 3: later spreads stay their own."""
+    late, sd = [[0.85, 0.89, 0.87], [0.88, 0.90, 0.92], [0.91, 0.89, 0.93]], 0.02
+    table = {"day": np.repeat([3, 4, 5, 6], 3), "packing_ratio": [0.0, 0.0, 0.23, *np.ravel(late)]}
+    table["packing_ratio sd"] = [1e-3] * 12
+    found = read_data(table, SCENE, specimens="single").data
+    for datum in found[1:]:
+        assert datum.sigma == pytest.approx(sd / math.sqrt(3.0), rel=0.01)
+    first = np.var([0.0, 0.0, 0.23], ddof=1)
+    assert found[0].sigma == pytest.approx(math.sqrt((2.0 * first + sd**2) / 3.0 / 3.0), rel=1e-6)
 
 
 def test_specimens_of_one_day_share_errors_and_those_of_other_days_do_not():
@@ -323,7 +335,7 @@ def test_intervals_cover_with_scatter_that_data_show(case, request):
         model = emulator(
             shares, away, np.zeros_like(away), (away**2).sum(axis=1), observables=names, noise=noise
         )
-        best = best_of(model.loss, draws(model.loss, 2, seed=0, count=300))
+        best = best_of(model.loss, model.prior, draws(model.loss, model.prior, seed=0, count=300))
         runs = [growth(best)[0] + (0.0 if tissue is None else tissue()) for _ in range(12)]
         posterior = likelihood(model, noise, best, scatter_of((np.array(runs) - values) / sigma))
         sample = posterior.draws(1000)
