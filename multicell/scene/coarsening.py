@@ -238,5 +238,6 @@ def _scale_signals(scene: Scene, entries: dict[str, Any], factor: float) -> None
         plain = entries["responses"][name]
         for key in {"half", "begin", "end"} & set(plain):
             plain[key] *= by
-        if part.points is not None:
-            plain["points"] = [[x * by, y] for x, y in part.points]
+        points: Any = part.points  # numbers, as they are in a scene that was read
+        if points is not None:
+            plain["points"] = [[x * by, y] for x, y in points]
