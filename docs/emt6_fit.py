@@ -78,7 +78,8 @@ def measured() -> Measured:
         list(zip(o.tolist(), g.tolist(), strict=True)), rims["viable_rim / um"],
         rims["viable_rim sd / um"], used["rim_uptake_oxygen / mM/s"], pressures,
         growth["time / h"][late], growth["proliferating"][late],
-        growth["diameter / um"][late], (growth["proliferating sd / %"][0] / 100.0, growth["diameter sd / %"][0] / 100.0),
+        growth["diameter / um"][late],
+        (growth["proliferating sd / %"][0] / 100.0, growth["diameter sd / %"][0] / 100.0),
         float(growth["start / h"][0]),
     )  # fmt: skip
 
