@@ -15,10 +15,11 @@ Lactate is made at 2 q_g. With the ATP made, P = 5 q_o + 2 q_g, the core ends, b
     time     cells have been below the least P for a time T
     damage   they have accumulated ∫ (1 - P / P_least) dt = T
 
-For the last two, cells drift inwards as those outside of them grow, by ln 2 / T_c P / (K_P + P).
-A spheroid grows so in its living part, and loses what is dead with a time τ:
+A spheroid grows in its living part by ln 2 / T_c P / (K_P + P), and loses what is dead with a time
+τ. For the last two rules cells sink below its surface as it swells:
 
-    dV/dt = ∫ ln 2 / T_c P / (K_P + P) dV - V_core / τ
+    dV/dt = G(R) - V_core / τ,    G(r) = ∫ ln 2 / T_c P / (K_P + P) dV out to r
+    depth' = R' - (G(r) - V_core / τ) / (4 π r²)
 
 Finite volumes and Newton's method for both fields at once. No code of the package is used but
 numba's cache: the tests compare the two.
@@ -129,6 +130,7 @@ class Tissue:
             *self.medium[:2], self.layer, self.least, RULES.index(self.rule), self.low_oxygen,
             self.low_glucose, self.lactate, self.diffusion_lactate / self.medium[2],
             self.harm * HOUR, np.log(2.0) / (self.cycle * HOUR), self.growth_half,
+            self.lysis * HOUR,
         ])  # fmt: skip
 
 
@@ -220,15 +222,21 @@ def _lactate(p: Array, a: float, radius: float, o: Array, g: Array) -> float:
 def _harm(p: Array, a: float, radius: float, o: Array, g: Array) -> float:
     """Return the harm that cells have taken when they reach the core, s."""
     n = len(o)
-    h, flow, harm = (radius - a) / n, 0.0, 0.0
-    for i in range(n - 1, -1, -1):
+    h, within, harm = (radius - a) / n, np.zeros(n + 1), 0.0
+    for i in range(n):  # what grows between the core and each face
         low, high = a + i * h, a + (i + 1) * h
         made = _made(p, o[i], g[i])
-        flow += p[20] * made / (p[21] + made) * (high**3 - low**3) / 3.0
-        lack = 1.0 - made / p[13]
+        within[i + 1] = within[i] + p[20] * made / (p[21] + made) * (high**3 - low**3) / 3.0
+    lost = a**3 / (3.0 * p[22])
+    swells = (within[n] - lost) / radius**2
+    for i in range(n):
+        r = a + (i + 0.5) * h
+        sinks = swells - (0.5 * (within[i] + within[i + 1]) - lost) / r**2
+        lack = 1.0 - _made(p, o[i], g[i]) / p[13]
         if p[14] == 3:  # all or nothing, but for a tenth of the threshold
             lack = min(max(0.5 + 10.0 * lack, 0.0), 1.0)
-        harm += max(lack, 0.0) * h * max(low * low, 1.0) / flow
+        if lack > 0.0:
+            harm += lack * h / max(sinks, 1e-9)
     return harm
 
 

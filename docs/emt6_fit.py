@@ -152,7 +152,7 @@ def fit(
     starts: int = 8, tries: int = 600, fixed: tuple[str, ...] = (),
 ) -> tuple[Tissue, float]:  # fmt: skip
     """Return the best tissue and its sum of squares, from ``near`` and from random starts."""
-    free = [name for name in free if name not in fixed]
+    known, free = free, [name for name in free if name not in fixed]
     low, high = np.log(np.array([RANGES[name] for name in free])).T
 
     def at(place: Array) -> Tissue:
@@ -162,7 +162,7 @@ def fit(
         return replace(near, **values)
 
     def function(place: Array) -> Array:
-        return residuals(at(place), data, sets, free)
+        return residuals(at(place), data, sets, known)
 
     places = low + (high - low) * np.random.default_rng(0).random((tries, len(free)))
     places = sorted(places, key=lambda x: float(np.minimum(function(x) ** 2, 50.0).sum()))[:starts]
@@ -191,8 +191,5 @@ def profile(
             near, squares = fit(
                 data, replace(near, **{name: value}), free, starts=0, tries=0, fixed=(name,)
             )
-            known = KNOWN.get(name)
-            if known is not None:
-                squares += (np.log(value / known[0]) / known[1]) ** 2
             found.append((value, squares))
     return sorted(found)
