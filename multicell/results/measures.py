@@ -81,6 +81,10 @@ def _pressure_factor(state: TissueState) -> float:
     return float(factors.mean()) if len(factors) else float("nan")
 
 
+def _over_radius(state: TissueState, length: float) -> float:
+    return length / state.extent.radius() if len(state.cells) else float("nan")
+
+
 def _load(state: TissueState) -> float:
     assert state.scene.pull is not None
     return state.scene.pull.load(state.time)
@@ -132,7 +136,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "necrotic_ratio",
-        lambda s: of.necrotic_radius(s.cells, s.dimensions, s.extent) / s.extent.radius(),
+        lambda s: _over_radius(s, of.necrotic_radius(s.cells, s.dimensions, s.extent)),
         exists=_has_phases,
         absent="without cells",
         doc="the necrotic radius over R; with `growth.phases`",
@@ -150,7 +154,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "inhibited_ratio",
-        lambda s: s.inhibited_radius / s.extent.radius(),
+        lambda s: _over_radius(s, s.inhibited_radius),
         exists=_has_phases,
         absent="without cells",
         doc="the inhibited radius over R; with `growth.phases`",

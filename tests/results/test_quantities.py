@@ -66,6 +66,10 @@ SCENES = {
         "integrator": {"method": "euler"},
         "domain": {axis: [-60.0, 60.0] for axis in "xyz"},
     },
+    "cells in a gel": {
+        "duration": "20 min", "coupling_step": "10 min", "initial": {"count": 3},
+        "domain": {"shape": "sphere", "radius": 60.0, "stiffness": 10.0},
+    },
 }  # fmt: skip
 
 
@@ -204,7 +208,7 @@ def test_units_are_those_that_the_scene_files_know():
 
 @pytest.mark.parametrize(
     "name",
-    ["", "radius", "hypoxic_radius", "ledger.oxygen", "cells.height", "ledger.oxygen.lost",
+    ["", "breadth", "hypoxic_radius", "ledger.oxygen", "cells.height", "ledger.oxygen.lost",
      "ledger.a.b.inflow", "wall", "fields.oxygen.error"],
 )  # fmt: skip
 def test_an_unknown_name_is_refused(name):
