@@ -68,14 +68,17 @@ def measured() -> Measured:
     )
     o, g = rims["nutrients.oxygen.boundary / mM"], rims["nutrients.glucose.boundary / mM"]
     late = growth["time / h"] > growth["start / h"]
+    radius = 370.0 * np.cbrt(found["initial.count"] / 9620.0)  # of balls of the scene emt6-rim
+    media = np.stack([*list(found.values())[:2], np.round(radius)], axis=1)
     pressures = {}
-    for key in dict.fromkeys(zip(*list(found.values())[:3], strict=True)):
-        rows = np.all([c == k for c, k in zip(list(found.values())[:3], key, strict=True)], axis=0)
-        pressures[key] = found["depth / um"][rows], found["pO2 / mmHg"][rows]
+    for key in dict.fromkeys(map(tuple, media.tolist())):
+        rows = (media == key).all(axis=1)
+        pressures[key] = found["depth / um"][rows], found["oxygen / mmHg"][rows]
     return Measured(
         list(zip(o.tolist(), g.tolist(), strict=True)), rims["viable_rim / um"],
-        rims["viable_rim sd / um"], used["consumption / mM/s"], pressures, growth["time / h"][late],
-        growth["proliferating"][late], growth["diameter / um"][late],
+        rims["viable_rim sd / um"], used["rim_uptake_oxygen / mM/s"], pressures,
+        growth["time / h"][late], growth["proliferating"][late],
+        growth["diameter / um"][late],
         (growth["proliferating sd / %"][0] / 100.0, growth["diameter sd / %"][0] / 100.0),
         float(growth["start / h"][0]),
     )  # fmt: skip

@@ -31,8 +31,10 @@ if TYPE_CHECKING:
     from multicell.calibration.dose_response_result import DoseResponse
     from multicell.calibration.fit import fit
     from multicell.calibration.fitted import Fit
+    from multicell.calibration.model_comparison import compare_fits
     from multicell.calibration.sensitivity import sensitivity
     from multicell.calibration.sensitivity_result import Sensitivity
+    from multicell.calibration.stored import load_fit
     from multicell.cells import Cells, State
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability_limits.result import StabilityMap
@@ -62,6 +64,9 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
+    from multicell.studies.coarse_and_fine import compare_coarse
+    from multicell.studies.derivatives import gradient
+    from multicell.studies.run_table import RunTable
     from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
@@ -86,6 +91,7 @@ __all__ = [
     "OwnReaction",
     "Reaction",
     "Result",
+    "RunTable",
     "Scene",
     "SceneError",
     "Schedule",
@@ -101,12 +107,16 @@ __all__ = [
     "WorkPrecision",
     "coarsen",
     "compare",
+    "compare_coarse",
+    "compare_fits",
     "dose_response",
     "export",
     "field_problem",
     "fit",
+    "gradient",
     "growth_law",
     "import_physicell",
+    "load_fit",
     "load_law",
     "load_observable",
     "load_result",
@@ -176,9 +186,14 @@ _LAZY = {
     "sensitivity": "multicell.calibration.sensitivity",
     "Fit": "multicell.calibration.fitted",
     "fit": "multicell.calibration.fit",
+    "load_fit": "multicell.calibration.stored",
+    "compare_fits": "multicell.calibration.model_comparison",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",
+    "compare_coarse": "multicell.studies.coarse_and_fine",
+    "gradient": "multicell.studies.derivatives",
+    "RunTable": "multicell.studies.run_table",
 }
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from multicell.calibration.dose_curve import DOSES, LEAST, combine, draw_means, fit_curve
 from multicell.calibration.dose_response_result import DoseResponse, Row
-from multicell.calibration.sensitivity import observables_of, read_final
 from multicell.errors import DataError, FitFailed, SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen, near_miss
@@ -22,6 +21,7 @@ from multicell.studies.limits import check_seeds, whole
 from multicell.studies.observed import may_be_negative
 from multicell.studies.pictures.values import key_words, words
 from multicell.studies.plan import Plan, make_plan
+from multicell.studies.readings import observables_of, read_final
 from multicell.studies.study import Study, write_study
 from multicell.tables.fields import read_table
 from multicell.tables.titles import split_title

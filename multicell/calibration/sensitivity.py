@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, final
 
 from multicell.calibration.indices import (
     DEFAULT_SIZE,
@@ -21,25 +19,18 @@ from multicell.calibration.indices import (
     sample,
 )
 from multicell.calibration.sensitivity_result import COLUMNS, Row, Sensitivity
-from multicell.errors import MulticellError, SceneError
 from multicell.host.extras import needs
-from multicell.results.documents import read_table
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import check_runs, check_seeds
-from multicell.studies.observed import at_the_end, course_of, entry_of, in_history, suggest
 from multicell.studies.plan import Plan, make_plan
-from multicell.studies.status import run_folder
+from multicell.studies.readings import observables_of, read_final
 from multicell.studies.study import Study, write_study
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
     from multicell.studies.task import Outcome
-
-_USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
-                 "pull", "largest_pressure")  # fmt: skip
-_MAX_USUAL: Final = 4
 
 
 def sensitivity(
@@ -233,69 +224,6 @@ def result_of(
     ]
     notes = _notes(method, size, seeds, found, failures or {}, table)
     return Sensitivity(scene, method, tuple(ranges), size, tuple(seeds), table, notes)
-
-
-def read_final(
-    outcomes: Sequence[Outcome], folder: Path, observables: Sequence[str]
-) -> tuple[dict[str, FloatArray], dict[str, str]]:
-    """Return observables at the ends of runs, and why runs failed.
-
-    The viable rim of a population without a necrotic core is its radius, which is what it tends to
-    as a core vanishes.
-
-    - ``outcomes``: of all runs of a study, n
-    - ``folder``: of the study
-    - ``observables``: columns of histories, or dotted names of entries of summaries
-
-    Returns dict of str to (n,): NaN where a run failed or lacks the observable; dict of str to str:
-    name of a run -> reason.
-    """
-    failures = {o.name: o.reason for o in outcomes if o.state == "failed"}
-    final = {name: np.full(len(outcomes), np.nan) for name in observables}
-    for number, outcome in enumerate(outcomes):
-        if outcome.state != "done":
-            continue
-        try:
-            last = _read_end(run_folder(folder, outcome.name), observables)
-        except MulticellError as error:
-            failures[outcome.name] = str(error)
-            continue
-        for name in observables:
-            final[name][number] = last[name]
-    return final, failures
-
-
-def _read_end(place: Path, observables: Sequence[str]) -> dict[str, float]:
-    """Return the final values of a run."""
-    from multicell.results.reader import Contents
-
-    history = Contents(place).history()
-    summary = read_table(place / "summary.json") or {}
-    return {
-        name: float(course_of(history, name)[-1]) if name in history else entry_of(summary, name)
-        for name in observables
-    }
-
-
-def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
-    """Return the observables that are asked for, or the usual ones of a scene.
-
-    Raises SceneError for a name that no run of the scene has.
-    """
-    history = in_history(scene)
-    known = {**history, **at_the_end(scene)}
-    if names is None:
-        starves = bool(scene.nutrients)
-        usual: list[str] = [n for n in _USUAL if n in history and (starves or n not in _USUAL[2:4])]
-        return usual[:_MAX_USUAL]
-    if not names:
-        raise SceneError("observables", "names none", f"For example {_USUAL[1]}.")
-    for name in names:
-        if name not in known:
-            raise SceneError(
-                "observable", f"runs of this scene have no {name!r}", suggest(name, known)
-            )
-    return list(dict.fromkeys(names))
 
 
 def _row(method: str, observable: str, free: Range, index: Index) -> Row:

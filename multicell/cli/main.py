@@ -24,7 +24,7 @@ from multicell.cli.importing import importing
 from multicell.cli.movie import movie
 from multicell.cli.plot import plot
 from multicell.cli.process import Commands, complain, print_json
-from multicell.cli.scenes import init, scenes, schema
+from multicell.cli.scenes import coarsen, init, scenes, schema
 from multicell.cli.sensitivity import sensitivity
 from multicell.cli.study import study
 from multicell.cli.tables import bare_table, plain, time_text
@@ -183,7 +183,7 @@ def export(
 
 
 for added in (
-    scenes, init, schema, plot, view, movie, compare, stability, study, sensitivity,
+    scenes, init, coarsen, schema, plot, view, movie, compare, stability, study, sensitivity,
     dose_response, fit,
 ):  # fmt: skip
     main.add_command(added)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,6 +76,35 @@ def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: b
         print_json({"file": str(path)})
         return
     click.echo(f"'{path}' is written. Edit it, then: multicell run {path} -o out", file=sys.stdout)
+
+
+@click.command()
+@click.argument("scene")
+@shared.output_option("File to write.")
+@click.option("--factor", type=float, default=2.0, show_default=True, help="Of the cells' widths.")
+@shared.changes_option
+@shared.overwrite_option("Replace the file.")
+@shared.as_json_option
+def coarsen(
+    scene: str,
+    output: Path,
+    factor: float,
+    changes: Sequence[str],
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write SCENE with fewer, larger cells and the same tissue, for any other command."""
+    from multicell.results.folder import write_text
+    from multicell.scene.coarsening import coarsen as coarse_scene
+
+    made = coarse_scene(shared.scene_of(scene, changes), factor)
+    shared.refuse_existing(output, overwrite=overwrite)
+    write_text(output, made.to_toml())
+    if as_json:
+        print_json({"file": str(output), "represents": made.cells.represents})
+        return
+    each = f"each cell stands for {made.cells.represents:g}"
+    click.echo(f"'{output}' is written: {each}.", file=sys.stdout)
 
 
 @click.command()

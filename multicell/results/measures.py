@@ -15,8 +15,10 @@ from multicell.results import observables as of
 from multicell.results.contacts import counts_contacts
 from multicell.results.observable import Observable, TissueState, find_own
 from multicell.scene.domain import walls
+from multicell.scene.pairs import compression
 
 if TYPE_CHECKING:
+    from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
     from multicell.scene.scene import Scene
 
@@ -46,19 +48,41 @@ def _has_walls(scene: Scene) -> bool:
     return scene.dimensions == 3 and scene.domain is not None and scene.domain.wall == "elastic"
 
 
+def _has_gel(scene: Scene) -> bool:
+    return scene.domain is not None and scene.domain.stiffness is not None
+
+
 def _has_shells(scene: Scene) -> bool:
     return scene.dimensions == 3 and any(n.layout != "box" for n in scene.nutrients.values())
 
 
-def _box(state: TissueState) -> Walls:
+def _closes(scene: Scene) -> bool:
+    inflow = scene.death is not None and scene.death.inflow
+    return scene.dimensions == 3 and (scene.surface is not None or inflow)
+
+
+def _largest_hole(state: TissueState) -> float:
+    from multicell.results.holes import largest_hole
+
+    return largest_hole(state.cells)
+
+
+def _walls(state: TissueState) -> Walls | Sphere:
+    """Return the walls as they stand round the cells."""
     found = walls(state.scene)
     assert found is not None
+    if _has_gel(state.scene):
+        of.settle(state.cells, found, compression(state.scene))
     return found
 
 
 def _pressure_factor(state: TissueState) -> float:
     factors = state.pressure_factors
     return float(factors.mean()) if len(factors) else float("nan")
+
+
+def _over_radius(state: TissueState, length: float) -> float:
+    return length / state.extent.radius() if len(state.cells) else float("nan")
 
 
 def _load(state: TissueState) -> float:
@@ -112,7 +136,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "necrotic_ratio",
-        lambda s: of.necrotic_radius(s.cells, s.dimensions, s.extent) / s.extent.radius(),
+        lambda s: _over_radius(s, of.necrotic_radius(s.cells, s.dimensions, s.extent)),
         exists=_has_phases,
         absent="without cells",
         doc="the necrotic radius over R; with `growth.phases`",
@@ -130,7 +154,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "inhibited_ratio",
-        lambda s: s.inhibited_radius / s.extent.radius(),
+        lambda s: _over_radius(s, s.inhibited_radius),
         exists=_has_phases,
         absent="without cells",
         doc="the inhibited radius over R; with `growth.phases`",
@@ -149,6 +173,16 @@ OBSERVABLES: Final = (
         lambda s: of.largest_pressure(s.cells),
         unit="kPa",
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
+    ),
+    Observable(
+        "core_pressure",
+        lambda s: of.core_pressure(s.cells),
+        unit="kPa",
+        exists=lambda scene: scene.death is not None and scene.death.core == "fluid",
+        absent="without a core",
+        signed=True,
+        doc="mean [pressure](contact.md#pressure-of-a-cell) of necrotic cells by their volume, "
+        'with which a fluid core holds up the rim; with `death.core = "fluid"`',
     ),
     *(Observable(name, _count_in(name), entry=f"states.{name}", counts=True) for name in _STATES),
     Observable(
@@ -170,22 +204,29 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "volume_fraction",
-        lambda s: of.volume_fraction(s.cells, _box(s)),
+        lambda s: of.volume_fraction(s.cells, _walls(s)),
         exists=_has_walls,
         doc="sum of the cells' volumes over the volume of the `domain`; with elastic walls in"
         " space",
     ),
     Observable(
+        "domain_radius",
+        lambda s: of.domain_radius(_walls(s)),
+        unit="um",
+        exists=_has_gel,
+        doc="radius to which the cells have widened the cavity of a gel (`domain.stiffness`)",
+    ),
+    Observable(
         "wall_pressure",
-        lambda s: of.wall_pressure(s.cells, _box(s)),
+        lambda s: of.wall_pressure(s.cells, _walls(s), compression(s.scene)),
         unit="kPa",
         exists=_has_walls,
-        doc="normal force of the cells on a wall over its area, mean of the six sides; with "
-        "elastic walls in space",
+        doc="normal force of the cells on a wall over its area, mean of the six sides of a box; "
+        "with elastic walls in space",
     ),
     Observable(
         "tissue_pressure",
-        lambda s: of.tissue_pressure(s.cells, _box(s)),
+        lambda s: of.tissue_pressure(s.cells, _walls(s)),
         unit="kPa",
         exists=_has_walls,
         signed=True,
@@ -255,13 +296,40 @@ OBSERVABLES: Final = (
         entry=None,
     ),
     Observable(
+        "uptake_*",
+        unit="amol/s",
+        exists=lambda scene: scene.nutrients,
+        entry=None,
+        doc="rate at which all cells take up a field",
+    ),
+    Observable(
+        "rim_uptake_*",
+        unit="mM/s",
+        exists=lambda scene: scene.nutrients if scene.dimensions == 3 else (),
+        entry=None,
+        absent="without living cells, and where the dead lie outside the living",
+        doc="that rate over the volume of the ball of this diameter, less that of the core",
+    ),
+    Observable(
         "force_*",
         unit="nN",
         exists=lambda scene: [f"{motion}_{axis}" for motion in scene.motions for axis in "xyz"],
         entry=None,
         signed=True,
     ),
-    # of a whole run
+    # of the last state only, or of a whole run
+    Observable(
+        "largest_hole",
+        _largest_hole,
+        unit="um",
+        exists=_closes,
+        at_end=True,
+        absent="without tissue that surrounds anything",
+        shown="{:.1f} µm".format,
+        doc="radius of the largest empty ball within the tissue, which nothing of the size of a "
+        "living cell could come to from outside; with `surface` or `death.inflow` in space, at "
+        "the end of a run",
+    ),
     Observable("divisions", at_end=True, shown="{:,}".format, shown_if_zero=False),
     Observable(
         "removals", title="cells removed", at_end=True, shown="{:,}".format, shown_if_zero=False

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import multicell as mc
+from multicell.cli.main import main
 from multicell.contact.registry import LAWS as CONTACT
 from multicell.report.explain.scene import explain
 from multicell.scene.coarsening import LAWS
@@ -208,3 +210,16 @@ def test_a_table_of_cells_is_refused(tmp_path):
     scene = BALL.with_changes({"initial.cells": str(tmp_path / "cells.csv")})
     with pytest.raises(mc.SceneError, match="places of single cells"):
         mc.coarsen(scene, 2)
+
+
+def test_the_command_writes_a_scene(tmp_path):
+    path = tmp_path / "coarse.toml"
+    command = ["coarsen", "emt6", "-o", str(path), "--factor", "2", "--set", "stop_cells=8000"]
+    done = CliRunner().invoke(main, command)
+    assert "each cell stands for 8" in done.stdout
+    fine = mc.load_scene("emt6").with_changes({"stop_cells": 8000})
+    assert mc.load_scene(path) == mc.coarsen(fine, 2)
+    again = CliRunner().invoke(main, command)
+    assert again.exit_code == 2
+    assert CliRunner().invoke(main, [*command, "--factor", "3", "--overwrite"]).exit_code == 0
+    assert mc.load_scene(path).initial.count == 22

@@ -137,7 +137,10 @@ def _death_words(scene: Scene) -> str:
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
-    words += f"lose their volume in about {hours(death.lysis_time)}"
+    if death.core == "fluid":
+        words += "keep their place, as fluid"
+    else:
+        words += f"lose their volume in about {hours(death.lysis_time)}"
     if death.inflow:
         words += "; the medium flows in to what they lose"
     if death.apoptosis_rate > 0.0:
@@ -186,6 +189,9 @@ def _taxis(scene: Scene) -> list[Part]:
         way = "up" if law.force >= 0.0 else "down"
         what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
         parts.append(part(f"chemotaxis.{name}", what))
+    if scene.surface is not None:
+        what = f"{scene.surface.tension:g} nN/um, which presses on a ball of 300 um radius"
+        parts.append(part("surface", f"{what} with {scene.surface.tension / 0.15:.3g} Pa"))
     if scene.haptotaxis is not None:
         speed = 3600.0 * scene.haptotaxis.force / resistance
         what = f"{scene.haptotaxis.landscape}: a free cell drifts at up to {speed:.3g} um/h"
@@ -198,12 +204,25 @@ def _domain_words(scene: Scene) -> str:
     names = ", ".join(scene.nutrients)
     if domain is None:
         return f"absent: no walls; fields that follow the cells: {names or 'none'}"
+    if domain.radius is not None:
+        words = f"a sphere of {domain.radius:g} um about the origin, which fields pass"
+        if domain.stiffness is not None:
+            most = domain.stiffness * 2.5 / 3.0
+            words += f"; the cavity of a gel of {domain.stiffness:g} kPa, which presses with at "
+            return f"{words}most {most:.3g} kPa: from there on it widens without end"
+        return f"{words}; {_wall_words(scene)}"
     lengths = " x ".join(f"{length:g}" for length in sides(domain))
     words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
+    return f"{words}; {_wall_words(scene)}"
+
+
+def _wall_words(scene: Scene) -> str:
+    domain = scene.domain
+    assert domain is not None
     if domain.wall == "refuse":
-        return f"{words}; no walls: a cell whose centre leaves it ends the run"
+        return "no walls: a cell whose centre leaves it ends the run"
     young = scene.cells.young if domain.young is None else domain.young
-    return f"{words}; its sides are elastic walls of {young:g} kPa"
+    return f"its sides are elastic walls of {young:g} kPa"
 
 
 def _integrator_words(scene: Scene) -> str:

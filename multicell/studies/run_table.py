@@ -1,0 +1,139 @@
+"""What a few runs were compared for, as a table: rows, notes, and how runs are read for it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from multicell.errors import SceneError
+from multicell.host.extras import needs
+from multicell.studies.readings import read_final
+from multicell.tables.text import table_text
+from multicell.units import shown, to_base
+
+if TYPE_CHECKING:
+    import pandas
+
+    from multicell.cells import FloatArray
+    from multicell.scene.scene import Scene
+    from multicell.studies.study import Study
+
+Row = dict[str, Any]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RunTable:
+    """Numbers that follow from comparing runs, with their errors.
+
+    Attributes
+    ----------
+    rows : list of dict
+        All with the same columns.
+    notes : list of str
+        What the reader must know, such as runs that failed.
+    facts : mapping
+        Of the whole table, by name.
+    """
+
+    rows: list[Row]
+    notes: list[str]
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return self.text()
+
+    def row(self, **where: Any) -> Row:
+        """Return the first row in which columns have these values.
+
+        Raises
+        ------
+        KeyError
+            If there is none.
+        """
+        for row in self.rows:
+            if all(row[name] == value for name, value in where.items()):
+                return dict(row)
+        raise KeyError(f"no row has {where}")
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the rows as a ``DataFrame``; its ``attrs`` are the facts."""
+        needs("pandas")
+        import pandas
+
+        frame = pandas.DataFrame(self.rows)
+        frame.attrs = dict(self.facts)
+        return frame
+
+    def to_csv(self) -> str:
+        """Return the rows as CSV."""
+        return table_text(self.rows)
+
+    def text(self) -> str:
+        """Return the table with four digits, and its notes."""
+        lines = [list(self.rows[0]), *([_word(x) for x in row.values()] for row in self.rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        table = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
+        return "\n".join([*table, *(f"Note: {note}" for note in self.notes)])
+
+
+def _word(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def checked_times(scene: Scene, times: Sequence[Any] | None) -> FloatArray | None:
+    """Return times in s; without any the ends of runs are meant.
+
+    Raises SceneError for times beyond the run, and for ends that would not be at one time.
+    """
+    if times is None:
+        if scene.stop_cells is not None:
+            problem = f"is {scene.stop_cells:,}: runs end at different times"
+            raise SceneError("stop_cells", problem, "Give times, or remove it.")
+        return None
+    found = np.array([to_base(time, "s", "times") for time in times])
+    if not len(found) or found.min() < 0.0 or found.max() > scene.duration:
+        problem = f"are {shown(times)}, must lie between 0 and {scene.duration:g} s"
+        raise SceneError("times", problem, "Leave them out for the end of the run.")
+    return found
+
+
+@contextmanager
+def folder_for(output: str | Path | None) -> Iterator[Path]:
+    """Yield a folder for runs: the one that is given, or one that is removed afterwards."""
+    if output is not None:
+        yield Path(output)
+        return
+    with tempfile.TemporaryDirectory(prefix="multicell-") as place:
+        yield Path(place)
+
+
+def values_of(
+    study: Study,
+    observables: Sequence[str],
+    times: FloatArray | None,
+    cores: int | None,
+    scheduler: str | None,
+    progress: Callable[..., None] | None,
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """Do the runs of a study; return observables as (points, seeds, times), and notes."""
+    outcomes = study.run(cores, scheduler, progress)
+    found, failures = read_final(outcomes, study.folder, observables, times)
+    shape = (len(study.plan.points), study.plan.seeds, -1)
+    first = next(iter(failures.values()), "")
+    notes = [f"{len(failures)} runs failed, the first one: {first}"] if failures else []
+    return {name: values.reshape(shape) for name, values in found.items()}, notes
+
+
+def mean_and_error(values: FloatArray) -> tuple[float, float]:
+    """Return the mean of what is known of (n,) values and its standard error; NaN without."""
+    known = values[np.isfinite(values)]
+    if len(known) < 2:
+        return (float(known[0]) if len(known) else float("nan")), float("nan")
+    return float(known.mean()), float(known.std(ddof=1) / np.sqrt(len(known)))
