@@ -36,10 +36,10 @@ FITTED = 5000
 COARSE = 2
 SEEDS = (1, 2)
 NAMES = ("radius", "inhibited_ratio", "necrotic_ratio")
-LABELS = ("R", "phi", "eta")
 RED, BLUE, GREY = "#b5432f", "#2f6fb0", "#666666"
-FLOOR = 0.03
-"""Deviation of a ratio that is 0 in all spheroids of a day: the radius of a cell over R."""
+DAYS = np.array([3.0, 4.0, 5.0, 7.0, 10.0, 12.0, 14.0, 16.0, 18.0, 21.0])
+CELL, FLOOR = 9.5, 0.03
+"""Radius of a cell in um, and over R: the deviation of what is 0 in all spheroids of a day."""
 SEEDINGS = (2500, 5000, 10000)
 BUDGET = 150
 FREE = {
@@ -73,16 +73,26 @@ def main() -> None:
         pictures()
 
 
-def measured(seeding: int = FITTED) -> tuple[Array, Array, Array, Array]:
-    """Return days (k,), means and deviations (k, 3) of R, phi, eta, and all spheroids (m, 4)."""
+def specimens(seeding: int) -> Array:
+    """Return day, R in um, phi and eta of single spheroids, (m, 4)."""
     lines = (HERE / "data" / f"wm983b-{seeding}.csv").read_text().splitlines()
-    rows = csv.reader(line for line in lines[1:] if not line.startswith("#"))
-    single = np.array([[float(v) for v in row] for row in rows if row[0] != "day"])
+    rows = csv.reader(line for line in lines if not line.startswith("#"))
+    return np.array([[float(value) for value in row] for row in rows if row[0] != "day"])
+
+
+def means(single: Array, floor: float = FLOOR) -> tuple[Array, Array, Array]:
+    """Return days (k,), and means and deviations over the spheroids of a day, (k, 3)."""
     days = np.unique(single[:, 0])
     groups = [single[single[:, 0] == day, 1:] for day in days]
     sd = np.array([group.std(axis=0, ddof=1) for group in groups])
-    sd[:, 1:] = np.where(sd[:, 1:] > 0, sd[:, 1:], FLOOR)
-    return days, np.array([group.mean(axis=0) for group in groups]), sd, single
+    return days, np.array([group.mean(axis=0) for group in groups]), np.where(sd > 0, sd, floor)
+
+
+def radii(found: Array) -> Array:
+    """Return R, phi R and eta R of an array whose last columns are R, phi and eta."""
+    found = found.copy()
+    found[..., -2:] *= found[..., -3, None]
+    return found
 
 
 def coarse() -> mc.Scene:
@@ -92,7 +102,7 @@ def coarse() -> mc.Scene:
 
 def fit() -> None:
     """Fit the parameters to the means of one seeding, and keep what predictions need."""
-    days, mean, sd, _ = measured()
+    days, mean, sd = means(specimens(FITTED))
     table = {"time / d": days}
     for k, (name, unit) in enumerate(zip(NAMES, (" / um", "", ""), strict=True)):
         table |= {f"{name}{unit}": mean[:, k], f"{name} sd{unit}": sd[:, k]}
@@ -118,7 +128,7 @@ def fit() -> None:
         courses = run_all([(seeding, draw, 1 + k) for k, draw in enumerate(kept["draws"])])
         ensembles[seeding] = np.round(courses, 4).tolist()
     kept["ensembles"] = ensembles
-    KEPT.write_text(json.dumps(kept, indent=1) + "\n")
+    KEPT.write_text(json.dumps(kept) + "\n")
     print(f"chi squared {kept['chi_squared']:.1f} of {mean.size} data, {kept['minutes']:.0f} min")
     for key, value in kept["best"].items():
         print(f"  {key} = {value}")
@@ -153,44 +163,46 @@ def course(task: tuple[int, dict[str, str], int]) -> Array:
     seeding, settings, seed = task
     count = round(int(settings["initial.count"]) * seeding / FITTED)
     result = mc.run(coarse().with_changes({**settings, "initial.count": count, "seed": seed}))
-    history, days = result.history, measured()[0]
-    return np.stack([np.interp(days * 86400, history["time"], history[n]) for n in NAMES], axis=1)
+    history = result.history
+    return np.stack([np.interp(DAYS * 86400, history["time"], history[n]) for n in NAMES], axis=1)
 
 
 def by_day(course: Array) -> dict[str, list[float]]:
     """Return R, phi and eta by day, for JSON."""
     rows = np.round(course, 4).tolist()
-    return {f"{day:g}": row for day, row in zip(measured()[0], rows, strict=True)}
+    return {f"{day:g}": row for day, row in zip(DAYS, rows, strict=True)}
 
 
 def show(title: str, course: Array) -> None:
     """Print a course."""
     print(f"{title}\n  day      R/um   phi    eta")
-    for day, (radius, phi, eta) in zip(measured()[0], course, strict=True):
+    for day, (radius, phi, eta) in zip(DAYS, course, strict=True):
         print(f"  {day:4g} {radius:8.1f}  {phi:.3f}  {eta:.3f}")
 
 
 def pictures() -> None:
-    """Print how well model and competitor do, and draw both with the data."""
+    """Print how well model and competitors do, and draw them with the data."""
     kept = json.loads(KEPT.read_text())
-    days, mean, sd, _ = measured()
-    other = greenspan.fit(days, mean, sd)
-    print("rms of (model - mean) / sd     R    phi    eta    all   single spheroids in 95 %")
+    other = greenspan.fit(*means(specimens(FITTED)))
+    print(other)
+    print("rms of (model - mean) / sd       R  phi R  eta R   all   single spheroids in 95 %")
     bands, rivals = {}, {}
     for seeding in SEEDINGS:
         bands[seeding] = np.array(kept["ensembles"][str(seeding)])
-        rivals[seeding] = other.course(days, seeding / FITTED)
-        if not (HERE / "data" / f"wm983b-{seeding}.csv").exists():
-            continue
-        _, mean, sd, single = measured(seeding)
-        models = {"wm983b": bands[seeding].mean(axis=0), "Greenspan": rivals[seeding]}
+        rivals[seeding] = other.course(DAYS, seeding / FITTED)
+        single = radii(specimens(seeding))
+        _, mean, sd = means(single, CELL)
+        models = {
+            "wm983b": radii(bands[seeding].mean(axis=0)),
+            "Greenspan": radii(rivals[seeding]),
+            "as 5,000": radii(means(specimens(FITTED))[1]),
+        }
         for name, course in models.items():
             off = (course - mean) / sd
-            parts = "  ".join(f"{rms(part):5.2f}" for part in (*off.T, off))
-            inside = f"{covered(single, days, bands[seeding], sd):.0%}" if name == "wm983b" else ""
-            print(f"{seeding:6d} cells, {name:10s}  {parts}   {inside}")
-    print("Greenspan:", other)
-    draw(days, bands, rivals, HERE / "figures" / "wm983b.png")
+            parts = " ".join(f"{rms(part):6.2f}" for part in (*off.T, off))
+            print(f"{seeding:6d} cells, {name:12s} {parts}   ", end="")
+            print(f"{covered(single, radii(bands[seeding]), sd):.0%}" if name == "wm983b" else "")
+    draw(bands, rivals, HERE / "figures" / "wm983b.png")
 
 
 def rms(off: Array) -> float:
@@ -198,17 +210,17 @@ def rms(off: Array) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
-def covered(single: Array, days: Array, band: Array, sd: Array) -> float:
+def covered(single: Array, band: Array, sd: Array) -> float:
     """Return the part of all values of single spheroids within 1.96 deviations of the model.
 
     The variance is that of the mean over the posterior and that of spheroids of a day.
     """
-    rows = np.searchsorted(days, single[:, 0])
+    rows = np.searchsorted(DAYS, single[:, 0])
     spread = np.sqrt(band.var(axis=0) + sd**2)[rows]
     return float((np.abs(single[:, 1:] - band.mean(axis=0)[rows]) <= 1.96 * spread).mean())
 
 
-def draw(days: Array, bands: dict[int, Array], rivals: dict[int, Array], path: Path) -> None:
+def draw(bands: dict[int, Array], rivals: dict[int, Array], path: Path) -> None:
     """Draw R, phi and eta over days for all seedings."""
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     axes = figure.subplots(3, len(SEEDINGS), sharex=True, sharey="row")
@@ -217,19 +229,17 @@ def draw(days: Array, bands: dict[int, Array], rivals: dict[int, Array], path: P
         predicted = "" if seeding == FITTED else ", predicted"
         axes[0, column].set_title(f"{seeding:,} cells seeded{predicted}", fontsize=10)
         axes[2, column].set_xlabel("day")
-        known = (HERE / "data" / f"wm983b-{seeding}.csv").exists()
         for row, title in enumerate(titles):
             ax, values = axes[row, column], bands[seeding][:, :, row]
             low, high = np.quantile(values, [0.025, 0.975], axis=0)
-            ax.fill_between(days, low, high, color=BLUE, alpha=0.25, lw=0)
-            ax.plot(days, values.mean(axis=0), color=BLUE, label="multicell, 95 % of the fit")
-            ax.plot(days, rivals[seeding][:, row], "--", color=GREY, label="Greenspan 1972")
-            if known:
-                *_, single = measured(seeding)
-                ax.plot(
-                    single[:, 0], single[:, 1 + row], "o", ms=2.5, color=RED, alpha=0.6,
-                    label="single spheroids", zorder=0,
-                )  # fmt: skip
+            ax.fill_between(DAYS, low, high, color=BLUE, alpha=0.25, lw=0)
+            ax.plot(DAYS, values.mean(axis=0), color=BLUE, label="multicell, 95 % of the fit")
+            ax.plot(DAYS, rivals[seeding][:, row], "--", color=GREY, label="Greenspan 1972")
+            single = specimens(seeding)
+            ax.plot(
+                single[:, 0], single[:, 1 + row], "o", ms=2.5, color=RED, alpha=0.6,
+                label="single spheroids", zorder=0,
+            )  # fmt: skip
             if column == 0:
                 ax.set_ylabel(title)
             ax.grid(alpha=0.3)
