@@ -1,8 +1,9 @@
-"""Greenspan's model of a spheroid along its radius (Stud. Appl. Math. 51, 1972, 317), for docs/wm983b.py.
+"""Greenspan's model of a spheroid along its radius (Stud. Appl. Math. 51, 1972, 317).
 
-Nutrient is used up at a constant rate and diffuses in; cells die where it falls below a level. Waste
-is made by living cells and diffuses out; cells stop dividing where it exceeds a level. Both fields
-are at rest. What divides makes volume at the rate s, what is dead loses it at the rate `loss`:
+Nutrient is used up at a constant rate and diffuses in; cells die where it falls below a level.
+Waste is made by living cells and diffuses out; cells stop dividing where it exceeds a level. Both
+fields are at rest. What divides makes volume at the rate s, what is dead loses it at the rate
+`loss`:
 
     dR/dt = R / 3 [s (1 - phi^3) - loss eta^3]
     (R_n / R)^2 = (1 - eta)^2 (1 + 2 eta)                        for R > R_n, else eta = 0

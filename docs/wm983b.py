@@ -37,16 +37,19 @@ COARSE = 2
 SEEDS = (1, 2)
 NAMES = ("radius", "inhibited_ratio", "necrotic_ratio")
 LABELS = ("R", "phi", "eta")
+RED, BLUE, GREY = "#b5432f", "#2f6fb0", "#666666"
 FLOOR = 0.03
 """Deviation of a ratio that is 0 in all spheroids of a day: the radius of a cell over R."""
+SEEDINGS = (2500, 5000, 10000)
+BUDGET = 150
 FREE = {
-    "initial.count": "log 200:900",
-    "growth.phases.G1.duration": "10:50 h",
-    "nutrients.oxygen.uptake_per_volume": "log 0.015:0.08 mM/s",
-    "nutrients.oxygen.quiescence": "log 0.008:0.06 mM",
-    "nutrients.oxygen.necrosis": "log 0.002:0.0079 mM",
-    "death.damage_time": "2:8 d",
-    "death.lysis_time": "log 2:40 d",
+    "initial.count": "log 250:550",
+    "growth.phases.G1.duration": "15:55 h",
+    "nutrients.oxygen.uptake_per_volume": "log 0.02:0.06 mM/s",
+    "nutrients.oxygen.quiescence": "log 0.018:0.05 mM",
+    "nutrients.oxygen.necrosis": "log 0.004:0.0179 mM",
+    "death.damage_time": "2.5:8 d",
+    "death.lysis_time": "log 4:30 d",
 }
 
 
@@ -80,3 +83,159 @@ def measured(seeding: int = FITTED) -> tuple[Array, Array, Array, Array]:
     sd = np.array([group.std(axis=0, ddof=1) for group in groups])
     sd[:, 1:] = np.where(sd[:, 1:] > 0, sd[:, 1:], FLOOR)
     return days, np.array([group.mean(axis=0) for group in groups]), sd, single
+
+
+def coarse() -> mc.Scene:
+    """Return the scene of 5,000 cells seeded, with larger and fewer cells."""
+    return mc.coarsen("wm983b", COARSE)
+
+
+def fit() -> None:
+    """Fit the parameters to the means of one seeding, and keep what predictions need."""
+    days, mean, sd, _ = measured()
+    table = {"time / d": days}
+    for k, (name, unit) in enumerate(zip(NAMES, (" / um", "", ""), strict=True)):
+        table |= {f"{name}{unit}": mean[:, k], f"{name} sd{unit}": sd[:, k]}
+    begin = time.monotonic()
+    found = mc.fit(
+        coarse(),
+        table,
+        FREE,
+        seeds=1,
+        repeats=8,
+        budget=BUDGET,
+        output=HERE.parent / "build" / "wm983b",
+    )
+    kept = {
+        "best": dict(found.best.settings),
+        "intervals": {name: [i.low, i.high] for name, i in found.intervals().items()},
+        "draws": draws_of(found, 24),
+        "chi_squared": found.best.chi_squared,
+        "minutes": (time.monotonic() - begin) / 60,
+    }
+    ensembles = {}
+    for seeding in SEEDINGS:
+        courses = run_all([(seeding, draw, 1 + k) for k, draw in enumerate(kept["draws"])])
+        ensembles[seeding] = np.round(courses, 4).tolist()
+    kept["ensembles"] = ensembles
+    KEPT.write_text(json.dumps(kept, indent=1) + "\n")
+    print(f"chi squared {kept['chi_squared']:.1f} of {mean.size} data, {kept['minutes']:.0f} min")
+    for key, value in kept["best"].items():
+        print(f"  {key} = {value}")
+
+
+def draws_of(found: mc.Fit, count: int) -> list[dict[str, str]]:
+    """Return draws from the posterior as settings of the scene."""
+    shares, _ = found.sample
+    ranges = found.problem.ranges
+    chosen = shares[:: len(shares) // count][:count]
+    return [
+        {f.key: f.setting(f.value(float(x))) for f, x in zip(ranges, row, strict=True)}
+        for row in chosen
+    ]
+
+
+def predict(seedings: list[int], best: dict[str, str]) -> dict[int, Array]:
+    """Return R, phi and eta on the days of the data, (days, 3) by seeding: means over seeds."""
+    courses = run_all([(n, best, seed) for n in seedings for seed in SEEDS])
+    means = np.array(courses).reshape(len(seedings), len(SEEDS), -1, 3).mean(axis=1)
+    return dict(zip(seedings, means, strict=True))
+
+
+def run_all(tasks: list[tuple[int, dict[str, str], int]]) -> list[Array]:
+    """Run scenes side by side: cells seeded, settings, seed of each."""
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        return list(pool.map(course, tasks))
+
+
+def course(task: tuple[int, dict[str, str], int]) -> Array:
+    """Return R, phi and eta of one run on the days of the data, (days, 3)."""
+    seeding, settings, seed = task
+    count = round(int(settings["initial.count"]) * seeding / FITTED)
+    result = mc.run(coarse().with_changes({**settings, "initial.count": count, "seed": seed}))
+    history, days = result.history, measured()[0]
+    return np.stack([np.interp(days * 86400, history["time"], history[n]) for n in NAMES], axis=1)
+
+
+def by_day(course: Array) -> dict[str, list[float]]:
+    """Return R, phi and eta by day, for JSON."""
+    rows = np.round(course, 4).tolist()
+    return {f"{day:g}": row for day, row in zip(measured()[0], rows, strict=True)}
+
+
+def show(title: str, course: Array) -> None:
+    """Print a course."""
+    print(f"{title}\n  day      R/um   phi    eta")
+    for day, (radius, phi, eta) in zip(measured()[0], course, strict=True):
+        print(f"  {day:4g} {radius:8.1f}  {phi:.3f}  {eta:.3f}")
+
+
+def pictures() -> None:
+    """Print how well model and competitor do, and draw both with the data."""
+    kept = json.loads(KEPT.read_text())
+    days, mean, sd, _ = measured()
+    other = greenspan.fit(days, mean, sd)
+    print("rms of (model - mean) / sd     R    phi    eta    all   single spheroids in 95 %")
+    bands, rivals = {}, {}
+    for seeding in SEEDINGS:
+        bands[seeding] = np.array(kept["ensembles"][str(seeding)])
+        rivals[seeding] = other.course(days, seeding / FITTED)
+        if not (HERE / "data" / f"wm983b-{seeding}.csv").exists():
+            continue
+        _, mean, sd, single = measured(seeding)
+        models = {"wm983b": bands[seeding].mean(axis=0), "Greenspan": rivals[seeding]}
+        for name, course in models.items():
+            off = (course - mean) / sd
+            parts = "  ".join(f"{rms(part):5.2f}" for part in (*off.T, off))
+            inside = f"{covered(single, days, bands[seeding], sd):.0%}" if name == "wm983b" else ""
+            print(f"{seeding:6d} cells, {name:10s}  {parts}   {inside}")
+    print("Greenspan:", other)
+    draw(days, bands, rivals, HERE / "figures" / "wm983b.png")
+
+
+def rms(off: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def covered(single: Array, days: Array, band: Array, sd: Array) -> float:
+    """Return the part of all values of single spheroids within 1.96 deviations of the model.
+
+    The variance is that of the mean over the posterior and that of spheroids of a day.
+    """
+    rows = np.searchsorted(days, single[:, 0])
+    spread = np.sqrt(band.var(axis=0) + sd**2)[rows]
+    return float((np.abs(single[:, 1:] - band.mean(axis=0)[rows]) <= 1.96 * spread).mean())
+
+
+def draw(days: Array, bands: dict[int, Array], rivals: dict[int, Array], path: Path) -> None:
+    """Draw R, phi and eta over days for all seedings."""
+    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    axes = figure.subplots(3, len(SEEDINGS), sharex=True, sharey="row")
+    titles = ("radius R / µm", "inhibited radius / R", "necrotic radius / R")
+    for column, seeding in enumerate(SEEDINGS):
+        predicted = "" if seeding == FITTED else ", predicted"
+        axes[0, column].set_title(f"{seeding:,} cells seeded{predicted}", fontsize=10)
+        axes[2, column].set_xlabel("day")
+        known = (HERE / "data" / f"wm983b-{seeding}.csv").exists()
+        for row, title in enumerate(titles):
+            ax, values = axes[row, column], bands[seeding][:, :, row]
+            low, high = np.quantile(values, [0.025, 0.975], axis=0)
+            ax.fill_between(days, low, high, color=BLUE, alpha=0.25, lw=0)
+            ax.plot(days, values.mean(axis=0), color=BLUE, label="multicell, 95 % of the fit")
+            ax.plot(days, rivals[seeding][:, row], "--", color=GREY, label="Greenspan 1972")
+            if known:
+                *_, single = measured(seeding)
+                ax.plot(
+                    single[:, 0], single[:, 1 + row], "o", ms=2.5, color=RED, alpha=0.6,
+                    label="single spheroids", zorder=0,
+                )  # fmt: skip
+            if column == 0:
+                ax.set_ylabel(title)
+            ax.grid(alpha=0.3)
+    axes[0, 0].legend(fontsize=8, loc="lower right")
+    figure.savefig(path, dpi=150)
+
+
+if __name__ == "__main__":
+    main()

@@ -31,8 +31,10 @@ if TYPE_CHECKING:
     from multicell.calibration.dose_response_result import DoseResponse
     from multicell.calibration.fit import fit
     from multicell.calibration.fitted import Fit
+    from multicell.calibration.model_comparison import compare_fits
     from multicell.calibration.sensitivity import sensitivity
     from multicell.calibration.sensitivity_result import Sensitivity
+    from multicell.calibration.stored import load_fit
     from multicell.cells import Cells, State
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability_limits.result import StabilityMap
@@ -106,6 +108,7 @@ __all__ = [
     "coarsen",
     "compare",
     "compare_coarse",
+    "compare_fits",
     "dose_response",
     "export",
     "field_problem",
@@ -113,6 +116,7 @@ __all__ = [
     "gradient",
     "growth_law",
     "import_physicell",
+    "load_fit",
     "load_law",
     "load_observable",
     "load_result",
@@ -182,6 +186,8 @@ _LAZY = {
     "sensitivity": "multicell.calibration.sensitivity",
     "Fit": "multicell.calibration.fitted",
     "fit": "multicell.calibration.fit",
+    "load_fit": "multicell.calibration.stored",
+    "compare_fits": "multicell.calibration.model_comparison",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",

@@ -66,11 +66,11 @@ class OdeProblem:
         Raises
         ------
         SceneError
-            With friction between cells, which makes J a full matrix.
+            With friction between cells or a gel, which make J a full matrix.
         """
         from multicell.mechanics.jacobian import sparse_jacobian
 
-        self._refuse_friction()
+        self._refuse_full()
         self.system.linearise(t, _cells(y))
         return sparse_jacobian(self.system)
 
@@ -86,17 +86,20 @@ class OdeProblem:
         Raises
         ------
         SceneError
-            With friction between cells, which makes J a full matrix.
+            With friction between cells or a gel, which make J a full matrix.
         """
         from multicell.mechanics.jacobian import Pattern
 
-        self._refuse_friction()
-        pattern = Pattern.near(_cells(self.y0), self.system.motion, margin)
+        self._refuse_full()
+        pattern = Pattern.near(_cells(self.y0), self.system, margin)
         return pattern.matrix(np.ones(len(pattern.index)))
 
-    def _refuse_friction(self) -> None:
+    def _refuse_full(self) -> None:
         if max(self.system.friction) > 0.0:
             raise SceneError("friction", "makes the Jacobian a full matrix", "Use jv instead.")
+        if getattr(self.system.walls, "shear", None) is not None:
+            problem = "makes the Jacobian a full matrix: the gel couples all cells that it touches"
+            raise SceneError("domain.stiffness", problem, "Use jv instead.")
 
 
 def ode_problem(

@@ -252,7 +252,7 @@ class Simulation(RunState):
         extra |= self._fields.departure(self.cells)
         if self.scene.growth is not None:
             extra |= columns(self.step_error, self.cells, self._fields.content_errors)
-        extra |= self._fields.columns()
+        extra |= self._fields.columns(self.cells)
         if self.scene.motions:
             now = self._motion(self.time, self.time, self.cells.radius)
             extra |= driven.columns(self.plan, self.cells, self.named, self.mechanics, now)

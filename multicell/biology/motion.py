@@ -11,6 +11,7 @@ from multicell.biology import adhesion
 from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
 from multicell.biology.driven import Named, prescribed
+from multicell.biology.inflow import inflow_drag
 from multicell.biology.responding import value_of
 from multicell.cells import Cells, FloatArray
 from multicell.mechanics.motion import Motion
@@ -51,6 +52,11 @@ def motion_of(
     given = prescribed(plan, cells, named or {}, begin, end) if plan.motions else None
     held, velocity = given or (None, None)
     touching = contact_rows(cells, contacts) if plan.contact.remembers else None
+    pushed = push(plan, cells, begin, gradients, end, named, concentrations)
+    dragged = inflow_drag(plan, cells, radius, length)
+    if dragged is not None:
+        pushed = np.zeros((len(cells), 6)) if pushed is None else pushed
+        pushed[:, :3] += dragged
     young = cells.young
     stiffness = value_of(plan, "Young's modulus", 1.0, concentrations, cells, early=True)
     if stiffness is not None:
@@ -58,7 +64,7 @@ def motion_of(
     return Motion(
         cells.radius, rate, young, cells.poisson, begin, end,
         bonds=adhesion.bonds(plan, cells, concentrations, begin, end),
-        push=push(plan, cells, begin, gradients, end, named, concentrations),
+        push=pushed,
         kind=cells.kind if plan.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
         offset_pairs=None if apart is None else apart[0],

@@ -62,6 +62,7 @@ class BiologyPlan:
     - ``elsewhere``: signals that neither fields nor cells carry: time, and numbers of neighbours
     - ``young``, ``young_variation``, ``heritable``, ``drift``, ``reaction_time``: of the cells, in
       kPa and s
+    - ``inflow``: viscosity of the medium that flows in to what is lost, kPa·s; 0: it is at rest
     - ``types``: by name; empty where all cells are alike
     - ``cycle_scale``, ``motility_scale``, ``young_ratio``, (types,) or None: factors of each type;
       None where they are all 1
@@ -93,6 +94,7 @@ class BiologyPlan:
     young_variation: float
     heritable: tuple[str, ...]
     drift: Mapping[str, float]
+    inflow: float
     reaction_time: float
     types: Mapping[str, CellType]
     cycle_scale: FloatArray | None
@@ -147,6 +149,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         young_variation=cells.young_variation,
         heritable=cells.heritable,
         drift=cells.drift or {},
+        inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,
         reaction_time=cells.reaction_time,
         types=scene.types,
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,

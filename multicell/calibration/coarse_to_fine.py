@@ -31,7 +31,7 @@ from multicell.results.documents import Lines
 from multicell.scene.coarsening import coarsen
 
 if TYPE_CHECKING:
-    from multicell.calibration.fit import FitPlan, Progress
+    from multicell.calibration.fit_plan import FitPlan, Progress
     from multicell.calibration.fitted import Fit
     from multicell.cells import FloatArray
 
@@ -119,7 +119,7 @@ def fit_coarse_first(
 
     The folder holds the first fit as ``coarse`` and the result as ``fine``.
     """
-    from multicell.calibration.fit_folder import SEARCH, write_result
+    from multicell.calibration.fit_folder import write_result
 
     note = progress or (lambda what, done, wanted: None)
     fine = plan.problem.simulator
@@ -140,18 +140,16 @@ def fit_coarse_first(
         else:
             folder = Path(output)
         first = fitted("coarse", coarse, "coarse")
-        log = folder / "coarse" / SEARCH
         runs, seconds = _pairs(
             first, coarse, fine, folder / "coarse" / _LOG, note, cores, scheduler
         )
         ratios = _ratios(plan, runs)
-        known = _readings(log)
+        known = dict(first.readings)
         found = fitted(
             "fine", Corrected(coarse, fine, plan.problem.seeds, ratios, known), "corrected"
         )
         seeds = plan.problem.seeds
-        later = _readings(folder / "fine" / SEARCH)
-        made = [key for key in later if key not in known]
+        made = [key for key in found.readings if key not in known]
         counts = {
             "coarse": len(known) + len(runs["coarse"]) + sum(key[2] in seeds for key in made),
             "fine": len(runs["fine"]) + sum(key[2] not in seeds for key in made),
@@ -205,7 +203,7 @@ def _pairs(
     shares, weights = first.sample
     likely = np.interp((np.arange(PAIRS) + 0.5) / PAIRS, np.cumsum(weights), np.arange(len(shares)))
     draws = [tuple(shares[round(float(k))].tolist()) for k in likely]
-    begin = max(first.problem.seeds) + 1 + 2 * MAX_REPEATS
+    begin = max(first.problem.seeds) + 1 + 10 * MAX_REPEATS
     conditions = range(len(first.problem.measured.conditions))
     wanted = {
         (name, (draw, condition, begin + row * BESIDE + k))
@@ -265,14 +263,3 @@ def _ratios(
         np.divide(fine, coarse, out=ratio, where=fine * coarse > 0.0)
         found.append(tuple(ratio.tolist()))
     return tuple(found)
-
-
-def _readings(log: Path) -> dict[Key, Reading]:
-    """Return the readings that the log of a search holds."""
-    found = {}
-    for entry in Lines(log).entries:
-        if "values" in entry:
-            key = (tuple(map(float, entry["shares"])), entry["condition"], entry["seed"])
-            values = tuple(float("nan") if v is None else float(v) for v in entry["values"])
-            found[key] = Reading(values, entry["reason"])
-    return found

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from multicell.errors import DataError, SceneError
+from multicell.scene.oxygen import concentration
 from multicell.scene.scene import Scene
 from multicell.schema import specs
 from multicell.studies.observed import (
@@ -29,12 +30,13 @@ _NO_CONDITIONS: Final = ("title", "seed")
 class Column:
     """One column.
 
-    - ``kind``: ``"time"``, ``"start"``, ``"at"``, ``"value"``, ``"sd"``, ``"sem"``, ``"n"``,
-      ``"condition"``, ``"label"`` or ``"remark"``
-    - ``name``: of the observable, or key of the scene
+    - ``kind``: ``"time"``, ``"start"``, ``"at"``, ``"depth"``, ``"specimen"``, ``"value"``,
+      ``"sd"``, ``"sem"``, ``"n"``, ``"condition"``, ``"label"`` or ``"remark"``
+    - ``name``: of the observable or the field, or key of the scene
     - ``unit``: as the title states it
     - ``base``: base unit of the numbers
     - ``title``: as it stands in the header
+    - ``factor``: mM that a unit of gas is, of a field measured as one; else 0
     """
 
     kind: str
@@ -42,6 +44,7 @@ class Column:
     unit: str
     base: str
     title: str
+    factor: float = 0.0
 
     @property
     def relative(self) -> bool:
@@ -60,10 +63,11 @@ class Column:
             raise DataError(place, f"is {text}, must be a finite number", hint)
         if self.relative:
             return number / 100.0
-        if number < 0.0 and self.kind != "time" and not may_be_negative(self.name):
+        signed = self.kind in ("time", "depth") or may_be_negative(self.name)
+        if number < 0.0 and not signed:
             raise DataError(place, f"is {text}, must not be negative")
-        if not self.base:
-            return number
+        if self.factor or not self.base:
+            return number * (self.factor or 1.0)
         return _convert(f"{number!r} {self.unit}", self.base, place)
 
     def of_scene(self, text: str) -> Any:
@@ -115,10 +119,12 @@ def _column(title: str, scene: Scene, table: str) -> Column:
         raise DataError(place, "is a column without a name")
     if title.endswith("/"):
         raise DataError(place, "has a '/' and no unit after it")
-    if name in ("time", "start"):
-        return _with_unit(name, name, unit, "s", title, place)
-    if name == "label":
-        return Column("label", name, "", "", title)
+    if name in ("time", "start", "depth"):
+        return _with_unit(name, name, unit, "um" if name == "depth" else "s", title, place)
+    if title == "day":
+        return Column("time", "time", "d", "s", title)
+    if name in ("label", "specimen"):
+        return _with_unit(name, name, unit, "", title, place)
     if name.startswith("at "):
         name = name.removeprefix("at ").strip()
         return _with_unit("at", name, unit, _unit_in(name, in_history(scene), place), title, place)
@@ -127,10 +133,29 @@ def _column(title: str, scene: Scene, table: str) -> Column:
         base = "" if kind == "n" else _unit_of(stem, scene, place)
         if kind != "n" and unit == "%":
             return Column(kind, stem, unit, base, title)
-        return _with_unit(kind, stem, unit, base, title, place)
+        return _measured(kind, stem, unit, base, title, place, scene)
     if _is_key(name, scene):
         return _condition(name, unit, title, place)
-    return _with_unit("value", name, unit, _unit_of(name, scene, place), title, place)
+    return _measured("value", name, unit, _unit_of(name, scene, place), title, place, scene)
+
+
+def _measured(
+    kind: str, name: str, unit: str, base: str, title: str, place: str, scene: Scene
+) -> Column:
+    """Return a column of measured numbers or their errors; oxygen may be a pressure or in %."""
+    if kind != "n" and name in fields_of(scene):
+        try:
+            found = concentration(f"1 {unit}", name, place, scene.nutrients)
+        except SceneError as error:
+            raise DataError(place, error.problem, error.hint) from None
+        if not isinstance(found, str):
+            return Column(kind, name, unit, base, title, found)
+    return _with_unit(kind, name, unit, base, title, place)
+
+
+def fields_of(scene: Scene) -> dict[str, str]:
+    """Return the base unit of what can be measured at a depth: the fields of a scene."""
+    return dict.fromkeys(scene.nutrients, "mM")
 
 
 def _condition(name: str, unit: str, title: str, place: str) -> Column:
@@ -153,7 +178,7 @@ def _unit_of(name: str, scene: Scene, place: str) -> str:
 
     One that the scene has under other conditions only is taken here, and checked with its rows.
     """
-    known = in_history(scene) | at_the_end(scene)
+    known = fields_of(scene) | in_history(scene) | at_the_end(scene)
     if name in known:
         return known[name]
     if is_known_elsewhere(name) and name.startswith(("hypoxic_radius_", "medium_", "ledger.")):

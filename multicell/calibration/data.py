@@ -8,11 +8,14 @@ by its title, ``NAME / UNIT`` (or ``NAME [UNIT]``)::
     96,       370,           19,               4409,  0.2
 
 =====================  ===========================================================================
-``time / h``           when it was measured; empty: at the end of the run
+``time / h``           when it was measured; empty: at the end of the run. ``day`` is ``time / d``
 ``start / h``          age of the culture, on the clock of ``time``, at which the run begins
 ``at diameter / um``   instead of a time: when this observable first has this value
 an observable          any number of a run's history; of its summary for rows without a time.
                        An empty field was not measured
+a field                concentration at a depth, mean over the shell there; oxygen also ``/ mmHg``
+``depth / um``         of such a row: below the surface, negative in the medium
+``specimen``           name of the specimen of the row (see below)
 ``diameter sd / um``   error of measuring one tissue, as a standard deviation; ``/ %`` of the value
 ``diameter n``         how many tissues the value is the mean of: their errors and their scatter
                        over the seeds of runs count as 1/n
@@ -25,9 +28,12 @@ a key of the scene     the conditions of the row
 Rows with the same conditions, time and observable are replicates: one datum, their mean, with as
 many tissues as there are rows. Tissues of different times are taken to be the same ones: their
 scatter is correlated over time as that of runs is. Where others were measured each time, a standard
-error of the mean says so, as it counts as independent. The error of a length of 0, such as a core
-that has not begun, is the radius of a cell at division where the table states it as a part of the
-value or not at all. Lines that begin with ``#`` are remarks. What a datum is compared with, and in
+error of the mean says so, as it counts as independent; or a column ``specimen``: rows of one name
+are the same specimen, each row without a name is another one (``specimens="single"``: all are).
+Then the scatter of specimens is what the rows show (:mod:`multicell.calibration.specimens`). The
+error of a length of 0, such as a core that has not begun, is the radius of a cell at division where
+the table states it as a part of the value or not at all; over the radius of the tissue where it is
+a part of that. Lines that begin with ``#`` are remarks. What a datum is compared with, and in
 which unit of deviation, is settled here too (:class:`Datum`).
 """
 
@@ -38,11 +44,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, final
 
-from multicell.calibration.columns import Column, columns_of
+from multicell.calibration.columns import Column, columns_of, fields_of
+from multicell.calibration.specimens import group
 from multicell.errors import DataError, SceneError
 from multicell.results.observable import represented
 from multicell.scene.scene import Scene
-from multicell.schema import leaves
+from multicell.schema import chosen, leaves
 from multicell.studies.observed import at_the_end, in_history, suggest
 from multicell.tables.fields import Table, read_table
 from multicell.units import to_base
@@ -51,6 +58,12 @@ MAX_BYTES: Final = 10_000_000  # of a file of measured data
 
 ASSUMED: Final = 0.1
 """Relative standard deviation of data that come without one, unless another one is given."""
+
+SPECIMENS: Final = ("same", "single")
+"""What rows without a name of a specimen are: the same tissues at all times, or one each."""
+
+_OF_RADIUS: Final = ("inhibited_ratio", "necrotic_ratio")
+"""Lengths over the radius of the tissue, which are as uncertain as a cell's radius over it."""
 
 
 @final
@@ -71,6 +84,9 @@ class Datum:
     - ``place``: row in the source, in words
     - ``tissues``: how many tissues the value is the mean of; infinite where ``sigma`` holds their
       scatter
+    - ``depth``: below the surface in µm, of a field; None for other observables
+    - ``specimens``: names of the specimens whose mean it is, each with what it was found to be
+      above the mean (on the scale of comparison); empty where no names are known
     """
 
     observable: str
@@ -83,6 +99,13 @@ class Datum:
     condition: int
     place: str
     tissues: float = 1.0
+    depth: float | None = None
+    specimens: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def column(self) -> str:
+        """Name in the history of a fit's runs, which have a column for each depth."""
+        return self.observable if self.depth is None else f"{self.observable} at {self.depth:g} um"
 
     @property
     def deviation(self) -> float:
@@ -141,7 +164,12 @@ class Measured:
 
 
 def read_data(
-    source: Any, scene: Scene, *, start: float | str | None = None, sd: float = ASSUMED
+    source: Any,
+    scene: Scene,
+    *,
+    start: float | str | None = None,
+    sd: float = ASSUMED,
+    specimens: str = "same",
 ) -> Measured:
     """Read measured data of a scene.
 
@@ -151,6 +179,7 @@ def read_data(
       scene's end or after it; where a row has no time, with the scene.
     - ``start``: time of the data at which runs begin, in s or with a unit, where no column says so
     - ``sd``: relative standard deviation of data without one
+    - ``specimens``: ``"single"``: each row is another specimen, measured once
 
     Raises DataError with row and column, for a title without a unit, a column that is no observable
     of the scene and no key of it, text or NaN in place of a number, a standard deviation that is
@@ -159,8 +188,9 @@ def read_data(
     if not (isinstance(sd, int | float) and 0.0 < sd < math.inf):
         raise DataError("sd", f"is {sd!r}, must be a relative standard deviation above 0")
     table = source if isinstance(source, Table) else read_table(source, MAX_BYTES)
+    chosen(specimens, SPECIMENS, "specimens")
     columns = columns_of(table, scene)
-    rows = _Rows(table, columns, scene, start, float(sd))
+    rows = _Rows(table, columns, scene, start, float(sd), single=specimens == "single")
     for number in range(len(table.rows)):
         rows.read(number)
     return rows.measured()
@@ -177,6 +207,8 @@ class _Rows:
         scene: Scene,
         start: float | str | None,
         sd: float,
+        *,
+        single: bool,
     ) -> None:
         self._table = table
         self._columns = columns
@@ -184,6 +216,7 @@ class _Rows:
         self._scene = scene
         self._sd = sd
         self._start = self._checked_start(start)
+        self._has_specimens = single or any(column.kind == "specimen" for column in columns)
         self._keys: dict[tuple[tuple[str, Any], ...], int] = {}
         self._labels: list[str] = []
         self._scenes: list[Scene] = []
@@ -194,7 +227,9 @@ class _Rows:
         condition = self._condition(row)
         time, at = self._when(row)
         scene = self._scenes[condition]
-        timed, known = in_history(scene), in_history(scene) | at_the_end(scene)
+        fields, timed = fields_of(scene), in_history(scene)
+        known = fields | timed | at_the_end(scene)
+        depth, _ = self._field(row, "depth", "depth") or (None, 0)
         found = 0
         for place, column in enumerate(self._columns):
             if column.kind != "value" or not self._text(row, place):
@@ -203,14 +238,21 @@ class _Rows:
             if column.name not in known:
                 problem = f"'{column.name}' is no observable of the scene under these conditions"
                 raise DataError(where, problem, suggest(column.name, known))
-            if column.name not in timed and (time is not None or at is not None):
+            if (column.name in fields) != (depth is not None):
+                problem = "has a depth, and is no field" if depth is not None else "has no depth"
+                hint = "A field has a value at a 'depth / um', other observables have none."
+                raise DataError(where, problem, hint)
+            if column.name not in fields | timed and (time is not None or at is not None):
                 raise DataError(
                     where,
                     f"'{column.name}' is known at the end of a run only",
                     "Leave the time of this row empty.",
                 )
             value = self._number(row, place)
-            self._data.append(self._datum(row, column, value, where, condition, time, at))
+            datum = self._datum(row, column, value, where, condition, time, at)
+            name = f"{condition} {self._specimen(row)}" if self._has_specimens else ""
+            alone = ((name, 0.0),) if name else ()
+            self._data.append(replace(datum, depth=depth, specimens=alone))
             found += 1
         if found == 0:
             raise DataError(self._where(row), "has no measured value")
@@ -223,7 +265,8 @@ class _Rows:
         )
         known = self._all_units()
         units = {d.observable: known[d.observable] for d in self._data}
-        return Measured(tuple(_group(self._data)), conditions, units, self._table.name)
+        data = group(self._data, self._table.name)
+        return Measured(tuple(data), conditions, units, self._table.name)
 
     def _datum(
         self, row: int, column: Column, value: float, where: str, condition: int,
@@ -235,6 +278,9 @@ class _Rows:
         if mean is not None and (given is not None or count is not None):
             problem = f"has both '{column.name} sem' and '{column.name} sd' or '{column.name} n'"
             raise DataError(where, problem, "The error of the mean stands in place of both.")
+        if self._has_specimens and (mean is not None or count is not None):
+            problem = f"has a '{column.name} sem' or '{column.name} n', and is a single specimen"
+            raise DataError(where, problem, "Rows of means have no specimens.")
         tissues = math.inf if mean is not None else count or 1.0
         given = mean or given
         relative = given[0] if given is not None and given[1] else None
@@ -242,10 +288,11 @@ class _Rows:
             relative = self._sd
         log = column.name == "cells" and relative is not None
         if relative is not None and value == 0.0:
-            if log or column.base != "um":
+            size = 1.0 if column.base == "um" else self._radius(row, column.name)
+            if log or size is None:
                 raise DataError(where, "is 0, of which a relative standard deviation says nothing",
                                 f"Add a column '{column.name} sd' with its unit.")  # fmt: skip
-            sigma = self._scenes[condition].cells.division_radius
+            sigma = self._scenes[condition].cells.division_radius / size
         elif relative is None:
             assert given is not None
             sigma = given[0]
@@ -255,6 +302,20 @@ class _Rows:
             column.name, value, sigma / math.sqrt(count or 1.0), log, given is None, time, at,
             condition, self._table.places[row], tissues,
         )  # fmt: skip
+
+    def _radius(self, row: int, name: str) -> float | None:
+        """Return what a length that is stated as a part of the radius is a part of, µm."""
+        found = (self._field(row, "value", wanted) for wanted in ("radius", "diameter"))
+        radius, diameter = (None if x is None else x[0] for x in found)
+        if name not in _OF_RADIUS:
+            return None
+        return radius or (0.5 * diameter if diameter else None)
+
+    def _specimen(self, row: int) -> str:
+        """Return the name of a row's specimen."""
+        place = self._places.get(("specimen", "specimen"))
+        named = "" if place is None else self._text(row, place)
+        return named or self._table.places[row]
 
     def _field(self, row: int, kind: str, name: str) -> tuple[float, int] | None:
         """Return the number in a column and its place; None without a column or a value."""
@@ -387,7 +448,7 @@ class _Rows:
     def _all_units(self) -> dict[str, str]:
         known: dict[str, str] = {}
         for scene in self._scenes:
-            known |= in_history(scene) | at_the_end(scene)
+            known |= fields_of(scene) | in_history(scene) | at_the_end(scene)
         return known
 
     def _checked_start(self, start: float | str | None) -> float:
@@ -415,31 +476,3 @@ class _Rows:
         if place is not None:
             parts.append(f"'{self._columns[place].title}'")
         return ", ".join(parts)
-
-
-def _group(data: Sequence[Datum]) -> list[Datum]:
-    """Return data in which replicates are one: the mean, with the error of that mean.
-
-    Replicates are weighted by their tissues, or by 1/σ² where σ holds the scatter of tissues.
-    """
-    groups: dict[tuple[Any, ...], list[Datum]] = {}
-    for datum in data:
-        means = math.isinf(datum.tissues)
-        key = datum.observable, datum.condition, datum.time, datum.at, datum.log, means
-        groups.setdefault(key, []).append(datum)
-    return [_merge(group) if len(group) > 1 else group[0] for group in groups.values()]
-
-
-def _merge(group: Sequence[Datum]) -> Datum:
-    """Return the mean of replicates."""
-    first = group[0]
-    weights = [d.sigma**-2 if math.isinf(d.tissues) else d.tissues for d in group]
-    pairs = list(zip(weights, group, strict=True))
-    mean = sum(w * d.scaled(d.value) for w, d in pairs) / sum(weights)
-    error = math.sqrt(sum((w * d.sigma) ** 2 for w, d in pairs)) / sum(weights)
-    places = f"{first.place} and {len(group) - 1} more"
-    return replace(
-        first, value=math.exp(mean) if first.log else mean, sigma=error,
-        assumed=any(d.assumed for d in group), place=places,
-        tissues=sum(d.tissues for d in group),
-    )  # fmt: skip

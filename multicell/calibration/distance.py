@@ -11,7 +11,8 @@ the synthetic likelihood of Wood (2010, Nature 466, 1102), with K so small that 
 counts. The logarithm keeps parameters from being preferred because they make runs scatter. With one
 run, s² is unknown and taken as none. Of a datum that is the mean of n tissues (σ is then the error
 of that mean), the tissues' share is s²/n in place of s²; of one with a standard error of the mean,
-which holds the scatter of tissues already, it is none.
+which holds the scatter of tissues already, it is none. Unknown scatter of the data adds to v
+(:mod:`multicell.calibration.noise`).
 
 Of a few runs s² itself is uncertain: two that happen to agree would make a datum seem sure. So each
 one is moderated by what the data of the same observable and condition have on average, as if that
@@ -25,12 +26,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.data import Datum
+from multicell.calibration.noise import Array as Array
+from multicell.calibration.noise import Noise
+
+if TYPE_CHECKING:
+    from multicell.calibration.data import Datum
 
 ABSENT: Final = 100.0
 """Standard deviations that a datum counts for of which a run has nothing.
@@ -40,8 +45,6 @@ Such are the rim at a size that the tissue never reaches, and all data of a run 
 
 PRIOR: Final = 4.0
 """Degrees of freedom that the mean scatter of an observable counts for beside that of one datum."""
-
-Array = NDArray[np.float64]
 
 
 @final
@@ -100,15 +103,14 @@ def misfit(
     sigma: Array,
     runs: Array,
     groups: tuple[NDArray[np.int64], Array] | None = None,
-    tissues: Array | float = 1.0,
+    noise: Noise | None = None,
 ) -> Misfit:
     """Compare runs that differ in their random numbers with data.
 
     - ``observed``, ``sigma``, (n,): data and their standard deviations
     - ``runs``, (K, n): readings on the same scales, NaN where a run has nothing
     - ``groups``: which data share their scatter (:func:`groups_of`); None: none do
-    - ``tissues``, (n,): how many tissues each datum is the mean of; infinite where σ holds their
-      scatter
+    - ``noise``: of the data; None: each is measured on a tissue, with independent errors
     """
     count = len(runs)
     means = runs.mean(axis=0)
@@ -118,10 +120,14 @@ def misfit(
         scatter = np.where(known, runs.var(axis=0, ddof=1), 0.0)
         if groups is not None:
             scatter = _moderate(scatter, known, count - 1.0, *groups)
-    total = sigma**2 + scatter * (1.0 / tissues + 1.0 / count)
-    residuals = np.where(known, (means - observed) / np.sqrt(total), ABSENT)
-    loss = float((residuals**2 + np.log(total / sigma**2)).sum())
-    return Misfit(means, scatter, residuals, loss)
+    noise = noise or Noise.of_means(np.ones(len(observed)))
+    away = np.where(known, (means - observed) / sigma, ABSENT)
+    more = scatter / sigma**2 * (np.diag(noise.shared) + 1.0 / count)
+    total = np.diag(noise.errors) + more + noise.unknown(np.where(known, away, 0.0), more)
+    residuals = np.where(known, away / np.sqrt(total), ABSENT)
+    # what is absent counts as it is, however runs scatter elsewhere
+    away = np.where(known, away, ABSENT * np.sqrt(total))
+    return Misfit(means, scatter, residuals, float(noise.loss(away[None], more)[0]))
 
 
 def _moderate(

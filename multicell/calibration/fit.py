@@ -4,39 +4,34 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
+from multicell.calibration.fit_plan import FitPlan, Progress, fresh_runs, make_runs
 from multicell.calibration.fitted import Fit
 from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
 from multicell.calibration.likelihood import MIN_REPEATS
-from multicell.calibration.pool import Pool, open_pool
-from multicell.calibration.problem import Problem, problem_of, ranges_of
+from multicell.calibration.noise import SCATTERS
+from multicell.calibration.pool import open_pool
+from multicell.calibration.problem import Problem, free_of, problem_of
+from multicell.calibration.profiles import MIN_RUNS
+from multicell.calibration.stored import reusable
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
 from multicell.studies.limits import MAX_POINTS, MAX_RUNS, check_runs, check_seeds, whole
-from multicell.tables.fields import Table, read_table
+from multicell.tables.fields import read_table
 from multicell.units import to_base
 
 if TYPE_CHECKING:
-    from multicell.calibration.fresh import Fresh
-    from multicell.calibration.posterior import Draws
-    from multicell.calibration.search import Evaluation
     from multicell.calibration.simulator import Simulator
     from multicell.scene.scene import Scene
 
 METHODS: Final = ("best", "posterior")
 _LEAST: Final = 10  # sets of parameters that a search must be able to try
-_SEARCHED: Final = 0.8  # part of a budget of time that the search takes; the rest is for fresh runs
-
-Progress = Callable[[str, int, int], None]
-"""Called with the stage, how much of it is done and how much is wanted."""
 
 
 def fit(
@@ -48,10 +43,15 @@ def fit(
     method: str = "best",
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
+    profile_runs: int = 0,
     budget: int | str | None = None,
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    specimens: str = "same",
+    scatter: str = "stated",
+    constraints: Sequence[str] = (),
+    reuse: str | Path | None = None,
     coarse: float = 1.0,
     cores: int | None = None,
     scheduler: str | None = None,
@@ -69,8 +69,11 @@ def fit(
         CSV file, ``DataFrame`` or mapping of titles to columns, with units in the titles; see
         :mod:`multicell.calibration.data`.
     free
-        Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values. Within it
-        all values are equally likely beforehand (on a logarithmic range: all ratios).
+        Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values, in which
+        all values are equally likely beforehand (on a logarithmic range: all ratios); or its
+        distribution, as ``"norm(18 h, 2 h)"``, ``"lognorm(median=0.02 mM/s, sigma=0.3)"``,
+        ``"norm(18 h, 2 h) in 10:30 h"``, ``(scipy.stats.norm(18, 2), "h")``: see
+        :mod:`multicell.calibration.priors`.
     output
         Folder for everything. The same fit in the same folder continues: nothing is run twice,
         and a larger budget adds to what is there.
@@ -83,6 +86,9 @@ def fit(
     repeats
         Runs with fresh random numbers at the best point, from which the intervals of a search have
         the scatter of runs; 8 to 16 are sensible.
+    profile_runs
+        Runs at each end of each parameter's profile interval, which check the emulator there; 4 are
+        sensible, by default none. They may be added to a fit that is done.
     budget
         Number of runs, or a time such as ``"2 h"``, in all. By default as many runs as the number
         of free parameters asks for.
@@ -92,6 +98,18 @@ def fit(
         Time of the data at which runs begin, where no column ``start`` says so.
     sd
         Relative standard deviation of data that come without one.
+    specimens
+        ``"single"``: each row is another specimen, measured once, also without a column that
+        says so.
+    scatter
+        ``"unknown"``: what data scatter beyond runs and their stated errors is estimated with the
+        parameters, relative to the values of each observable. With ``method="best"``.
+    constraints
+        What must hold between free parameters, as ``"death.necrosis < 0.5 * KEY"``.
+    reuse
+        Folder of another fit of the same scene and free parameters, whose search serves this one
+        too; its data are at least these, with whatever values and ranges. What is tried comes on
+        top of that.
     coarse
         Search with runs of the scene that is coarse by this factor (:func:`multicell.coarsen`),
         corrected by fine runs at draws from the intervals; runs with fresh seeds are fine. See
@@ -121,79 +139,14 @@ def fit(
         If no run gives anything to compare, or a budget ends before there is a result.
     """
     plan = plan_of(
-        scene, data, free, method=method, seeds=seeds, repeats=repeats, budget=budget,
-        population=population, start=start, sd=sd, coarse=coarse, simulator=simulator,
+        scene, data, free, method=method, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
+        budget=budget, population=population, start=start, sd=sd, specimens=specimens,
+        scatter=scatter, constraints=constraints, reuse=reuse, coarse=coarse, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
         progress=progress,
     )  # fmt: skip
-
-
-@final
-@dataclass(frozen=True)
-class FitPlan:
-    """A fit that was checked and not begun.
-
-    - ``points``: sets of parameters that the search will try
-    - ``draws``: most draws of the posterior
-    - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
-    - ``coarse``: factor of the coarse runs that search first; 1 where there are none
-    """
-
-    problem: Problem
-    scene: Scene
-    table: Table
-    method: str
-    points: int
-    draws: int
-    seconds: float
-    population: int
-    sd: float
-    repeats: int
-    coarse: float = 1.0
-
-    @property
-    def runs(self) -> int:
-        """How many runs there will be at most."""
-        return self._planned_runs + self.draws * self._conditions
-
-    @property
-    def _planned_runs(self) -> int:
-        """How many runs are not draws: those of the search, and fresh ones."""
-        each = len(self.problem.tasks())
-        return self.points * each + _fresh_runs(self.method, self.repeats) * self._conditions
-
-    @property
-    def _conditions(self) -> int:
-        return len(self.problem.measured.conditions)
-
-    def describe(self) -> dict[str, Any]:
-        """Return what decides all numbers of the fit."""
-        from multicell.calibration.fit_folder import describe
-
-        times = [datum.time for datum in self.problem.measured.data]
-        options = {"sd": self.sd, "population": self.population, "times": times}
-        options |= getattr(self.problem.simulator, "stated", {})
-        return describe(self.problem, self.scene, self.table, options)
-
-    def left(self, folder: str | Path | None) -> tuple[int, float]:
-        """Return how many runs are left at most, and the time on one core in s that they take."""
-        from multicell.calibration.fit_folder import work_done
-        from multicell.studies.cost import cost_of
-
-        if self.coarse != 1.0:
-            from multicell.calibration.coarse_to_fine import expected
-
-            return expected(self)
-        runs, draws, finished = (
-            (0, 0, False) if folder is None else work_done(folder, self.describe())
-        )
-        searched = max(0, self._planned_runs - runs)
-        drawn = 0 if finished else max(0, self.draws - draws)
-        each = [cost_of(c.scene).seconds for c in self.problem.measured.conditions]
-        count = searched + drawn * self._conditions
-        return count, float(sum(each) / len(each) * count)
 
 
 def plan_of(
@@ -204,10 +157,15 @@ def plan_of(
     method: str = "best",
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
+    profile_runs: int = 0,
     budget: int | str | None = None,
     population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
+    specimens: str = "same",
+    scatter: str = "stated",
+    constraints: Sequence[str] = (),
+    reuse: str | Path | None = None,
     coarse: float = 1.0,
     simulator: Simulator | None = None,
 ) -> FitPlan:
@@ -217,32 +175,43 @@ def plan_of(
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     chosen(method, METHODS, "method")
+    chosen(scatter, SCATTERS, "scatter")
+    if scatter == "unknown" and method == "posterior":
+        raise SceneError("scatter", "is 'unknown', which needs the method 'best'")
     seeds = check_seeds(seeds, scene.seed)
     whole(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
+    if profile_runs and method != "best":
+        raise SceneError("profile_runs", f"has no meaning with method '{method}'")
+    if profile_runs:
+        hint = "It is the number of runs at each end of an interval; 0 makes none."
+        whole("profile_runs", profile_runs, MIN_RUNS, repeats, hint)
     whole("population", population, 10, MAX_POINTS, "It is the number of draws in a generation.")
     table = read_table(data, MAX_BYTES)
-    measured = read_data(table, scene, start=start, sd=sd)
-    ranges = ranges_of(free, measured)
+    measured = read_data(table, scene, start=start, sd=sd, specimens=specimens)
+    ranges, prior = free_of(free, measured, constraints)
     check_runs(len(measured.conditions), seeds)
-    problem = problem_of(measured, ranges, seeds, scene.seed, simulator)
-    fresh = _fresh_runs(method, repeats)
+    problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
+    fresh = fresh_runs(method, repeats, profile_runs, problem)
     points, draws, seconds = _spend(problem, method, budget, population, fresh)
     if coarse != 1.0:
         from multicell.calibration.coarse_to_fine import coarse_simulator
 
-        if method != "best" or isinstance(budget, str):
-            raise SceneError("coarse", "needs the method 'best' and a budget in runs")
+        if method != "best" or isinstance(budget, str) or reuse is not None:
+            words = "needs the method 'best', a budget in runs, and no other fit to reuse"
+            raise SceneError("coarse", words)
         coarse_simulator(problem.simulator, coarse)
+    request = {"start": start, "constraints": list(constraints)}
+    adopted: Sequence[Mapping[str, Any]] = ()
+    if reuse is not None:
+        if method != "best":
+            raise SceneError("reuse", f"has no meaning with method '{method}'")
+        adopted = reusable(problem, reuse)
     return FitPlan(
-        problem, scene, table, method, points, draws, seconds, population, sd, repeats, coarse
-    )
-
-
-def _fresh_runs(method: str, repeats: int) -> int:
-    """Return how many runs of each condition have fresh seeds."""
-    return repeats + (CHECKS if method == "best" else 0)
+        problem, scene, table, method, points, draws, seconds, population, sd, repeats,
+        specimens, profile_runs, request, adopted, coarse,
+    )  # fmt: skip
 
 
 def _spend(
@@ -298,60 +267,39 @@ def carry_out(
         )  # fmt: skip
     from multicell.calibration.fit_folder import open_folder, write_result
 
-    progress = progress or (lambda what, done, wanted: None)
     with ExitStack() as stack:
         folder = None
         if output is not None:
-            folder = stack.enter_context(
-                open_folder(output, plan.describe(), plan.scene, plan.table, overwrite=overwrite)
-            )
+            opened = open_folder(
+                output, plan.describe(), plan.scene, plan.table, overwrite=overwrite,
+                request=plan.request,
+            )  # fmt: skip
+            folder = stack.enter_context(opened)
         begin = clock.monotonic()
         with open_pool(cores, scheduler) as pool:
-            evaluations, draws, again = _make_runs(plan, folder, pool, begin, progress)
+            made = make_runs(plan, folder, pool, begin, progress or (lambda *state: None))
+        draws = made.draws
         facts = {
             "method": plan.method,
             "sd": plan.sd,
+            "specimens": plan.specimens,
+            "scatter": plan.problem.scatter,
             "seeds": list(plan.problem.seeds),
-            "sets_of_parameters": len(evaluations),
+            "repeats": plan.repeats,
+            "sets_of_parameters": len(made.evaluations) - made.reused,
+            "reused": made.reused,
             "draws": 0 if draws is None else draws.drawn,
             "generations": 0 if draws is None else draws.generations,
             "temperature": None if draws is None else draws.temperature,
-            "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
+            "fresh_runs": plan.repeats if made.fresh.checks is None else plan.repeats + CHECKS,
+            "profile_runs": len(made.ends) * plan.profile_runs,
             "seconds": clock.monotonic() - begin,
         }
-        found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts, again)
+        found = Fit(
+            plan.problem, plan.scene, made.evaluations, draws, folder, facts, made.fresh,
+            made.ends, made.readings,
+        )  # fmt: skip
         if folder is not None:
             write_result(found, folder)
             found.report()
         return found
-
-
-def _make_runs(
-    plan: FitPlan, folder: Path | None, pool: Pool, begin: float, progress: Progress
-) -> tuple[list[Evaluation], Draws | None, Fresh]:
-    """Make all runs of a fit that are not there."""
-    from multicell.calibration.fit_folder import SEARCH
-    from multicell.calibration.fresh import fresh
-    from multicell.calibration.posterior import posterior
-    from multicell.calibration.search import Search
-
-    def note_draws(generation: int, accepted: int, wanted: int, drawn: int) -> None:
-        of = "calibration" if generation < 0 else f"generation {generation + 1}"
-        progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
-
-    search = Search(plan.problem, None if folder is None else folder / SEARCH)
-    evaluations: list[Evaluation] = []
-    draws: Draws | None = None
-    if plan.method == "best":
-        evaluations = search.run(
-            pool, plan.points, deadline=begin + _SEARCHED * plan.seconds,
-            progress=partial(progress, "runs of the search"),
-        )  # fmt: skip
-    else:
-        draws = posterior(
-            plan.problem, pool, folder=folder, population=plan.population, most=plan.draws,
-            deadline=begin + plan.seconds, progress=note_draws,
-        )  # fmt: skip
-    note = partial(progress, "fresh runs")
-    again = fresh(plan.problem, search, pool, search.emulator(), draws, plan.repeats, note)
-    return evaluations, draws, again

@@ -36,8 +36,8 @@ SEARCH: Final = "search.log"  # points and readings of the search, and of fresh 
 _JOURNAL: Final = "posterior.journal"
 FILES: Final = (
     FIT, "scene.toml", "data.csv", SEARCH, "posterior.db", _JOURNAL,
-    "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
-    "parameters.png", *COPIES,
+    "result.json", "best.toml", "posterior.csv", "residuals.csv", "runs.csv", "report.html",
+    "data.png",    "parameters.png", "profiles.png", *COPIES,
 )  # fmt: skip
 _PACKAGES: Final = ("optuna", "pyabc", "distributed", "pandas", "scikit-learn")
 
@@ -55,6 +55,7 @@ def describe(
             for free in problem.ranges
         },
         "seeds": list(problem.seeds),
+        **problem.prior.describe(),
         **options,
     }
 
@@ -67,8 +68,11 @@ def open_folder(
     table: Table,
     *,
     overwrite: bool = False,
+    request: Mapping[str, Any] | None = None,
 ) -> Iterator[Path]:
     """Make the folder of a fit, or open that of the same fit, and keep other processes out of it.
+
+    - ``request``: what else opens it again (:func:`multicell.calibration.stored.load_fit`)
 
     Raises OutputError if the folder holds something else and may not be overwritten, another
     process works on it, or it cannot be used.
@@ -90,7 +94,7 @@ def open_folder(
         if overwrite:
             remove(folder, FILES)
         if _read_fit(folder) is None:
-            entry = {"multicell": package_version(), "problem": asked}
+            entry = {"multicell": package_version(), "problem": asked, "request": request or {}}
             kept = with_copy(scene, folder)
             write_text(folder / "scene.toml", kept.to_toml(beside=folder))
             write_text(folder / "data.csv", csv_text(table.titles, table.rows))
@@ -108,7 +112,7 @@ def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int,
     if known is None or known.get("problem") != json.loads(to_json(problem)):
         return 0, 0, False
     log, database, journal = (folder / name for name in (SEARCH, "posterior.db", _JOURNAL))
-    runs = sum("values" in entry for entry in Lines(log).entries)
+    runs = sum("values" in e and not e.get("reused") for e in Lines(log).entries)
     draws = len(Lines(journal).entries)
     finished = False
     if database.is_file():
@@ -131,10 +135,11 @@ def write_result(fit: Fit, folder: Path) -> None:
     Raises OutputError if it cannot be written.
     """
     about = {**versions(), **{name: package_version(name) for name in _PACKAGES}}
-    write_text(folder / "result.json", to_json({**fit.summary(), "versions": about}) + "\n")
+    write_table(folder / "result.json", {**fit.summary(), "versions": about})
     best = with_copy(fit.best.scene, folder)
     write_text(folder / "best.toml", best.to_toml(beside=folder))
     write_text(folder / "residuals.csv", table_text(fit.rows()))
+    write_text(folder / "runs.csv", table_text(fit.run_rows()))
     if fit.sample is not None:
         frame = fit.posterior
         units = frame.attrs["units"]

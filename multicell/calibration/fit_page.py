@@ -23,6 +23,10 @@ _POSTERIOR: Final = (
     "Posterior of the parameters; axes are the ranges searched, or of narrow posteriors a part of "
     "them. Red: best. Dashed: before the data. Dotted: ends of 95 % intervals."
 )
+_PROFILES: Final = (
+    "Profile likelihoods by the emulator: how much worse the data are fitted at best where one "
+    "parameter has a given value."
+)
 
 
 def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
@@ -43,6 +47,7 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         pictures={
             "data.png": (fit.plot.data, _DATA),
             "parameters.png": (fit.plot.parameters, _POSTERIOR),
+            **({"profiles.png": (fit.plot.profiles, _PROFILES)} if fit.profiles else {}),
         },
         parameters=parameters_in_words(fit),
         undetermined=[str(entry) for entry in fit.undetermined],
@@ -50,7 +55,36 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         notes=fit.notes,
         emulated=fit.kind == "emulated",
         rows=_rows(fit),
+        ends=_ends(fit),
+        checked=_checked(fit),
     )
+
+
+def _checked(fit: Fit) -> str:
+    """Return what posterior predictive checks say in words."""
+    if fit.sample is None:
+        return ""
+    found = fit.predictive_check()
+    return (
+        f"Data replicated from the posterior have a larger χ² than the data with probability "
+        f"{found.chi_squared:.2g}, and a larger deviation of a single datum with probability "
+        f"{found.largest:.2g}; {found.outside} of {len(found.table)} data are outside the interval "
+        "of 95 % of their replicates. Probabilities near 0 speak against the model, or against the "
+        "standard deviations."
+    )
+
+
+def _ends(fit: Fit) -> list[dict[str, str]]:
+    """Return what runs say at the ends of profile intervals in words."""
+    rows = []
+    for end in fit.ends:
+        profile, free = fit.profiles[end.number], fit.problem.ranges[end.number]
+        value = free.value(float(profile.ends[end.side, end.number]))
+        rows.append({
+            "key": free.key, "value": in_words(value, free.unit),
+            "claimed": f"{end.claimed:.3g}", "found": f"{end.found:.3g} ± {end.error:.2g}",
+        })  # fmt: skip
+    return rows
 
 
 def _subtitle(fit: Fit) -> str:
@@ -65,7 +99,7 @@ def _tiles(fit: Fit) -> dict[str, str]:
     best = {f"best {key}": words for key, words in list(fit.best.words.items())[:4]}
     conditions = len(fit.problem.measured.conditions)
     runs = fit.facts["sets_of_parameters"] * len(fit.problem.tasks())
-    runs += (fit.facts["draws"] + fit.facts["fresh_runs"]) * conditions
+    runs += (fit.facts["draws"] + fit.facts["fresh_runs"] + fit.facts["profile_runs"]) * conditions
     return {
         **best,
         "χ² per datum": f"{fit.best.per_datum:.3g}",

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from multicell.calibration.distance import Array
+from multicell.calibration.priors import values_at
 from multicell.calibration.verdict import quantiles
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, blank, counts, styled
 from multicell.report.wording import TimeUnit, time_unit
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from multicell.calibration.data import Datum
     from multicell.calibration.fitted import Fit
     from multicell.studies.axes import Range
+    from multicell.studies.plots import StudyPlots
 
 _COLOURS: Final = (
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
@@ -48,6 +50,17 @@ class FitPlots:
         """Draw the posterior: each parameter, and each pair of them."""
         return parameters(self._fit)
 
+    @property
+    def runs(self) -> StudyPlots:
+        """Pictures of all runs as those of a study, ``fit.plot.runs.response("diameter")``."""
+        from multicell.studies.plots import StudyPlots
+
+        return StudyPlots(self._fit.to_xarray(), self._fit.scene.title or "Fit")
+
+    def profiles(self) -> Figure:
+        """Draw the profile likelihood of each parameter, and what runs say at its ends."""
+        return profiles(self._fit)
+
 
 @styled
 def data(fit: Fit) -> Figure:
@@ -65,12 +78,12 @@ def data(fit: Fit) -> Figure:
         wspace=0.27, hspace=(below + 0.45) / 3.1,
     )  # fmt: skip
     band = fit.predicted(_BAND)
-    for k, (name, timed, numbers) in enumerate(panels):
+    for k, (name, over, numbers) in enumerate(panels):
         axes = figure.add_subplot(grid[k // columns, k % columns])
         unit = fit.problem.measured.units[name]
         axes.set_title(_named(name, unit))
-        if timed:
-            _over_time(axes, fit, numbers, band)
+        if over:
+            _over_axis(axes, fit, numbers, band)
         else:
             _one_by_one(axes, fit, numbers, band)
         if fit.problem.measured.data[numbers[0]].log:
@@ -87,31 +100,41 @@ def data(fit: Fit) -> Figure:
 
 def _panels(fit: Fit) -> list[tuple[str, bool, list[int]]]:
     """Return observable, whether it is over time, and the numbers of the data, by panel."""
-    found: dict[tuple[str, bool], list[int]] = {}
+    found: dict[tuple[Any, ...], list[int]] = {}
     for number, datum in enumerate(fit.problem.measured.data):
-        found.setdefault((datum.observable, datum.time is not None), []).append(number)
+        when = datum.time is not None if datum.depth is None else (datum.time, datum.at)
+        found.setdefault((datum.observable, when), []).append(number)
     panels = []
-    for (name, timed), numbers in found.items():
-        times = {fit.problem.measured.data[k].time for k in numbers}
-        panels.append((name, timed and len(times) > 1, numbers))
+    for (name, _), numbers in found.items():
+        places = {_abscissa(fit.problem.measured.data[k]) for k in numbers}
+        panels.append((name, None not in places and len(places) > 1, numbers))
     return panels
 
 
-def _over_time(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
-    """Draw one observable against time, each condition in a colour."""
+def _abscissa(datum: Datum) -> float | None:
+    """Return what a datum is drawn against: its depth, else its time."""
+    return datum.time if datum.depth is None else datum.depth
+
+
+def _over_axis(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
+    """Draw one observable against time or depth, each condition in a colour."""
     data = fit.problem.measured.data
+    profile = data[numbers[0]].depth is not None
     unit = time_unit(max(data[k].time or 0.0 for k in numbers))
+    if profile:
+        unit = TimeUnit("µm", 1.0)
     conditions = list(dict.fromkeys(data[k].condition for k in numbers))
     for condition in conditions:
         own = sorted(
             (k for k in numbers if data[k].condition == condition),
-            key=lambda k: data[k].time or 0.0,
+            key=lambda k: _abscissa(data[k]) or 0.0,
         )
         colour = _COLOURS[condition % len(_COLOURS)]
         label = fit.problem.measured.conditions[condition].label
         _draw_course(axes, fit, own, band, unit, colour, label)
-    axes.set_xlabel(f"time ({unit.name})")
-    axes.set_xlim(left=0.0)
+    axes.set_xlabel("depth below the surface (µm)" if profile else f"time ({unit.name})")
+    if not profile:
+        axes.set_xlim(left=0.0)
     if len(conditions) > 1:
         axes.legend(fontsize=9)
 
@@ -120,7 +143,7 @@ def _draw_course(
     axes: Axes, fit: Fit, own: Sequence[int], band: Array, unit: TimeUnit, colour: str, label: str
 ) -> None:
     data = fit.problem.measured.data
-    times = np.array([data[k].time or 0.0 for k in own]) / unit.seconds
+    times = np.array([_abscissa(data[k]) or 0.0 for k in own]) / unit.seconds
     axes.fill_between(times, band[0, own], band[2, own], color=colour, alpha=0.22, linewidth=0)
     axes.plot(times, fit.best.readings[list(own)], color=colour, linewidth=1.8)
     values, errors = _bars([data[k] for k in own])
@@ -220,6 +243,40 @@ def parameters(fit: Fit) -> Figure:
     return figure
 
 
+@styled
+def profiles(fit: Fit) -> Figure:
+    """Draw by how much -2 ln L rises at best over the values of each parameter."""
+    found = fit.profiles
+    columns = min(len(found), 3)
+    rows = -(-len(found) // max(columns, 1))
+    subtitle = "least -2 ln (likelihood · prior) over the other parameters; dotted: 95 % interval"
+    if fit.ends:
+        subtitle += "; red: runs at its ends"
+    height = 1.25 + 3.3 * max(rows, 1)
+    figure = blank(_title(fit), subtitle, (10.0, height))
+    grid = figure.add_gridspec(
+        max(rows, 1), max(columns, 1), left=0.09, right=0.97, top=1.0 - 1.25 / height,
+        bottom=0.7 / height, wspace=0.3, hspace=0.35,
+    )  # fmt: skip
+    for k, profile in enumerate(found):
+        axes = figure.add_subplot(grid[k // columns, k % columns])
+        free = fit.problem.ranges[profile.number]
+        axes.plot(_at(free, profile.shares[:, profile.number]), profile.rises, color=BLUE)
+        axes.axhline(profile.limit, color=QUIET, linewidth=1.0, linestyle="--")
+        ends = _at(free, profile.ends[:, profile.number])
+        for x, is_open in zip(ends, profile.open, strict=True):
+            if not is_open:
+                axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
+        for end in (end for end in fit.ends if end.number == profile.number):
+            axes.errorbar(ends[end.side], end.found, end.error, fmt="o", color=RED, capsize=3)
+        axes.set_ylim(0.0, 3.0 * profile.limit)
+        axes.set_xlabel(_named(free.name, _unit(free)[0]))
+        if k % columns == 0:
+            axes.set_ylabel("rise of -2 ln L")
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+    return figure
+
+
 def _unit(free: Range) -> tuple[str, float]:
     """Return the unit that a parameter is shown in, and its size in base units."""
     if free.unit == "s":
@@ -245,10 +302,7 @@ def _window(fit: Fit, k: int) -> tuple[float, float]:
 
 def _at(free: Range, shares: Array) -> Array:
     """Return the values at shares of a range in the unit that is shown, as if not whole."""
-    size = _unit(free)[1]
-    if free.log:
-        return np.asarray(free.low * (free.high / free.low) ** shares / size)
-    return np.asarray((free.low + (free.high - free.low) * shares) / size)
+    return values_at(free, shares) / _unit(free)[1]
 
 
 def _marginal(
@@ -266,7 +320,9 @@ def _marginal(
         axes.set_title(
             f"95 %: {100.0 * (ends[1] - ends[0]):.0f} % of its range", fontsize=10, weight="normal"
         )
-    axes.axhline(1.0, color=QUIET, linewidth=1.0, linestyle="--")
+    before = np.linspace(*window, 101)
+    density = fit.problem.prior.marginal(k, before)
+    axes.plot(_at(free, before), density, color=QUIET, linewidth=1.0, linestyle="--")
     axes.axvline(fit.best.values[free.key] / _unit(free)[1], color=RED, linewidth=1.6)
     axes.set_ylim(bottom=0.0)
     axes.set_yticks([])

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.calibration.data import Datum
 from multicell.calibration.distance import ABSENT, Array, misfit
 from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.fresh import Fresh
 from multicell.calibration.posterior import Draws
 from multicell.calibration.problem import Problem
-from multicell.calibration.search import Evaluation, emulator_of
+from multicell.calibration.profiles import POINTS, End, Profile, profiles
+from multicell.calibration.search import Evaluation, Run, emulator_of
+from multicell.calibration.simulator import Reading
 from multicell.calibration.verdict import (
     Interval,
     Undetermined,
@@ -25,15 +26,21 @@ from multicell.calibration.verdict import (
     quantiles,
     undetermined,
 )
+from multicell.errors import FitFailed, SceneError
 from multicell.host.extras import needs
+from multicell.schema import chosen
+from multicell.studies.limits import whole
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
 
     from multicell.calibration.emulator import Emulator
     from multicell.calibration.fit_plots import FitPlots
     from multicell.calibration.likelihood import Likelihood
+    from multicell.calibration.predictive import PredictiveCheck
     from multicell.scene.scene import Scene
+    from multicell.studies.study import Study
 
 
 @final
@@ -91,6 +98,11 @@ class Fit:
         How the fit was made: method, numbers of runs, seconds.
     fresh
         What runs with fresh seeds have shown at the best point and at draws from the intervals.
+    ends
+        What runs have shown at the ends of profile intervals; empty without ``profile_runs``.
+    readings
+        What each run of the search and each fresh one has in place of its data, by place in the
+        ranges, condition and seed; :attr:`runs` is a table of them.
     """
 
     problem: Problem
@@ -100,6 +112,8 @@ class Fit:
     folder: Path | None
     facts: Mapping[str, Any]
     fresh: Fresh
+    ends: Sequence[End] = ()
+    readings: Mapping[Run, Reading] = field(default_factory=dict)
 
     @cached_property
     def best(self) -> Best:
@@ -108,7 +122,7 @@ class Fit:
         runs = self.fresh.runs
         whole = np.isfinite(runs).any(axis=1)
         again = runs[whole] if whole.any() else runs
-        there = misfit(problem.observed, problem.sigma, again, None, problem.tissues)
+        there = misfit(problem.observed, problem.sigma, again, None, problem.noise)
         values = problem.values([float(x) for x in self.fresh.shares])
         units = {free.key: free.unit for free in problem.ranges}
         settings = {free.key: free.setting(values[free.key]) for free in problem.ranges}
@@ -116,7 +130,7 @@ class Fit:
             values=values,
             units=units,
             words={key: in_words(value, units[key]) for key, value in values.items()},
-            readings=unscale(problem.measured.data, there.means),
+            readings=problem.unscale(there.means),
             residuals=there.residuals,
             chi_squared=there.chi_squared,
             per_datum=there.per_datum,
@@ -133,14 +147,14 @@ class Fit:
         """
         if self.draws is not None:
             return self.draws.shares, self.draws.weights
-        found = self._likelihood
+        found = self.likelihood
         if found is None:
             return None
-        shares = draws_of(found.loss, len(self.problem.ranges), seed=0)
+        shares = draws_of(found.loss, self.problem.prior, seed=0)
         return shares, np.full(len(shares), 1.0 / len(shares))
 
     @cached_property
-    def _likelihood(self) -> Likelihood | Emulator | None:
+    def likelihood(self) -> Likelihood | Emulator | None:
         """What the intervals of a search come from; where fresh runs failed its emulator alone."""
         if self.fresh.likelihood is not None:
             return self.fresh.likelihood
@@ -156,7 +170,7 @@ class Fit:
         needs("pandas")
         import pandas
 
-        shares, weights = self._some_sample()
+        shares, weights = self.some_sample()
         columns = {
             free.name: [free.value(float(x)) for x in column]
             for free, column in zip(self.problem.ranges, shares.T, strict=True)
@@ -177,12 +191,79 @@ class Fit:
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
-        return intervals(self.problem.ranges, *self._some_sample(), level)
+        return intervals(self.problem.ranges, *self.some_sample(), level)
+
+    @cached_property
+    def profiles(self) -> list[Profile]:
+        """The profile likelihoods of all parameters by the emulator; none without one."""
+        found = self.likelihood if self.draws is None else None
+        return [] if found is None else profiles(found, range(len(self.problem.ranges)))
+
+    def profile(self, key: str, points: int = POINTS, level: float = 0.95) -> pd.DataFrame:
+        """Return the profile likelihood of a parameter, by the emulator.
+
+        Parameters
+        ----------
+        key
+            Of the parameter, or its short name.
+        points
+            Values of it, over somewhat more than its interval.
+        level
+            Of the interval.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row for each value: the best parameters with it in base units, and ``rise``, by how
+            much -2 ln of likelihood and prior are above their least value. ``attrs`` hold units,
+            ``level``, ``limit`` (the rise at the ends of the interval), ``interval``, and
+            ``open``: whether its ends are those of the range.
+
+        Raises
+        ------
+        SceneError
+            For an unknown key, fewer than three points or a level that is none.
+        FitFailed
+            Without an emulator: too few points were tried, or the posterior was sampled with runs.
+        """
+        needs("pandas")
+        import pandas
+
+        known = {name: k for k, free in enumerate(self.problem.ranges)
+                 for name in (free.key, free.name)}  # fmt: skip
+        number = known[chosen(key, known, "key")]
+        whole("points", points, 3, 1000, "It is the number of values of the parameter.")
+        if not 0.0 < level < 1.0:
+            raise SceneError("level", f"is {level!r}, must be between 0 and 1")
+        likelihood = self.likelihood if self.draws is None else None
+        if likelihood is None:
+            hint = "Method 'best' with a larger budget has one."
+            raise FitFailed("there is no emulator that a profile could be of", hint)
+        if (points, level) == (POINTS, 0.95):
+            found = self.profiles[number]
+        else:
+            (found,) = profiles(likelihood, [number], points, level)
+        free = self.problem.ranges[number]
+        frame = pandas.DataFrame(
+            {r.name: [r.value(float(x)) for x in column]
+             for r, column in zip(self.problem.ranges, found.shares.T, strict=True)}
+        )  # fmt: skip
+        frame["rise"] = found.rises
+        frame.attrs = {
+            "units": {r.name: r.unit for r in self.problem.ranges},
+            "level": level,
+            "limit": found.limit,
+            "interval": [free.value(float(x)) for x in found.ends[:, number]],
+            "open": list(found.open),
+        }
+        return frame
 
     @cached_property
     def undetermined(self) -> list[Undetermined]:
         """What the data do not determine; empty if they determine all."""
-        return [] if self.sample is None else undetermined(self.problem.ranges, *self.sample)
+        if self.sample is None:
+            return []
+        return undetermined(self.problem.ranges, *self.sample, self.problem.prior)
 
     def predicted(self, levels: Sequence[float] = (0.025, 0.5, 0.975)) -> Array:
         """Return quantiles of what a tissue shows in place of each datum: (levels, n), base units.
@@ -193,16 +274,16 @@ class Fit:
         if self.draws is not None:
             found, weights = self.draws.residuals, self.draws.weights
         else:
-            emulated = self._likelihood
+            emulated = self.likelihood
             if emulated is None:
                 return np.full((len(levels), len(problem.observed)), np.nan)
-            found, weights = emulated.predict(self._some_sample()[0])[0], self._some_sample()[1]
+            found, weights = emulated.predict(self.some_sample()[0])[0], self.some_sample()[1]
             random = np.random.default_rng(0)
             found = found + self._scatter * random.standard_normal(found.shape)
             found = np.maximum(found, problem.lowest)
         scaled = problem.observed + found * problem.sigma
         rows = quantiles(scaled, weights, levels)
-        return np.array([unscale(problem.measured.data, row) for row in rows])
+        return np.array([problem.unscale(row) for row in rows])
 
     @property
     def _scatter(self) -> Array:
@@ -225,6 +306,47 @@ class Fit:
         assert self.fresh.checks is not None
         own = np.sqrt(self.fresh.likelihood.predict(self.sample[0])[1].mean(axis=0))
         return own, self.fresh.checks.found
+
+    def predictive_check(self) -> PredictiveCheck:
+        """Return posterior predictive checks: whether data like these come from the posterior.
+
+        Raises
+        ------
+        FitFailed
+            If there is no posterior.
+        """
+        from multicell.calibration.predictive import predictive_check
+
+        needs("pandas")
+        return predictive_check(self)
+
+    def to_arviz(self) -> Any:
+        """Return the fit for ArviZ, an ``InferenceData``.
+
+        Groups are ``posterior`` and ``prior`` (draws in base units, of equal weight),
+        ``observed_data``, ``posterior_predictive`` (data replicated from the posterior) and
+        ``log_likelihood``: ln p(y_i | y_-i, θ), as data scatter together, so that ``arviz.loo``
+        leaves out one datum.
+
+        Raises
+        ------
+        MissingPackage
+            Without ArviZ, which ``multicell[export]`` has.
+        FitFailed
+            If there is no posterior.
+        """
+        from multicell.calibration.arviz_export import to_arviz
+
+        needs("arviz")
+        return to_arviz(self)
+
+    @property
+    def unknown_scatter(self) -> dict[str, list[float]]:
+        """Unknown scatter by observable, as parts of the values: 95 % interval round the median."""
+        if self.fresh.likelihood is None or not self.problem.noise.names:
+            return {}
+        ends = np.quantile(self.fresh.likelihood.omega, (0.025, 0.5, 0.975), axis=0)
+        return dict(zip(self.problem.noise.names, ends.T.tolist(), strict=True))
 
     def residuals(self) -> pd.DataFrame:
         """Return the data one by one: where, when, measured, in the runs, and how far apart."""
@@ -251,6 +373,7 @@ class Fit:
                     "unit": data.units[datum.observable],
                     "time": np.nan if datum.time is None else datum.time,
                     "at": "" if datum.at is None else f"{datum.at[0]} = {datum.at[1]:g}",
+                    "depth": np.nan if datum.depth is None else datum.depth,
                     "measured": datum.value,
                     "sd": datum.deviation,
                     "assumed": datum.assumed,
@@ -264,19 +387,78 @@ class Fit:
             )
         return rows
 
+    def run_rows(self) -> list[dict[str, Any]]:
+        """Return all runs but those of draws one by one, base units; see :attr:`runs`."""
+        from multicell.calibration.run_table import rows
+
+        return rows(self)
+
+    @property
+    def runs(self) -> pd.DataFrame:
+        """All runs of search and checks: a row for each, with parameters and readings.
+
+        Columns are ``point``, ``stage`` (``"search"``, or ``"fresh"`` for seeds that had no part in
+        it), ``condition``, ``seed``, the parameters, a column for each reading as
+        ``diameter at 48 h``, and ``reason`` where a run failed; base units.
+        """
+        needs("pandas")
+        import pandas
+
+        return pandas.DataFrame(self.run_rows())
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return all runs in the form of a study's table, for its pictures and for analyses.
+
+        Dimensions are ``point`` (a set of parameters under a condition), ``seed`` and ``time``;
+        see :mod:`multicell.studies.table`.
+        """
+        from multicell.calibration.run_table import dataset
+
+        needs("xarray")
+        return dataset(self)
+
+    def to_study(self, folder: str | Path) -> Study:
+        """Write a study of the sets of parameters that were tried, under all conditions.
+
+        A fit keeps readings only. The study's runs, which are made when it is run, are whole ones:
+        with frames, histories and pictures. It can be widened as others can.
+
+        Parameters
+        ----------
+        folder
+            Of the study.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be used.
+        """
+        from multicell.calibration.run_table import to_study
+
+        return to_study(self, folder)
+
     @property
     def notes(self) -> list[str]:
         """What whoever reads the result must know of how it was found."""
         notes = []
         data = self.problem.measured.data
         assumed = sum(datum.assumed for datum in data)
-        if assumed:
+        if self.unknown_scatter:
+            words = ", ".join(
+                f"'{name}' {100.0 * at:.2g} % ({100.0 * low:.2g} to {100.0 * high:.2g})"
+                for name, (low, at, high) in self.unknown_scatter.items()
+            )
+            notes.append(
+                "What data scatter beyond runs and stated errors was estimated with the "
+                f"parameters (95 % intervals, parts of the values): {words}."
+            )
+        elif assumed:
             said = f"{assumed} of {len(data)} data" if assumed < len(data) else "The data"
             notes.append(
                 f"{said} come without a standard deviation: {100.0 * self.facts['sd']:g} % of the "
                 "value was assumed, on which all intervals depend."
             )
-        several = sum(1.0 < datum.tissues < np.inf for datum in data)
+        several = sum(1.0 < d.tissues < np.inf and not d.specimens for d in data)
         if several:
             notes.append(
                 f"{several} of {len(data)} data are means of several tissues. These count as the "
@@ -324,6 +506,13 @@ class Fit:
             )
             return notes
         off = np.flatnonzero(self.fresh.checks.off)
+        for end in self.ends:
+            if end.off:
+                side, free = ("lower", "upper")[end.side], self.problem.ranges[end.number]
+                notes.append(
+                    f"At the {side} end of the profile interval of {free.name} runs give a rise of "
+                    f"{end.found:.3g} ± {end.error:.2g}, the emulator {end.claimed:.3g}."
+                )
         if len(off):
             data = self.problem.measured.data
             ratio = self.fresh.checks.found / self.fresh.checks.expected
@@ -360,8 +549,9 @@ class Fit:
         best = self.best
         known = self.intervals() if self.sample is not None else {}
         parameters = {}
+        profiles_of = dict(zip(known, self.profiles, strict=False))
         for free in self.problem.ranges:
-            interval = known.get(free.name)
+            interval, profile = known.get(free.name), profiles_of.get(free.name)
             parameters[free.key] = {
                 "name": free.name,
                 "unit": free.unit,
@@ -369,6 +559,9 @@ class Fit:
                 "median": None if interval is None else interval.median,
                 "interval": None if interval is None else [interval.low, interval.high],
                 "part_of_range": None if interval is None else interval.part,
+                "profile_interval": None
+                if profile is None
+                else [free.value(float(x)) for x in profile.ends[:, profile.number]],
                 "range": [free.low, free.high],
                 "log": free.log,
             }
@@ -382,21 +575,24 @@ class Fit:
                 {"names": list(u.names), "kind": u.kind, "words": u.words}
                 for u in self.undetermined
             ],
+            "predictive_check": self._checked(),
             "residuals": self.rows(),
+            "unknown_scatter": self.unknown_scatter,
             "notes": self.notes,
             **self.facts,
         }
 
-    def _some_sample(self) -> tuple[Array, Array]:
+    def _checked(self) -> dict[str, float] | None:
         if self.sample is None:
-            from multicell.errors import FitFailed
+            return None
+        found = self.predictive_check()
+        return {"chi_squared": found.chi_squared, "largest": found.largest,
+                "outside": found.outside}  # fmt: skip
 
+    def some_sample(self) -> tuple[Array, Array]:
+        """Return the draws and weights of :attr:`sample`; raises FitFailed where there are none."""
+        if self.sample is None:
             raise FitFailed(
                 "too few points were tried for a posterior", "A larger budget continues the fit."
             )
         return self.sample
-
-
-def unscale(data: Sequence[Datum], values: Array) -> Array:
-    """Return values on the scales of comparison in base units."""
-    return np.array([np.exp(v) if d.log else v for d, v in zip(data, values, strict=True)])

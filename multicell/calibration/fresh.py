@@ -24,6 +24,7 @@ from multicell.calibration.likelihood import (
 )
 from multicell.calibration.pool import Pool
 from multicell.calibration.posterior import Draws
+from multicell.calibration.priors import Prior
 from multicell.calibration.problem import Problem
 from multicell.calibration.search import Search
 
@@ -88,7 +89,7 @@ def fresh(
     - ``count``: runs at the best point
     - ``progress``: called with the numbers of runs done and wanted after each run
     """
-    best = _best(search, emulator, drawn)
+    best = _best(search, problem.prior, emulator, drawn)
     first = max(problem.seeds) + 1
     here = best.tolist()
     runs, reasons = search.extra(pool, [(here, first + k) for k in range(count)], progress)
@@ -102,7 +103,7 @@ def fresh(
     scatter = scatter_of(np.where(known, residuals, instead))
     if emulator is None or drawn is not None:
         return Fresh(best, runs, tuple(reasons), scatter, None, None)
-    found = likelihood(emulator, problem.tissues, best, scatter)
+    found = likelihood(emulator, problem.noise, best, scatter)
     likely = found.draws(FEW)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
     points = [(x.tolist(), first + MAX_REPEATS + k) for k, x in enumerate(chosen)]
@@ -110,17 +111,20 @@ def fresh(
     away = (runs_there - problem.observed) / problem.sigma - found.predict(chosen)[0]
     checks, error = _check(away, found.predict(chosen)[1], scatter)
     if checks.off.any():
-        found = likelihood(emulator, problem.tissues, best, scatter, error)
+        found = likelihood(emulator, problem.noise, best, scatter, error)
     return Fresh(best, runs, (*reasons, *more), scatter, found, checks)
 
 
-def _best(search: Search, emulator: Emulator | None, drawn: Draws | None) -> Array:
+def _best(search: Search, prior: Prior, emulator: Emulator | None, drawn: Draws | None) -> Array:
     """Return the point whose runs stand for the fit; no single lucky run decides it."""
     if drawn is not None:
-        return np.asarray(drawn.weights @ drawn.shares)
+        mean = np.asarray(drawn.weights @ drawn.shares)
+        if np.isfinite(prior.loss(mean[None])[0]):
+            return mean
+        return np.asarray(drawn.shares[np.argmin(((drawn.shares - mean) ** 2).sum(axis=1))])
     if emulator is None:
-        return min(search.evaluations(), key=lambda e: e.misfit.loss).shares
-    return best_of(emulator.loss, draws(emulator.loss, emulator.dimensions, seed=0, count=FEW))
+        return min(search.evaluations(), key=lambda e: e.loss).shares
+    return best_of(emulator.loss, prior, draws(emulator.loss, prior, seed=0, count=FEW))
 
 
 def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:

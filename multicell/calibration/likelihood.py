@@ -5,11 +5,11 @@ happen to do, and readings of one run scatter together: a tissue that is large a
 at the next. So R runs with fresh seeds are made at the best point. With their mean m and their
 covariance S, all in σ of the data,
 
-    C = 1 + S/√(n_i n_j) + S/R + E
+    C = errors + S shared + S/R + E + ω² h²
 
-is the covariance of data minus mean: errors of measurement, the scatter of n_i tissues (Datum), the
-error of the mean, and the emulator's error E, which depends on the parameters. The emulator is
-shifted so that it has the mean m at the best point.
+is the covariance of data minus mean (:mod:`multicell.calibration.noise`), of which the emulator's
+error E depends on the parameters. The emulator is shifted so that it has the mean m at the best
+point.
 
 S has R - 1 degrees of freedom, often fewer than there are data. It serves twice. The data are
 weighted by the inverse of C with S shrunk (Ledoit & Wolf 2004, J. Multivariate Anal. 88, 365, of
@@ -22,6 +22,15 @@ along these directions is Hotelling's, a multivariate Student's with ν - k + 1 
 for k directions; ν is R - 1, or more where errors of measurement, which are known, make
 most of V (Satterthwaite). The other directions, in which all parameters are alike except for
 curvature, count as normal.
+
+Unknown scatter ω of G observables has the posterior of the data less the mean at the best point,
+where what the parameters can move is integrated out (restricted likelihood: the parameters count as
+normal about that point with the variance 1/12 of their ranges). A priori the logarithm of b + ω² is
+uniform, with b for what else is known to scatter, given the other data: Jeffreys' prior where that
+is nothing. The variance b + ω² is taken to be ν s²/χ²_ν, with s² and ν from mean and variance of
+its logarithm. Then it is s² in C, and ν degrees of freedom along the directions: with unknown
+scatter alone, and a model that is linear in the parameters, this is Student's t of the usual
+regression.
 """
 
 from __future__ import annotations
@@ -30,12 +39,15 @@ from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.special import polygamma, psi
 
 from multicell.calibration.distance import Array
 from multicell.calibration.emulator import FEW, PARTICLES, Emulator, draws
+from multicell.calibration.noise import OMEGA, Noise, shrink
+from multicell.calibration.priors import Prior
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
-_SHRINKAGE: Final = 0.1
 _STILL: Final = 0.02
 """Standard deviations below which a direction of the data does not depend on the parameters."""
 _EXACT: Final = 1e6  # degrees of freedom that stand for a variance that is known
@@ -67,21 +79,6 @@ def scatter_of(residuals: Array) -> Scatter:
     return Scatter(mean, residuals.var(axis=0, ddof=1), residuals - mean)
 
 
-def _shrink(away: Array) -> Array:
-    """Return the covariance of runs (R, n), its correlations drawn towards none: (n, n)."""
-    from sklearn.covariance import ledoit_wolf_shrinkage
-
-    away = away - away.mean(axis=0)
-    covariance = away.T @ away / (len(away) - 1.0)
-    deviation = np.sqrt(np.diag(covariance))
-    moving = deviation > 0.0
-    shrinkage = _SHRINKAGE
-    if moving.sum() > 1:
-        wolf = ledoit_wolf_shrinkage(away[:, moving] / deviation[moving], assume_centered=True)
-        shrinkage = max(_SHRINKAGE, float(wolf))
-    return np.asarray((1.0 - shrinkage) * covariance + shrinkage * np.diag(deviation**2))
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class Likelihood:
@@ -95,6 +92,7 @@ class Likelihood:
       may be 0
     - ``spread``, (k, k): scale of the Student distribution along them, at the best point
     - ``freedom``: its degrees of freedom
+    - ``omega``, (Q, G): draws of unknown scatter at the best point
     """
 
     emulator: Emulator
@@ -104,6 +102,7 @@ class Likelihood:
     directions: Array
     spread: Array
     freedom: float
+    omega: Array
 
     def predict(self, shares: Array) -> tuple[Array, Array]:
         """Return (mean - datum) / σ and the variance of its error for parameters (k, d)."""
@@ -112,7 +111,10 @@ class Likelihood:
 
     def loss(self, shares: Array) -> Array:
         """Return -2 ln L up to a constant for parameters (k, d): (k,)."""
-        means, variances = self.predict(shares)
+        return self.loss_of(*self.predict(shares))
+
+    def loss_of(self, means: Array, variances: Array) -> Array:
+        """Return -2 ln L for (mean - datum) / σ and the variances of their errors, (k, n): (k,)."""
         white = means @ self.whitening.T
         count, along = self.directions.shape
         part = white @ self.directions
@@ -128,37 +130,100 @@ class Likelihood:
         return np.asarray(normal + student + np.linalg.slogdet(spread)[1])
 
     def draws(self, count: int = PARTICLES) -> Array:
-        """Return draws from the posterior under a uniform prior: (count, d), of equal weight."""
-        return draws(self.loss, self.emulator.dimensions, seed=0, count=count)
+        """Return draws from the posterior: (count, d), of equal weight."""
+        return draws(self.loss, self.emulator.prior, seed=0, count=count)
 
 
 def likelihood(
-    emulator: Emulator, tissues: Array, best: Array, scatter: Scatter, error: Array | float = 0.0
+    emulator: Emulator, noise: Noise, best: Array, scatter: Scatter, error: Array | float = 0.0
 ) -> Likelihood:
     """Return the likelihood with the scatter of fresh runs at the best point.
 
     - ``emulator``: of the search
-    - ``tissues``, (n,): how many tissues each datum is the mean of
+    - ``noise``: of the data
     - ``best``, (d,): where the fresh runs were made
     - ``scatter``: what they show
     - ``error``, (n,): variance that check runs have found beyond the emulator's own, in σ²
     """
     means, variances = emulator.predict(best[None])
-    error = np.broadcast_to(np.asarray(error, dtype=float), tissues.shape)
-    known = np.diag(1.0 + variances[0] + error)
-    # scatter of the tissues, correlated between data as they are the same ones, and of the mean
-    share = np.sqrt(1.0 / np.outer(tissues, tissues)) + 1.0 / scatter.count
-    values, vectors = np.linalg.eigh(known + _shrink(scatter.away) * share)
+    error = np.broadcast_to(np.asarray(error, dtype=float), scatter.mean.shape)
+    share = noise.shared + 1.0 / scatter.count
+    # scatter of the tissues, and of the mean
+    total = noise.errors + np.diag(variances[0] + error) + shrink(scatter.away) * share
+    unknown = _unknown(noise.around(scatter.mean), emulator, best, scatter.mean, total)
+    errors = noise.errors + np.diag(unknown.variance)
+    values, vectors = np.linalg.eigh(total + np.diag(unknown.variance))
     whitening = (vectors / np.sqrt(values)) @ vectors.T
-    none = np.zeros((len(tissues), 0))
+    none = np.zeros((len(total), 0))
     working = Likelihood(
-        emulator, scatter.mean - means[0], error, whitening, none, np.zeros((0, 0)), _EXACT
-    )
-    return _student(working, known, share, tissues, scatter.away)
+        emulator, scatter.mean - means[0], error, whitening, none, np.zeros((0, 0)), _EXACT,
+        unknown.omega,
+    )  # fmt: skip
+    known = errors + np.diag(variances[0] + error)
+    return _student(working, errors, known, noise.shared, scatter.away, unknown)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Unknown:
+    """Unknown scatter: draws (Q, G); variance of each datum (n,), and degrees of freedom (n,)."""
+
+    omega: Array
+    variance: Array
+    freedom: Array
+
+
+def _unknown(
+    noise: Noise, emulator: Emulator, best: Array, residuals: Array, total: Array
+) -> _Unknown:
+    """Return what residuals at the best point say of unknown scatter; ``total`` is C without it."""
+    n, count = len(total), len(noise.names)
+    if not count:
+        return _Unknown(np.zeros((0, 0)), np.zeros(n), np.full(n, min(noise.freedom, _EXACT)))
+    steps = 0.02 * np.eye(len(best))
+    above, below = np.clip(best + steps, 0.0, 1.0), np.clip(best - steps, 0.0, 1.0)
+    width = np.diag(above - below)
+    moved = ((emulator.means(above) - emulator.means(below)) / width[:, None]).T
+    restricted = total + moved @ moved.T / 12.0
+    members = np.eye(count)[noise.group]
+    alone = np.linalg.inv(total + np.diag((OMEGA[0] * noise.sizes) ** 2)).diagonal()
+    base = members.sum(axis=0) / ((alone * noise.sizes**2) @ members)
+
+    def omegas(places: Array) -> Array:
+        return np.asarray(OMEGA[0] * (OMEGA[1] / OMEGA[0]) ** places)
+
+    def loss(places: Array) -> Array:
+        each = (omegas(places)[:, noise.group] * noise.sizes) ** 2
+        covariance = restricted + each[:, None] * np.eye(n)
+        solved = np.linalg.solve(covariance, np.broadcast_to(residuals[:, None], (len(each), n, 1)))
+        normal = solved[..., 0] @ residuals + np.linalg.slogdet(covariance)[1]
+        return np.asarray(normal + 2.0 * np.log1p(base / omegas(places) ** 2).sum(axis=1))
+
+    omega = omegas(draws(loss, Prior(count), seed=0, count=FEW))
+    variance, freedom = np.empty(n), np.empty(n)
+    for k in range(count):
+        own = noise.group == k
+        logs = np.log(base[k] + omega[:, k] ** 2)
+        half = _half_freedom(float(logs.var()))
+        size = np.exp(logs.mean() + psi(half)) / half
+        variance[own] = (
+            max(size - base[k], 0.0) * noise.sizes[own] ** 2
+        )  # never below what is known
+        freedom[own] = 2.0 * half
+    return _Unknown(omega, variance, freedom)
+
+
+def _half_freedom(variance: float) -> float:
+    """Return ν/2 of a variance whose logarithm has a variance: that of ln χ²_ν."""
+    from scipy.optimize import brentq
+
+    if variance <= float(polygamma(1, 0.5 * _EXACT)):
+        return 0.5 * _EXACT
+    return float(brentq(lambda half: polygamma(1, half) - variance, 1e-3, 0.5 * _EXACT))
 
 
 def _student(
-    working: Likelihood, known: Array, share: Array, tissues: Array, away: Array
+    working: Likelihood, errors: Array, known: Array, shared: Array, away: Array, unknown: _Unknown
 ) -> Likelihood:
     """Return a likelihood whose covariance counts as estimated where the parameters move data."""
     shares, count = working.draws(FEW), len(away)
@@ -171,19 +236,29 @@ def _student(
         return working
     # how the parameters move the data themselves
     moved = np.linalg.solve(working.whitening, directions)
+    share = shared + 1.0 / count
     scatter = np.zeros((along, along))
     for k in range(count):
         others = np.delete(away, k, axis=0)
-        total = known + _shrink(others) * share
+        total = known + shrink(others) * share
         weighted = np.linalg.solve(total, moved)
         estimate = np.linalg.solve(moved.T @ weighted, weighted.T)
         left_out = away[k] - others.mean(axis=0)  # of variance S (1 + 1/(R - 1))
-        tissue, mean = estimate @ (left_out / np.sqrt(tissues)), estimate @ left_out
-        scatter += np.outer(tissue, tissue) + np.outer(mean, mean) / count
+        scatter += estimate @ (np.outer(left_out, left_out) * share) @ estimate.T
     scatter *= (count - 1.0) / count**2
     weights = working.whitening.T @ directions
-    spread = weights.T @ weights + scatter  # the emulator's error is added where it is used
-    part = float(np.trace(scatter) / np.trace(spread))
-    freedom = min((count - 1.0) / max(part, 1e-9) ** 2, _EXACT)
+    # the emulator's error is added where it is used
+    spread = weights.T @ errors @ weights + scatter
+    uncertain = float(np.trace(scatter) / np.trace(spread)) ** 2 / (count - 1.0)
+    # parts of unknown scatter, along what depends on one of them most; one variance, unlike a
+    # covariance, loses none of its degrees of freedom to directions
+    parts = [(x, unknown.freedom == x) for x in set(unknown.freedom.tolist()) if x < _EXACT]
+    spreads = [(x, weights[own].T @ (errors[np.ix_(own, own)] @ weights[own])) for x, own in parts]
+    worst = 0.0
+    for _, mine in spreads:
+        way = eigh(mine, spread)[1][:, -1]  # along which the spread is 1
+        worst = max(worst, sum((way @ x @ way) ** 2 / (nu + along - 1.0) for nu, x in spreads))
+    uncertain += worst
+    freedom = min(1.0 / max(uncertain, 1e-12), _EXACT)
     left = freedom - along + 1.0
     return replace(working, directions=directions, spread=spread * freedom / left, freedom=left)

@@ -2,11 +2,11 @@
 
 The noise of the data is part of the acceptance: a draw with residuals z (one run for each
 condition, with random numbers of its own) is accepted with a probability that is proportional to
-exp(-Σz²/2T). The temperature T falls from generation to generation, and at T = 1 the accepted draws
-are from the exact posterior of a tissue that was measured with the stated deviations (Wilkinson
-2013, Stat. Appl. Genet. Mol. Biol. 12, 129; Schälte & Hasenauer 2020, Bioinformatics 36, i551).
-Runs that scatter need no extra term: the draws go over their scatter. A sample at T > 1 is too wide
-and says so.
+exp(-Σz²/2T), or to that of a normal law with the correlations that errors have. The temperature T
+falls from generation to generation, and at T = 1 the accepted draws are from the exact posterior of
+a tissue that was measured with the stated deviations (Wilkinson 2013, Stat. Appl. Genet. Mol. Biol.
+12, 129; Schälte & Hasenauer 2020, Bioinformatics 36, i551). Runs that scatter need no extra term:
+the draws go over their scatter. A sample at T > 1 is too wide and says so.
 """
 
 from __future__ import annotations
@@ -99,10 +99,16 @@ def _sample(
 
     from multicell.calibration.reproducible_sampler import Box, OneModel
 
-    kernel = pyabc.distance.IndependentNormalKernel(var=1.0, keys=["z"])
+    if (problem.noise.errors == np.eye(len(problem.observed))).all():
+        kernel = pyabc.distance.IndependentNormalKernel(var=1.0, keys=["z"])
+    else:  # means over the same specimens
+        kernel = pyabc.distance.NormalKernel(
+            cov=problem.noise.errors, keys=["z"], ret_scale=pyabc.distance.SCALE_LOG
+        )
     smc = pyabc.ABCSMC(
-        model, Box(problem.names), kernel, population_size=population, eps=pyabc.Temperature(),
-        acceptor=pyabc.StochasticAcceptor(), sampler=sampler, model_prior=OneModel(),
+        model, Box(problem.names, problem.prior), kernel, population_size=population,
+        eps=pyabc.Temperature(), acceptor=pyabc.StochasticAcceptor(), sampler=sampler,
+        model_prior=OneModel(),
     )  # fmt: skip
     observed = {"z": np.zeros(len(problem.observed))}
     if folder is None:

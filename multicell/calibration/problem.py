@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from multicell.calibration.distance import (
     scales,
     standardise,
 )
+from multicell.calibration.noise import Noise
+from multicell.calibration.priors import Prior, prior_of, split_free
 from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
 from multicell.errors import SceneError
 from multicell.studies.axes import Range, check_ranges, parse_ranges
@@ -31,16 +33,24 @@ from multicell.studies.observed import may_be_negative
 class Problem:
     """Data and how runs are compared with them.
 
-    - ``ranges``: the free parameters; all of them are uniform a priori (on a logarithmic range: in
-      the logarithm)
+    - ``ranges``: the free parameters
     - ``simulator``: gives the readings of one run
     - ``seeds``: random numbers of the runs that are averaged, the same ones for all parameters
+    - ``scatter``: ``"unknown"`` where what data scatter beyond runs is estimated
+    - ``known``: their prior; None: all places in the ranges are equally likely
     """
 
     measured: Measured
     ranges: tuple[Range, ...]
     simulator: Simulator
     seeds: tuple[int, ...]
+    scatter: str = "stated"
+    known: Prior | None = None
+
+    @cached_property
+    def noise(self) -> Noise:
+        """Errors and scatter of the data."""
+        return Noise.of(self.measured.data, self.scatter)
 
     @cached_property
     def _scales(self) -> tuple[Array, Array]:
@@ -68,6 +78,11 @@ class Problem:
         free = np.array([datum.log or may_be_negative(datum.observable) for datum in data])
         return np.where(free, -np.inf, -self.observed / self.sigma)
 
+    @cached_property
+    def prior(self) -> Prior:
+        """What is known of the parameters beforehand."""
+        return Prior(len(self.ranges)) if self.known is None else self.known
+
     @property
     def names(self) -> list[str]:
         """Names of the free parameters."""
@@ -85,6 +100,11 @@ class Problem:
         """Return the readings of a run on the scales of its data."""
         return scale_readings(self.measured.of(condition), reading.values)
 
+    def unscale(self, values: Array) -> Array:
+        """Return values on the scales of the data, (n,), in base units."""
+        log = np.array([datum.log for datum in self.measured.data])
+        return np.where(log, np.exp(np.where(log, values, 0.0)), values)
+
     def runs(self, readings: Mapping[tuple[int, int], Array], seeds: Sequence[int]) -> Array:
         """Return the readings of all conditions by seed, (K, n)."""
         found = np.full((len(seeds), len(self.measured.data)), np.nan)
@@ -96,7 +116,7 @@ class Problem:
     def misfit(self, readings: Mapping[tuple[int, int], Array]) -> Misfit:
         """Return how the runs of one set of parameters differ from the data."""
         runs = self.runs(readings, self.seeds)
-        return misfit(self.observed, self.sigma, runs, self._groups, self.tissues)
+        return misfit(self.observed, self.sigma, runs, self._groups, self.noise)
 
     @cached_property
     def _groups(self) -> tuple[NDArray[np.int64], Array]:
@@ -134,12 +154,26 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
     return ranges
 
 
+def free_of(
+    free: Mapping[str, Any], measured: Measured, constraints: Sequence[str] = ()
+) -> tuple[tuple[Range, ...], Prior]:
+    """Return the ranges and the prior of free parameters, some of which have distributions.
+
+    Raises SceneError as :func:`ranges_of`, :func:`split_free` and :func:`prior_of`.
+    """
+    plain, densities = split_free(free, measured.conditions[0].scene)
+    ranges = ranges_of(plain, measured)
+    return ranges, prior_of(ranges, list(densities.values()), constraints)
+
+
 def problem_of(
     measured: Measured,
     ranges: Sequence[Range],
     seeds: int,
     first_seed: int,
     simulator: Simulator | None = None,
+    scatter: str = "stated",
+    prior: Prior | None = None,
 ) -> Problem:
     """Return the problem of fitting a scene to data.
 
@@ -147,6 +181,9 @@ def problem_of(
     - ``seeds``: number of runs with different random numbers for each set of parameters
     - ``first_seed``: of these runs
     - ``simulator``: what stands for the scene's runs; by default they themselves
+    - ``scatter``: see :class:`Problem`
+    - ``prior``: of the parameters; by default uniform
     """
     chosen = SceneSimulator.of(measured, ranges) if simulator is None else simulator
-    return Problem(measured, tuple(ranges), chosen, tuple(range(first_seed, first_seed + seeds)))
+    numbers = tuple(range(first_seed, first_seed + seeds))
+    return Problem(measured, tuple(ranges), chosen, numbers, scatter, prior)

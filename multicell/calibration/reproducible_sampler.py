@@ -25,6 +25,7 @@ from pyabc.random_variables import DistributionBase
 from pyabc.sampler import Sampler
 
 from multicell.calibration.pool import Call, Pool
+from multicell.calibration.priors import Prior
 from multicell.errors import OutputError
 from multicell.results.documents import Lines
 
@@ -156,19 +157,25 @@ KNOWN: Final[dict[str, list[float]]] = {}  # in a worker: what draws with some k
 
 @final
 class Box(DistributionBase):  # type: ignore[misc]
-    """Uniform between 0 and 1 in all parameters; SciPy's takes longer than a cheap simulator."""
+    """The prior of places in the ranges; SciPy's takes longer than a cheap simulator."""
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = tuple(names)
+    def __init__(self, names: Sequence[str], prior: Prior) -> None:
+        self._names, self._prior = tuple(names), prior
 
     def rvs(self, *args: Any, **kwargs: Any) -> Any:
         """Return a draw."""
-        numbers = np.random.random_sample(len(self._names))  # noqa: NPY002
-        return Parameter(dict(zip(self._names, map(float, numbers), strict=True)))
+        numbers: Any = ()
+        while len(numbers) == 0:  # constraints may refuse it
+            even = np.random.random_sample((1, len(self._names)))  # noqa: NPY002
+            numbers = self._prior.places(even)
+        return Parameter(dict(zip(self._names, map(float, numbers[0]), strict=True)))
 
     def pdf(self, x: Mapping[str, float]) -> float:
-        """Return the density."""
-        return float(all(0.0 <= x[name] <= 1.0 for name in self._names))
+        """Return the density, up to a constant where there are constraints."""
+        if not all(0.0 <= x[name] <= 1.0 for name in self._names):
+            return 0.0
+        place = np.array([[x[name] for name in self._names]])
+        return float(np.exp(-0.5 * self._prior.loss(place)[0]))
 
 
 @final

@@ -47,12 +47,14 @@ class Evaluation:
     - ``number``: in the order in which they were asked for
     - ``shares``, (d,): places in the ranges
     - ``misfit``: of its runs
+    - ``loss``: -2 ln of likelihood and prior density
     - ``reasons``: why runs failed; empty if none did
     """
 
     number: int
     shares: Array
     misfit: Misfit
+    loss: float
     reasons: tuple[str, ...]
 
 
@@ -71,12 +73,26 @@ class Search:
         self._points: list[Point] = []
         self._readings: dict[Run, Reading] = {}
         self._known: dict[int, Evaluation] = {}
+        self.reused = 0  # points of another fit, whose runs were adopted
         self._lines = None if path is None else Lines(path)
         for entry in () if self._lines is None else self._lines.entries:
             try:
                 self._take(entry)
             except (KeyError, TypeError, ValueError) as error:
                 raise OutputError(f"'{path}' is damaged: {error!r}") from error
+
+    @property
+    def readings(self) -> Mapping[Run, Reading]:
+        """All runs that are known."""
+        return self._readings
+
+    def adopt(self, entries: Sequence[Mapping[str, Any]]) -> None:
+        """Take over points and runs of another fit where nothing is known yet."""
+        if not self._points and entries:
+            if self._lines is not None:
+                self._lines.append(entries)
+            for entry in entries:
+                self._take(entry)
 
     def evaluations(self) -> list[Evaluation]:
         """Return all that is known, in order."""
@@ -96,7 +112,7 @@ class Search:
         """Go on until there are so many points; return all of them.
 
         - ``pool``: where runs are made
-        - ``points``: number of points that are wanted in all
+        - ``points``: number of points that are wanted in all, besides those of another fit
         - ``deadline``: time (as of ``time.monotonic``) after which no batch is begun
         - ``progress``: called with the numbers of runs done and wanted after each run
 
@@ -106,6 +122,7 @@ class Search:
 
         with quiet("optuna"), warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            points += self.reused
             self._finish(pool, progress, points)
             while (known := len(self.evaluations())) < points and clock.monotonic() < deadline:
                 self._refuse_failures()
@@ -164,14 +181,17 @@ class Search:
         for found in self.evaluations():
             params = dict(zip(names, found.shares.tolist(), strict=True))
             study.add_trial(
-                optuna.trial.create_trial(
-                    params=params, distributions=space, value=found.misfit.loss
-                )
+                optuna.trial.create_trial(params=params, distributions=space, value=found.loss)
             )
         for shares in proposed:
             study.enqueue_trial(dict(zip(names, shares, strict=True)))
-        trials = [study.ask(space) for _ in range(count)]
-        return [[trial.params[name] for name in names] for trial in trials]
+        random = np.random.default_rng((self._seed, known))
+        prior, points = self._problem.prior, []
+        for _ in range(count):
+            trial = study.ask(space)
+            point = [trial.params[name] for name in names]
+            points.append(point if prior.allows(point) else prior.draw(random, 1)[0].tolist())
+        return points
 
     @property
     def _first_points(self) -> int:
@@ -186,16 +206,19 @@ class Search:
         if found is None:
             return []
         wanted = max(1, count - max(1, count // 4))
-        likely = draws(found.loss, found.dimensions, self._seed + known, FEW)
-        best = best_of(found.loss, likely)
+        likely = draws(found.loss, found.prior, self._seed + known, FEW)
+        best = best_of(found.loss, found.prior, likely)
         return [best.tolist(), *likely[: wanted - 1].tolist()]
 
     def _sobol(self) -> Array:
         from scipy.stats import qmc
 
-        sequence = qmc.Sobol(len(self._problem.ranges), rng=self._seed)
-        power = math.ceil(math.log2(self._first_points + BATCH))
-        return np.asarray(sequence.random_base2(max(power, 6)))
+        prior, wanted = self._problem.prior, self._first_points + BATCH
+        power, found = max(math.ceil(math.log2(wanted)), 6), np.empty((0, prior.dimensions))
+        while len(found) < wanted:  # constraints leave some of them
+            sequence = qmc.Sobol(prior.dimensions, rng=self._seed)
+            found, power = prior.places(np.asarray(sequence.random_base2(power))), power + 1
+        return found
 
     def _runs(self, points: Sequence[Point]) -> list[Run]:
         """Return the runs that some points of the search take."""
@@ -236,6 +259,7 @@ class Search:
     def _take(self, entry: Mapping[str, Any]) -> None:
         if "points" in entry:
             self._points += map(_point, entry["points"])
+            self.reused += len(entry["points"]) if entry.get("reused") else 0
             return
         values = tuple(math.nan if v is None else float(v) for v in entry["values"])
         run = _point(entry["shares"]), int(entry["condition"]), int(entry["seed"])
@@ -247,7 +271,9 @@ class Search:
         readings = {(k, seed): self._readings[shares, k, seed] for k, seed in tasks}
         known = {(k, seed): self._problem.on_scales(k, r) for (k, seed), r in readings.items()}
         reasons = tuple(reading.reason for reading in readings.values() if reading.reason)
-        return Evaluation(number, np.array(shares), self._problem.misfit(known), reasons)
+        misfit, place = self._problem.misfit(known), np.array(shares)
+        loss = misfit.loss + float(self._problem.prior.loss(place[None])[0])
+        return Evaluation(number, place, misfit, loss, reasons)
 
     def _refuse_failures(self) -> None:
         """Refuse to continue where no run succeeds."""
@@ -276,6 +302,8 @@ def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator
         np.array([m.loss for m in misfits]),
         observables=[datum.observable for datum in problem.measured.data],
         lowest=problem.lowest,
+        noise=problem.noise,
+        prior=problem.prior,
     )
 
 

@@ -6,18 +6,23 @@ and back comes one number for each datum.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol, final
+from typing import TYPE_CHECKING, Any, Final, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.calibration.data import Datum, Measured
 from multicell.errors import MulticellError
+from multicell.results.observables import centre, field_at, uniform_radius
 from multicell.studies.axes import Range
 from multicell.studies.observed import course_of, entry_of
 from multicell.studies.runs import PlainScene
+
+if TYPE_CHECKING:
+    from multicell.simulation import Simulation
 
 OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
 """A run ends when one of these is so many times the largest one measured in its condition."""
@@ -111,11 +116,11 @@ class SceneSimulator:
             scene = coarsen(scene, self.coarse)
         simulation = Simulation(scene, threads=1)
         watch = _Watch(data)
-        watch.add(simulation.history_row())
+        watch.add(simulation)
         while not simulation.finished and not watch.done:
             simulation.step()
-            watch.add(simulation.history_row())
-        of_the_end = any(datum.observable not in watch.columns for datum in data)
+            watch.add(simulation)
+        of_the_end = any(datum.column not in watch.columns for datum in data)
         summary = simulation.summary() if of_the_end else {}
         return [watch.reading(datum, summary) for datum in data]
 
@@ -135,12 +140,27 @@ class _Watch:
                     self._limits[name] = max(limit, self._limits.get(name, 0.0))
         self.outgrown = False
 
-    def add(self, row: dict[str, float]) -> None:
-        """Take in a row of the history."""
-        self._rows.append(row)
+    def add(self, simulation: Simulation) -> None:
+        """Take in the state of a run."""
+        row = simulation.history_row()
         # not at the start, which the fit may not change
-        if len(self._rows) > 1:
+        if self._rows:
             self.outgrown |= any(row[name] > limit > 0.0 for name, limit in self._limits.items())
+        profiles = [d for d in self._data if d.depth is not None]
+        asked = [d for d in profiles if self._asks(d, simulation)]
+        row |= dict.fromkeys((d.column for d in profiles), math.nan) | _at_depths(simulation, asked)
+        self._rows.append(row)
+
+    def _asks(self, datum: Datum, simulation: Simulation) -> bool:
+        """Return whether a profile is needed now: at the end, and next to the time of a datum."""
+        if simulation.finished or self.outgrown:
+            return True
+        if datum.at is not None:
+            return not (self._rows and self._passed(datum))
+        if datum.time is None:
+            return False
+        before = self._rows[-1]["time"] if self._rows else -math.inf
+        return before < datum.time <= simulation.timeline.next_time * (1.0 + 1e-9)
 
     @property
     def columns(self) -> Mapping[str, float]:
@@ -164,10 +184,23 @@ class _Watch:
 
     def reading(self, datum: Datum, summary: Mapping[str, Any]) -> float:
         """Return what the run has in place of a datum, NaN if nothing."""
-        if datum.observable not in self.columns:
+        if datum.column not in self.columns:
             return entry_of(summary, datum.observable)
         history = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0]}
         return reading(history, datum, outgrown=self.outgrown)
+
+
+def _at_depths(simulation: Simulation, data: Sequence[Datum]) -> dict[str, float]:
+    """Return the mean of fields over shells at depths below the surface, by column, mM."""
+    if not data:
+        return {}
+    cells, dimensions = simulation.cells, simulation.scene.dimensions
+    middle = centre(cells, dimensions)
+    radius = uniform_radius(cells, middle, dimensions)
+    fields = simulation.fields
+    return {
+        d.column: field_at(fields[d.observable], middle, radius - (d.depth or 0.0)) for d in data
+    }
 
 
 def reading(
@@ -180,7 +213,7 @@ def reading(
     was ended has its last values for later times.
     """
     times = history["time"]
-    values = course_of(history, datum.observable)
+    values = course_of(history, datum.column)
     if datum.at is not None:
         when = _crossing(times, history[datum.at[0]], datum.at[1])
     else:

@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from multicell.calibration.distance import Array
+from multicell.calibration.priors import Prior
 from multicell.report.wording import time_unit
 from multicell.studies.axes import Range
 
@@ -81,20 +82,24 @@ def correlations(shares: Array, weights: Array) -> Array:
     return np.asarray(covariance / np.outer(spread, spread))
 
 
-def undetermined(ranges: Sequence[Range], shares: Array, weights: Array) -> list[Undetermined]:
+def undetermined(
+    ranges: Sequence[Range], shares: Array, weights: Array, prior: Prior | None = None
+) -> list[Undetermined]:
     """Return what the data do not determine: open intervals, ridges, ends of ranges."""
     found = []
     known = intervals(ranges, shares, weights)
-    for free, column in zip(ranges, shares.T, strict=True):
-        interval = known[free.name]
-        if interval.part >= OPEN:
+    prior = Prior(len(ranges)) if prior is None else prior
+    for k, (free, column) in enumerate(zip(ranges, shares.T, strict=True)):
+        interval, before = known[free.name], prior.part(k, 0.95)
+        if interval.part >= OPEN * before / 0.95:
+            of = "its range" if before == 0.95 else f"its range, {100.0 * before:.0f} % beforehand"
             found.append(
                 Undetermined(
                     (free.name,),
                     "open",
                     f"{free.name} is not determined: its 95 % interval, "
                     f"{in_words(interval.low, free.unit)} to {in_words(interval.high, free.unit)}, "
-                    f"covers {100.0 * interval.part:.0f} % of its range",
+                    f"covers {100.0 * interval.part:.0f} % of {of}",
                 )
             )
             continue

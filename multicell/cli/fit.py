@@ -17,7 +17,7 @@ from multicell.cli.progress import display
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from multicell.calibration.fit import FitPlan
+    from multicell.calibration.fit_plan import FitPlan
     from multicell.calibration.fitted import Fit
 
 _LINES: Final = 20  # lines of a log
@@ -40,6 +40,14 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     "'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
 )
 @studies.free_option
+@click.option(
+    "--constraint",
+    "constraints",
+    multiple=True,
+    metavar="LEFT<RIGHT",
+    help="What must hold between free parameters, as 'KEY < 0.5 * KEY' or 'KEY + KEY < 20 h'. May "
+    "be given several times.",
+)
 @shared.output_option("Folder of the fit; the same fit there is continued.")
 @click.option(
     "--method",
@@ -62,6 +70,13 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     default=12,
     show_default=True,
     help="Runs with fresh seeds at the best point, from which intervals have the scatter of runs.",
+)
+@click.option(
+    "--profile-runs",
+    type=int,
+    default=0,
+    show_default=True,
+    help="Runs at each end of each parameter's profile interval, which check the emulator there.",
 )
 @click.option(
     "--budget",
@@ -91,9 +106,28 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     show_default=True,
     help="Relative standard deviation of data that come without one.",
 )
+@click.option(
+    "--specimens",
+    default="same",
+    show_default=True,
+    metavar="NAME",
+    help="single: each row is another specimen, measured once, as the column 'specimen' says too.",
+)
+@click.option(
+    "--scatter",
+    default="stated",
+    show_default=True,
+    metavar="NAME",
+    help="unknown: estimate what data scatter beyond runs and their stated errors.",
+)
 @shared.changes_option
 @shared.law_option
 @shared.observable_option
+@click.option(
+    "--reuse",
+    metavar="FOLDER",
+    help="Another fit of the same scene and free parameters, whose runs serve this one too.",
+)
 @studies.cores_option
 @studies.scheduler_option
 @studies.yes_option
@@ -116,6 +150,8 @@ def fit(
     **options: Any,
 ) -> None:
     """Fit free parameters of a SCENE to measured data.
+
+    --free takes distributions too, as growth.cycle_time='norm(18 h, 2 h) in 10:30 h'.
 
     The result states how far each parameter is determined, and what the data leave open. A fit that
     was stopped continues with the same command; a larger --budget adds to it.

@@ -12,6 +12,7 @@ import numpy as np
 
 from multicell.biology.responding import value_of
 from multicell.errors import SceneError
+from multicell.results.observables import viable_volume
 from multicell.scene.checks import followed
 
 if TYPE_CHECKING:
@@ -111,12 +112,17 @@ class SceneFields:
 
         return {"departure_from_a_ball": departure(cells.position, cells.radius)}
 
-    def columns(self) -> dict[str, float]:
-        """Return the columns of the history: media, and grids that a tolerance chooses."""
+    def columns(self, cells: Cells) -> dict[str, float]:
+        """Return the columns of the history: media, uptake, and grids that a tolerance chooses."""
         if self.system is None:
             return {}
         media = {f"medium_{name}": level for name, level in self.system.media.items()}
-        return media | self.system.grids.columns()
+        rates = {name: self.system.uptake_rate(name, cells) for name in self.system.fields}
+        found = media | {f"uptake_{name}": rate for name, rate in rates.items()}
+        if self._scene.dimensions == 3:
+            rim = viable_volume(cells)
+            found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
+        return found | self.system.grids.columns()
 
     def fitness(self, cells: Cells, time: float) -> tuple[dict[str, dict[str, Any]], list[str]]:
         """Return how well the grids fit the cells, by field, and remarks."""

@@ -70,7 +70,7 @@ class _Direct:
         from multicell.mechanics.jacobian import Pattern
 
         self.run, self.system, self.softening = run, run.system, method.softening
-        self.pattern = Pattern.near(run.position, run.system.motion, method.margin)
+        self.pattern = Pattern.near(run.position, run.system, method.margin)
         self.lost = 0
         self._predictor = Predictor(run)
         with warnings.catch_warnings():

@@ -40,11 +40,11 @@ def needs_python(system: Mechanics) -> bool:
     """Return whether each evaluation must go through Python.
 
     Exact JKR and surface energies between types keep values for each pair, which are made
-    in Python with each neighbour list, friction solves a linear system, and walls and
-    prescribed motion are parts that scenes without them do not load. The loops are the same then,
-    uncompiled around compiled arithmetic.
+    in Python with each neighbour list, friction solves a linear system, and walls, prescribed
+    motion and resistance to compression are parts that scenes without them do not load. The loops
+    are the same then, uncompiled around compiled arithmetic.
     """
-    optional = (system.walls, system.prescribed)
+    optional = (system.walls, system.prescribed, system.compression)
     in_python = max(system.friction) > 0.0 or any(x is not None for x in optional)
     return system.has_pair_values or in_python
 

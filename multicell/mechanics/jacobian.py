@@ -19,7 +19,6 @@ from multicell.mechanics import neighbours
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.mechanics.motion import Motion
     from multicell.mechanics.neighbours import PairList
     from multicell.mechanics.system import Linearisation, Mechanics
 
@@ -82,8 +81,11 @@ class Pattern:
     index: NDArray[np.int32]
 
     @classmethod
-    def of(cls, pairs: PairList) -> Pattern:
-        """Return the pattern of a neighbour list, with all diagonal blocks."""
+    def of(cls, pairs: PairList, *, indirect: bool = False) -> Pattern:
+        """Return the pattern of a neighbour list, with all diagonal blocks.
+
+        ``indirect`` says whether neighbours of neighbours are coupled, as by compression.
+        """
         from scipy.sparse import csc_matrix, kron
 
         place, _ = _places(pairs)
@@ -91,7 +93,10 @@ class Pattern:
         row, column = np.concatenate([first, second, own]), np.concatenate([second, first, own])
         # pairs between chunks are listed twice
         shape = (pairs.n, pairs.n)
-        blocks = csc_matrix((np.ones(len(row), np.int8), (row, column)), shape=shape)
+        blocks = csc_matrix((np.ones(len(row), np.bool_), (row, column)), shape=shape)
+        if indirect:
+            blocks = blocks @ blocks
+            blocks.sort_indices()
         whole = kron(blocks, np.ones((3, 3), np.int8), format="csc")
         whole.sort_indices()
         return cls(
@@ -100,17 +105,18 @@ class Pattern:
         )  # fmt: skip
 
     @classmethod
-    def near(cls, position: FloatArray, motion: Motion, margin: float) -> Pattern:
+    def near(cls, position: FloatArray, system: Mechanics, margin: float) -> Pattern:
         """Return the pattern with room for pairs whose surfaces are closer than a margin.
 
         - ``position``: (n, 3) µm
-        - ``motion``: the largest radii of the coupling step count
+        - ``system``: the largest radii of its coupling step count
         - ``margin``: in mean radii
         """
+        motion = system.motion
         length = motion.end - motion.begin
         largest = np.maximum(motion.radius, motion.radius + motion.radius_rate * length)
         near = neighbours.build(position, largest, margin * float(largest.mean()))
-        return cls.of(near)
+        return cls.of(near, indirect=system.compression is not None)
 
     def fill(self, system: Mechanics, values: FloatArray, linear: Linearisation) -> int:
         """Write J at a linearisation, 1/s; return how many blocks have no place.
@@ -137,16 +143,46 @@ class Pattern:
         six = mobility[i, None] * np.repeat(six, 2, axis=0)[sides]
         own = -np.stack([np.bincount(i, six[:, k], n) for k in range(6)], axis=1).astype(float)
         if linear.walls.size:
-            own[:, :3] -= mobility[:, None] * linear.walls
+            own[:, : linear.walls.shape[1]] -= mobility[:, None] * linear.walls
         values[:] = 0.0
         lost = self._put(i, j, six, values)
         self._put(np.arange(n), np.arange(n), own, values)
+        if linear.coupling is not None:
+            lost += self._add_coupling(linear, mobility, values)
         if system.prescribed is not None:
             # held cells are no unknowns: neither rows nor columns
             held = np.repeat(system.prescribed.held, 3)
             column = np.repeat(np.arange(len(held)), np.diff(self.pointer))
             values[held[self.index] | held[column]] = 0.0
         return lost
+
+    def _add_coupling(self, linear: Linearisation, mobility: FloatArray, values: FloatArray) -> int:
+        """Add -Γ⁻¹ Gᵀ D G of compressed tissue; return how many entries have no place."""
+        from scipy.sparse import csr_matrix, diags
+
+        coupling, n = linear.coupling, len(mobility)
+        assert coupling is not None
+        place, inner = _places(linear.pairs)
+        first, second = linear.pairs.first[place], linear.pairs.second[place]
+        part = coupling.slope[place, None] * linear.normal[place]
+        # of the first cells, of the second ones in pairs within a chunk, and of walls
+        row: list[Any] = [first, first, second[inner], second[inner]]
+        column: list[Any] = [first, second, first[inner], second[inner]]
+        value = [part, -part, part[inner], -part[inner]]
+        if coupling.contacts is not None:
+            row, column = [*row, coupling.contacts.cell], [*column, coupling.contacts.cell]
+            value.append(coupling.area[:, None] * coupling.contacts.normal)
+        rows = np.repeat(np.concatenate(row), 3)
+        columns = (3 * np.concatenate(column).astype(np.int64)[:, None] + np.arange(3)).ravel()
+        gradient = csr_matrix((np.concatenate(value).ravel(), (rows, columns)), shape=(n, 3 * n))
+        change = diags(np.repeat(-mobility, 3)) @ gradient.T @ diags(coupling.weight) @ gradient
+        change = change.tocoo()
+        key = np.repeat(np.arange(3 * n), np.diff(self.pointer)) * 3 * n + self.index
+        wanted = change.col.astype(np.int64) * 3 * n + change.row
+        at = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+        known = key[at] == wanted
+        values[at[known]] += change.data[known]
+        return int((change.data[~known] != 0.0).sum())
 
     def _put(
         self, i: NDArray[np.int64], j: NDArray[np.int64], six: FloatArray, values: FloatArray
@@ -183,7 +219,7 @@ def sparse_jacobian(system: Mechanics) -> Any:
     list that are out of contact stand in it as zeros.
     """
     linear = system.linearisation
-    pattern = Pattern.of(linear.pairs)
+    pattern = Pattern.of(linear.pairs, indirect=linear.coupling is not None)
     values = np.empty(len(pattern.index))
     pattern.fill(system, values, linear)
     return pattern.matrix(values)

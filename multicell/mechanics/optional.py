@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.friction import PairFriction
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.prescribed import Prescribed
+    from multicell.mechanics.system import Linearisation
 
 
 def friction(coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> PairFriction:
@@ -24,3 +25,12 @@ def prescribed(motion: Motion) -> Prescribed | None:
     from multicell.mechanics.prescribed import Prescribed
 
     return Prescribed(motion.held, motion.velocity, motion.begin)
+
+
+def stiffened(linear: Linearisation) -> Linearisation:
+    """Return a linearisation whose pairs stand for many-body stiffness as well."""
+    if linear.coupling is None:
+        return linear
+    from multicell.mechanics import compression
+
+    return compression.stiffened(linear)

@@ -28,6 +28,7 @@ from numba import njit, prange
 from multicell.compiling import KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.blocks import NEARLY_SINGULAR, add_block, invert_by_pivots
+from multicell.mechanics.optional import stiffened
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -86,7 +87,7 @@ def _collect_chunk(
         blocks[i, 3] = blocks[i, 4] = blocks[i, 5] = 0.0
     if walls.shape[0] > 0:
         for i in range(low, high):
-            for k in range(3):
+            for k in range(walls.shape[1]):
                 blocks[i, k] += gamma * walls[i, k]
     for p in range(start[c], outer_end[c]):
         w, s = _link(p, gamma, along, across)
@@ -243,6 +244,7 @@ class Sweeps:
     def setup(self, system: Mechanics, gamma: float, linear: Linearisation) -> None:
         """Prepare for (I - γJ) at a linearisation."""
         system.work.preconditioner_setups += 1
+        linear = stiffened(linear)
         pairs = linear.pairs
         if len(self._near) < len(pairs.first):
             self._near = np.empty(len(pairs.first), dtype=np.int32)

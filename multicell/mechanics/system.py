@@ -8,6 +8,7 @@ values at the two ends, so that volumes are exact at both ends.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
@@ -23,8 +24,10 @@ from multicell.mechanics.listed import are_listed, listed
 from multicell.mechanics.motion import Motion, StateRejected, Work
 
 if TYPE_CHECKING:
+    from multicell.mechanics.compression import Compression, Coupling, Pressed
     from multicell.mechanics.friction import PairFriction
     from multicell.mechanics.prescribed import Prescribed
+    from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
 
 
@@ -38,7 +41,10 @@ _ROOM = 50
 class Linearisation:
     """Direction, dF/dh + F/d and F/d of every pair at one state.
 
-    ``walls`` is the stiffness of each cell's walls along each axis, (n, 3) nN/µm, or empty.
+    ``walls`` is the stiffness of each cell's walls along each axis, (n, 3) nN/µm, or empty;
+    for a spherical wall xx, yy, zz, xy, xz, yz at a fixed radius. ``coupling`` is what the change
+    of the cells' pressures adds where tissue resists compression, ``yielding``, (n, 3), the g of
+    the + g gᵀ that the yielding of a gel adds to the derivative of forces.
     """
 
     pairs: neighbours.PairList
@@ -47,6 +53,8 @@ class Linearisation:
     across: FloatArray
     data: forces.PairData | None = None
     walls: FloatArray = field(default_factory=lambda: _NOTHING)
+    coupling: Coupling | None = None
+    yielding: FloatArray | None = None
 
     @classmethod
     def room(cls, pairs: neighbours.PairList) -> Linearisation:
@@ -91,6 +99,7 @@ class Mechanics:
     - ``surface_energies``, (k, k), optional: symmetric matrix over the cell types, nN/µm, in place
       of the law's surface energy
     - ``walls``, optional: elastic walls that the cells press against
+    - ``compression``, optional: many-body resistance to compression
     """
 
     law: PairLaw
@@ -102,7 +111,8 @@ class Mechanics:
     bond_strength: float = 0.0
     friction: tuple[float, float] = (0.0, 0.0)
     surface_energies: FloatArray | None = None
-    walls: Walls | None = None
+    walls: Walls | Sphere | None = None
+    compression: Compression | None = None
     work: Work = field(default_factory=Work)
 
     def __post_init__(self) -> None:
@@ -192,6 +202,7 @@ class Mechanics:
             linear.normal, linear.along, linear.across,
         )  # fmt: skip
         linear.data = self._pair_data
+        pressed = self._settle_pressures(time, pairs)
         if self.walls is not None:
             linear.walls = self.walls.stiffness(self._rows)
         if self._offsets.data is not None:
@@ -200,6 +211,18 @@ class Mechanics:
                 time - self.motion.begin, *self._offsets.places(self._pair_data),
                 linear.along, linear.across,
             )  # fmt: skip
+        add_pressures = None
+        if self.compression is not None and pressed is not None:
+            shared = self._shared(pairs)
+            linear.coupling = self.compression.linearise(
+                self._rows, self._offset_list(time), pressed, linear, shared=shared
+            )
+            add_pressures = partial(
+                self.compression.add_yielding, self.chunk, self._rows, linear, pressed,
+                shared=shared,
+            )  # fmt: skip
+        if self.walls is not None:
+            linear.yielding = self.walls.yielding(self._rows, add_pressures)
         if self._pair_friction is not None:
             self._pair_friction.linearise(
                 self._rows, pairs, self._shared(pairs), self._listed_offsets(time)
@@ -241,6 +264,14 @@ class Mechanics:
         )  # fmt: skip
         if self.walls is not None:
             self.walls.subtract_products(self._rows, linear.walls, drag, _frozen(vector), out)
+        if self.compression is not None:
+            self.compression.add_products(
+                self.chunk, self._rows, linear, drag, _frozen(vector), out,
+                shared=self._shared(linear.pairs),
+            )  # fmt: skip
+        if linear.yielding is not None:
+            force = (linear.yielding * vector).sum() * linear.yielding
+            out += force / (drag * self._rows[:, 3, None]) if drag > 0.0 else force
         if given is not None:
             out[given.held] = 0.0
         friction = self._pair_friction
@@ -281,20 +312,22 @@ class Mechanics:
         pairs = self._settle(time, position)
         marked = np.empty(len(pairs.first), dtype=np.bool_)
         elapsed = time - self.motion.begin
-        offset = self._offsets.listed(self._pair_data, elapsed)
+        offset = self._offset_list(time)
         forces.overlaps(self._rows, self._pair_data, elapsed, offset, marked)
         found = np.stack([pairs.first[marked], pairs.second[marked]], axis=1).astype(np.int64)
         found.sort(axis=1)
         return found[np.lexsort((found[:, 1], found[:, 0]))]
 
     def energy(self, time: float, position: FloatArray) -> float:
-        """Return the contact energy Σ U(h) over all pairs, and that of walls, fJ."""
-        self._settle(time, position)
+        """Return the contact energy Σ U(h) over all pairs, and of walls and compression, fJ."""
+        pressed = self._settle_pressures(time, self._settle(time, position))
         elapsed = time - self.motion.begin
         total = float(forces.energy(self._rows, self._pair_data, self._law, elapsed))
         total += self._add_offset_virials(elapsed, np.empty(len(self)))
         if self.walls is not None:
             total += self.walls.energy(self._rows)
+        if self.compression is not None and pressed is not None:
+            total += self.compression.energy(self._rows, pressed)
         return total
 
     def pressure(self, time: float, position: FloatArray) -> FloatArray:
@@ -311,8 +344,10 @@ class Mechanics:
         run = forces.half_virials_parallel if self._shared(pairs) else forces.half_virials
         run(self._rows, self._pair_data, self._law, elapsed, virials)
         self._add_offset_virials(elapsed, virials)
+        pressed = self._settle_pressures(time, pairs)
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
+        self._resist(time, pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
         return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
@@ -331,11 +366,12 @@ class Mechanics:
         return float((2.0 * largest / (self.drag * self._rows[:, 3])).max())
 
     def _fill_blocks(self, linear: Linearisation) -> None:
+        linear = optional.stiffened(linear)
         blocks.diagonal_blocks(
             linear.data, linear.normal, linear.along, linear.across, self._blocks
         )
         if self.walls is not None:
-            self._blocks[:, :3] += linear.walls
+            self._blocks[:, : linear.walls.shape[1]] += linear.walls
         if self.prescribed is not None:
             self._blocks[self.prescribed.held] = 0.0
 
@@ -351,9 +387,34 @@ class Mechanics:
             time - self.motion.begin, stokes, self._rows, out,
         ):  # fmt: skip
             pairs = self._rebuild(position)
+        pressed = self._settle_pressures(time, pairs)
         if self.walls is not None:
             self.walls.add_forces(self._rows, self.drag if stokes else 0.0, out)
+        drag = self.drag if stokes else 0.0
+        self._resist(time, pairs, pressed, drag, out, np.empty(len(self)))
         return pairs
+
+    def _settle_pressures(self, time: float, pairs: neighbours.PairList) -> Pressed | None:
+        """Let walls that yield do so at the state in ``rows``; return the cells' pressures."""
+        if self.compression is None:
+            if self.walls is not None:
+                self.walls.settle(self._rows, None, None)
+            return None
+        return self.compression.pressed(
+            self._rows, self._pair_data, self._offset_list(time), self.chunk, self.walls,
+            shared=self._shared(pairs),
+        )  # fmt: skip
+
+    def _resist(
+        self, time: float, pairs: neighbours.PairList, pressed: Pressed | None, drag: float,
+        out: FloatArray, virials: FloatArray,
+    ) -> None:  # fmt: skip
+        """Add what compressed tissue adds to forces or velocities, and to virials."""
+        if self.compression is not None and pressed is not None:
+            self.compression.add_forces(
+                self._rows, self._pair_data, self._offset_list(time), pressed, drag, out, virials,
+                shared=self._shared(pairs),
+            )  # fmt: skip
 
     def _placed(self, time: float, position: FloatArray) -> FloatArray:
         """Return where the cells are: those whose motion is prescribed have gone on."""
@@ -469,9 +530,13 @@ class Mechanics:
             self.chunk, len(self),
         )  # fmt: skip
 
+    def _offset_list(self, time: float) -> FloatArray | None:
+        """Return the offset of each place of the list, µm, or None where no pair has one."""
+        return self._offsets.listed(self._pair_data, time - self.motion.begin)
+
     def _listed_offsets(self, time: float) -> FloatArray:
         """Return the offset of each place of the list, µm, or nothing where there is none."""
-        found = self._offsets.listed(self._pair_data, time - self.motion.begin)
+        found = self._offset_list(time)
         return np.empty(0) if found is None else found
 
     def _add_offset_virials(self, elapsed: float, virials: FloatArray) -> float:

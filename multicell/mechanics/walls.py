@@ -17,13 +17,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import final
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 from numba import njit
 
-from multicell.cells import FloatArray
+from multicell.cells import FloatArray, IntArray
 from multicell.compiling import KERNEL
+
+if TYPE_CHECKING:
+    from multicell.mechanics.compression import Compression
 
 
 @njit(**KERNEL)
@@ -81,6 +84,34 @@ def _subtract_products(rows, stiffness, drag, vector, out):
             out[i, a] -= scale * stiffness[i, a] * vector[i, a]
 
 
+class Contacts(NamedTuple):
+    """Contacts of cells with walls: one row for each.
+
+    - ``cell``, (m,) int: who touches
+    - ``normal``, (m, 3): unit vector from the cell to the wall
+    - ``overlap``, ``distance``, (m,) µm: indentation, and of the centre from the wall
+    - ``curvature``, (m,) 1/µm: by which the normal turns as the cell moves along the wall
+    """
+
+    cell: IntArray
+    normal: FloatArray
+    overlap: FloatArray
+    distance: FloatArray
+    curvature: FloatArray
+
+    def add_blocks(self, along: FloatArray, across: FloatArray | float, out: FloatArray) -> None:
+        """Add along n nᵀ + across (I - n nᵀ) of each contact to its cell's stiffness, nN/µm.
+
+        ``out`` is (n, 3), xx, yy, zz, of walls across the axes, else (n, 6) with xy, xz, yz.
+        """
+        n, part = self.normal, along - across
+        six = [
+            part * n[:, i] * n[:, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        ]
+        for k in range(out.shape[1]):
+            np.add.at(out[:, k], self.cell, six[k] + (across if k < 3 else 0.0))
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Walls:
@@ -102,6 +133,20 @@ class Walls:
         """Add the forces to ``out``, (n, 3) nN, or with a ``drag`` 6πη the velocities, µm/s."""
         _add_forces(rows, self.low, self.high, self.soft, drag, out)
 
+    @property
+    def volume(self) -> float:
+        """Volume within the sides, µm³."""
+        return float((self.high - self.low).prod())
+
+    def contacts(self, rows: FloatArray) -> Contacts:
+        """Return the contacts of cells, as :class:`Contacts` has them, side by side."""
+        distance = np.stack([rows[:, :3] - self.low, self.high - rows[:, :3]])
+        side, cell, axis = np.nonzero(distance < rows[:, 3, None])
+        normal = np.zeros((len(cell), 3))
+        normal[np.arange(len(cell)), axis] = np.where(side == 0, -1.0, 1.0)
+        near = distance[side, cell, axis]
+        return Contacts(cell, normal, rows[cell, 3] - near, near, np.zeros(len(cell)))
+
     def pressures(
         self, position: FloatArray, radius: FloatArray, softness: FloatArray
     ) -> FloatArray:
@@ -117,6 +162,19 @@ class Walls:
         force = ((np.sqrt(radius) / (softness + self.soft))[:, None] * pressed).sum(axis=1)
         lengths = self.high - self.low
         return np.asarray(force * lengths / lengths.prod())
+
+    def settle(
+        self, rows: FloatArray, compression: Compression | None, taken: FloatArray | None
+    ) -> None:
+        """Do nothing: the sides do not yield."""
+
+    def yielding(self, rows: FloatArray, add_pressures: object) -> None:
+        """Return None: the sides do not yield."""
+
+    def mean_pressure(self, contacts: Contacts, force: FloatArray) -> float:
+        """Return the forces of contacts over the area of their sides, mean of all six, kPa."""
+        lengths = self.high - self.low
+        return float((force * (np.abs(contacts.normal) @ lengths)).sum() / (6.0 * lengths.prod()))
 
     def stiffness(self, rows: FloatArray) -> FloatArray:
         """Return -dF/dx of each cell along each axis, (n, 3) nN/µm, nowhere negative."""

@@ -335,6 +335,11 @@ class Feeding:
         if any(name in (n.secretion_from or ()) for n in self._nutrients.values()):
             self._uptake[name] = field.uptake(cells.position, capacity)
 
+    def uptake_rate(self, name: str, cells: Cells) -> float:
+        """Return what all cells take up of a field now, amol/s."""
+        capacity = self._capacity(name, cells)
+        return float(self.fields[name].uptake(cells.position, capacity).sum())
+
     def demand_now(self, name: str, cells: Cells) -> tuple[FloatArray, FloatArray | None]:
         """Return each cell's largest uptake and its secretion, (n,) amol/s."""
         nutrient = self._nutrients[name]

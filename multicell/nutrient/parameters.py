@@ -43,7 +43,7 @@ class FieldParameters:
         nutrient = scene.nutrients[name]
         return cls(
             nutrient, spacing(scene, name), height(scene, name), regime(scene, name),
-            scene.dimensions, scene.domain,
+            scene.dimensions, scene.box,
         )  # fmt: skip
 
     @property

@@ -15,8 +15,10 @@ from multicell.results import observables as of
 from multicell.results.contacts import counts_contacts
 from multicell.results.observable import Observable, TissueState, find_own
 from multicell.scene.domain import walls
+from multicell.scene.pairs import compression
 
 if TYPE_CHECKING:
+    from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
     from multicell.scene.scene import Scene
 
@@ -46,13 +48,20 @@ def _has_walls(scene: Scene) -> bool:
     return scene.dimensions == 3 and scene.domain is not None and scene.domain.wall == "elastic"
 
 
+def _has_gel(scene: Scene) -> bool:
+    return scene.domain is not None and scene.domain.stiffness is not None
+
+
 def _has_shells(scene: Scene) -> bool:
     return scene.dimensions == 3 and any(n.layout != "box" for n in scene.nutrients.values())
 
 
-def _box(state: TissueState) -> Walls:
+def _walls(state: TissueState) -> Walls | Sphere:
+    """Return the walls as they stand round the cells."""
     found = walls(state.scene)
     assert found is not None
+    if _has_gel(state.scene):
+        of.settle(state.cells, found, compression(state.scene))
     return found
 
 
@@ -170,22 +179,29 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "volume_fraction",
-        lambda s: of.volume_fraction(s.cells, _box(s)),
+        lambda s: of.volume_fraction(s.cells, _walls(s)),
         exists=_has_walls,
         doc="sum of the cells' volumes over the volume of the `domain`; with elastic walls in"
         " space",
     ),
     Observable(
+        "domain_radius",
+        lambda s: of.domain_radius(_walls(s)),
+        unit="um",
+        exists=_has_gel,
+        doc="radius to which the cells have widened the cavity of a gel (`domain.stiffness`)",
+    ),
+    Observable(
         "wall_pressure",
-        lambda s: of.wall_pressure(s.cells, _box(s)),
+        lambda s: of.wall_pressure(s.cells, _walls(s), compression(s.scene)),
         unit="kPa",
         exists=_has_walls,
-        doc="normal force of the cells on a wall over its area, mean of the six sides; with "
-        "elastic walls in space",
+        doc="normal force of the cells on a wall over its area, mean of the six sides of a box; "
+        "with elastic walls in space",
     ),
     Observable(
         "tissue_pressure",
-        lambda s: of.tissue_pressure(s.cells, _box(s)),
+        lambda s: of.tissue_pressure(s.cells, _walls(s)),
         unit="kPa",
         exists=_has_walls,
         signed=True,
@@ -253,6 +269,21 @@ OBSERVABLES: Final = (
         unit="mM",
         exists=lambda scene: [n for n, f in scene.nutrients.items() if f.finite_medium is not None],
         entry=None,
+    ),
+    Observable(
+        "uptake_*",
+        unit="amol/s",
+        exists=lambda scene: scene.nutrients,
+        entry=None,
+        doc="rate at which all cells take up a field",
+    ),
+    Observable(
+        "rim_uptake_*",
+        unit="mM/s",
+        exists=lambda scene: scene.nutrients if scene.dimensions == 3 else (),
+        entry=None,
+        absent="without living cells, and where the dead lie outside the living",
+        doc="that rate over the volume of the ball of this diameter, less that of the core",
     ),
     Observable(
         "force_*",

@@ -18,6 +18,8 @@ from multicell.cells import Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import compliance
 
 if TYPE_CHECKING:
+    from multicell.mechanics.compression import Compression
+    from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
     from multicell.results.frame import Field, Frame
 
@@ -112,6 +114,16 @@ def necrotic_radius(cells: Cells, dimensions: int, extent: Extent | None = None)
     return (extent or Extent(cells, dimensions)).radius(dead)
 
 
+def viable_volume(cells: Cells) -> float:
+    """Return the volume of the ball of all cells less that of the necrotic core in µm³.
+
+    NaN without living cells, and where the dead lie outside the living.
+    """
+    extent = Extent(cells, 3)
+    volume = 4.0 / 3.0 * np.pi * (extent.radius() ** 3 - necrotic_radius(cells, 3, extent) ** 3)
+    return volume if volume > 0.0 and not cells.dead.all() else float("nan")
+
+
 def viable_rim(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
     """Return the thickness of the layer outside the necrotic core in µm, NaN without a core.
 
@@ -189,28 +201,45 @@ def packing_ratio(cells: Cells, dimensions: int, extent: Extent | None = None) -
     return float(((cells.radius / radius) ** dimensions).sum())
 
 
-def volume_fraction(cells: Cells, walls: Walls) -> float:
+def volume_fraction(cells: Cells, walls: Walls | Sphere) -> float:
     """Return the cells' volumes over that of the box; above 1 only where cells overlap."""
-    return float(cells.volume.sum()) / _volume(walls)
+    return float(cells.volume.sum()) / walls.volume
 
 
-def wall_pressure(cells: Cells, walls: Walls) -> float:
-    """Return the pressure on the walls of a box in kPa, mean of the six sides."""
+def settle(cells: Cells, walls: Walls | Sphere, compression: Compression | None) -> float:
+    """Let a gel give way to the cells; return what compressed tissue adds to its pressure, kPa.
+
+    Sisters that have just parted count with their whole overlap.
+    """
+    softness = compliance(cells.young, cells.poisson)
+    rows = np.column_stack([cells.position, cells.radius, softness])
+    if compression is None:
+        walls.settle(rows, None, None)
+        return 0.0
+    return compression.wall_pressure(rows, walls)
+
+
+def domain_radius(walls: Walls | Sphere) -> float:
+    """Return the radius of a spherical wall, µm."""
+    return float(getattr(walls, "radius"))  # noqa: B009
+
+
+def wall_pressure(
+    cells: Cells, walls: Walls | Sphere, compression: Compression | None = None
+) -> float:
+    """Return the pressure on the walls in kPa, of a box the mean of the six sides."""
     softness = np.asarray(compliance(cells.young, cells.poisson))
-    return float(walls.pressures(cells.position, cells.radius, softness).mean())
+    pressed = settle(cells, walls, compression)
+    return float(walls.pressures(cells.position, cells.radius, softness).mean()) + pressed
 
 
-def tissue_pressure(cells: Cells, walls: Walls) -> float:
+def tissue_pressure(cells: Cells, walls: Walls | Sphere) -> float:
     """Return the pressure of the tissue in a box in kPa: the sum of p_i V_i over its volume.
 
     With the pressures p_i of the cells that is the virial stress, a third of its trace. At rest it
     is the pressure on the walls.
     """
-    return float(cells.pressure @ cells.volume) / _volume(walls)
-
-
-def _volume(walls: Walls) -> float:
-    return float((walls.high - walls.low).prod())
+    return float(cells.pressure @ cells.volume) / walls.volume
 
 
 def pressure_factors(cells: Cells, critical: float) -> FloatArray:
@@ -314,6 +343,22 @@ def field_profile(field: Field, origin: FloatArray, edges: FloatArray) -> FloatA
     axes = np.meshgrid(*(field.axis(k) - origin[k] for k in range(3)), indexing="ij", sparse=True)
     radius = np.sqrt(sum(axis**2 for axis in axes)).ravel()
     return _means(radius, edges, field.values.ravel())
+
+
+def field_at(field: Field, origin: FloatArray, distance: float) -> float:
+    """Return the mean of a field over the shell at a distance from ``origin``, in the field's unit.
+
+    Linear between the means over shells as thick as the grid's spacing. Beyond the grid it is the
+    value at its edge, at a negative distance that on the other side of ``origin``.
+    """
+    middles, means = field.axis(0) - field.origin[0], field.values.ravel()
+    if field.kind != "radial":
+        ends = [np.abs(field.axis(k)[[0, -1]] - origin[k]).max() for k in range(3)]
+        edges = np.arange(0.0, np.linalg.norm(ends) + field.spacing, field.spacing)
+        found = field_profile(field, origin, edges)
+        filled = np.isfinite(found)
+        middles, means = 0.5 * (edges[1:] + edges[:-1])[filled], found[filled]
+    return float(np.interp(abs(distance), middles, means))
 
 
 def _means(radius: FloatArray, edges: FloatArray, values: NDArray[Any]) -> FloatArray:

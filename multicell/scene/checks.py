@@ -134,7 +134,7 @@ def check_nutrients(scene: Scene) -> None:
         _check_finite(scene, path, nutrient)
         _check_places(scene, path, nutrient)
         _check_layer(path, nutrient)
-        if scene.domain is not None:
+        if scene.box is not None:
             _check_in_domain(scene, name)
     solving_order(scene.nutrients, scene.reactions, scene.responses)
     if scene.dimensions == 2:
@@ -224,10 +224,10 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
     if nutrient.media_change == "linear":
         problem = "is 'linear', but a finite medium changes by itself and is replaced at times"
         raise SceneError(f"{path}.media_change", problem, "Leave it out.")
-    if scene.domain is not None:
+    if scene.box is not None:
         height = nutrient.height or 2.0 * scene.cells.division_radius
         flat = height if scene.dimensions == 2 else 1.0
-        covered = math.prod(box.sides(scene.domain)) * flat
+        covered = math.prod(box.sides(scene.box)) * flat
         if not finite.volume > covered:
             problem = f"is {finite.volume:g} um^3, no more than the domain ({covered:g} um^3) holds"
             hint = "It is the volume of all medium, in the domain and beyond it."
@@ -247,7 +247,7 @@ def _check_places(scene: Scene, path: str, nutrient: Nutrient) -> None:
             if not low <= place <= high:
                 problem = f"is {place:g} um, outside the domain: from {low:g} to {high:g} um"
                 raise SceneError(f"{where}.{axis}", problem)
-        if source.flux is not None and scene.domain is None:
+        if source.flux is not None and scene.box is None:
             problem = "is that of a plane, which needs a domain: other grids follow the cells"
             raise SceneError(f"{where}.flux", problem, "Give [domain], or take a point.")
         missing = [axis for axis in "xyz"[: scene.dimensions] if axis not in source.place]
@@ -267,7 +267,7 @@ def _ends(scene: Scene, path: str, axis: str) -> tuple[float, float]:
     """Return the ends of the domain along an axis, infinite without one; check the axis."""
     if axis not in "xyz"[: scene.dimensions]:
         raise SceneError(f"{path}.{axis}", "does not exist in a scene of 2 dimensions")
-    return getattr(scene.domain, axis, None) or (-math.inf, math.inf)
+    return getattr(scene.box, axis, None) or (-math.inf, math.inf)
 
 
 def _check_layer(path: str, nutrient: Nutrient) -> None:
@@ -302,7 +302,7 @@ def _check_plane(scene: Scene, name: str) -> None:
 
 def _check_in_domain(scene: Scene, name: str) -> None:
     """Check that a field can live on the box that the scene fixes."""
-    path, nutrient, domain = f"nutrients.{name}", scene.nutrients[name], scene.domain
+    path, nutrient, domain = f"nutrients.{name}", scene.nutrients[name], scene.box
     assert domain is not None
     if nutrient.geometry not in (None, "box"):
         problem = f"is '{nutrient.geometry}' in a scene with a domain, which is a box"

@@ -40,8 +40,8 @@ _SAME: Final = """
     growth.phases.*.duration growth.phases.*.distribution growth.phases.*.variation
     growth.phases.*.shift growth.phases.*.grows
     growth.division growth.restriction growth.cycle_variation growth.critical_pressure
-    death.damage_time death.damage_variation death.damage_repair_time
-    death.necrosis_rate death.swelling death.swelling_time death.lysis_time
+    death.necrosis_rate death.damage_time death.damage_repair_time death.damage_variation
+    death.inflow death.swelling death.swelling_time death.lysis_time
     death.apoptosis_rate death.apoptosis_time death.removal_fraction
     types.*.fraction types.*.young types.*.receptor types.*.ligand types.*.receptor_by_phase
     types.*.ligand_by_phase types.*.receptor_by types.*.ligand_by types.*.cycle_scale
@@ -53,6 +53,7 @@ _SAME: Final = """
     forces.*.type forces.*.x forces.*.y forces.*.z forces.*.begin forces.*.end
     motions.*.type motions.*.x motions.*.y motions.*.z motions.*.begin motions.*.end
     motions.*.velocity
+    compression.bulk_modulus compression.onset domain.shape domain.radius domain.stiffness
     domain.x domain.y domain.z domain.wall domain.young domain.poisson
     nutrients.*.diffusion nutrients.*.diffusion_medium nutrients.*.boundary nutrients.*.media
     nutrients.*.temperature nutrients.*.finite_medium.volume

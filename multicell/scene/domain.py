@@ -1,4 +1,4 @@
-"""The fixed box of a scene: whether it fits, how cubes fill it, and who is outside.
+"""The fixed domain of a scene: whether it fits, how cubes fill a box, and who is outside.
 
 Light: nothing here loads a grid or a kernel, so that a scene can be read and explained at once.
 """
@@ -16,6 +16,7 @@ from multicell.errors import SceneError, StepFailed
 
 if TYPE_CHECKING:
     from multicell.cells import Cells, FloatArray, IntArray
+    from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
     from multicell.scene.parts import Domain
     from multicell.scene.scene import Scene
@@ -32,11 +33,22 @@ def check_domain(scene: Scene) -> None:
     """Raise ``SceneError`` for a box that does not fit to the scene's dimensions and cells."""
     if scene.domain is None:
         return
+    if scene.death is not None and scene.death.inflow:
+        hint = "Walls would stop the medium: leave out inflow, or the domain."
+        raise SceneError("death.inflow", "has no meaning in a domain", hint)
+    widest = 2.0 * scene.cells.division_radius
+    if scene.domain.radius is not None:
+        if scene.domain.radius < 0.5 * widest:
+            problem = f"is {scene.domain.radius:g} um, must be at least {0.5 * widest:g} um"
+            raise SceneError("domain.radius", problem, "A cell that divides must fit in.")
+        if scene.dimensions == 2 and scene.domain.stiffness is not None:
+            problem = "does not exist in a scene of 2 dimensions"
+            raise SceneError("domain.stiffness", problem, "A gel surrounds cells in space.")
+        return
     axes = "xyz"[: scene.dimensions]
     if scene.dimensions == 2 and scene.domain.z is not None:
         hint = "The cells lie in the plane z = 0; leave z out."
         raise SceneError("domain.z", "does not exist in a scene of 2 dimensions", hint)
-    widest = 2.0 * scene.cells.division_radius
     for axis in axes:
         ends = getattr(scene.domain, axis)
         if ends is None:
@@ -73,17 +85,23 @@ def filling(lengths: Sequence[float], spacing: float) -> tuple[int, ...] | None:
     return tuple(int(n) for n in counts[:, fits[0]]) if len(fits) else None
 
 
-def walls(scene: Scene) -> Walls | None:
+def walls(scene: Scene) -> Walls | Sphere | None:
     """Return the elastic walls of a scene; where there are none, nothing is loaded."""
     domain = scene.domain
     if domain is None or domain.wall != "elastic":
         return None
+    young = scene.cells.young if domain.young is None else domain.young
+    poisson = scene.cells.poisson if domain.poisson is None else domain.poisson
+    soft = float(compliance(young, poisson))
+    if domain.radius is not None:
+        from multicell.mechanics.sphere import Sphere
+
+        # an incompressible gel: E = 3 G
+        return Sphere(domain.radius, soft, domain.stiffness and domain.stiffness / 3.0)
     from multicell.mechanics.walls import Walls
 
     low, high = domain.corners()
-    young = scene.cells.young if domain.young is None else domain.young
-    poisson = scene.cells.poisson if domain.poisson is None else domain.poisson
-    return Walls(np.array(low), np.array(high), float(compliance(young, poisson)))
+    return Walls(np.array(low), np.array(high), soft)
 
 
 def check_start(scene: Scene, cells: Cells) -> None:
@@ -94,7 +112,8 @@ def check_start(scene: Scene, cells: Cells) -> None:
         place = ", ".join(f"{x:g}" for x in cells.position[cell])
         problem = f"is too small: cell {cells.id[cell]} starts at ({place}) um, beyond side {side}"
         hint = "Widen the domain, or start with fewer cells."
-        raise SceneError(f"domain.{side[0]}", problem, hint)
+        key = side[0] if scene.box is not None else "radius"
+        raise SceneError(f"domain.{key}", problem, hint)
 
 
 def check_inside(domain: Domain | None, ids: IntArray, position: FloatArray, time: float) -> None:
@@ -112,11 +131,20 @@ def check_inside(domain: Domain | None, ids: IntArray, position: FloatArray, tim
 
 
 def strayed(domain: Domain, position: FloatArray) -> tuple[int, str] | None:
-    """Return the first cell whose centre is not in the box, and beyond which side it is.
+    """Return the first cell whose centre is not in the domain, and beyond which side it is.
 
-    - ``domain``: a centre on a side is inside
+    - ``domain``: a centre on a side is inside; a gel gives way to all
     - ``position``, (n, 3), µm
     """
+    if domain.stiffness is not None:
+        return None
+    if domain.radius is not None:
+        beyond = np.flatnonzero(~(np.square(position).sum(axis=1) <= domain.radius**2))
+        if not len(beyond):
+            return None
+        place = position[beyond[0]]
+        axis = int(np.abs(place).argmax())
+        return int(beyond[0]), "xyz"[axis] + ("-" if place[axis] < 0.0 else "+")
     low, high = (np.array(corner) for corner in domain.corners())
     below, above = ~(position >= low), ~(position <= high)
     outside = below | above

@@ -132,6 +132,8 @@ def collapse_notes(scene: Scene) -> Iterator[str]:
     """Yield a remark on each two types whose cells attract each other too much."""
     if scene.growth is None and scene.initial.count <= _TOUCHING:
         return
+    if scene.compression is not None:  # its energy grows with the square of the density
+        return
     for label, (ratio, pair, like) in strongest_attraction(scene).items():
         if not ratio > 1.0:
             continue

@@ -15,6 +15,7 @@ from multicell.contact.pair import Pair
 from multicell.scene.sizes import birth_radius
 
 if TYPE_CHECKING:
+    from multicell.mechanics.compression import Compression
     from multicell.scene.scene import Scene
 
 
@@ -25,6 +26,16 @@ def surface_energies(scene: Scene) -> FloatArray | None:
         return None
     names = list(scene.types)
     return np.array([[(row or {})[name] for name in names] for row in rows])
+
+
+def compression(scene: Scene) -> Compression | None:
+    """Return what resists compression beside contacts; where nothing does, nothing is loaded."""
+    part = scene.compression
+    if part is None:
+        return None
+    from multicell.mechanics.compression import Compression
+
+    return Compression(part.bulk_modulus, part.onset)
 
 
 def drag(scene: Scene, radius: float) -> float:

@@ -298,6 +298,12 @@ class Death:
         default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
     )
 
+    inflow: bool = flag(
+        default=False,
+        doc="the medium that drags the cells flows in to where the dead lose volume, and takes the "
+        "tissue along; false: the medium is at rest",
+    )
+
     def check(self) -> None:
         """Raise ``SceneError`` for two laws of the same death."""
         if self.necrosis_rate is not None and self.damage_time is not None:
@@ -471,6 +477,23 @@ class Friction:
 
 @final
 @parameters
+class Compression:
+    """Resistance of tissue to compression by all neighbours of a cell together; in space only."""
+
+    bulk_modulus: float = quantity(
+        "kPa", default=10.0, above=0, at_most=1e6, doc="of close-packed cells above the onset"
+    )
+    onset: float = number(
+        default=1.0,
+        at_least=0.85,
+        at_most=2.0,
+        doc="volume fraction, of cells over space, below which nothing resists but the contacts",
+        hint="Equal spheres touch at 0.74; at 1 the cells leave no gaps.",
+    )
+
+
+@final
+@parameters
 class Pull:
     """An external force that pulls every cell away from the centre of all cells.
 
@@ -553,9 +576,24 @@ class Motility:
 class Domain:
     """A box that stands still: the fields live on it, and its sides are walls for the cells.
 
-    Absent, a field's grid is laid round the cells anew in every step.
+    Absent, a field's grid is laid round the cells anew in every step. So it is in a sphere, a wall
+    about the origin that fields pass; with a stiffness it is the cavity of a gel that gives way.
     """
 
+    shape: str = choice(["box", "sphere"], default="box", doc="sphere: a wall for cells alone")
+    radius: float | None = quantity(
+        "um",
+        default=None,
+        above=0,
+        doc="of the sphere; of the cavity of a gel, where it is at rest",
+    )
+    stiffness: float | None = quantity(
+        "kPa",
+        default=None,
+        above=0,
+        at_most=1e9,
+        doc="Young's modulus of an elastic gel round the sphere; absent: it stays as wide as it is",
+    )
     x: tuple[float, float] | None = span(doc="from side x- to side x+")
     y: tuple[float, float] | None = span(doc="from side y- to side y+")
     z: tuple[float, float] | None = span(doc="from side z- to side z+; not in two dimensions")
@@ -581,8 +619,14 @@ class Domain:
     )
 
     def check(self) -> None:
-        """Raise ``SceneError`` for a stiffness of walls that there are not."""
-        for name in ("young", "poisson"):
+        """Raise ``SceneError`` for keys that have no meaning together."""
+        sphere = self.shape == "sphere"
+        for name in ("x", "y", "z") if sphere else ("radius", "stiffness"):
+            if getattr(self, name) is not None:
+                raise SceneError(name, f"has no meaning where shape = '{self.shape}'")
+        if sphere and self.radius is None:
+            raise SceneError("radius", "is missing: a sphere has one", "Such as '100 um'.")
+        for name in ("young", "poisson", "stiffness"):
             if self.wall == "refuse" and getattr(self, name) is not None:
                 hint = "Only elastic walls have a stiffness."
                 raise SceneError(name, "has no meaning where wall = 'refuse'", hint)

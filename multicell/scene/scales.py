@@ -98,8 +98,8 @@ def scales(scene: Scene, name: str) -> Scales:
     depth = math.sqrt(2.0 * supply / demand) if demand > 0.0 else math.inf
     radius = tissue_radius(scene)
     length = min(depth, radius) + (nutrient.margin if nutrient.layer is None else nutrient.layer)
-    if scene.domain is not None:
-        length = slowest(nutrient, box.sides(scene.domain))
+    if scene.box is not None:
+        length = slowest(nutrient, box.sides(scene.box))
     damkohler = demand * radius**2 / supply if supply > 0.0 else math.inf
     return Scales(demand, depth, length, length**2 / nutrient.diffusion, damkohler)
 

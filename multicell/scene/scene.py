@@ -39,6 +39,7 @@ from multicell.scene.parts import (
     CellParameters,
     CellType,
     Chemotaxis,
+    Compression,
     Death,
     Domain,
     Drag,
@@ -98,7 +99,7 @@ class Scene:
         The run ends after the coupling step in which this many cells exist.
     initial, cells, contact, drag, integrator, output
         The parts that each scene has.
-    growth, death, adhesion, friction, motility, pull, domain, energy
+    growth, death, adhesion, friction, compression, motility, pull, domain, energy
         None where the scene has no such part.
     forces, motions : mapping of name to Force or PrescribedMotion, read-only
         What drives named cells from outside.
@@ -143,6 +144,9 @@ class Scene:
     )
     adhesion: Adhesion | None = table(Adhesion, default=None, doc="absent: no receptors")
     friction: Friction | None = table(Friction, default=None, doc="absent: only Stokes drag")
+    compression: Compression | None = table(
+        Compression, default=None, doc="absent: contacts of pairs alone resist compression"
+    )
     motility: Motility | None = table(Motility, default=None, doc="absent: no active motion")
     chemotaxis: Mapping[str, Chemotaxis] = tables(
         Chemotaxis, default_factory=Tables, doc="by field; absent: no force along gradients"
@@ -212,8 +216,16 @@ class Scene:
 
             check_reactions(self)
         check_radiation(self)
+        if self.dimensions == 2 and self.compression is not None:
+            problem = "does not exist in a scene of 2 dimensions"
+            raise SceneError("compression", problem, "A layer of cells yields out of its plane.")
         if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
             raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
+
+    @property
+    def box(self) -> Domain | None:
+        """The domain if it is a box, which fields live on; None without one."""
+        return None if self.domain is None or self.domain.shape != "box" else self.domain
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> Scene:

@@ -28,6 +28,7 @@ def mechanics(scene: Scene, threads: int) -> Mechanics:
         friction=(0.0, 0.0) if friction is None else (friction.normal, friction.tangential),
         surface_energies=pairs.surface_energies(scene),
         walls=walls(scene),
+        compression=pairs.compression(scene),
     )
 
 

@@ -153,6 +153,9 @@ _KEYS: Final[Mapping[str, Sequence[Rule]]] = {
     "death.removal_fraction": [
         (lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),
     ],
+    "death.inflow": [
+        (lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),
+    ],
     "nutrients.*.temperature": [
         (lambda s, field: True,
          "the concentrations of the scene are in mM already; it only converts pressures"),

@@ -11,6 +11,7 @@ from strategies import cluster
 
 from multicell import JKR
 from multicell.mechanics import binning, neighbours
+from multicell.mechanics.compression import Compression
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
@@ -27,9 +28,9 @@ def tissue():
     return position[order], radius[order], young[order]
 
 
-def mechanics(tissue, threads):
+def mechanics(tissue, threads, compression=None):
     _, radius, young = tissue
-    system = Mechanics(JKR(surface_energy=0.1), 5.0, threads)
+    system = Mechanics(JKR(surface_energy=0.1), 5.0, threads, compression=compression)
     nothing = np.zeros(CELLS)
     system.begin(Motion(radius, nothing, young, nothing + 0.5, 0.0, 60.0))
     return system
@@ -55,6 +56,24 @@ def test_right_hand_side(benchmark, tissue, threads):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_jacobian_product(benchmark, tissue, threads):
     system, out = mechanics(tissue, threads), np.empty((CELLS, 3))
+    vector = np.random.default_rng(0).normal(size=out.shape)
+    system.linearise(0.0, tissue[0])
+    assert per_cell(benchmark, system.jacobian_product, vector, out) > 0
+    assert np.isfinite(out).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_compressed_right_hand_side(benchmark, tissue, threads):
+    """Most cells of this tissue are above the threshold."""
+    system, out = mechanics(tissue, threads, Compression(10.0)), np.empty((CELLS, 3))
+    assert per_cell(benchmark, system.velocity, 0.0, tissue[0], out) > 0
+    system.linearise(0.0, tissue[0])
+    assert (system.linearisation.coupling.weight > 0.0).mean() > 0.5
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_compressed_jacobian_product(benchmark, tissue, threads):
+    system, out = mechanics(tissue, threads, Compression(10.0)), np.empty((CELLS, 3))
     vector = np.random.default_rng(0).normal(size=out.shape)
     system.linearise(0.0, tissue[0])
     assert per_cell(benchmark, system.jacobian_product, vector, out) > 0

@@ -18,6 +18,7 @@ from multicell.calibration.emulator import emulator
 from multicell.calibration.fresh import fresh
 from multicell.calibration.indices import analyse, sample
 from multicell.calibration.likelihood import likelihood, scatter_of
+from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
 from multicell.calibration.posterior import posterior
 from multicell.calibration.problem import problem_of, ranges_of
@@ -113,12 +114,13 @@ def test_fresh_runs_give_the_variance_of_scatter_that_is_shared():
     means = np.repeat(40.0 * (shares - 0.5), 6, axis=1) / sigma
     through = emulator(shares, means, np.zeros_like(means), (means**2).sum(axis=1))
     runs = scatter * np.repeat(rng.standard_normal((400, 1)), 6, axis=1)
-    found = likelihood(through, np.ones(6), np.array([0.5]), scatter_of(runs))
+    found = likelihood(through, Noise.of_means(np.ones(6)), np.array([0.5]), scatter_of(runs))
     expected = math.sqrt(scatter**2 * (1.0 + 1.0 / 400) + sigma**2 / 6.0) / 40.0
     assert found.draws().std() == pytest.approx(expected, rel=0.1)
     # three tissues scatter less, and a standard error of the mean holds their scatter
     for tissues, part in ((3.0, 1.0 / 3.0), (math.inf, 0.0)):
-        found = likelihood(through, np.full(6, tissues), np.array([0.5]), scatter_of(runs))
+        noise = Noise.of_means(np.full(6, tissues))
+        found = likelihood(through, noise, np.array([0.5]), scatter_of(runs))
         expected = math.sqrt(scatter**2 * (part + 1.0 / 400) + sigma**2 / 6.0) / 40.0
         assert found.draws().std() == pytest.approx(expected, rel=0.1)
 
@@ -131,7 +133,7 @@ def test_few_fresh_runs_give_the_tails_of_student():
     means = 2000.0 * (shares - 0.5)
     through = emulator(shares, means, np.zeros_like(means), means[:, 0] ** 2)
     runs = np.array([[-30.0], [-10.0], [10.0], [30.0]])
-    found = likelihood(through, np.ones(1), np.array([0.5]), scatter_of(runs))
+    found = likelihood(through, Noise.of_means(np.ones(1)), np.array([0.5]), scatter_of(runs))
     draws = (found.draws()[:, 0] - 0.5) * 2000.0
     scale = math.sqrt(runs.var(ddof=1) * 1.25)
     for level in (0.8, 0.95):

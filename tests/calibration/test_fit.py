@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cheap_fits import MATRIX, calls_of, linear, stopping
+from cheap_fits import MATRIX, calls_of, fitted, linear, stopping
 from click.testing import CliRunner
 
 import multicell as mc
 from multicell.calibration.data import Datum, read_data
 from multicell.calibration.fit import plan_of
-from multicell.calibration.fitted import Fit
-from multicell.calibration.fresh import _check, fresh
+from multicell.calibration.fresh import _check
 from multicell.calibration.likelihood import scatter_of
 from multicell.calibration.pool import Pool, open_pool
 from multicell.calibration.posterior import posterior
@@ -174,14 +173,6 @@ def test_a_sampled_posterior_of_a_scene_has_the_best_point_in_it(tmp_path):
                    population=12, budget=200)  # fmt: skip
     assert plan.left(None)[0] == 200
     assert plan.left(tmp_path) == (0, 0.0)
-
-
-def fitted(problem, points=30):
-    search = Search(problem, None, seed=1)
-    known = search.run(Pool(), points)
-    facts = {"method": "best", "sd": 0.1, "seconds": 1.0, "draws": 0, "sets_of_parameters": points}
-    again = fresh(problem, search, Pool(), search.emulator(), None)
-    return Fit(problem, SMALL, known, None, None, facts, again)
 
 
 def test_a_parameter_without_effect_is_said_to_be_open():

@@ -33,6 +33,8 @@ PHYSICS = {
                          "growth.phases": PHASES, "growth.division": "smooth"}),
     "plane": ("settle", {**TISSUE, "dimensions": 2}),
     "walls": ("settle", {**TISSUE, "domain": {axis: [-22, 22] for axis in "xyz"}}),
+    "compression": ("settle", {**TISSUE, "initial.spacing": 0.72, "compression": {},
+                               "domain": {axis: [-22, 22] for axis in "xyz"}}),
     "driven": ("settle", {**TISSUE, "friction": {},
                           "motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}},
                           "forces": {"f": {"cells": [2], "force": [0.1, 0, 0]}}}),

@@ -11,8 +11,12 @@ import numpy as np
 
 import multicell as mc
 from multicell.calibration.data import Condition, Datum, Measured
+from multicell.calibration.fitted import Fit
+from multicell.calibration.fresh import fresh
 from multicell.calibration.pool import InProcessExecutor, Pool
 from multicell.calibration.problem import Problem
+from multicell.calibration.profiles import check_ends
+from multicell.calibration.search import Search
 from multicell.calibration.simulator import Reading, SceneSimulator
 from multicell.studies.axes import Range
 
@@ -180,3 +184,14 @@ def exact(problem):
     weights = 1.0 / (problem.sigma**2 + problem.simulator.noise**2)
     covariance = np.linalg.inv(a.T @ (weights[:, None] * a))
     return covariance @ (a.T @ (weights * problem.observed)), covariance
+
+
+def fitted(problem, points=30, profile_runs=0, checked_by=None):
+    """Return the fit of a problem by the best point; ``checked_by`` makes the runs at ends."""
+    search = Search(problem, None, seed=1)
+    known = search.run(Pool(), points)
+    facts = {"method": "best", "sd": 0.1, "seconds": 1.0, "draws": 0, "sets_of_parameters": points}
+    again = fresh(problem, search, Pool(), search.emulator(), None)
+    other = search if checked_by is None else Search(checked_by, None, seed=1)
+    ends = check_ends(problem, other, Pool(), again, profile_runs)
+    return Fit(problem, SCENE, known, None, None, facts, again, ends)

@@ -22,7 +22,7 @@ DEEP = "[" * 100_000
 def files_of(folder):
     """Return the files of a folder that are read again, by their paths in it."""
     own = ("study.toml", "scene.toml", "study.nc", "expected.json", "fit.json", "search.log",
-           "posterior.db", "posterior.journal")  # fmt: skip
+           "posterior.db", "posterior.journal", "result.json")  # fmt: skip
     names = [name for name in own if (folder / name).is_file()]
     runs = sorted((folder / "runs").glob("*/*")) if (folder / "runs").is_dir() else []
     wanted = ("summary.json", "frames.h5", "scene.toml")
@@ -139,6 +139,12 @@ def fit(place):
     return {"best": dict(found.best.values), "chi": found.best.chi_squared}
 
 
+def opened(place):
+    """Open a fit that is done, and return what it finds."""
+    found = mc.load_fit(place)
+    return {"best": dict(found.best.values), "chi": found.best.chi_squared}
+
+
 def sensitivity(place):
     """Read an analysis whose runs are done, and return what it finds."""
     given = json.loads((place.parent / "sensitivity.arguments").read_text())
@@ -172,7 +178,7 @@ def check(number, kind, folder, whole):
     print(said, flush=True)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
-    edits_plan = said.startswith(("study.toml", "scene.toml"))
+    edits_plan = said.startswith(("study.toml", "scene.toml")) and kind != "opened"
     try:
         found = globals()[kind](folder)
     except mc.MulticellError as error:

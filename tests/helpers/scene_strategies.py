@@ -356,6 +356,8 @@ def fitted(entries):
     fields, types = scene.get("nutrients", {}), scene.get("types", {})
     _fit_cells(scene)
     _fit_domain(scene, flat)
+    if flat:
+        scene.pop("compression", None)
     _fit_start(scene)
     _fit_growth(scene)
     _fit_driven(scene, flat)
@@ -464,6 +466,14 @@ def _fit_domain(scene, flat):
         domain.pop("poisson", None)
     radius = base(scene.get("cells", {}).get("division_radius", 5.0))
     unit = 2.0 * radius
+    sphere = domain.get("shape") == "sphere"
+    if not sphere or flat or domain.get("wall") == "refuse":
+        domain.pop("stiffness", None)
+    domain.pop("radius", None)
+    if sphere:
+        scene["domain"] = {k: v for k, v in domain.items() if k not in "xyz"}
+        scene["domain"]["radius"] = 8.0 * unit
+        return
     if 8.0 * unit > RANGES["um"][1]:
         del scene["domain"]
         return
@@ -803,7 +813,7 @@ def _fit_sources(scene, field, flat):
     for source in field.get("sources", {}).values():
         strength, flux = source.get("strength", 1.0), source.get("flux")
         source.clear()
-        if flux is not None and "domain" in scene:
+        if flux is not None and "x" in scene.get("domain", {}):
             source |= {"y": 0.0, "flux": flux}
         else:
             source |= {"strength": strength, **dict.fromkeys("xy" if flat else "xyz", 0.0)}

@@ -116,7 +116,7 @@ def test_held_cells_are_no_unknowns_of_the_jacobian():
     np.testing.assert_allclose((matrix @ v.ravel()).reshape(-1, 3), product, atol=1e-12)
     weight = np.repeat(system.motion.radius, 3)[:, None]
     np.testing.assert_allclose((weight * matrix.toarray()).T, weight * matrix.toarray(), atol=1e-12)
-    pattern = Pattern.near(position, system.motion, 0.2)
+    pattern = Pattern.near(position, system, 0.2)
     values = np.empty(len(pattern.index))
     pattern.fill(system, values, system.linearisation)
     np.testing.assert_array_equal(pattern.matrix(values).toarray(), matrix.toarray())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic import BARE, ball, cells_at, spheroid
 
-from multicell.cells import Cells, State
+from multicell.cells import Cells, Phase, State
 from multicell.results import observables
 from multicell.results.frame import Field, Frame
 from multicell.results.summary import history_row
@@ -142,3 +142,32 @@ def test_field_refuses_wrong_shapes(change, words):
     good = {"origin": np.zeros(3), "spacing": 1.0, "values": np.zeros((2, 2, 2))}
     with pytest.raises(ValueError, match=words):
         Field(name="oxygen", unit="mM", **(good | change))
+
+
+def _with_cycling_share(share, count=20_000, radius=100.0):
+    """Return a uniform ball in which each cell is in S with the given chance at its distance."""
+    position = _uniform_ball(radius, count)
+    chance = share(np.linalg.norm(position, axis=1))
+    cycling = np.random.default_rng(5).random(count) < chance
+    cells = cells_at(position, radius=1.0)
+    cells.phase = np.where(cycling, Phase.S, Phase.G1).astype(np.int8)
+    return cells
+
+
+@pytest.mark.parametrize("edge", [0.0, 30.0, 70.0, 95.0])
+def test_inhibited_radius_is_where_cycling_stops(edge):
+    cells = _with_cycling_share(lambda r: 0.5 * (r > edge))
+    assert observables.inhibited_radius(cells, 3) == pytest.approx(edge, abs=1.0)
+
+
+def test_inhibited_radius_is_at_a_fifth_of_the_share_at_the_surface():
+    # the outermost tenth of the cells begins at 100 * 0.9^(1/3) um and has a mean share near 0.6
+    cells = _with_cycling_share(lambda r: 0.6 * np.clip((r - 20.0) / 70.0, 0.0, 1.0))
+    assert observables.inhibited_radius(cells, 3) == pytest.approx(20.0 + 0.2 * 70.0, abs=3.0)
+
+
+def test_cells_that_died_in_s_do_not_cycle():
+    cells = _with_cycling_share(lambda r: 0.5 * np.ones_like(r))
+    core = np.linalg.norm(cells.position, axis=1) < 50.0
+    cells.state = np.where(core, State.NECROTIC, cells.state).astype(np.int8)
+    assert observables.inhibited_radius(cells, 3) == pytest.approx(50.0, abs=1.0)

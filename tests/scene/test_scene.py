@@ -32,7 +32,8 @@ def refusal(entries):
 
 def test_built_in_scenes_have_names_and_titles():
     assert scene_names() == [
-        "chemotaxis", "compression", "division-shock", "dosing", "doublet", "doublet-settle",
+        "chemotaxis", "compression", "confined", "division-shock", "dosing", "doublet",
+        "doublet-settle",
         "emt6", "emt6-rim",
         "grow-2000", "growth", "monolayer", "openvt-chain", "openvt-monolayer",
         "openvt-sorting", "settle", "settle-1000", "sorting", "sorting-cams",

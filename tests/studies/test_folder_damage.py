@@ -14,7 +14,7 @@ from studied import SHORT
 
 import multicell as mc
 
-KINDS = ("study", "fit", "sensitivity")
+KINDS = ("study", "fit", "opened", "sensitivity")
 FREE = {"growth.cycle_time": "8:25 h"}
 DATA = "time / h,diameter / um\n4,20\n8,24\n12,28\n16,32\n"
 
@@ -31,6 +31,8 @@ def folders(forks, tmp_path_factory):
         (place / f"{kind}.arguments").write_text(json.dumps(given))
     study = mc.study(scene, {"cells.young": "1,2 kPa"}, seeds=2, output=place / "study")
     study.run(cores=1)
+    folder_damage.fit(place / "fit")
+    shutil.copytree(place / "fit", place / "opened")
     found = {kind: getattr(folder_damage, kind)(place / kind) for kind in KINDS}
     shutil.copytree(place, place.with_name("whole"))
     for kind in KINDS:

@@ -32,6 +32,13 @@ def contact_parts(scene: Scene) -> list[Part]:
             scene.friction
             and "touching cells rub: Gamma(x) v = F is solved in every right-hand side",
         ),
+        part(
+            "compression",
+            scene.compression
+            and "cells that are compressed by all their neighbours resist with a bulk modulus of "
+            f"{scene.compression.bulk_modulus:g} kPa above a volume fraction of "
+            f"{scene.compression.onset:g}",
+        ),
         part("motility", active and _motility_words(active)),
         part(
             "pull",

@@ -144,8 +144,8 @@ def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
     from multicell.nutrient.grid import BoxLayout, ShellLayout
 
     nutrient, p = scene.nutrients[name], FieldParameters.of(scene, name)
-    if scene.domain is not None:
-        counts = box.filling(box.sides(scene.domain), p.spacing)
+    if scene.box is not None:
+        counts = box.filling(box.sides(scene.box), p.spacing)
         return np.full(len(radius), float(math.prod(counts or (1,))))
     flat = p.height if scene.dimensions == 2 else None
     shells = flat is None and nutrient.layout != "box"

@@ -9,6 +9,7 @@ _ABSENT: Final = {
     "types": "all cells are alike",
     "adhesion": "no receptors",
     "friction": "only the medium resists",
+    "compression": "contacts of pairs alone resist compression",
     "motility": "no active motion",
     "pull": "no external force",
     "forces": "nothing pushes single cells from outside",

@@ -123,7 +123,7 @@ def _regime_reason(scene: Scene, name: str) -> str:
 
 def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
     """Return the words for a field's grid."""
-    if scene.domain is not None:
+    if scene.box is not None:
         return _domain_words(scene, spacing)
     if scene.dimensions == 2:
         return f"squares of {spacing:g} um that follow the cells, since the scene is flat"
@@ -142,8 +142,8 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
 
 def _domain_words(scene: Scene, spacing: float) -> str:
     """Return the words for the grid of a field on a fixed domain."""
-    assert scene.domain is not None
-    lengths = box.sides(scene.domain)
+    assert scene.box is not None
+    lengths = box.sides(scene.box)
     counts = box.filling(lengths, spacing) or ()
     step = lengths[0] / counts[0] if counts else spacing
     kind = "squares" if scene.dimensions == 2 else "cubes"

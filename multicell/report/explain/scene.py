@@ -138,6 +138,8 @@ def _death_words(scene: Scene) -> str:
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
     words += f"lose their volume in about {hours(death.lysis_time)}"
+    if death.inflow:
+        words += "; the medium flows in to what they lose"
     if death.apoptosis_rate > 0.0:
         life = hours(1.0 / death.apoptosis_rate)
         words += f"; cells live {life} on average until they die by themselves"
@@ -196,12 +198,25 @@ def _domain_words(scene: Scene) -> str:
     names = ", ".join(scene.nutrients)
     if domain is None:
         return f"absent: no walls; fields that follow the cells: {names or 'none'}"
+    if domain.radius is not None:
+        words = f"a sphere of {domain.radius:g} um about the origin, which fields pass"
+        if domain.stiffness is not None:
+            most = domain.stiffness * 2.5 / 3.0
+            words += f"; the cavity of a gel of {domain.stiffness:g} kPa, which presses with at "
+            return f"{words}most {most:.3g} kPa: from there on it widens without end"
+        return f"{words}; {_wall_words(scene)}"
     lengths = " x ".join(f"{length:g}" for length in sides(domain))
     words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
+    return f"{words}; {_wall_words(scene)}"
+
+
+def _wall_words(scene: Scene) -> str:
+    domain = scene.domain
+    assert domain is not None
     if domain.wall == "refuse":
-        return f"{words}; no walls: a cell whose centre leaves it ends the run"
+        return "no walls: a cell whose centre leaves it ends the run"
     young = scene.cells.young if domain.young is None else domain.young
-    return f"{words}; its sides are elastic walls of {young:g} kPa"
+    return f"its sides are elastic walls of {young:g} kPa"
 
 
 def _integrator_words(scene: Scene) -> str:

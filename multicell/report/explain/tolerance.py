@@ -40,8 +40,8 @@ def _nodes(scene: Scene) -> float:
     total = 0.0
     for nutrient in scene.nutrients.values():
         lengths = [across + 2.0 * max(nutrient.margin, nutrient.layer or 0.0)] * scene.dimensions
-        if scene.domain is not None:
-            lengths = box.sides(scene.domain)
+        if scene.box is not None:
+            lengths = box.sides(scene.box)
         total += math.prod(length / (nutrient.spacing or radius) for length in lengths)
     return float(total / 2**scene.dimensions)
 

@@ -1,0 +1,185 @@
+"""What a fit predicts of its data: checks by replicated data, and how well it would have predicted.
+
+Given parameters θ, data minus mean m(θ) of runs are taken to be normal with the covariance C of
+:mod:`multicell.calibration.likelihood` at the best point: errors of measurement, scatter of tissues
+and of the mean of fresh runs, error of the emulator. From a posterior that was sampled with runs, a
+draw has a tissue of its own, and what is left are the errors of measurement.
+
+- Posterior predictive checks (Gelman, Meng & Stern 1996, Statistica Sinica 6, 733) compare a
+  discrepancy of the data with that of replicated data: χ² = r'C⁻¹r with r = m(θ) - y, and the
+  largest |r| in standard deviations.
+- The predictive score is Σ ln p(y_i | y_-i) over the data, each left out once. With K = C⁻¹,
+  y_i | y_-i, θ is normal with deviation (K r)_i / K_ii and variance 1 / K_ii (Bürkner, Gabry &
+  Vehtari 2021, Comput. Stat. 36, 1243); draws are weighted by 1 / p(y_i | y_-i, θ), weights
+  truncated at √S times their mean (Ionides 2008, J. Comput. Graph. Stat. 17, 295).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from multicell.calibration.distance import Array
+from multicell.calibration.emulator import FEW, Emulator, best_of, draws
+from multicell.calibration.priors import Prior
+from multicell.calibration.verdict import quantiles
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from multicell.calibration.fitted import Fit
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PredictiveCheck:
+    """Posterior predictive checks of a fit.
+
+    Attributes
+    ----------
+    chi_squared
+        Probability that replicated data have a larger χ² than the data; near 0 where the model does
+        not describe them, or their errors are larger than stated; near 1 where they are smaller.
+    largest
+        The same of the largest deviation of a single datum.
+    table
+        One row for each datum: ``measured``, ``low``, ``median`` and ``high`` of replicated data
+        (95 %) in base units, and ``p``, the probability to be further out on either side.
+    """
+
+    chi_squared: float
+    largest: float
+    table: pd.DataFrame
+
+    @property
+    def outside(self) -> int:
+        """Number of data outside their 95 % interval."""
+        low, high, value = (self.table[name] for name in ("low", "high", "measured"))
+        return int(((value < low) | (value > high)).sum())
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Predictive:
+    """Draws of a posterior with the errors of what they predict, in σ of the data.
+
+    - ``residuals``, (S, n): m(θ) - y
+    - ``weights``, (S,): of the draws; their sum is 1
+    - ``covariance``, (n, n): C
+    - ``jacobian``, (n,): logarithm of σ, and of the value where logarithms are compared
+    """
+
+    residuals: Array
+    weights: Array
+    covariance: Array
+    jacobian: Array
+
+    @cached_property
+    def precision(self) -> Array:
+        """The inverse of C, (n, n)."""
+        return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
+
+    @cached_property
+    def pointwise(self) -> Array:
+        """Return ln p(y_i | y_-i, θ) for all draws and data, base units: (S, n)."""
+        own = np.diag(self.precision)
+        away = self.residuals @ self.precision
+        return np.asarray(
+            0.5 * (np.log(own) - math.log(2.0 * math.pi) - away**2 / own) - self.jacobian
+        )
+
+    @cached_property
+    def scores(self) -> Array:
+        """Return ln p(y_i | y_-i) of all data, (n,)."""
+        logs = self.pointwise
+        ratios = self.weights[:, None] * np.exp(logs.min(axis=0) - logs)
+        sizes = ratios / self.weights[:, None]
+        mean = self.weights @ sizes
+        ratios = np.minimum(sizes, mean * math.sqrt(len(logs))) * self.weights[:, None]
+        return np.asarray(np.log((ratios * np.exp(logs)).sum(axis=0) / ratios.sum(axis=0)))
+
+    def log_likelihood(self, residuals: Array) -> float:
+        """Return ln p(y | θ) for the m(θ) - y of some parameters, (n,); base units."""
+        count = len(residuals)
+        inner = residuals @ self.precision @ residuals + np.linalg.slogdet(self.covariance)[1]
+        return float(-0.5 * (inner + count * math.log(2.0 * math.pi)) - self.jacobian.sum())
+
+    def replicate(self, seed: int = 0) -> Array:
+        """Return replicated data less the data, one set for each draw, in σ: (S, n)."""
+        return self.residuals + self._errors(seed)
+
+    def _errors(self, seed: int) -> Array:
+        random = np.random.default_rng(seed)
+        root = np.linalg.cholesky(self.covariance)
+        return np.asarray(random.standard_normal(self.residuals.shape) @ root.T)
+
+    def check(self, seed: int = 0) -> tuple[float, float]:
+        """Return the probabilities of a larger χ², and of a larger single deviation."""
+        from scipy import stats
+
+        squares = np.einsum("si,ij,sj->s", self.residuals, self.precision, self.residuals)
+        chi = self.weights @ stats.chi2.sf(squares, self.residuals.shape[1])
+        deviation = np.sqrt(np.diag(self.covariance))
+        own = np.abs(self.residuals / deviation).max(axis=1)
+        other = np.abs(self._errors(seed) / deviation).max(axis=1)
+        return float(chi), float(self.weights @ (other >= own))
+
+
+def predictive_of(fit: Fit) -> Predictive:
+    """Return what a fit predicts; raises FitFailed where it has no posterior."""
+    shares, weights = fit.some_sample()
+    problem = fit.problem
+    logs = np.array([math.log(d.value) if d.log else 0.0 for d in problem.measured.data])
+    jacobian = np.log(problem.sigma) + logs
+    if fit.draws is not None:
+        return Predictive(fit.draws.residuals, weights, problem.noise.errors, jacobian)
+    known = fit.likelihood
+    assert known is not None
+    residuals = known.predict(shares)[0]
+    if isinstance(known, Emulator):
+        error = known.predict(fit.fresh.shares[None])[1][0]
+        covariance = problem.noise.errors + np.diag(known.scatter + error)
+    else:
+        root = np.linalg.inv(known.whitening)
+        covariance = root @ root.T
+    return Predictive(residuals, weights, covariance, jacobian)
+
+
+def least_residuals(fit: Fit, predictive: Predictive) -> Array:
+    """Return m(θ) - y in σ where ln p(y | θ) is largest, (n,); of sampled fits at the best runs."""
+    known = fit.likelihood if fit.draws is None else None
+    if known is None:
+        mean = np.nanmean(fit.fresh.runs, axis=0)
+        return np.asarray((mean - fit.problem.observed) / fit.problem.sigma)
+
+    def loss(shares: Array) -> Array:
+        r = known.predict(shares)[0]
+        return np.asarray(np.einsum("si,ij,sj->s", r, predictive.precision, r))
+
+    given = fit.problem.prior
+    flat = Prior(given.dimensions, given.ranges, (), given.constraints)
+    best = best_of(loss, flat, draws(loss, flat, seed=0, count=FEW))
+    return np.asarray(known.predict(best[None])[0][0])
+
+
+def predictive_check(fit: Fit) -> PredictiveCheck:
+    """Return the posterior predictive checks of a fit."""
+    import pandas
+
+    found = predictive_of(fit)
+    problem = fit.problem
+    again = np.maximum(found.replicate(), problem.lowest)
+    above = found.weights @ (again > 0.0) + 0.5 * (found.weights @ (again == 0.0))
+    rows = quantiles(problem.observed + again * problem.sigma, found.weights, (0.025, 0.5, 0.975))
+    low, median, high = map(problem.unscale, rows)
+    about = pandas.DataFrame(fit.rows())[["row", "condition", "observable", "unit", "time", "at"]]
+    table = about.assign(
+        measured=[d.value for d in problem.measured.data], low=low, median=median, high=high,
+        p=2.0 * np.minimum(above, 1.0 - above),
+    )  # fmt: skip
+    chi_squared, largest = found.check()
+    return PredictiveCheck(chi_squared, largest, table)

@@ -1,0 +1,158 @@
+"""Profile likelihoods: closed forms, priors and constraints, runs at the ends, bad input."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cheap_fits import MATRIX, exact, fitted, linear
+from scipy import stats
+
+import multicell as mc
+from multicell.calibration.emulator import emulator
+from multicell.calibration.fit import plan_of
+from multicell.calibration.likelihood import likelihood, scatter_of
+from multicell.calibration.noise import Noise
+from multicell.calibration.priors import Constraint, Density, Prior
+from multicell.calibration.profiles import _jackknife, profiles
+
+VALUES = [0.45, 0.6, 1.0, -0.2]
+
+
+def through(problem, prior=None):
+    """Return an emulator through exact runs of a linear problem."""
+    shares = np.random.default_rng(5).random((40, len(problem.ranges)))
+    runs = np.array([problem.simulator(x, 0, 0).values for x in shares])
+    residuals = (runs - problem.observed) / problem.sigma
+    return emulator(
+        shares, residuals, np.zeros_like(residuals), (residuals**2).sum(axis=1), prior=prior
+    )
+
+
+def test_the_profile_of_a_linear_model_is_the_parabola_of_its_closed_form():
+    problem = linear(MATRIX, VALUES, 0.05)
+    mean, covariance = exact(problem)
+    deviation = np.sqrt(np.diag(covariance))
+    for k, profile in enumerate(profiles(through(problem), [0, 1])):
+        expected = ((profile.shares[:, k] - mean[k]) / deviation[k]) ** 2
+        np.testing.assert_allclose(profile.rises, expected, atol=0.01 * expected.max())
+        reach = math.sqrt(stats.chi2.ppf(0.95, 1)) * deviation[k]
+        np.testing.assert_allclose(
+            profile.ends[:, k], mean[k] + np.array([-reach, reach]), atol=1e-3
+        )
+        assert profile.open == (False, False)
+        # over the other parameter: the regression of one on the other
+        slope = covariance[0, 1] / covariance[k, k]
+        others = mean[1 - k] + slope * (profile.shares[:, k] - mean[k])
+        np.testing.assert_allclose(profile.shares[:, 1 - k], others, atol=2e-3)
+
+
+def test_the_interval_of_few_fresh_runs_is_students():
+    """Four runs of one datum that scatters far more than its σ: three degrees of freedom."""
+    shares = np.linspace(0.0, 1.0, 9)[:, None]
+    means = 2000.0 * (shares - 0.5)
+    found = emulator(shares, means, np.zeros_like(means), means[:, 0] ** 2)
+    runs = np.array([[-30.0], [-10.0], [10.0], [30.0]])
+    known = likelihood(found, Noise.of_means(np.ones(1)), np.array([0.5]), scatter_of(runs))
+    scale = math.sqrt(runs.var(ddof=1) * 1.25) / 2000.0
+    for level in (0.8, 0.95):
+        (profile,) = profiles(known, [0], level=level)
+        reach = scale * stats.t.ppf(0.5 + 0.5 * level, 3)
+        np.testing.assert_allclose(profile.ends[:, 0], [0.5 - reach, 0.5 + reach], rtol=2e-3)
+
+
+def test_a_prior_narrows_a_profile_as_in_closed_form():
+    problem = linear([[1.0]], [0.4], 0.05)
+    prior = Prior(1, problem.ranges, (Density("norm", (), 0.6, 0.05),))
+    (profile,) = profiles(through(problem, prior), [0])
+    reach = stats.norm.ppf(0.975) * 0.05 / math.sqrt(2.0)
+    np.testing.assert_allclose(profile.ends[:, 0], [0.5 - reach, 0.5 + reach], atol=1e-3)
+
+
+def test_profiles_end_at_constraints_and_at_the_ends_of_ranges():
+    problem = linear([[1.0, 0.0], [0.0, 1.0]], [0.5, 0.5], [0.02, 10.0])
+    order = Constraint("p1 < p0", (-1.0, 1.0), 0.0)
+    prior = Prior(2, problem.ranges, (None, None), (order,))
+    first, second = profiles(through(problem, prior), [0, 1])
+    reach = 0.02 * stats.norm.ppf(0.975)
+    assert first.ends[0, 0] == pytest.approx(0.5 - reach, abs=1e-3)
+    assert (first.shares[:, 1] < first.shares[:, 0]).all()
+    assert second.open[0]
+    assert second.ends[0, 1] == 0.0
+    # p0 must be above it, and is no higher than its data allow
+    assert second.ends[1, 1] == pytest.approx(0.5 + reach, abs=1e-3)
+
+
+def test_the_jackknife_takes_out_the_bias_of_a_square():
+    values = np.random.default_rng(3).normal(1.0, 2.0, (12, 1))
+    found, error = _jackknife(lambda x: float(x[0] ** 2), values)
+    mean, variance = values.mean(), values.var(ddof=1) / 12
+    assert found == pytest.approx(mean**2 - variance)
+    assert error == pytest.approx(2.0 * abs(mean) * math.sqrt(variance), rel=0.35)
+    assert math.isnan(_jackknife(lambda x: 0.0, values[:2])[0])
+
+
+def test_runs_at_the_ends_agree_with_a_right_emulator():
+    problem = linear(MATRIX, VALUES, 0.05, noise=0.03, seeds=2)
+    found = fitted(problem, profile_runs=4)
+    assert [(end.number, end.side) for end in found.ends] == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    for end in found.ends:
+        # seeds give the same numbers everywhere: what remains is the emulator's error
+        assert end.found == pytest.approx(end.claimed, abs=0.2)
+        assert not end.off
+    assert found.profile("p0").attrs["limit"] == pytest.approx(found.ends[0].claimed, rel=1e-4)
+
+
+def test_runs_at_the_ends_find_an_emulator_that_is_off():
+    class Bent:
+        """Linear near the middle, where most runs are, and far from that beyond."""
+
+        def __call__(self, shares, condition, seed):
+            from multicell.calibration.simulator import Reading
+
+            noise = 0.02 * np.random.default_rng(seed).standard_normal(1)[0]
+            return Reading((shares[0] + 3.0 * max(0.0, shares[0] - 0.56) + noise,))
+
+    problem = linear([[1.0]], [0.5], 0.05)
+    search = replace(problem, simulator=Bent())
+    found = fitted(problem, points=20, profile_runs=4, checked_by=search)
+    lower, upper = found.ends
+    assert not lower.off
+    assert upper.off
+    assert upper.found > 3.0 * upper.claimed
+    assert "upper end of the profile interval of p0" in "".join(found.notes)
+
+
+def test_a_profile_is_a_table_with_units_and_bad_input_is_refused():
+    found = fitted(linear(MATRIX, VALUES, 0.05))
+    table = found.profile("toy.p1", points=5, level=0.8)
+    assert list(table.columns) == ["p0", "p1", "rise"]
+    assert len(table) == 5
+    assert table.attrs["level"] == 0.8
+    assert table.attrs["open"] == [False, False]
+    for arguments, words in (
+        (("toy.p7",), "key: is 'toy.p7', must be one of"),
+        (("p0", 2), "points: is 2, must be a whole number from 3"),
+        (("p0", 5, 1.0), "level: is 1.0, must be between 0 and 1"),
+    ):
+        with pytest.raises(mc.SceneError, match=words):
+            found.profile(*arguments)
+    with pytest.raises(mc.errors.FitFailed, match="no emulator that a profile could be of"):
+        fitted(linear(MATRIX, VALUES, 0.05), points=3).profile("p0")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"profile_runs": 2}, "profile_runs: is 2, must be a whole number from 3 to 12"),
+        ({"profile_runs": 13}, "profile_runs: is 13, must be a whole number from 3 to 12"),
+        ({"profile_runs": -1}, "profile_runs: is -1, must be a whole number from 3 to 12"),
+        ({"profile_runs": 4, "method": "posterior"}, "profile_runs: has no meaning with method"),
+    ],
+)
+def test_numbers_of_runs_at_the_ends_are_checked(wrong, words):
+    scene = mc.load_scene("growth").with_changes({"duration": "20 h"})
+    with pytest.raises(mc.SceneError, match=words):
+        plan_of(scene, {"time / h": [10], "cells": [7]}, {"growth.cycle_time": "8:30 h"}, **wrong)
