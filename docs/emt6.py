@@ -1,37 +1,39 @@
-"""EMT6/Ro spheroids: the scenes `emt6` and `emt6-rim` against measured growth and viable rims.
+"""EMT6/Ro spheroids: the scenes `emt6` and `emt6-rim` against rims, oxygen, consumption, growth.
 
-Problem   a spheroid grows from 600 cells at 102 h of culture to 561 h; balls of 740 um at rest in
-          eight media, and how deep cells live in them
-Data      docs/data/emt6-growth.csv (Freyer & Sutherland 1986), docs/data/emt6-rims.csv
-          (Mueller-Klieser, Freyer & Sutherland 1986), with their standard deviations
-Fitted    ten parameters of docs/emt6_ball.py, by docs/emt6_fit.py: to all data (the scenes), and
-          to every second rim with the growth of the first week, which predicts the rest
-Cost      CPU time of one thread: rims 7 s, fit 1.5 minutes, profiles 4 minutes, growth some ten
-          minutes and 0.6 GB of memory
-Command   python docs/emt6.py            (all and the pictures; --only rims fit profiles growth)
+Problem   balls of 740 um at rest in eight media: how deep cells live, how deep oxygen reaches, how
+          much the rim consumes; and a spheroid that grows from 600 cells at 102 h of culture
+Data      docs/data/emt6-{rims,po2,consumption}.csv (Mueller-Klieser, Freyer & Sutherland 1986),
+          docs/data/emt6-growth.csv (Freyer & Sutherland 1986)
+Fitted    docs/emt6_ball.py by docs/emt6_fit.py: five rules of death to all of the first three, and
+          to each alone, which predicts the others; growth with what they say
+Cost      CPU time of one thread: runs 1 minute, rules 3, sets 3, profiles 2, growth some ten and
+          0.6 GB of memory
+Command   python docs/emt6.py        (all and the pictures; --only runs rules sets profiles growth)
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from emt6_ball import Array, Tissue, course, rim
+from emt6_ball import SOLUBILITY, Array, Tissue, ball, course
 from emt6_fit import (
     DATA,
-    EARLY,
-    HALVES,
-    RANGES,
+    FIELDS,
+    GROWTH,
+    PASTEUR,
     RULES,
+    SETS,
     Measured,
-    deviations,
     fit,
-    fit_rule,
     growth_errors,
     measured,
     profile,
+    rms,
+    verdict,
 )
 from matplotlib.figure import Figure
 
@@ -39,118 +41,160 @@ import multicell as mc
 
 HERE = Path(__file__).parent
 PACKING = 0.76
-"""Part of tissue that cells fill in the run of growth: tissue and cells differ by this factor."""
-BEFORE = np.array([63.0, 63.0, 63.0, 63.0, 82.0, 135.0, 313.0, 370.0])
-"""Rims of the scene emt6 before it was fitted to them; the last one starved nowhere in 370 um."""
-FACTORS = np.array([0.25, 0.5, 0.7, 0.85, 1.18, 1.4, 2.0, 4.0, 8.0, 16.0, 32.0])
+"""Part of tissue that cells fill: amounts of tissue and of cells differ by this factor."""
+FACTORS = np.array([0.25, 0.5, 0.7, 0.85, 1.18, 1.4, 2.0, 4.0])
+SEEDS = 4
 RED, BLUE, GREY = "#b5432f", "#2f6fb0", "#888888"
 
 
 def main() -> None:
     """Compute what is asked for, and draw what there is."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = ["rims", "fit", "profiles", "growth"]
+    parts = ["runs", "rules", "sets", "profiles", "growth"]
     parser.add_argument("--only", nargs="+", choices=[*parts, "pictures"], default=parts)
     only, data = parser.parse_args().only, measured()
     known = Tissue.of(mc.load_scene("emt6"), PACKING)
-    tell("scene emt6 as a ball along its radius", known, data)
-    if "fit" in only:
-        rules(data)
-        fits(data)
+    tell("scenes, along the radius", known, data)
+    if "rules" in only:
+        rules(data, known)
+    if "sets" in only:
+        sets(data, known)
     if "profiles" in only:
         profiles(data, known)
     if "growth" in only:
-        growth()
-    rims = run_rims(data)
-    draw_rims(data, rims, HERE / "figures" / "emt6-rims.png")
+        growth(data, known)
+    if {"runs", "pictures"} & set(only):
+        draw_rest(data, known, runs(data), HERE / "figures" / "emt6-rims.png")
     draw_growth(data, known, HERE / "figures" / "emt6.png")
     draw_profiles(HERE / "figures" / "emt6-profiles.png")
 
 
-def run_rims(data: Measured) -> Array:
-    """Return the rims of the scene emt6-rim in all conditions, from real runs, and tell of them."""
-    scene, found = mc.load_scene("emt6-rim"), []
-    for oxygen, glucose in data.conditions:
-        changes = {"nutrients.oxygen.boundary": oxygen, "nutrients.glucose.boundary": glucose}
-        found.append(mc.run(scene.with_changes(changes)).summary()["viable_rim"])
-    rims = np.array(found)
-    for name, values in (("before", BEFORE), ("scene emt6-rim", rims)):
-        off = (values - data.rims) / data.deviations
-        told = f"{name}: rims {np.round(values, 1).tolist()} um"
-        print(told, f"off by {np.round(off, 1).tolist()} sd, rms {rms(off):.2f}", flush=True)
-    return rims
+def tell(name: str, tissue: Tissue, data: Measured, squares: float | None = None) -> None:
+    """Print the errors of a tissue in one row."""
+    rims, each, used = verdict(tissue, data)
+    chi = "" if squares is None else f"chi2 {squares:.1f}, "
+    pressure = ", ".join(f"{off:.1f}" for off in each)
+    print(f"{name}: {chi}rims {rims:.2f} sd, pO2 {pressure} mmHg, consumption {100 * used:.0f} %",
+          flush=True)  # fmt: skip
 
 
-def rms(values: Array) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
+def shown(tissue: Tissue, free: list[str]) -> str:
+    """Return parameters in words."""
+    return "  " + ", ".join(f"{name} {getattr(tissue, name):.3g}" for name in free)
 
 
-def tell(name: str, tissue: Tissue, data: Measured) -> None:
-    """Print parameters and errors of a tissue."""
-    off = deviations(tissue, data)
-    cells, diameters = growth_errors(tissue, data, np.inf)
-    early = data.hours <= EARLY
-    print(name, {key: float(f"{getattr(tissue, key):.3g}") for key in RANGES})
-    halves = ", ".join(f"half '{half}' {rms(off[rows]):.2f}" for half, rows in HALVES.items())
-    print(f"  rims off by {np.round(off, 1).tolist()} sd: rms {rms(off):.2f}; {halves}")
-    print(
-        f"  logarithmic error, early and late: cells {rms(cells[early]):.2f}, "
-        f"{rms(cells[~early]):.2f}; diameter {rms(diameters[early]):.2f}, "
-        f"{rms(diameters[~early]):.2f}; at {data.hours[-1]:g} h {cells[-1]:+.2f} and "
-        f"{diameters[-1]:+.2f}",
-        flush=True,
-    )
+def rules(data: Measured, near: Tissue) -> None:
+    """Fit each rule of death, with and without the Pasteur effect, to all that was measured."""
+    best: dict[str, Tissue] = {}
+    for rule in ("either", "ATP", "lactate", "time", "damage"):
+        delayed = rule in ("time", "damage")
+        for effect in (PASTEUR,) if delayed else ((), PASTEUR):
+            free = [*FIELDS, *effect, *RULES[rule]]
+            start = replace(best["ATP"], harm=1.0) if delayed else near
+            start = replace(start, rule=rule, pasteur=start.pasteur if effect else 0.0)
+            best[rule], squares = fit(data, start, free)
+            name = f"{rule}{' + Pasteur' if effect else ''}, {len(free)} free"
+            tell(name, best[rule], data, squares)
+            print(shown(best[rule], free), flush=True)
+    for rule in ("time", "damage"):  # how long cells may be short of ATP before they die
+        late = best[rule]
+        for hours in (3.0, 6.0, 12.0, 24.0):
+            free = [*FIELDS, *PASTEUR, "least"]
+            late, squares = fit(data, replace(late, harm=hours), free, starts=2, tries=200)
+            tell(f"{rule}, {hours:g} h", late, data, squares)
 
 
-def rules(data: Measured) -> None:
-    """Fit each rule of death to all rims."""
-    for name, free in RULES.items():
-        best, off = fit_rule(data, free)
-        told = {key: float(f"{getattr(best, key):.3g}") for key in free if hasattr(best, key)}
-        print(f"{name}: {len(free)} parameters {told}, thresholds {best.thresholds}")
-        print(f"  off by {np.round(off, 1).tolist()} sd: rms {rms(off):.2f}", flush=True)
-
-
-def fits(data: Measured) -> None:
-    """Fit to all data, and to each half of the rims with early growth to predict the rest."""
-    best, squares = fit(data, list(range(len(data.rims))), np.inf)
-    tell(f"fitted to all data, squares {squares:.1f}", best, data)
-    for half, rows in HALVES.items():
-        best, squares = fit(data, rows, EARLY, starts=12)
-        tell(f"fitted to half '{half}' and growth to {EARLY:g} h, {squares:.1f}", best, data)
+def sets(data: Measured, near: Tissue) -> None:
+    """Fit each set of data alone, and two of them; judge by all."""
+    for rule in ("ATP", "damage", "lactate"):
+        free = [*FIELDS, *PASTEUR, *RULES[rule]]
+        for used in (*((one,) for one in SETS), SETS[:2], SETS[::2], SETS[1:], SETS):
+            best, squares = fit(data, replace(near, rule=rule), free, used, starts=3, tries=300)
+            tell(f"{rule}, fitted to {' and '.join(used)}", best, data, squares)
 
 
 def profiles(data: Measured, near: Tissue) -> None:
     """Write the least sum of squares over each parameter to a table."""
-    everything = list(range(len(data.rims)))
-    best, squares = fit(data, everything, np.inf, near=near)
+    free = [*FIELDS, *PASTEUR, *RULES["lactate"]]
+    best, squares = fit(data, near, free, starts=0, tries=0)
     lines = ["parameter, value, squares above the least"]
-    for name in RANGES:
-        found = profile(data, best, name, FACTORS)
+    for name in free:
+        found = profile(data, best, free, name, FACTORS)
         lines.append(f"{name}, {getattr(best, name):.5g}, 0")
         lines += [f"{name}, {value:.5g}, {there - squares:.3f}" for value, there in found]
         print(f"profile of {name}: {len(found)} fits", flush=True)
     (DATA / "emt6-profiles.csv").write_text("\n".join(lines) + "\n")
 
 
-def growth() -> None:
-    """Grow one spheroid to the last measurement, and write its course to a table."""
+def runs(data: Measured) -> dict[str, Array]:
+    """Return what real runs of emt6-rim give, and print how far they are off.
+
+    Rims and consumption over media and seeds (from the second on with cells shifted at random), and
+    the oxygen over depth in the media of the profiles, (um, mmHg).
+    """
+    scene, rims, used = mc.load_scene("emt6-rim"), [], []
+    for seed in range(SEEDS):
+        for oxygen, glucose in data.media:
+            result = mc.run(_at(scene, oxygen, glucose, seed))
+            cells, outer = result.frames[-1].cells, 0.5 * result.summary()["diameter"]
+            rims.append(result.summary()["viable_rim"])
+            rim_volume = 4.0 / 3.0 * np.pi * (outer**3 - (outer - rims[-1]) ** 3)
+            taken = _uptake(scene, result.frames[-1])[~cells.dead].sum()
+            used.append(taken / rim_volume)
+    found = {"rims": np.reshape(rims, (SEEDS, -1)), "used": np.reshape(used, (SEEDS, -1))}
+    off = (found["rims"][0] - data.rims) / data.deviations
+    print(f"runs: rims {np.round(found['rims'][0], 1).tolist()} um, sd over seeds "
+          f"{np.round(found['rims'][1:].std(axis=0, ddof=1), 1).tolist()}, off by "
+          f"{np.round(off, 1).tolist()} sd, rms {rms(off):.2f}")  # fmt: skip
+    ratio = found["used"][0] / data.consumption
+    print(f"runs: consumption over measured {np.round(ratio, 2).tolist()}")
+    for (oxygen, glucose, radius), (depth, pressure) in data.pressures.items():
+        scene_there = _at(scene, oxygen, glucose, 0)
+        count = round(scene.initial.count * (radius / 370.0) ** 3)
+        frame = mc.run(scene_there.with_changes({"initial.count": count})).frames[-1]
+        found[f"{oxygen:g}"] = _over_depth(scene_there, frame, radius)
+        there = np.interp(depth, *found[f"{oxygen:g}"])
+        print(f"runs: pO2 at {oxygen:g} mM off by {rms(there - pressure):.1f} mmHg rms, "
+              f"{np.round(there, 1).tolist()}", flush=True)  # fmt: skip
+    return found
+
+
+def _at(scene: mc.Scene, oxygen: float, glucose: float, seed: int) -> mc.Scene:
+    return scene.with_changes({
+        "nutrients.oxygen.boundary": oxygen, "nutrients.glucose.boundary": glucose,
+        "seed": scene.seed + seed, "initial.jitter": 0.2 if seed else 0.0,
+    })  # fmt: skip
+
+
+def _uptake(scene: mc.Scene, frame: mc.Frame) -> Array:
+    """Return the oxygen that each living cell takes up, amol/s."""
+    o, found = scene.nutrients["oxygen"], frame.concentrations
+    most = o.uptake_per_volume * o.uptake_on["glucose"].factor(found["glucose"])
+    share = found["oxygen"] / (o.half_saturation + found["oxygen"])
+    return np.asarray(frame.cells.volume * most * share)
+
+
+def _over_depth(scene: mc.Scene, frame: mc.Frame, radius: float) -> Array:
+    """Return depths (um) and oxygen (mmHg) of a frame's field on shells and the medium, (2, n)."""
+    field, o = frame.fields["oxygen"], scene.nutrients["oxygen"]
+    r = np.append((np.arange(field.values.size) + 0.5) * field.spacing, radius + o.layer)
+    return np.stack([radius - r, np.append(field.values, o.boundary) / SOLUBILITY])[:, ::-1]
+
+
+def growth(data: Measured, near: Tissue) -> None:
+    """Fit growth along the radius, grow one spheroid, and write its course to a table."""
+    best, squares = fit(data, near, list(GROWTH), ("growth",), starts=3, tries=20)
+    print(f"growth along the radius: chi2 {squares:.1f}\n{shown(best, list(GROWTH))}")
     changes = {
         "duration": "460 h", "coupling_step": "30 min", "stop_cells": None, "output.every": "24 h"
     }  # fmt: skip
-    result = mc.run(mc.load_scene("emt6").with_changes(changes))
-    write_course(result.history)
-
-
-def write_course(history: dict[str, Array]) -> None:
-    """Write every sixth hour of a history to a table."""
+    history = mc.run(mc.load_scene("emt6").with_changes(changes)).history
     rows = ["time / h, cells, proliferating, diameter / um, viable_rim / um, packing_ratio"]
     hours = history["time"] / 3600.0
     for k in np.flatnonzero(np.isclose(hours % 6.0, 0.0)):
         names = ("cells", "proliferating", "diameter", "viable_rim", "packing_ratio")
         row = (f"{history[name][k]:.5g}" for name in names)
-        rows.append(f"{102.0 + hours[k]:g}, {', '.join(row)}")
+        rows.append(f"{data.start + hours[k]:g}, {', '.join(row)}")
     (DATA / "emt6-run.csv").write_text("\n".join(rows) + "\n")
 
 
@@ -160,30 +204,44 @@ def table(name: str) -> dict[str, list[str]]:
     return {key: [row[key] for row in rows] for key in rows[0]}
 
 
-def draw_rims(data: Measured, rims: Array, path: Path) -> None:
-    """Draw rims over glucose, measured and computed."""
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
-    glucose, several = np.array([g for _, g in data.conditions[:4]]), np.geomspace(0.6, 20.0, 60)
-    tissue = Tissue.of(mc.load_scene("emt6-rim"), PACKING)
-    for number, axes in enumerate(figure.subplots(1, 2, sharey=True)):
-        rows = slice(4 * number, 4 * number + 4)
-        oxygen = data.conditions[rows][0][0]
-        axes.errorbar(
-            glucose, data.rims[rows], data.deviations[rows], fmt="o", color=RED, ms=7, capsize=4,
-            label="measured",
+def draw_rest(data: Measured, known: Tissue, found: dict[str, Array], path: Path) -> None:
+    """Draw rims and consumption over glucose, and oxygen over depth: measured and computed."""
+    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    glucose, several = np.array([g for _, g in data.media[:4]]), np.geomspace(0.6, 20.0, 40)
+    first, second, third = figure.subplots(1, 3)
+    for k, colour in enumerate((RED, BLUE)):
+        rows, oxygen = slice(4 * k, 4 * k + 4), data.media[4 * k][0]
+        label = f"{'5' if k == 0 else '20'} % O₂"
+        fine = [ball(known, oxygen, float(g)) for g in several]
+        first.errorbar(
+            glucose, data.rims[rows], data.deviations[rows], fmt="o", color=colour, ms=7,
+            capsize=4, label=f"{label}, measured",
         )  # fmt: skip
-        fine = [rim(tissue, oxygen, float(g)) for g in several]
-        axes.plot(several, fine, color=BLUE, lw=1, label="along the radius")
-        axes.plot(glucose, rims[rows], "s", color=BLUE, ms=6, label="runs of emt6-rim")
-        axes.plot(glucose, BEFORE[rows], "x", color=GREY, ms=8, label="before: thresholds of each")
-        axes.set(xscale="log", xlabel="glucose in the medium (mM)", ylim=(0, 390))
-        axes.set_title(f"{'5' if number == 0 else '20'} % O₂ ({oxygen:g} mM)")
+        first.plot(several, [one.rim for one in fine], color=colour, lw=1)
+        first.plot(glucose, found["rims"][0][rows], "s", color=colour, ms=6, mfc="white",
+                   label=f"{label}, runs")  # fmt: skip
+        second.plot(glucose, 1e3 * data.consumption[rows], "o", color=colour, ms=7)
+        second.plot(several, [1e3 * one.consumption for one in fine], color=colour, lw=1)
+        second.plot(glucose, 1e3 * found["used"][0][rows], "s", color=colour, ms=6,
+                    mfc="white")  # fmt: skip
+    for (oxygen, g, radius), (depth, pressure) in data.pressures.items():
+        colour = RED if oxygen < 0.1 else BLUE
+        fine = np.linspace(-110.0, 300.0 if oxygen > 0.1 else 120.0, 200)
+        third.plot(depth, pressure, "o", color=colour, ms=7, label=f"{g:g} mM glucose")
+        third.plot(fine, ball(known, oxygen, g, radius).pressure(fine), color=colour, lw=1)
+        shells = found[f"{oxygen:g}"]
+        there = (shells[0] > fine[0]) & (shells[0] < fine[-1])
+        third.plot(*shells[:, there], "s", color=colour, ms=3, mfc="white")
+    for axes, label, top in ((first, "viable rim (µm)", 390.0),
+                             (second, "O₂ consumption of the rim (µM/s)", 32.0)):  # fmt: skip
+        axes.set(xscale="log", xlabel="glucose in the medium (mM)", ylabel=label, ylim=(0, top))
         axes.set_xticks(glucose, [f"{g:g}" for g in glucose])
         axes.minorticks_off()
+    third.set(xlabel="depth below the surface (µm)", ylabel="oxygen (mmHg)", ylim=(0, 155))
+    first.legend(loc="upper left", fontsize=9)
+    third.legend(fontsize=9)
+    for axes in (first, second, third):
         axes.grid(alpha=0.3)
-        if number == 0:
-            axes.set_ylabel("viable rim (µm)")
-            axes.legend(loc="upper left")
     figure.savefig(path, dpi=110)
 
 
@@ -191,6 +249,13 @@ def draw_growth(data: Measured, known: Tissue, path: Path) -> None:
     """Draw cells and diameter over time, measured and computed."""
     grown = {key: np.array(x, dtype=float) for key, x in table("emt6-run.csv").items()}
     times, living, diameters, _ = course(known, float(data.hours[-1]) - data.start)
+    cells, sizes = growth_errors(known, data)
+    print(f"growth along the radius: cells {np.round(cells, 2).tolist()}, diameter "
+          f"{np.round(sizes, 2).tolist()} (logarithms)")  # fmt: skip
+    used = data.hours <= grown["time / h"][-1]
+    for name, there in (("proliferating", data.cells), ("diameter / um", data.diameters)):
+        off = np.log(np.interp(data.hours, grown["time / h"], grown[name]) / there)[used]
+        print(f"growth in the run: {name} off by {np.round(off, 2).tolist()}, rms {rms(off):.2f}")
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     start = np.array([data.start])
@@ -217,7 +282,7 @@ def draw_profiles(path: Path) -> None:
     names, values = np.array(found["parameter"]), np.array(found["value"], dtype=float)
     above = np.array(found["squares above the least"], dtype=float)
     figure = Figure(figsize=(11, 4.6), layout="constrained")
-    for axes, name in zip(figure.subplots(2, 5, sharey=True).flat, RANGES, strict=True):
+    for axes, name in zip(figure.subplots(2, 5, sharey=True).flat, LABELS, strict=True):
         rows = np.flatnonzero(names == name)
         rows = rows[np.argsort(values[rows])]
         axes.plot(values[rows], above[rows], "o-", color=BLUE, ms=4)
@@ -236,8 +301,9 @@ def draw_profiles(path: Path) -> None:
 LABELS = {
     "oxygen": "uptake of O₂ (mM/s)", "glucose": "uptake of glucose (mM/s)",
     "crabtree": "Crabtree: effect", "half": "Crabtree: half (mM)", "layer": "layer (µm)",
-    "least": "ATP to live (mM/s)", "growth_half": "ATP, half growth (mM/s)",
-    "cycle": "cycle (h)", "lysis": "lysis of core (h)", "cell": "tissue/cell (µm³)",
+    "diffusion": "diffusion of O₂ (µm²/s)", "pasteur": "Pasteur: effect",
+    "pasteur_half": "Pasteur: half (mM)", "least": "ATP to live (mM/s)",
+    "lactate": "lactate that kills × D",
 }  # fmt: skip
 
 

@@ -43,8 +43,8 @@ FLOOR = 0.03
 SEEDINGS = (2500, 5000, 10000)
 BUDGET = 150
 FREE = {
-    "initial.count": "log 250:550",
-    "growth.phases.G1.duration": "15:55 h",
+    "initial.count": "log 250:700",
+    "growth.phases.G1.duration": "20:90 h",
     "nutrients.oxygen.uptake_per_volume": "log 0.02:0.06 mM/s",
     "nutrients.oxygen.quiescence": "log 0.018:0.05 mM",
     "nutrients.oxygen.necrosis": "log 0.004:0.0179 mM",
@@ -109,7 +109,7 @@ def fit() -> None:
     kept = {
         "best": dict(found.best.settings),
         "intervals": {name: [i.low, i.high] for name, i in found.intervals().items()},
-        "draws": draws_of(found, 24),
+        "draws": draws_of(found, 12),
         "chi_squared": found.best.chi_squared,
         "minutes": (time.monotonic() - begin) / 60,
     }

@@ -63,6 +63,7 @@ class BiologyPlan:
     - ``young``, ``young_variation``, ``heritable``, ``drift``, ``reaction_time``: of the cells, in
       kPa and s
     - ``inflow``: viscosity of the medium that flows in to what is lost, kPa·s; 0: it is at rest
+    - ``surface_tension``: of the tissue, nN/µm; 0: none
     - ``types``: by name; empty where all cells are alike
     - ``cycle_scale``, ``motility_scale``, ``young_ratio``, (types,) or None: factors of each type;
       None where they are all 1
@@ -95,6 +96,7 @@ class BiologyPlan:
     heritable: tuple[str, ...]
     drift: Mapping[str, float]
     inflow: float
+    surface_tension: float
     reaction_time: float
     types: Mapping[str, CellType]
     cycle_scale: FloatArray | None
@@ -150,6 +152,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         heritable=cells.heritable,
         drift=cells.drift or {},
         inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,
+        surface_tension=0.0 if scene.surface is None else scene.surface.tension,
         reaction_time=cells.reaction_time,
         types=scene.types,
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,

@@ -63,7 +63,7 @@ def tabled_cells(scene: Scene) -> Cells:
         pressure=columns.get("pressure", np.zeros(n)),
         kind=kind,
         doomed=columns.get("doomed", np.zeros(n, dtype=np.int8)),
-        damage=columns.get("damage"),
+        damage=columns.get("damage", np.zeros(n)),
     )
     phases = bool(plan.order)
     volume = _in_phases(plan, cells, given) if phases else _without_phases(plan, cells, given)

@@ -141,7 +141,8 @@ def fit(
     plan = plan_of(
         scene, data, free, method=method, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
         budget=budget, population=population, start=start, sd=sd, specimens=specimens,
-        scatter=scatter, constraints=constraints, reuse=reuse, coarse=coarse, simulator=simulator,
+        scatter=scatter, constraints=constraints, reuse=reuse, coarse=coarse,
+        simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,

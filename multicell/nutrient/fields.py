@@ -1,7 +1,8 @@
 """All fields of a scene with the cells that live on them: uptake, secretion, accounts.
 
 The fields are solved one after another, each after those that it depends on, so that together
-they are the exact solution of the coupled problem. What depends on another field is evaluated at
+they are the exact solution of the coupled problem; steady ones whose uptakes depend on each other
+in turn until none changes any more. What depends on another field is evaluated at
 the cells: each field may have a grid and a geometry of its own.
 """
 
@@ -15,13 +16,13 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, Phase, State
-from multicell.errors import SceneError
+from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import Exchange, Ledger
 from multicell.nutrient.choosing.grids import Grids
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import BoxLayout
 from multicell.nutrient.parameters import FieldParameters
-from multicell.scene.checks import solving_order
+from multicell.scene.checks import circles, solving_order
 
 if TYPE_CHECKING:
     from multicell.nutrient.group import FieldGroup
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
 
+
+_MAX_TURNS = 200  # in which fields whose uptakes depend on each other are solved for
+_SETTLED = 1e-8  # change of a field, over its highest concentration, that ends the turns
 
 Respond = Callable[[str, Cells, Mapping[str, FloatArray]], FloatArray | None]
 """Returns the factor that responses give a behaviour of each cell, (n,), or None for one."""
@@ -90,6 +94,8 @@ class Feeding:
             self.groups = together(self.fields, self.order, known)
         else:
             self.groups = [self.fields[name].group for name in self.order]
+        around = circles(scene.nutrients, known, scene.responses)
+        self._circles = {x[-1]: x for x in map(tuple, around.values()) if len(x) > 1}
         self.grids = Grids(scene, [group.names for group in self.groups])
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
@@ -111,6 +117,32 @@ class Feeding:
                 for name in group.names:
                     self.ledger[name], self.fields[name].well_mixed = Ledger(), None
             self._begin(group, cells, time, choose=not again)
+            self._settle(group, cells, time)
+
+    def _settle(self, group: FieldGroup, cells: Cells, time: float) -> None:
+        """Solve in turn for the steady fields of a circle that ends with this one.
+
+        Raises NutrientFailed if they do not settle.
+        """
+        names = self._circles.get(group.names[-1], ())
+        if not names or not all(map(self._rests, names)):
+            return  # others depend on what the last step has left
+        for _ in range(_MAX_TURNS):
+            change = 0.0
+            for other in (one for one in self.groups if one.names[0] in names):
+                name = other.names[0]
+                before, demand = self.concentrations[name], self.demand_now(name, cells)
+                self.reports |= other.solve(
+                    cells.position, {name: demand}, radius=cells.radius, time=time
+                )
+                self.ledger[name].fill(self.fields[name].stored())
+                self._sample(name, cells, demand[0])
+                moved = np.abs(self.concentrations[name] - before).max(initial=0.0)
+                change = max(change, float(moved) / self._nutrients[name].highest)
+            if change < _SETTLED:
+                return
+        problem = f"{' and '.join(names)} do not settle: their uptakes depend on each other"
+        raise NutrientFailed(problem, "Make one of these dependences weaker (uptake_on.*.effect).")
 
     def _begin(self, group: FieldGroup, cells: Cells, time: float, *, choose: bool) -> None:
         """Solve for fields at the start of a run; ``choose`` their grid where the run does so."""
@@ -161,8 +193,12 @@ class Feeding:
         if before is not None:
             marched = [name for name in self.order if not self._rests(name)]
             demand = {name: float(self._capacity(name, before).sum()) for name in marched}
+        for names in self._circles.values():  # as the fields of the last step have them
+            found = {x: self.fields[x].sample(cells.position) for x in names}
+            self.concentrations = {**self.concentrations, **found}
         for group in self.groups:
             self._advance(group, cells, begin, end, demand)
+            self._settle(group, cells, end)
 
     def _advance(
         self, group: FieldGroup, cells: Cells, begin: float, end: float, began: Mapping[str, float]
@@ -398,5 +434,6 @@ def dependence(
     """
     factor = np.ones(count)
     for other, law in nutrient.uptake_on.items():
-        factor *= law.factor(concentrations[other])
+        if other in concentrations:  # at the start one of a circle is not there yet
+            factor *= law.factor(concentrations[other])
     return factor

@@ -56,6 +56,17 @@ def _has_shells(scene: Scene) -> bool:
     return scene.dimensions == 3 and any(n.layout != "box" for n in scene.nutrients.values())
 
 
+def _closes(scene: Scene) -> bool:
+    inflow = scene.death is not None and scene.death.inflow
+    return scene.dimensions == 3 and (scene.surface is not None or inflow)
+
+
+def _largest_hole(state: TissueState) -> float:
+    from multicell.results.holes import largest_hole
+
+    return largest_hole(state.cells)
+
+
 def _walls(state: TissueState) -> Walls | Sphere:
     """Return the walls as they stand round the cells."""
     found = walls(state.scene)
@@ -68,6 +79,10 @@ def _walls(state: TissueState) -> Walls | Sphere:
 def _pressure_factor(state: TissueState) -> float:
     factors = state.pressure_factors
     return float(factors.mean()) if len(factors) else float("nan")
+
+
+def _over_radius(state: TissueState, length: float) -> float:
+    return length / state.extent.radius() if len(state.cells) else float("nan")
 
 
 def _load(state: TissueState) -> float:
@@ -121,7 +136,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "necrotic_ratio",
-        lambda s: of.necrotic_radius(s.cells, s.dimensions, s.extent) / s.extent.radius(),
+        lambda s: _over_radius(s, of.necrotic_radius(s.cells, s.dimensions, s.extent)),
         exists=_has_phases,
         absent="without cells",
         doc="the necrotic radius over R; with `growth.phases`",
@@ -139,7 +154,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "inhibited_ratio",
-        lambda s: s.inhibited_radius / s.extent.radius(),
+        lambda s: _over_radius(s, s.inhibited_radius),
         exists=_has_phases,
         absent="without cells",
         doc="the inhibited radius over R; with `growth.phases`",
@@ -158,6 +173,16 @@ OBSERVABLES: Final = (
         lambda s: of.largest_pressure(s.cells),
         unit="kPa",
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
+    ),
+    Observable(
+        "core_pressure",
+        lambda s: of.core_pressure(s.cells),
+        unit="kPa",
+        exists=lambda scene: scene.death is not None and scene.death.core == "fluid",
+        absent="without a core",
+        signed=True,
+        doc="mean [pressure](contact.md#pressure-of-a-cell) of necrotic cells by their volume, "
+        'with which a fluid core holds up the rim; with `death.core = "fluid"`',
     ),
     *(Observable(name, _count_in(name), entry=f"states.{name}", counts=True) for name in _STATES),
     Observable(
@@ -292,7 +317,19 @@ OBSERVABLES: Final = (
         entry=None,
         signed=True,
     ),
-    # of a whole run
+    # of the last state only, or of a whole run
+    Observable(
+        "largest_hole",
+        _largest_hole,
+        unit="um",
+        exists=_closes,
+        at_end=True,
+        absent="without tissue that surrounds anything",
+        shown="{:.1f} µm".format,
+        doc="radius of the largest empty ball within the tissue, which nothing of the size of a "
+        "living cell could come to from outside; with `surface` or `death.inflow` in space, at "
+        "the end of a run",
+    ),
     Observable("divisions", at_end=True, shown="{:,}".format, shown_if_zero=False),
     Observable(
         "removals", title="cells removed", at_end=True, shown="{:,}".format, shown_if_zero=False

@@ -284,6 +284,16 @@ def largest_pressure(cells: Cells) -> float:
     return float(cells.pressure.max()) if len(cells) else 0.0
 
 
+def core_pressure(cells: Cells) -> float:
+    """Return the mean pressure of the necrotic cells by their volume, kPa; NaN without any."""
+    dead = cells.state == State.NECROTIC
+    return (
+        float(np.average(cells.pressure[dead], weights=cells.volume[dead]))
+        if dead.any()
+        else (float("nan"))
+    )
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class RadialProfile:

@@ -336,12 +336,62 @@ def solving_order(
 ) -> list[str]:
     """Return the names of the fields so that each comes after those that it depends on.
 
-    Fields that react with each other come one after another.
+    Fields that react with each other come one after another, and so do those whose uptakes depend
+    on each other.
 
-    Raises SceneError for fields that depend on each other in a circle.
+    Raises SceneError for fields that depend on each other in another circle.
     """
     from graphlib import CycleError, TopologicalSorter
 
+    needs = _needs(nutrients, responses)
+    known = circles(nutrients, reactions, responses)
+    if reactions:
+        from multicell.scene.reactions import group_of
+
+        for name in needs:
+            group = [x for x in group_of(name, reactions) if x in needs]
+            known[name] = group or known[name]
+    first = {name: group[0] for name, group in known.items()}
+    graph: dict[str, list[str]] = {head: [] for head in first.values()}
+    for name, others in needs.items():
+        outside = [x for x in others if x == name or first[x] != first[name]]
+        graph[first[name]] += [first[x] for x in outside]
+    try:
+        return [name for head in TopologicalSorter(graph).static_order() for name in known[head]]
+    except CycleError as error:
+        circle = list(reversed(error.args[1]))
+        problem = f"depends on itself: {' needs '.join(circle)}"
+        hint = "Only uptakes may depend on each other; leave out the weakest dependence."
+        raise SceneError(f"nutrients.{circle[0]}", problem, hint) from None
+
+
+def circles(
+    nutrients: Mapping[str, Nutrient],
+    reactions: Mapping[str, Joining] | None = None,
+    responses: Mapping[str, Response] | None = None,
+) -> dict[str, list[str]]:
+    """Return for each field those with which its uptake depends on each other, itself included.
+
+    Fields that react, or are secreted from each other, are in no circle that can be solved for.
+    """
+    needs = _needs(nutrients, responses)
+    reached = {name: set(others) for name, others in needs.items()}
+    for middle in needs:
+        for found in reached.values():
+            found |= reached[middle] if middle in found else set()
+    joined = {x for reaction in (reactions or {}).values() for x in reaction.fields}
+    known = {}
+    for name in needs:
+        circle = [x for x in needs if x == name or (x in reached[name] and name in reached[x])]
+        inside = {x for y in circle for x in nutrients[y].secretion_from or ()} & set(circle)
+        known[name] = [name] if inside or joined & set(circle) else circle
+    return known
+
+
+def _needs(
+    nutrients: Mapping[str, Nutrient], responses: Mapping[str, Response] | None
+) -> dict[str, list[str]]:
+    """Return the fields that each depends on."""
     needs = {
         name: [*nutrient.uptake_on, *(nutrient.secretion_from or ())]
         for name, nutrient in nutrients.items()
@@ -350,28 +400,4 @@ def solving_order(
         what, _, name = part.behaviour.partition(" of ")
         if what in ("uptake", "secretion") and name in needs:
             needs[name] += [signal for signal in part.signals if signal in nutrients]
-    try:
-        if reactions:
-            return _order_of_groups(needs, reactions)
-        return list(TopologicalSorter(needs).static_order())
-    except CycleError as error:
-        circle = list(reversed(error.args[1]))
-        problem = f"depends on itself: {' needs '.join(circle)}"
-        hint = "Fields are solved one after another; leave out the weakest dependence."
-        raise SceneError(f"nutrients.{circle[0]}", problem, hint) from None
-
-
-def _order_of_groups(needs: Mapping[str, list[str]], reactions: Mapping[str, Joining]) -> list[str]:
-    """Return the order of fields of which those that react with each other are taken as one."""
-    from graphlib import TopologicalSorter
-
-    from multicell.scene.reactions import group_of
-
-    known = {name: group_of(name, reactions) or [name] for name in needs}
-    known = {name: [x for x in group if x in needs] for name, group in known.items()}
-    first = {name: group[0] for name, group in known.items()}
-    graph: dict[str, list[str]] = {head: [] for head in first.values()}
-    for name, others in needs.items():
-        outside = [first[other] for other in others if first[other] != first[name]]
-        graph[first[name]] += outside
-    return [name for head in TopologicalSorter(graph).static_order() for name in known[head]]
+    return needs

@@ -41,7 +41,7 @@ _SAME: Final = """
     growth.phases.*.shift growth.phases.*.grows
     growth.division growth.restriction growth.cycle_variation growth.critical_pressure
     death.necrosis_rate death.damage_time death.damage_repair_time death.damage_variation
-    death.inflow death.swelling death.swelling_time death.lysis_time
+    surface.tension death.inflow death.core death.swelling death.swelling_time death.lysis_time
     death.apoptosis_rate death.apoptosis_time death.removal_fraction
     types.*.fraction types.*.young types.*.receptor types.*.ligand types.*.receptor_by_phase
     types.*.ligand_by_phase types.*.receptor_by types.*.ligand_by types.*.cycle_scale
@@ -238,5 +238,6 @@ def _scale_signals(scene: Scene, entries: dict[str, Any], factor: float) -> None
         plain = entries["responses"][name]
         for key in {"half", "begin", "end"} & set(plain):
             plain[key] *= by
-        if part.points is not None:
-            plain["points"] = [[float(x) * by, y] for x, y in part.points]
+        points: Any = part.points  # numbers, as they are in a scene that was read
+        if points is not None:
+            plain["points"] = [[x * by, y] for x, y in points]

@@ -90,6 +90,7 @@ def check_coupling(scene: Scene) -> None:
         "chemotaxis": bool(scene.chemotaxis),
         "haptotaxis": scene.haptotaxis is not None,
         "pull": scene.pull is not None,
+        "surface": scene.surface is not None,
         "death": scene.death is not None and scene.death.inflow,
     }
     for name, present in frozen.items():

@@ -298,6 +298,12 @@ class Death:
         default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
     )
 
+    core: str = choice(
+        ["lost", "fluid"],
+        default="lost",
+        doc="what necrotic cells leave: space that tissue may close, or fluid in their place, so "
+        "that they keep their size",
+    )
     inflow: bool = flag(
         default=False,
         doc="the medium that drags the cells flows in to where the dead lose volume, and takes the "
@@ -472,6 +478,16 @@ class Friction:
     )
     tangential: float = quantity(
         "kPa s/um", default=0.1, at_least=0, doc="against motion across the line of centres"
+    )
+
+
+@final
+@parameters
+class Surface:
+    """Tension of the surface between tissue and medium, also of that round holes in it."""
+
+    tension: float = quantity(
+        "nN/um", above=0, at_most=1e3, doc="of the surface of the tissue, in mN/m = nN/um"
     )
 
 

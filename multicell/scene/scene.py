@@ -50,6 +50,7 @@ from multicell.scene.parts import (
     Motility,
     OutputOptions,
     Pull,
+    Surface,
 )
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
@@ -99,7 +100,7 @@ class Scene:
         The run ends after the coupling step in which this many cells exist.
     initial, cells, contact, drag, integrator, output
         The parts that each scene has.
-    growth, death, adhesion, friction, compression, motility, pull, domain, energy
+    growth, death, adhesion, friction, compression, motility, surface, pull, domain, energy
         None where the scene has no such part.
     forces, motions : mapping of name to Force or PrescribedMotion, read-only
         What drives named cells from outside.
@@ -152,6 +153,7 @@ class Scene:
         Chemotaxis, default_factory=Tables, doc="by field; absent: no force along gradients"
     )
     haptotaxis: Haptotaxis | None = table(Haptotaxis, default=None, doc="absent: even ground")
+    surface: Surface | None = table(Surface, default=None, doc="absent: only contacts hold tissue")
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
     forces: Mapping[str, Force] = tables(
         Force, default_factory=Tables, doc="from outside, on named cells; absent: none"
@@ -221,6 +223,8 @@ class Scene:
             raise SceneError("compression", problem, "A layer of cells yields out of its plane.")
         if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
             raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
+        if self.dimensions == 2 and self.surface is not None:
+            raise SceneError("surface", "has no meaning in a scene of 2 dimensions")
 
     @property
     def box(self) -> Domain | None:

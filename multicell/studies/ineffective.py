@@ -142,7 +142,11 @@ _KEYS: Final[Mapping[str, Sequence[Rule]]] = {
     "death.damage_repair_time": [_NO_DAMAGE],
     "death.damage_variation": [_NO_DAMAGE],
     "death.swelling": [_NECROSIS],
-    "death.lysis_time": [_NECROSIS],
+    "death.core": [_NECROSIS],
+    "death.lysis_time": [
+        _NECROSIS,
+        (lambda s: s.death.core == "fluid", "what necrotic cells lose stays as fluid (death.core)"),
+    ],
     "death.swelling_time": [
         _NECROSIS,
         (lambda s: s.death.swelling == 1.0, "dead cells do not swell (death.swelling = 1)"),

@@ -169,7 +169,7 @@ def test_a_field_that_does_not_begin_as_steady_decides_as_it_is():
 
 def test_two_fields_and_atp():
     """Cells die where the ATP of oxygen and glucose does not do, as the fields then are."""
-    changes = {"stop_cells": None, "energy.quiescence": 0.02, "growth.restriction": False,
+    changes = {"stop_cells": None, "energy.quiescence": 0.25, "growth.restriction": False,
                "nutrients.oxygen.boundary": 0.05, "nutrients.glucose.boundary": 0.8}  # fmt: skip
     simulation = started(8000, "emt6", **changes)
     scene, state = simulation.scene, simulation.cells.state

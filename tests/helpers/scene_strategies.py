@@ -373,6 +373,8 @@ def fitted(entries):
     _fit_energy(scene, fields)
     _fit_radiation(scene, types, fields)
     scene["chemotaxis"] = {n: x for n, x in scene.get("chemotaxis", {}).items() if n in fields}
+    if flat:
+        scene.pop("surface", None)
     if flat and scene.get("haptotaxis", {}).get("axis") == "z":
         scene["haptotaxis"]["axis"] = "y"
     _fit_responses(scene, list(fields), list(types))
@@ -589,7 +591,7 @@ def _fit_coupling(scene):
         scene.pop("coupling_tolerance", None)
         return
     scene.setdefault("growth", {})
-    for name in ("motility", "chemotaxis", "haptotaxis", "pull"):
+    for name in ("motility", "chemotaxis", "haptotaxis", "surface", "pull"):
         scene.pop(name, None)
     if scene.get("contact", {}).get("law") == "exact-jkr":
         del scene["contact"]

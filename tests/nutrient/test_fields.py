@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import integrate
 
 import multicell as mc
 from multicell.errors import SceneError
@@ -49,6 +50,10 @@ def scene(**changes):
                                                   changes.items()})  # fmt: skip
 
 
+PASTEUR = {"oxygen": {"effect": 1.0, "half": "0.02 mM"}}
+"""Uptake of glucose rises where oxygen is short, and that of oxygen where glucose is."""
+
+
 def everywhere(key, value):
     return {f"nutrients.{name}.{key}": value for name in THREE}
 
@@ -61,6 +66,8 @@ def everywhere(key, value):
         everywhere("regime", "transient"),
         {**everywhere("regime", "transient"), **everywhere("geometry", "radial")},
         {"nutrients.glucose.regime": "transient", "nutrients.oxygen.geometry": "auto"},
+        {"nutrients.glucose.uptake_on": PASTEUR},
+        {"nutrients.glucose.uptake_on": PASTEUR, **everywhere("regime", "transient")},
         {"dimensions": 2, **everywhere("height", "10 um")},
         {"dimensions": 2, **everywhere("height", "10 um"), **everywhere("regime", "transient")},
     ],
@@ -277,6 +284,45 @@ def test_what_cells_put_in_is_there_and_frames_restore_it(k):
     np.testing.assert_array_equal(again.gather(position, back), layout.gather(position, values))
 
 
+def test_uptakes_that_depend_on_each_other_are_those_of_two_coupled_equations():
+    """A ball in its layer against SciPy's boundary value problem."""
+    radius, medium = 370.0, np.array([0.2, 5.5])
+    scene = mc.load_scene("emt6-rim").with_changes(
+        {"energy.necrosis": None, "energy.quiescence": 1e-9, "nutrients.lactate": None}
+    )
+    simulation = mc.Simulation(scene, threads=1)
+    cells, found = simulation.cells, simulation.concentrations
+    o, g = scene.nutrients["oxygen"], scene.nutrients["glucose"]
+    e, f, layer = o.uptake_on["glucose"], g.uptake_on["oxygen"], o.layer
+    share = float(cells.volume.sum()) / (4.0 / 3.0 * np.pi * radius**3)
+    inside, outside = (np.array([getattr(x, k) for x in (o, g)])
+                       for k in ("diffusion", "diffusion_medium"))  # fmt: skip
+    resist = (1.0 / radius - 1.0 / (radius + layer)) * radius**2 / outside
+
+    def slope(r, y):
+        c = np.maximum(y[:2], 0.0)
+        taken = np.array([
+            o.uptake_per_volume * (1 + e.effect * e.half / (e.half + c[1]))
+            * c[0] / (o.half_saturation + c[0]),
+            g.uptake_per_volume * (1 + f.effect * f.half / (f.half + c[0]))
+            * c[1] / (g.half_saturation + c[1]),
+        ])  # fmt: skip
+        return np.concatenate([y[2:], share * taken / inside[:, None] - 2.0 * y[2:] / r])
+
+    def ends(inner, outer):
+        return np.concatenate([inner[2:], outer[:2] + resist * inside * outer[2:] - medium])
+
+    r = np.linspace(1.0, radius, 400)
+    guess = np.concatenate([medium[:, None] * (r / radius) ** 2, np.zeros((2, len(r)))])
+    exact = integrate.solve_bvp(slope, ends, r, guess, tol=1e-6, max_nodes=100_000)
+    assert exact.success
+    depth = radius - np.linalg.norm(cells.position - cells.position.mean(axis=0), axis=1)
+    for k, name in enumerate(("oxygen", "glucose")):
+        there = exact.sol(radius - depth)[k]
+        off = np.abs(found[name] - there)[depth < 200.0].max() / medium[k]
+        assert off < 0.03
+
+
 def test_scales_and_choices():
     described = scene()
     found = scales(described, "glucose")
@@ -305,8 +351,12 @@ def test_scales_and_choices():
             "nutrients.glucose.secretion_from.lactat", "Did you mean 'lactate'",
         ),
         (
-            {"nutrients.glucose.uptake_on": {"oxygen": {"effect": 1, "half": 1}}},
+            {"nutrients.glucose.uptake_on": {"glucose": {"effect": 1, "half": 1}}},
             "nutrients.glucose", "depends on itself",
+        ),
+        (
+            {"nutrients.glucose.uptake_on": {"lactate": {"effect": 1, "half": 1}}},
+            "nutrients.lactate", "depends on itself",
         ),
         (
             {"nutrients.oxygen.media": [["2 h", 0.1], ["1 h", 0.2]]},

@@ -35,11 +35,21 @@ NONE = [
     ("sorting", {}, "contact.surface_energy", "surface energy of its own"),
     (
         "emt6",
-        {"nutrients.glucose.uptake_per_volume": 0},
+        {
+            "nutrients.glucose.uptake_per_volume": 0,
+            "nutrients.glucose.uptake_on": None,
+            "nutrients.oxygen.uptake_on": None,
+            "nutrients.lactate": None,
+        },
         "nutrients.glucose.half_saturation",
         "uptake",
     ),
-    ("emt6", {"energy.necrosis": None}, "death.lysis_time", "nor ATP has a threshold"),
+    (
+        "emt6",
+        {"energy.necrosis": None, "nutrients.lactate": None},
+        "death.lysis_time",
+        "nor ATP has a threshold",
+    ),
 ]
 
 

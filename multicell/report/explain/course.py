@@ -24,7 +24,7 @@ from multicell.biology.growth import growth_factor
 from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm
 from multicell.cells import SPHERE, FloatArray
-from multicell.scene.checks import solving_order
+from multicell.scene.checks import circles, solving_order
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
 from multicell.scene.parts import Death
@@ -38,6 +38,7 @@ _MAX_STEPS: Final = 300
 _MAX_EXPONENT: Final = 60.0  # exponent of growth in a step: then it is over
 _MAX_CELLS: Final = 1e12  # no forecast goes on beyond
 _MAX_ITERATIONS: Final = 40
+_TURNS: Final = 8  # in which fields are solved for that depend on each other
 _PACKING: Final = 0.77  # volume of cells in that of tissue, as runs have it
 _MIN_LIVING: Final = 1e-3  # living cells: with fewer nothing comes any more
 _PRESSURE_TOLERANCE: Final = 0.01  # change of pressure's factor that ends its iteration
@@ -110,6 +111,8 @@ class _Tissue:
         own = SPHERE * size**3 if scene.dimensions == 3 else math.pi * size**2
         self._volume, self._cell_volume = own / _PACKING, SPHERE * size**3 / _PACKING
         needed = _effective_fields(scene)
+        around = circles(scene.nutrients, scene.reactions, scene.responses).values()
+        self._circular = any(len(group) > 1 for group in around)
         self._fields = {
             name: Profile(scene.nutrients[name], self._dimensions, height(scene, name))
             for name in (
@@ -164,8 +167,9 @@ class _Tissue:
         scene = self._scene
         # fields without effect on cells are not solved
         levels = {name: np.full(SHELLS, n.medium(begin)) for name, n in scene.nutrients.items()}
-        for name, field in self._fields.items():
-            levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
+        for _ in range(_TURNS if self._circular else 1):
+            for name, field in self._fields.items():
+                levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
         growth = growth_factor(self._plan, levels, np.zeros(SHELLS))
         hazard = self._hazard(levels)
         for name, field in self._fields.items():

@@ -137,7 +137,10 @@ def _death_words(scene: Scene) -> str:
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
-    words += f"lose their volume in about {hours(death.lysis_time)}"
+    if death.core == "fluid":
+        words += "keep their place, as fluid"
+    else:
+        words += f"lose their volume in about {hours(death.lysis_time)}"
     if death.inflow:
         words += "; the medium flows in to what they lose"
     if death.apoptosis_rate > 0.0:
@@ -186,6 +189,9 @@ def _taxis(scene: Scene) -> list[Part]:
         way = "up" if law.force >= 0.0 else "down"
         what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
         parts.append(part(f"chemotaxis.{name}", what))
+    if scene.surface is not None:
+        what = f"{scene.surface.tension:g} nN/um, which presses on a ball of 300 um radius"
+        parts.append(part("surface", f"{what} with {scene.surface.tension / 0.15:.3g} Pa"))
     if scene.haptotaxis is not None:
         speed = 3600.0 * scene.haptotaxis.force / resistance
         what = f"{scene.haptotaxis.landscape}: a free cell drifts at up to {speed:.3g} um/h"
