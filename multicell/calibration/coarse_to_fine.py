@@ -3,10 +3,10 @@
 1. A fit with coarse runs alone (:func:`multicell.coarsen`) finds where the parameters are.
 2. Fine runs at draws from its intervals, and coarse ones beside them, give for each datum the ratio
    of fine to coarse.
-3. The fit is made again with coarse readings times that ratio. Its runs with fresh seeds, at the
-   best point and at draws from the intervals, are fine ones: scatter and likelihood are those of
-   the fine scene, and where ratios do not hold the intervals are widened, as where an emulator is
-   wrong.
+3. The search continues with coarse readings times that ratio, those that are there and some more.
+   Its runs with fresh seeds, at the best point and at draws from the intervals, are fine ones:
+   scatter and likelihood are those of the fine scene, and where ratios do not hold the intervals
+   are widened, as where an emulator is wrong.
 
 A ratio leaves zero at zero: a core that has not begun stays so.
 """
@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from multicell.calibration.fresh import MAX_REPEATS
+from multicell.calibration.likelihood import MIN_REPEATS
 from multicell.calibration.pool import open_pool
 from multicell.calibration.simulator import Reading, Simulator
 from multicell.errors import FitFailed, SceneError
@@ -36,7 +37,9 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 PAIRS: Final = 8  # draws at which fine runs correct coarse ones
-BESIDE: Final = 4  # coarse runs beside each of them
+BESIDE: Final = 2  # coarse runs beside each of them
+_FURTHER: Final = 3  # one in so many points of the search is tried once more, after the correction
+MIN_POINTS: Final = 10
 _LOG: Final = "pairs.log"
 
 Key = tuple[tuple[float, ...], int, int]
@@ -50,14 +53,12 @@ class Corrected:
     - ``coarse``, ``fine``: the simulators
     - ``seeds``: of the search
     - ``ratios``: for each datum of each condition
-    - ``known``: coarse readings that are there
     """
 
     coarse: Simulator
     fine: Simulator
     seeds: tuple[int, ...]
     ratios: tuple[tuple[float, ...], ...]
-    known: Mapping[Key, Reading]
 
     @property
     def stated(self) -> dict[str, Any]:
@@ -68,8 +69,10 @@ class Corrected:
         """Return what a run gives; see :class:`multicell.calibration.simulator.Simulator`."""
         if seed not in self.seeds:
             return self.fine(shares, condition, seed)
-        key = (tuple(map(float, shares)), condition, seed)
-        found = self.known.get(key) or self.coarse(shares, condition, seed)
+        return self.corrected(self.coarse(shares, condition, seed), condition)
+
+    def corrected(self, found: Reading, condition: int) -> Reading:
+        """Return a coarse reading times the ratios."""
         values = np.multiply(found.values, self.ratios[condition])
         return replace(found, values=tuple(values.tolist()))
 
@@ -99,7 +102,7 @@ def expected(plan: FitPlan) -> tuple[int, float]:
     scenes = [condition.scene for condition in plan.problem.measured.conditions]
     fine = [cost_of(scene).seconds for scene in scenes]
     coarse = [cost_of(coarsen(scene, plan.coarse)).seconds for scene in scenes]
-    searched = 2 * plan.runs + PAIRS * BESIDE * len(scenes)
+    searched = plan.runs + plan.runs // _FURTHER + PAIRS * BESIDE * len(scenes)
     again = PAIRS * len(scenes) + plan.runs - plan.points * len(plan.problem.tasks())
     seconds = searched * sum(coarse) / len(scenes) + again * sum(fine) / len(scenes)
     return searched + again, float(seconds)
@@ -119,18 +122,19 @@ def fit_coarse_first(
 
     The folder holds the first fit as ``coarse`` and the result as ``fine``.
     """
-    from multicell.calibration.fit_folder import SEARCH, write_result
+    from multicell.calibration.fit_folder import write_result
 
     note = progress or (lambda what, done, wanted: None)
     fine = plan.problem.simulator
     coarse = coarse_simulator(fine, plan.coarse)
     options: dict[str, Any] = {"cores": cores, "scheduler": scheduler, "overwrite": overwrite}
 
-    def fitted(name: str, simulator: Simulator, words: str) -> Fit:
-        part = replace(plan, coarse=1.0, problem=replace(plan.problem, simulator=simulator))
+    def fitted(name: str, simulator: Simulator, **changes: Any) -> Fit:
+        problem = replace(plan.problem, simulator=simulator)
+        part = replace(plan, coarse=1.0, problem=problem, **changes)
 
         def told(what: str, done: int, wanted: int) -> None:
-            note(f"{words}: {what}", done, wanted)
+            note(f"{name}: {what}", done, wanted)
 
         return carry_out(part, output=folder / name, progress=told, **options)
 
@@ -139,19 +143,17 @@ def fit_coarse_first(
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="multicell-")))
         else:
             folder = Path(output)
-        first = fitted("coarse", coarse, "coarse")
-        log = folder / "coarse" / SEARCH
-        runs, seconds = _pairs(
-            first, coarse, fine, folder / "coarse" / _LOG, note, cores, scheduler
-        )
-        ratios = _ratios(plan, runs)
-        known = _readings(log)
+        first = fitted("coarse", coarse, repeats=MIN_REPEATS, profile_runs=0)
+        path = folder / "coarse" / _LOG
+        runs, seconds = _pairs(first, coarse, fine, path, note, cores, scheduler)
+        seeds, ratios = plan.problem.seeds, _ratios(plan, runs)
+        corrected = Corrected(coarse, fine, seeds, ratios)
         found = fitted(
-            "fine", Corrected(coarse, fine, plan.problem.seeds, ratios, known), "corrected"
-        )
-        seeds = plan.problem.seeds
-        later = _readings(folder / "fine" / SEARCH)
-        made = [key for key in later if key not in known]
+            "fine", corrected, points=max(MIN_POINTS, plan.points // _FURTHER),
+            adopted=_entries(first, corrected),
+        )  # fmt: skip
+        known = first.readings
+        made = [key for key in found.readings if key not in known]
         counts = {
             "coarse": len(known) + len(runs["coarse"]) + sum(key[2] in seeds for key in made),
             "fine": len(runs["fine"]) + sum(key[2] not in seeds for key in made),
@@ -186,6 +188,21 @@ def _account(
     }  # fmt: skip
 
 
+def _entries(first: Fit, corrected: Corrected) -> list[dict[str, Any]]:
+    """Return the search of a fit as entries of a log, with corrected readings."""
+    points = [e.shares.tolist() for e in first.evaluations]
+    entries: list[dict[str, Any]] = [{"points": points, "reused": True}]
+    for shares in points:
+        for condition, seed in first.problem.tasks():
+            run = tuple(shares), condition, seed
+            reading = corrected.corrected(first.readings[run], condition)
+            entries.append({
+                "shares": shares, "condition": condition, "seed": seed, "reason": reading.reason,
+                "values": [None if v != v else v for v in reading.values], "reused": True,
+            })  # fmt: skip
+    return entries
+
+
 def timed(
     simulator: Simulator, shares: Sequence[float], condition: int, seed: int
 ) -> tuple[Reading, float]:
@@ -205,7 +222,7 @@ def _pairs(
     shares, weights = first.sample
     likely = np.interp((np.arange(PAIRS) + 0.5) / PAIRS, np.cumsum(weights), np.arange(len(shares)))
     draws = [tuple(shares[round(float(k))].tolist()) for k in likely]
-    begin = max(first.problem.seeds) + 1 + 2 * MAX_REPEATS
+    begin = max(first.problem.seeds) + 1 + 10 * MAX_REPEATS
     conditions = range(len(first.problem.measured.conditions))
     wanted = {
         (name, (draw, condition, begin + row * BESIDE + k))
@@ -220,6 +237,8 @@ def _pairs(
 
     def take(entry: Mapping[str, Any]) -> None:
         key = (tuple(entry["shares"]), entry["condition"], entry["seed"])
+        if (entry["which"], key) not in wanted:  # of a fit that was overwritten
+            return
         values = np.array([np.nan if v is None else v for v in entry["values"]])
         runs[entry["which"]][key] = values
         spent[entry["which"]].append(entry["seconds"])
@@ -265,14 +284,3 @@ def _ratios(
         np.divide(fine, coarse, out=ratio, where=fine * coarse > 0.0)
         found.append(tuple(ratio.tolist()))
     return tuple(found)
-
-
-def _readings(log: Path) -> dict[Key, Reading]:
-    """Return the readings that the log of a search holds."""
-    found = {}
-    for entry in Lines(log).entries:
-        if "values" in entry:
-            key = (tuple(map(float, entry["shares"])), entry["condition"], entry["seed"])
-            values = tuple(float("nan") if v is None else float(v) for v in entry["values"])
-            found[key] = Reading(values, entry["reason"])
-    return found

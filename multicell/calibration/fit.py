@@ -196,18 +196,19 @@ def plan_of(
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
     fresh = fresh_runs(method, repeats, profile_runs, problem)
     points, draws, seconds = _spend(problem, method, budget, population, fresh)
+    if coarse != 1.0:
+        from multicell.calibration.coarse_to_fine import coarse_simulator
+
+        if method != "best" or isinstance(budget, str) or reuse is not None:
+            words = "needs the method 'best', a budget in runs, and no other fit to reuse"
+            raise SceneError("coarse", words)
+        coarse_simulator(problem.simulator, coarse)
     request = {"start": start, "constraints": list(constraints)}
     adopted: Sequence[Mapping[str, Any]] = ()
     if reuse is not None:
         if method != "best":
             raise SceneError("reuse", f"has no meaning with method '{method}'")
         adopted = reusable(problem, reuse)
-    if coarse != 1.0:
-        from multicell.calibration.coarse_to_fine import coarse_simulator
-
-        if method != "best" or isinstance(budget, str):
-            raise SceneError("coarse", "needs the method 'best' and a budget in runs")
-        coarse_simulator(problem.simulator, coarse)
     return FitPlan(
         problem, scene, table, method, points, draws, seconds, population, sd, repeats,
         specimens, profile_runs, request, adopted, coarse,

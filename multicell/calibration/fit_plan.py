@@ -75,11 +75,12 @@ class FitPlan:
         from multicell.calibration.fit_folder import describe
 
         times = [datum.time for datum in self.problem.measured.data]
-        options = {
+        options: dict[str, Any] = {
             "sd": self.sd, "population": self.population, "times": times,
             "specimens": self.specimens, "scatter": self.problem.scatter,
         }  # fmt: skip
-        options |= getattr(self.problem.simulator, "stated", {})
+        if stated := getattr(self.problem.simulator, "stated", None):
+            options["simulator"] = stated
         return describe(self.problem, self.scene, self.table, options)
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 FACTS: Final = (
     "method", "sd", "specimens", "scatter", "seeds", "repeats", "population", "sets_of_parameters",
     "reused", "draws", "generations", "temperature", "fresh_runs", "profile_runs", "seconds",
+    "coarse",
 )  # fmt: skip
 
 
@@ -110,7 +111,8 @@ def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
         raise OutputError(f"'{folder}' holds a fit that cannot be opened: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise OutputError(f"'{folder}' holds a damaged fit: {error!r}") from error
-    if json.loads(to_json(plan.describe())) != problem:
+    own = {name: value for name, value in problem.items() if name != "simulator"}
+    if json.loads(to_json(plan.describe())) != own:
         raise OutputError(f"'{folder}' holds a fit that its scene or data have been changed in")
     return plan
 
@@ -130,11 +132,13 @@ def reusable(problem: Problem, folder: str | Path) -> list[dict[str, Any]]:
 
     Raises OutputError for a folder that cannot be read; SceneError where no run can serve.
     """
-    from multicell.calibration.fit_folder import SEARCH
+    from multicell.calibration.fit_folder import FIT, SEARCH
     from multicell.calibration.search import Search
 
     folder = Path(folder)
     other = stored_plan(folder).problem
+    if "simulator" in (read_document(folder / FIT) or {})["problem"]:
+        raise SceneError("reuse", f"names '{folder}', whose search made coarse runs")
     if {free.key for free in problem.ranges} != {free.key for free in other.ranges}:
         raise SceneError("reuse", f"names '{folder}', whose free parameters are others")
     if not set(problem.seeds) <= set(other.seeds):

@@ -99,6 +99,11 @@ def test_runs_are_counted(tmp_path):
     )
     assert any("coarse runs" in note for note in found.notes)
     assert (tmp_path / "fine" / "report.html").is_file()
+    stored = mc.load_fit(tmp_path / "fine")
+    assert stored.best.values == found.best.values
+    assert stored.facts["coarse"] == account
+    with pytest.raises(mc.SceneError, match="coarse runs"):
+        plan_of(SCENE, data(0), FREE, reuse=tmp_path / "fine")
     # nothing is run twice
     again = asked(output=tmp_path, budget=160)
     assert not FINE
@@ -141,6 +146,7 @@ def test_expected_cost_is_that_of_coarse_runs():
     [
         ({"method": "posterior"}, "coarse", "method 'best'"),
         ({"budget": "1 h"}, "coarse", "budget in runs"),
+        ({"reuse": "elsewhere"}, "coarse", "no other fit"),
         ({"simulator": lambda *_: None}, "coarse", "simulator of one's own"),
         ({"coarse": 0.5}, "factor", "from 1 to 10"),
         ({"coarse": 9}, "initial.count", "cannot stand for"),
