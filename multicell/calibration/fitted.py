@@ -325,7 +325,7 @@ class Fit:
 
         Groups are ``posterior`` and ``prior`` (draws in base units, of equal weight),
         ``observed_data``, ``posterior_predictive`` (data replicated from the posterior) and
-        ``log_likelihood``: ln p(y_i | y_-i, θ), as data scatter together, so that ``arviz.loo``
+        ``log_likelihood``: ``ln p(y_i | y_-i, θ)``, as data scatter together, so that ``arviz.loo``
         leaves out one datum.
 
         Raises
