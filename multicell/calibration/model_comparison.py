@@ -41,9 +41,9 @@ def compare_fits(fits: Mapping[str, Fit] | Sequence[Fit]) -> pd.DataFrame:
     pandas.DataFrame
         A row for each, the best predictive score first: ``parameters`` and ``data`` (numbers),
         ``log_likelihood`` at best, ``aic``, ``aicc``, ``bic``, ``score`` (Σ ``ln p(y_i | y_-i)``,
-        the larger the better) with its standard error ``score_error``, ``behind`` (what is missing to
-        the best score) with its standard error ``behind_error``, which is that of the differences
-        datum by datum.
+        the larger the better) with its standard error ``score_error``, ``behind`` (what is missing
+        to the best score) with its standard error ``behind_error``, which is that of the
+        differences datum by datum.
 
     Raises
     ------
