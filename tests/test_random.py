@@ -144,4 +144,5 @@ def test_purposes_keep_their_numbers() -> None:
         "KIND": 7, "MOTILITY": 8, "PHASES": 9, "APOPTOSIS": 10, "NECROSIS": 11,
         "CONDITIONING": 12, "EIGENVECTOR": 13, "VIEW": 14, "RENEWAL": 15,
         "REST": 16, "CHANGE": 17, "MUTATION": 18, "RADIATION": 19, "DRIFT": 20,
+        "TOLERANCE": 21,
     }  # fmt: skip

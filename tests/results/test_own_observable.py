@@ -245,7 +245,15 @@ PULLED = {"duration": "1 min", "coupling_step": "10 s", "initial": {"count": 2, 
 HIT = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9}, "growth": {},
        "radiation": {"course": {"dose": "2 Gy", "times": ["10 min"], "alpha": "0.3 1/Gy",
                                 "mitotic_divisions": 1}}}  # fmt: skip
-FURTHER = {**dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
+PHASED = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9},
+          "growth": {"phases": {"G1": {"duration": "9 h"}, "S": {"duration": "8 h"},
+                                "G2": {"duration": "4 h"}, "M": {"duration": "1 h"}}}}  # fmt: skip
+DYING = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9}, "growth": {}}
+GEL = {"duration": "1 h", "initial": {"count": 9},
+       "domain": {"shape": "sphere", "radius": "60 um", "stiffness": "10 kPa"}}  # fmt: skip
+FURTHER = {**dict.fromkeys(("necrotic_ratio", "inhibited_radius", "inhibited_ratio"), PHASED),
+           "core_pressure": {**DYING, "death": {"core": "fluid"}}, "domain_radius": GEL,
+           "largest_hole": {**DYING, "death": {"inflow": True}}, **dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
            "pull": PULLED, "clonogens": HIT, "doomed": HIT}  # fmt: skip
 
 

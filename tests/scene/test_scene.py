@@ -37,7 +37,7 @@ def test_built_in_scenes_have_names_and_titles():
         "emt6", "emt6-rim",
         "grow-2000", "growth", "monolayer", "openvt-chain", "openvt-monolayer",
         "openvt-sorting", "settle", "settle-1000", "sorting", "sorting-cams",
-        "sorting-signal", "spheroid", "stiff-inclusions", "treatment",
+        "sorting-signal", "spheroid", "stiff-inclusions", "treatment", "wm983b",
     ]  # fmt: skip
     titles = {load_scene(name).title for name in scene_names()}
     assert len(titles) == len(scene_names())

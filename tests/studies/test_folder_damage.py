@@ -34,10 +34,10 @@ def folders(forks, tmp_path_factory):
     folder_damage.fit(place / "fit")
     shutil.copytree(place / "fit", place / "opened")
     found = {kind: getattr(folder_damage, kind)(place / kind) for kind in KINDS}
-    shutil.copytree(place, place.with_name("whole"))
+    copy = tmp_path_factory.mktemp("copy") / "whole"
+    shutil.copytree(place, copy)
     for kind in KINDS:
-        whole = {"folder": str(place.with_name("whole") / kind)}
-        forks.load(function="folder_damage:read", **{"with": whole})
+        forks.load(function="folder_damage:read", **{"with": {"folder": str(copy / kind)}})
     return place, json.loads(json.dumps(found))
 
 
