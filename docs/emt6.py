@@ -182,11 +182,11 @@ def _over_depth(scene: mc.Scene, frame: mc.Frame, radius: float) -> Array:
 
 
 def growth(data: Measured, near: Tissue) -> None:
-    """Fit growth along the radius, grow one spheroid, and write its course to a table."""
+    """Fit growth along the radius, grow one spheroid to 480 h, and write its course to a table."""
     best, squares = fit(data, near, list(GROWTH), ("growth",), starts=3, tries=20)
     print(f"growth along the radius: chi2 {squares:.1f}\n{shown(best, list(GROWTH))}")
     changes = {
-        "duration": "460 h", "coupling_step": "30 min", "stop_cells": None, "output.every": "24 h"
+        "duration": "378 h", "coupling_step": "30 min", "stop_cells": None, "output.every": "24 h"
     }  # fmt: skip
     history = mc.run(mc.load_scene("emt6").with_changes(changes)).history
     rows = ["time / h, cells, proliferating, diameter / um, viable_rim / um, packing_ratio"]
