@@ -251,10 +251,13 @@ PHASED = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9},
 DYING = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9}, "growth": {}}
 GEL = {"duration": "1 h", "initial": {"count": 9},
        "domain": {"shape": "sphere", "radius": "60 um", "stiffness": "10 kPa"}}  # fmt: skip
-FURTHER = {**dict.fromkeys(("necrotic_ratio", "inhibited_radius", "inhibited_ratio"), PHASED),
-           "core_pressure": {**DYING, "death": {"core": "fluid"}}, "domain_radius": GEL,
-           "largest_hole": {**DYING, "death": {"inflow": True}}, **dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
-           "pull": PULLED, "clonogens": HIT, "doomed": HIT}  # fmt: skip
+FURTHER = {
+    **dict.fromkeys(("necrotic_ratio", "inhibited_radius", "inhibited_ratio"), PHASED),
+    **dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
+    "core_pressure": {**DYING, "death": {"core": "fluid"}}, "domain_radius": GEL,
+    "largest_hole": {**DYING, "death": {"inflow": True}},
+    "pull": PULLED, "clonogens": HIT, "doomed": HIT,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [o.name for o in OBSERVABLES if o.measure is not None])
