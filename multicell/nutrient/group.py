@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.cells import FloatArray
+from multicell.errors import NutrientFailed
 from multicell.nutrient import finite, foreign
 from multicell.nutrient.balance import FADED, Exchange
 from multicell.nutrient.course import Course, Demand, substance
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.grid import Layout, tissue_share
+from multicell.nutrient.march import StepRefused
 
 if TYPE_CHECKING:
     from multicell.nutrient.field import NutrientField
@@ -123,7 +125,11 @@ class FieldGroup:
         """
         course = Course(self, position, demand, radius, end, carry=True)
         data = np.array(course.state.data, dtype=float)
-        found, reports = course.equation.solution(data, end, end - begin, data)
+        try:
+            found, reports = course.equation.solution(data, end, end - begin, data)
+        except StepRefused as refused:
+            problem = f"one step of {end - begin:.3g} s has no solution without negative values"
+            raise NutrientFailed(problem, "A shorter coupling_step may have one.") from refused
         course.state.data[...] = found.reshape(data.shape)
         course.finish(end)
         return reports

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import fnmatch
 import json
 import multiprocessing
 import re
@@ -279,7 +280,7 @@ def _finite(where, values, name):
     good = np.isfinite(values) if values.dtype.kind == "f" else np.ones(values.shape, bool)
     if name in ENDLESS:
         good |= np.isposinf(values)
-    if name in ABSENT:
+    if any(fnmatch.fnmatchcase(name, known) for known in ABSENT):
         good |= np.isnan(values)
     if not good.all():
         raise Fault(f"not finite: {where} has {values[~good].ravel()[0]}")

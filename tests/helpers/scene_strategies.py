@@ -356,6 +356,7 @@ def fitted(entries):
     fields, types = scene.get("nutrients", {}), scene.get("types", {})
     _fit_cells(scene)
     _fit_domain(scene, flat)
+    _fit_death(scene)
     if flat:
         scene.pop("compression", None)
     _fit_start(scene)
@@ -485,6 +486,15 @@ def _fit_domain(scene, flat):
             continue
         ends = (max(4, min(math.ceil(abs(end) / unit), 8)) for end in (low, high))
         domain[axis] = [sign * unit * count for sign, count in zip((-1, 1), ends, strict=True)]
+
+
+def _fit_death(scene):
+    """Leave out the second law of the same death, and inflow where walls or the steps forbid it."""
+    death = scene.get("death", {})
+    if "damage_time" in death:
+        death.pop("necrosis_rate", None)
+    if "domain" in scene or scene.get("coupling_step") == "auto":
+        death.pop("inflow", None)
 
 
 def _fit_driven(scene, flat):
