@@ -94,9 +94,6 @@ def to_base(value: object, unit: str, path: str = "") -> float:
 
     Returns float: the value in ``unit``. The product with the unit's factor is rounded once, so
     that ``"1.1 h"`` is exactly 3960 s.
-
-    Raises SceneError for a wrong type, nan, inf, a string without a unit, an unknown unit or one of
-    another dimension.
     """
     if isinstance(value, str):
         return _from_text(value, unit, path)
@@ -104,11 +101,7 @@ def to_base(value: object, unit: str, path: str = "") -> float:
 
 
 def finite(value: object, path: str, wanted: str, hint: str = "") -> float:
-    """Return a real, finite number as a float.
-
-    Raises SceneError for any other type (booleans too), nan, inf and numbers beyond a float's
-    range.
-    """
+    """Return a real, finite number as a float."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise SceneError(path, f"is {shown(value)}, must be {wanted}", hint)
     try:

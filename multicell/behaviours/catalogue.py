@@ -103,13 +103,7 @@ CONTACTS: Final = "contacts with "
 
 
 def behaviour_named(name: str, path: str) -> tuple[Behaviour, str]:
-    """Return a behaviour and the name of the field, type or phase that it concerns, if any.
-
-    Raises
-    ------
-    SceneError
-        For an unknown name, with the likely one.
-    """
+    """Return a behaviour and the name of the field, type or phase that it concerns, if any."""
     name = _ALSO.get(name, name)
     for known in BEHAVIOURS:
         if known.of and name.startswith(known.name + " "):
@@ -127,13 +121,7 @@ def behaviour_names() -> list[str]:
 
 
 def signal_unit(name: str, fields: Iterable[str], derived: Iterable[str], path: str) -> str:
-    """Return the base unit of a signal; the caller checks the types that contacts are counted with.
-
-    Raises
-    ------
-    SceneError
-        For an unknown name, with the likely one.
-    """
+    """Return the base unit of a signal; its caller checks the types of counted contacts."""
     if name in SIGNALS:
         return SIGNALS[name]
     if name.startswith(CONTACTS) or name in derived:

@@ -41,13 +41,7 @@ class UserResponse(OwnLaw, ResponseLaw):
     _function: ClassVar[Callable[..., Any]]
 
     def share(self, signal: Any, *, falls: bool) -> FloatArray:
-        """Return the share of the full effect, (n,); of several signals ``signal`` is a tuple.
-
-        Raises
-        ------
-        SceneError
-            With file and line, where the user's function fails.
-        """
+        """Return the share of the full effect, (n,); of several signals ``signal`` is a tuple."""
         given = signal if isinstance(signal, tuple) else (signal,)
         arrays = np.broadcast_arrays(*(np.asarray(one, dtype=float) for one in given))
         with own_code("responses"):

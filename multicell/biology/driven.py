@@ -33,11 +33,7 @@ Named = Mapping[str, IntArray]
 
 
 def named_at_start(plan: BiologyPlan, cells: Cells) -> dict[str, IntArray]:
-    """Return the cells of each driver that keeps a list.
-
-    Raises SceneError if one names no cell, or one that is not there, or two motions move the same
-    cell.
-    """
+    """Return the cells of each driver that keeps a list."""
     check_members(plan, cells)
     return {
         path: np.sort(cells.id[members(plan.types, driver, cells)])

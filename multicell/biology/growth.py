@@ -51,11 +51,6 @@ def growth_factor(
     (n,) float64
         In [0, 1] unless a response stimulates growth.
 
-    Raises
-    ------
-    KeyError
-        If a nutrient that growth needs has no concentrations.
-
     References
     ----------
     J. Monod, Annu. Rev. Microbiol. 3 (1949) 371; A. N. Malmi-Kakkada et al., Phys. Rev. X 8

@@ -204,8 +204,6 @@ def value_of(
     - ``found``, name -> (n,): fields at the cells, and other signals that cells do not carry
       themselves
     - ``early``: whether fields may not be there yet: what responds to them then has no effect
-
-    Raises KeyError if a signal is missing.
     """
     known = plan.responses.get(behaviour)
     if known is None:

@@ -56,8 +56,6 @@ def update_states(
     - ``time``: at its end, since the start of the run, s
 
     Returns (n,) int8: values of :class:`multicell.cells.State`; ``cells`` is not changed.
-
-    Raises KeyError if a nutrient with a threshold has no concentrations.
     """
     state = cells.state
     if plan.may_rest and not plan.restricted:

@@ -107,10 +107,7 @@ def divide_and_remove(
     time: float,
     found: Concentrations = MappingProxyType({}),
 ) -> Events:
-    """Return the cells after all that changes their number at a time in s.
-
-    Raises StepFailed if a daughter lies outside the scene's domain.
-    """
+    """Return the cells after all that changes their number at a time in s."""
     divided, free = divide(plan, cells, step, next_id, found)
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no

@@ -38,9 +38,6 @@ def tabled_cells(scene: Scene) -> Cells:
 
     Returns Cells: identities of the table, else numbered by its rows; parent -1 but for sisters
     that part.
-
-    Raises SceneError if the file has changed since it was read; DataError with row and column, for
-    cells that cannot start in the scene.
     """
     check_start_table(scene)
     plan = biology_plan(scene)

@@ -84,10 +84,7 @@ def stated(simulator: Simulator) -> dict[str, Any]:
 
 
 def coarse_simulator(simulator: Simulator, factor: float) -> Simulator:
-    """Return the simulator of coarse runs.
-
-    Raises SceneError if the scene of a condition cannot be made coarse.
-    """
+    """Return the simulator of coarse runs."""
     made_coarse = getattr(simulator, "made_coarse", None)
     if made_coarse is None:
         raise SceneError("coarse", "needs the runs of a scene, not a simulator of one's own")
@@ -264,10 +261,7 @@ def _pairs(
 def _ratios(
     plan: FitPlan, runs: Mapping[str, Mapping[Key, FloatArray]]
 ) -> tuple[tuple[float, ...], ...]:
-    """Return mean fine over mean coarse readings of each datum, by condition.
-
-    Raises FitFailed if no fine run has any of the data.
-    """
+    """Return mean fine over mean coarse readings of each datum, by condition."""
     found = []
     for condition in range(len(plan.problem.measured.conditions)):
         means = []

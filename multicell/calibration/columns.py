@@ -85,11 +85,7 @@ class Column:
 
 
 def columns_of(table: Table, scene: Scene) -> list[Column]:
-    """Return what the columns of a table hold.
-
-    Raises DataError for a title that names nothing, has no unit or one of another dimension, for
-    two columns of the same, and where nothing is measured.
-    """
+    """Return what the columns of a table hold."""
     columns = [_column(title, scene, table.name) for title in table.titles]
     seen: dict[tuple[str, str], str] = {}
     for column in columns:

@@ -180,10 +180,6 @@ def read_data(
     - ``start``: time of the data at which runs begin, in s or with a unit, where no column says so
     - ``sd``: relative standard deviation of data without one
     - ``specimens``: ``"single"``: each row is another specimen, measured once
-
-    Raises DataError with row and column, for a title without a unit, a column that is no observable
-    of the scene and no key of it, text or NaN in place of a number, a standard deviation that is
-    not above 0, a time outside the run, and a table without data.
     """
     if not (isinstance(sd, int | float) and 0.0 < sd < math.inf):
         raise DataError("sd", f"is {sd!r}, must be a relative standard deviation above 0")

@@ -140,8 +140,3 @@ def _moderate(
     mean = np.bincount(groups, weights=relative) / np.maximum(members, 1.0)
     drawn = (freedom * scatter + PRIOR * mean[groups] * sizes**2) / (freedom + PRIOR)
     return np.where(known, drawn, 0.0)
-
-
-def standardise(observed: Array, sigma: Array, run: Array) -> Array:
-    """Return (reading - datum) / σ of one run, (n,); ABSENT where it has nothing."""
-    return np.where(np.isfinite(run), (run - observed) / sigma, ABSENT)

@@ -167,11 +167,6 @@ def fit_curve(
         Whether responses may be negative.
     resamples, seed
         Number of fits for intervals and seed of their random numbers, where there are no draws.
-
-    Raises
-    ------
-    FitFailed
-        For fewer than four doses above zero, and a response that is the same at all of them.
     """
     if len(doses) - 1 < LEAST:
         problem = f"{len(doses) - 1} doses of {name} above zero have a response"

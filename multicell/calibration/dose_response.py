@@ -399,10 +399,6 @@ def analyse(
 
     The first point is the control, and ``rows`` says of each value where it comes from; other
     parameters are those of :class:`DoseResponse` and :func:`multicell.calibration.dose_curve`.
-
-    Raises
-    ------
-    FitFailed
     """
     there: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=1))
     means = np.array([np.mean(row[np.isfinite(row)]) for row in values[there]])

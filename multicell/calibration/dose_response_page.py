@@ -14,13 +14,7 @@ if TYPE_CHECKING:
 
 
 def write_report(result: DoseResponse, folder: Path) -> Path:
-    """Write ``report.html`` and the picture as PNG and SVG, and return the page.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written to.
-    """
+    """Write ``report.html`` and the picture as PNG and SVG, and return the page."""
     drugs = " and ".join(curve.name for curve in result.curves)
     caption = (
         f"Viability: {result.response} relative to the control; points: means, dots: single runs "

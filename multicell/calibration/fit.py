@@ -1,4 +1,4 @@
-"""Fitting a scene to measured data: the best parameters in few runs, or their posterior."""
+"""Fitting a scene to measured data: the best parameters in few runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from multicell.calibration.stored import reusable
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
-from multicell.studies.limits import MAX_POINTS, MAX_RUNS, check_runs, check_seeds, whole
+from multicell.studies.limits import MAX_RUNS, check_runs, check_seeds, whole
 from multicell.tables.fields import read_table
 from multicell.units import to_base
 
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from multicell.calibration.simulator import Simulator
     from multicell.scene.scene import Scene
 
-METHODS: Final = ("best", "posterior")
 _LEAST: Final = 10  # sets of parameters that a search must be able to try
 
 
@@ -40,12 +39,10 @@ def fit(
     free: Mapping[str, Any],
     *,
     output: str | Path | None = None,
-    method: str = "best",
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
     profile_runs: int = 0,
     budget: int | str | None = None,
-    population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
@@ -77,12 +74,8 @@ def fit(
     output
         Folder for everything. The same fit in the same folder continues: nothing is run twice,
         and a larger budget adds to what is there.
-    method
-        ``"best"``: a best point in few runs, with intervals by an emulator fitted to them;
-        ``"posterior"``: the posterior, sampled with runs.
     seeds
-        Runs with different random numbers of each set of parameters in the search. Those of the
-        posterior take one run each, with random numbers of its own.
+        Runs with different random numbers of each set of parameters in the search.
     repeats
         Runs with fresh random numbers at the best point, from which the intervals of a search have
         the scatter of runs; 8 to 16 are sensible.
@@ -92,8 +85,6 @@ def fit(
     budget
         Number of runs, or a time such as ``"2 h"``, in all. By default as many runs as the number
         of free parameters asks for.
-    population
-        Draws in a generation of the posterior.
     start
         Time of the data at which runs begin, where no column ``start`` says so.
     sd
@@ -103,7 +94,7 @@ def fit(
         says so.
     scatter
         ``"unknown"``: what data scatter beyond runs and their stated errors is estimated with the
-        parameters, relative to the values of each observable. With ``method="best"``.
+        parameters, relative to the values of each observable.
     constraints
         What must hold between free parameters, as ``"death.necrosis < 0.5 * KEY"``.
     reuse
@@ -113,7 +104,7 @@ def fit(
     coarse
         Search with runs of the scene that is coarse by this factor (:func:`multicell.coarsen`),
         corrected by fine runs at draws from the intervals; runs with fresh seeds are fine. See
-        :mod:`multicell.calibration.coarse_to_fine`. With ``method="best"``; 1: all runs are fine.
+        :mod:`multicell.calibration.coarse_to_fine`; 1: all runs are fine.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -139,10 +130,9 @@ def fit(
         If no run gives anything to compare, or a budget ends before there is a result.
     """
     plan = plan_of(
-        scene, data, free, method=method, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
-        budget=budget, population=population, start=start, sd=sd, specimens=specimens,
-        scatter=scatter, constraints=constraints, reuse=reuse, coarse=coarse,
-        simulator=simulator,
+        scene, data, free, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
+        budget=budget, start=start, sd=sd, specimens=specimens, scatter=scatter,
+        constraints=constraints, reuse=reuse, coarse=coarse, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -155,12 +145,10 @@ def plan_of(
     data: Any,
     free: Mapping[str, Any],
     *,
-    method: str = "best",
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
     profile_runs: int = 0,
     budget: int | str | None = None,
-    population: int = 200,
     start: float | str | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
@@ -175,69 +163,50 @@ def plan_of(
 
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
-    chosen(method, METHODS, "method")
     chosen(scatter, SCATTERS, "scatter")
-    if scatter == "unknown" and method == "posterior":
-        raise SceneError("scatter", "is 'unknown', which needs the method 'best'")
     seeds = check_seeds(seeds, scene.seed)
     whole(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
-    if profile_runs and method != "best":
-        raise SceneError("profile_runs", f"has no meaning with method '{method}'")
     if profile_runs:
         hint = "It is the number of runs at each end of an interval; 0 makes none."
         whole("profile_runs", profile_runs, MIN_RUNS, repeats, hint)
-    whole("population", population, 10, MAX_POINTS, "It is the number of draws in a generation.")
     table = read_table(data, MAX_BYTES)
     measured = read_data(table, scene, start=start, sd=sd, specimens=specimens)
     ranges, prior = free_of(free, measured, constraints)
     check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
-    fresh = fresh_runs(method, repeats, profile_runs, problem)
-    points, draws, seconds = _spend(problem, method, budget, population, fresh)
+    fresh = fresh_runs(repeats, profile_runs, problem)
+    points, seconds = _spend(problem, budget, fresh)
     if coarse != 1.0:
         from multicell.calibration.coarse_to_fine import coarse_simulator
 
-        if method != "best" or isinstance(budget, str) or reuse is not None:
-            words = "needs the method 'best', a budget in runs, and no other fit to reuse"
-            raise SceneError("coarse", words)
+        if isinstance(budget, str) or reuse is not None:
+            raise SceneError("coarse", "needs a budget in runs, and no other fit to reuse")
         coarse_simulator(problem.simulator, coarse)
     request = {"start": start, "constraints": list(constraints)}
     adopted: Sequence[Mapping[str, Any]] = ()
     if reuse is not None:
-        if method != "best":
-            raise SceneError("reuse", f"has no meaning with method '{method}'")
         adopted = reusable(problem, reuse)
     return FitPlan(
-        problem, scene, table, method, points, draws, seconds, population, sd, repeats,
-        specimens, profile_runs, request, adopted, coarse,
+        problem, scene, table, points, seconds, sd, repeats, specimens, profile_runs, request,
+        adopted, coarse,
     )  # fmt: skip
 
 
-def _spend(
-    problem: Problem, method: str, budget: int | str | None, population: int, fresh: int
-) -> tuple[int, int, float]:
-    """Return sets of parameters of the search, draws of the posterior, and s."""
-    searched = method == "best"
-    points = 20 + 15 * len(problem.ranges) if searched else 0
-    draws = 0 if searched else 50 * population
+def _spend(problem: Problem, budget: int | str | None, fresh: int) -> tuple[int, float]:
+    """Return sets of parameters of the search, and s."""
+    points = 20 + 15 * len(problem.ranges)
     if budget is None:
-        return points, draws, math.inf
+        return points, math.inf
     if isinstance(budget, str):
         seconds = to_base(budget, "s", "budget")
         if seconds <= 0.0:
             raise SceneError("budget", f"is {budget!r}, must be above 0")
-        return 10 * points, 100 * draws, seconds
+        return 10 * points, seconds
     whole("budget", budget, 1, MAX_RUNS, "It is the number of runs in all.")
     conditions, each = len(problem.measured.conditions), len(problem.tasks())
     left = max(0, budget - fresh * conditions)
-    if not searched:
-        draws, least = left // conditions, 2 * population
-        if draws < least:
-            words = f"leaves {draws} draws for the posterior, which takes at least {least}"
-            raise SceneError("budget", words, "A smaller population takes fewer.")
-        return 0, draws, math.inf
     points = left // each
     if points < _LEAST:
         words = (
@@ -245,7 +214,7 @@ def _spend(
             f"of parameters, {each} runs each"
         )
         raise SceneError("budget", words, f"It takes at least {_LEAST} sets.")
-    return points, 0, math.inf
+    return points, math.inf
 
 
 def carry_out(
@@ -258,7 +227,7 @@ def carry_out(
     progress: Progress | None = None,
 ) -> Fit:
     """Carry out a fit that was checked; parameters as of :func:`fit`."""
-    needs("optuna", "pyabc", "distributed", "pandas", "sklearn", "sqlalchemy")
+    needs("optuna", "distributed", "pandas", "sklearn")
     if plan.coarse != 1.0:
         from multicell.calibration.coarse_to_fine import fit_coarse_first
 
@@ -279,9 +248,7 @@ def carry_out(
         begin = clock.monotonic()
         with open_pool(cores, scheduler) as pool:
             made = make_runs(plan, folder, pool, begin, progress or (lambda *state: None))
-        draws = made.draws
         facts = {
-            "method": plan.method,
             "sd": plan.sd,
             "specimens": plan.specimens,
             "scatter": plan.problem.scatter,
@@ -289,16 +256,13 @@ def carry_out(
             "repeats": plan.repeats,
             "sets_of_parameters": len(made.evaluations) - made.reused,
             "reused": made.reused,
-            "draws": 0 if draws is None else draws.drawn,
-            "generations": 0 if draws is None else draws.generations,
-            "temperature": None if draws is None else draws.temperature,
             "fresh_runs": plan.repeats if made.fresh.checks is None else plan.repeats + CHECKS,
             "profile_runs": len(made.ends) * plan.profile_runs,
             "seconds": clock.monotonic() - begin,
         }
         found = Fit(
-            plan.problem, plan.scene, made.evaluations, draws, folder, facts, made.fresh,
-            made.ends, made.readings,
+            plan.problem, plan.scene, made.evaluations, folder, facts, made.fresh, made.ends,
+            made.readings,
         )  # fmt: skip
         if folder is not None:
             write_result(found, folder)

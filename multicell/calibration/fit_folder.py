@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,13 +32,12 @@ if TYPE_CHECKING:
 
 FIT: Final = "fit.json"  # what the folder is a fit of
 SEARCH: Final = "search.log"  # points and readings of the search, and of fresh runs
-_JOURNAL: Final = "posterior.journal"
 FILES: Final = (
-    FIT, "scene.toml", "data.csv", SEARCH, "posterior.db", _JOURNAL,
-    "result.json", "best.toml", "posterior.csv", "residuals.csv", "runs.csv", "report.html",
-    "data.png",    "parameters.png", "profiles.png", *COPIES,
+    FIT, "scene.toml", "data.csv", SEARCH, "result.json", "best.toml", "posterior.csv",
+    "residuals.csv", "runs.csv", "report.html", "data.png", "parameters.png", "profiles.png",
+    *COPIES,
 )  # fmt: skip
-_PACKAGES: Final = ("optuna", "pyabc", "distributed", "pandas", "scikit-learn")
+_PACKAGES: Final = ("optuna", "distributed", "pandas", "scikit-learn")
 
 
 def describe(
@@ -73,9 +71,6 @@ def open_folder(
     """Make the folder of a fit, or open that of the same fit, and keep other processes out of it.
 
     - ``request``: what else opens it again (:func:`multicell.calibration.stored.load_fit`)
-
-    Raises OutputError if the folder holds something else and may not be overwritten, another
-    process works on it, or it cannot be used.
     """
     folder = Path(folder)
     asked = json.loads(to_json(problem))
@@ -102,38 +97,18 @@ def open_folder(
         yield folder
 
 
-def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int, bool]:
-    """Return what a folder has of a fit: runs of the search, draws, whether the posterior is done.
-
-    Nothing of another fit counts.
-    """
+def work_done(folder: str | Path, problem: Mapping[str, Any]) -> int:
+    """Return how many runs of a fit a folder has; nothing of another fit counts."""
     folder = Path(folder)
     known = _read_fit(folder)
     if known is None or known.get("problem") != json.loads(to_json(problem)):
-        return 0, 0, False
-    log, database, journal = (folder / name for name in (SEARCH, "posterior.db", _JOURNAL))
-    runs = sum("values" in e and not e.get("reused") for e in Lines(log).entries)
-    draws = len(Lines(journal).entries)
-    finished = False
-    if database.is_file():
-        with closing(sqlite3.connect(database)) as connection:
-            try:
-                rows = connection.execute(
-                    "SELECT t, nr_samples, epsilon FROM populations"
-                ).fetchall()
-            except sqlite3.DatabaseError:
-                rows = []  # whoever opens it says what is wrong
-        # the journal may still hold the last generation: what is left is said to be at most so much
-        draws = max(draws, sum(int(samples) for _, samples, _ in rows))
-        finished = any(t >= 0 and temperature <= 1.0 for t, _, temperature in rows)
-    return runs, draws, finished
+        return 0
+    entries = Lines(folder / SEARCH).entries
+    return sum("values" in e and not e.get("reused") for e in entries)
 
 
 def write_result(fit: Fit, folder: Path) -> None:
-    """Write what was found: ``result.json``, ``best.toml`` and the tables.
-
-    Raises OutputError if it cannot be written.
-    """
+    """Write what was found: ``result.json``, ``best.toml`` and the tables."""
     about = {**versions(), **{name: package_version(name) for name in _PACKAGES}}
     write_table(folder / "result.json", {**fit.summary(), "versions": about})
     best = with_copy(fit.best.scene, folder)

@@ -30,10 +30,7 @@ _PROFILES: Final = (
 
 
 def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
-    """Write ``report.html`` and its pictures, and return the page.
-
-    Raises OutputError if there is no folder, or it cannot be written to.
-    """
+    """Write ``report.html`` and its pictures, and return the page."""
     place = fit.folder if folder is None else Path(folder)
     if place is None:
         raise OutputError("the fit has no folder to report to: name one")
@@ -42,7 +39,8 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         "fit.html",
         scene=fit.best.scene,
         title=f"{fit.scene.title or 'Untitled scene'}: fit",
-        subtitle=_subtitle(fit),
+        subtitle="best point by Optuna and Gaussian processes · data: "
+        f"{fit.problem.measured.source}",
         tiles=_tiles(fit),
         pictures={
             "data.png": (fit.plot.data, _DATA),
@@ -53,7 +51,7 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         undetermined=[str(entry) for entry in fit.undetermined],
         asked=fit.sample is not None,
         notes=fit.notes,
-        emulated=fit.kind == "emulated",
+        emulated=fit.sample is not None,
         rows=_rows(fit),
         ends=_ends(fit),
         checked=_checked(fit),
@@ -87,19 +85,11 @@ def _ends(fit: Fit) -> list[dict[str, str]]:
     return rows
 
 
-def _subtitle(fit: Fit) -> str:
-    ways = {
-        "best": "best point by Optuna and Gaussian processes",
-        "posterior": "posterior by sequential Monte Carlo (pyABC)",
-    }
-    return f"{ways[fit.facts['method']]} · data: {fit.problem.measured.source}"
-
-
 def _tiles(fit: Fit) -> dict[str, str]:
     best = {f"best {key}": words for key, words in list(fit.best.words.items())[:4]}
     conditions = len(fit.problem.measured.conditions)
     runs = fit.facts["sets_of_parameters"] * len(fit.problem.tasks())
-    runs += (fit.facts["draws"] + fit.facts["fresh_runs"] + fit.facts["profile_runs"]) * conditions
+    runs += (fit.facts["fresh_runs"] + fit.facts["profile_runs"]) * conditions
     return {
         **best,
         "χ² per datum": f"{fit.best.per_datum:.3g}",

@@ -15,7 +15,6 @@ from multicell.tables.fields import Table
 
 if TYPE_CHECKING:
     from multicell.calibration.fresh import Fresh
-    from multicell.calibration.posterior import Draws
     from multicell.calibration.profiles import End
     from multicell.calibration.search import Evaluation, Run
     from multicell.calibration.simulator import Reading
@@ -33,7 +32,6 @@ class FitPlan:
     """A fit that was checked and not begun.
 
     - ``points``: sets of parameters that the search will try
-    - ``draws``: most draws of the posterior
     - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
     - ``coarse``: factor of the coarse runs that search first; 1 where there are none
     """
@@ -41,11 +39,8 @@ class FitPlan:
     problem: Problem
     scene: Scene
     table: Table
-    method: str
     points: int
-    draws: int
     seconds: float
-    population: int
     sd: float
     repeats: int
     specimens: str = "same"
@@ -57,18 +52,9 @@ class FitPlan:
     @property
     def runs(self) -> int:
         """How many runs there will be at most."""
-        return self._planned_runs + self.draws * self._conditions
-
-    @property
-    def _planned_runs(self) -> int:
-        """How many runs are not draws: those of the search, and fresh ones."""
-        each = len(self.problem.tasks())
-        fresh = fresh_runs(self.method, self.repeats, self.profile_runs, self.problem)
-        return self.points * each + fresh * self._conditions
-
-    @property
-    def _conditions(self) -> int:
-        return len(self.problem.measured.conditions)
+        fresh = fresh_runs(self.repeats, self.profile_runs, self.problem)
+        searched = self.points * len(self.problem.tasks())
+        return searched + fresh * len(self.problem.measured.conditions)
 
     def describe(self) -> dict[str, Any]:
         """Return what decides all numbers of the fit."""
@@ -76,8 +62,8 @@ class FitPlan:
 
         times = [datum.time for datum in self.problem.measured.data]
         options: dict[str, Any] = {
-            "sd": self.sd, "population": self.population, "times": times,
-            "specimens": self.specimens, "scatter": self.problem.scatter,
+            "sd": self.sd, "times": times, "specimens": self.specimens,
+            "scatter": self.problem.scatter,
         }  # fmt: skip
         if stated := getattr(self.problem.simulator, "stated", None):
             options["simulator"] = stated
@@ -92,20 +78,16 @@ class FitPlan:
             from multicell.calibration.coarse_to_fine import expected
 
             return expected(self)
-        runs, draws, finished = (
-            (0, 0, False) if folder is None else work_done(folder, self.describe())
-        )
-        searched = max(0, self._planned_runs - runs)
-        drawn = 0 if finished else max(0, self.draws - draws)
+        done = 0 if folder is None else work_done(folder, self.describe())
         each = [cost_of(c.scene).seconds for c in self.problem.measured.conditions]
-        count = searched + drawn * self._conditions
+        count = max(0, self.runs - done)
         return count, float(sum(each) / len(each) * count)
 
 
-def fresh_runs(method: str, repeats: int, profile_runs: int, problem: Problem) -> int:
+def fresh_runs(repeats: int, profile_runs: int, problem: Problem) -> int:
     """Return how many runs of each condition have fresh seeds."""
     ends = 2 * len(problem.ranges) * profile_runs
-    return repeats + ends + (CHECKS if method == "best" else 0)
+    return repeats + ends + CHECKS
 
 
 @final
@@ -114,7 +96,6 @@ class Made:
     """What the runs of a fit have come to; see :class:`Fit`. ``reused`` counts points."""
 
     evaluations: list[Evaluation]
-    draws: Draws | None
     fresh: Fresh
     ends: tuple[End, ...]
     readings: Mapping[Run, Reading]
@@ -131,30 +112,17 @@ def make_runs(
     """Make all runs of a fit that are not there."""
     from multicell.calibration.fit_folder import SEARCH
     from multicell.calibration.fresh import fresh
-    from multicell.calibration.posterior import posterior
     from multicell.calibration.profiles import check_ends
     from multicell.calibration.search import Search
 
-    def note_draws(generation: int, accepted: int, wanted: int, drawn: int) -> None:
-        of = "calibration" if generation < 0 else f"generation {generation + 1}"
-        progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
-
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
     search.adopt(plan.adopted)
-    evaluations: list[Evaluation] = []
-    draws: Draws | None = None
-    if plan.method == "best":
-        evaluations = search.run(
-            pool, plan.points, deadline=begin + _SEARCHED * plan.seconds,
-            progress=partial(progress, "runs of the search"),
-        )  # fmt: skip
-    else:
-        draws = posterior(
-            plan.problem, pool, folder=folder, population=plan.population, most=plan.draws,
-            deadline=begin + plan.seconds, progress=note_draws,
-        )  # fmt: skip
+    evaluations = search.run(
+        pool, plan.points, deadline=begin + _SEARCHED * plan.seconds,
+        progress=partial(progress, "runs of the search"),
+    )  # fmt: skip
     note = partial(progress, "fresh runs")
-    again = fresh(plan.problem, search, pool, search.emulator(), draws, plan.repeats, note)
+    again = fresh(plan.problem, search, pool, search.emulator(), plan.repeats, note)
     note = partial(progress, "runs at the ends of profiles")
     ends = check_ends(plan.problem, search, pool, again, plan.profile_runs, note)
-    return Made(evaluations, draws, again, ends, search.readings, search.reused)
+    return Made(evaluations, again, ends, search.readings, search.reused)

@@ -385,10 +385,6 @@ def _subtitle(fit: Fit) -> str:
 
 
 def _posterior_words(fit: Fit) -> str:
-    kinds = {
-        "exact": "posterior sampled with runs",
-        "tempered": "too wide: the budget ended early",
-        "emulated": "posterior by Gaussian processes through the runs",
-        "none": "too few points for a posterior",
-    }
-    return f"{kinds[fit.kind]}; red: best, dashed: before the data, dotted: 95 %"
+    by = "Gaussian processes through the runs"
+    known = "too few points for a posterior" if fit.sample is None else f"posterior by {by}"
+    return f"{known}; red: best, dashed: before the data, dotted: 95 %"

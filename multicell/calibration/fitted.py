@@ -13,7 +13,6 @@ import numpy as np
 from multicell.calibration.distance import ABSENT, Array, misfit
 from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.fresh import Fresh
-from multicell.calibration.posterior import Draws
 from multicell.calibration.problem import Problem
 from multicell.calibration.profiles import POINTS, End, Profile, profiles
 from multicell.calibration.search import Evaluation, Run, emulator_of
@@ -46,7 +45,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, eq=False)
 class Best:
-    """The best parameters: where the emulator's likelihood is largest, or the posterior's mean.
+    """The best parameters: where the emulator's likelihood is largest.
 
     No single lucky run decides it, and the runs that stand for it have seeds that had no part in
     finding it.
@@ -89,13 +88,11 @@ class Fit:
     scene
         What was fitted.
     evaluations
-        All parameters that the search tried; empty with ``method="posterior"``.
-    draws
-        From the posterior, sampled with runs; None with ``method="best"``.
+        All parameters that the search tried.
     folder
         Of the results, or None.
     facts
-        How the fit was made: method, numbers of runs, seconds.
+        How the fit was made: numbers of runs, seconds.
     fresh
         What runs with fresh seeds have shown at the best point and at draws from the intervals.
     ends
@@ -108,7 +105,6 @@ class Fit:
     problem: Problem
     scene: Scene
     evaluations: Sequence[Evaluation]
-    draws: Draws | None
     folder: Path | None
     facts: Mapping[str, Any]
     fresh: Fresh
@@ -142,11 +138,8 @@ class Fit:
     def sample(self) -> tuple[Array, Array] | None:
         """Draws from the posterior as places in the ranges (k, d), and their weights (k,).
 
-        Sampled with runs where they were; otherwise by the emulator of the search and fresh runs.
-        None where too few points were tried for either.
+        By the emulator of the search and fresh runs; None where too few points were tried.
         """
-        if self.draws is not None:
-            return self.draws.shares, self.draws.weights
         found = self.likelihood
         if found is None:
             return None
@@ -164,8 +157,7 @@ class Fit:
     def posterior(self) -> pd.DataFrame:
         """Weighted draws: a column for each parameter in base units, and ``weight``.
 
-        Its ``attrs`` hold the units, and whether the draws are ``"exact"``, ``"tempered"`` (too
-        wide: the budget ended early) or ``"emulated"`` (an emulator in place of runs).
+        Its ``attrs`` hold the units.
         """
         needs("pandas")
         import pandas
@@ -176,18 +168,8 @@ class Fit:
             for free, column in zip(self.problem.ranges, shares.T, strict=True)
         }
         frame = pandas.DataFrame({**columns, "weight": weights})
-        frame.attrs = {
-            "units": {free.name: free.unit for free in self.problem.ranges},
-            "kind": self.kind,
-        }
+        frame.attrs = {"units": {free.name: free.unit for free in self.problem.ranges}}
         return frame
-
-    @property
-    def kind(self) -> str:
-        """What the posterior is: ``"exact"``, ``"tempered"``, ``"emulated"`` or ``"none"``."""
-        if self.draws is None:
-            return "emulated" if self.sample is not None else "none"
-        return "exact" if self.draws.temperature <= 1.0 else "tempered"
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
@@ -196,7 +178,7 @@ class Fit:
     @cached_property
     def profiles(self) -> list[Profile]:
         """The profile likelihoods of all parameters by the emulator; none without one."""
-        found = self.likelihood if self.draws is None else None
+        found = self.likelihood
         return [] if found is None else profiles(found, range(len(self.problem.ranges)))
 
     def profile(self, key: str, points: int = POINTS, level: float = 0.95) -> pd.DataFrame:
@@ -224,7 +206,7 @@ class Fit:
         SceneError
             For an unknown key, fewer than three points or a level that is none.
         FitFailed
-            Without an emulator: too few points were tried, or the posterior was sampled with runs.
+            Without an emulator: too few points were tried.
         """
         needs("pandas")
         import pandas
@@ -235,9 +217,9 @@ class Fit:
         whole("points", points, 3, 1000, "It is the number of values of the parameter.")
         if not 0.0 < level < 1.0:
             raise SceneError("level", f"is {level!r}, must be between 0 and 1")
-        likelihood = self.likelihood if self.draws is None else None
+        likelihood = self.likelihood
         if likelihood is None:
-            hint = "Method 'best' with a larger budget has one."
+            hint = "A larger budget has one."
             raise FitFailed("there is no emulator that a profile could be of", hint)
         if (points, level) == (POINTS, 0.95):
             found = self.profiles[number]
@@ -271,16 +253,13 @@ class Fit:
         Over the posterior and over the scatter of runs; errors of measurement are not in it.
         """
         problem = self.problem
-        if self.draws is not None:
-            found, weights = self.draws.residuals, self.draws.weights
-        else:
-            emulated = self.likelihood
-            if emulated is None:
-                return np.full((len(levels), len(problem.observed)), np.nan)
-            found, weights = emulated.predict(self.some_sample()[0])[0], self.some_sample()[1]
-            random = np.random.default_rng(0)
-            found = found + self._scatter * random.standard_normal(found.shape)
-            found = np.maximum(found, problem.lowest)
+        emulated = self.likelihood
+        if emulated is None:
+            return np.full((len(levels), len(problem.observed)), np.nan)
+        found, weights = emulated.predict(self.some_sample()[0])[0], self.some_sample()[1]
+        random = np.random.default_rng(0)
+        found = found + self._scatter * random.standard_normal(found.shape)
+        found = np.maximum(found, problem.lowest)
         scaled = problem.observed + found * problem.sigma
         rows = quantiles(scaled, weights, levels)
         return np.array([problem.unscale(row) for row in rows])
@@ -388,7 +367,7 @@ class Fit:
         return rows
 
     def run_rows(self) -> list[dict[str, Any]]:
-        """Return all runs but those of draws one by one, base units; see :attr:`runs`."""
+        """Return all runs one by one, base units; see :attr:`runs`."""
         from multicell.calibration.run_table import rows
 
         return rows(self)
@@ -464,23 +443,12 @@ class Fit:
                 f"{several} of {len(data)} data are means of several tissues. These count as the "
                 "same ones at all times, so that their scatter is correlated as that of runs is."
             )
-        if self.draws is not None and any(datum.tissues > 1.0 for datum in data):
-            notes.append(
-                "Draws of the posterior are single runs, whose scatter counts in full also for "
-                "means of several tissues: intervals are too wide."
-            )
         if "coarse" in self.facts:
             notes.append(self.facts["coarse"]["words"])
-        if self.kind == "emulated":
-            notes += self._emulator_notes()
-        if self.kind == "tempered":
-            assert self.draws is not None
-            notes.append(
-                f"The budget ended at temperature {self.draws.temperature:.3g}: intervals are too "
-                "wide. A larger budget continues from there."
-            )
-        if self.kind == "none":
+        if self.sample is None:
             notes.append("Too few points were tried for intervals.")
+        else:
+            notes += self._emulator_notes()
         if self.fresh.reasons:
             count = len(self.fresh.reasons)
             notes.append(f"{count} fresh runs failed, for example: {self.fresh.reasons[0]}.")
@@ -495,10 +463,7 @@ class Fit:
 
     def _emulator_notes(self) -> list[str]:
         """Return what is known of intervals that an emulator gives."""
-        notes = [
-            "Intervals are those of Gaussian processes through the runs of the search: method "
-            "'posterior' samples them with runs."
-        ]
+        notes = ["Intervals are those of Gaussian processes through the runs of the search."]
         if self.fresh.likelihood is None or self.fresh.checks is None:
             notes.append(
                 "The scatter of runs is known from the seeds of the search alone, since fresh runs "
@@ -567,7 +532,6 @@ class Fit:
             }
         return {
             "parameters": parameters,
-            "posterior": self.kind,
             "chi_squared": best.chi_squared,
             "chi_squared_per_datum": best.per_datum,
             "data": len(best.residuals),

@@ -23,7 +23,6 @@ from multicell.calibration.likelihood import (
     scatter_of,
 )
 from multicell.calibration.pool import Pool
-from multicell.calibration.posterior import Draws
 from multicell.calibration.priors import Prior
 from multicell.calibration.problem import Problem
 from multicell.calibration.search import Search
@@ -75,7 +74,6 @@ def fresh(
     search: Search,
     pool: Pool,
     emulator: Emulator | None,
-    drawn: Draws | None,
     count: int = DEFAULT_REPEATS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fresh:
@@ -84,12 +82,10 @@ def fresh(
     - ``search``: of the same problem; keeps the runs
     - ``pool``: where runs are made
     - ``emulator``: of the search; None where too few points were tried, or none
-    - ``drawn``: from the posterior sampled with runs, whose mean is the best point; None: the
-      emulator's
     - ``count``: runs at the best point
     - ``progress``: called with the numbers of runs done and wanted after each run
     """
-    best = _best(search, problem.prior, emulator, drawn)
+    best = _best(search, problem.prior, emulator)
     first = max(problem.seeds) + 1
     here = best.tolist()
     runs, reasons = search.extra(pool, [(here, first + k) for k in range(count)], progress)
@@ -101,7 +97,7 @@ def fresh(
     known = np.isfinite(residuals).all(axis=0)
     instead = 0.0 if emulator is None else emulator.means(best[None])[0]
     scatter = scatter_of(np.where(known, residuals, instead))
-    if emulator is None or drawn is not None:
+    if emulator is None:
         return Fresh(best, runs, tuple(reasons), scatter, None, None)
     found = likelihood(emulator, problem.noise, best, scatter)
     likely = found.draws(FEW)
@@ -115,13 +111,8 @@ def fresh(
     return Fresh(best, runs, (*reasons, *more), scatter, found, checks)
 
 
-def _best(search: Search, prior: Prior, emulator: Emulator | None, drawn: Draws | None) -> Array:
+def _best(search: Search, prior: Prior, emulator: Emulator | None) -> Array:
     """Return the point whose runs stand for the fit; no single lucky run decides it."""
-    if drawn is not None:
-        mean = np.asarray(drawn.weights @ drawn.shares)
-        if np.isfinite(prior.loss(mean[None])[0]):
-            return mean
-        return np.asarray(drawn.shares[np.argmin(((drawn.shares - mean) ** 2).sum(axis=1))])
     if emulator is None:
         return min(search.evaluations(), key=lambda e: e.loss).shares
     return best_of(emulator.loss, prior, draws(emulator.loss, prior, seed=0, count=FEW))

@@ -101,10 +101,7 @@ class Analysis:
 
 
 def check_size(method: str, size: int) -> None:
-    """Refuse an unknown method and a size with which it tells nothing.
-
-    Raises SceneError with what is allowed.
-    """
+    """Refuse an unknown method and a size with which it tells nothing."""
     if method not in METHODS:
         raise SceneError("method", f"is {method!r}, must be one of {', '.join(METHODS)}")
     what = "trajectories" if method == "morris" else "base points"

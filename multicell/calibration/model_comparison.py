@@ -32,9 +32,7 @@ def compare_fits(fits: Mapping[str, Fit] | Sequence[Fit]) -> pd.DataFrame:
     Parameters
     ----------
     fits
-        Name -> fit, or fits, which are then named by the titles of their scenes. All are of one
-        method: with ``"best"`` they are compared by emulators and fresh runs, with ``"posterior"``
-        by draws, which come with a predictive score only.
+        Name -> fit, or fits, which are then named by the titles of their scenes.
 
     Returns
     -------
@@ -48,7 +46,7 @@ def compare_fits(fits: Mapping[str, Fit] | Sequence[Fit]) -> pd.DataFrame:
     Raises
     ------
     SceneError
-        If there are fewer than two, two names are the same, or data or methods differ.
+        If there are fewer than two, two names are the same, or data differ.
     FitFailed
         If one of them has no posterior.
     """
@@ -63,9 +61,7 @@ def compare_fits(fits: Mapping[str, Fit] | Sequence[Fit]) -> pd.DataFrame:
     for name, fit in named.items():
         found[name] = replace(found[name], covariance=common)
         count, free = len(fit.problem.sigma), len(fit.problem.ranges)
-        largest = math.nan
-        if fit.draws is None:
-            largest = found[name].log_likelihood(least_residuals(fit, found[name]))
+        largest = found[name].log_likelihood(least_residuals(fit, found[name]))
         left = count - free - 1
         aic = 2.0 * (free - largest)
         rows[name] = {
@@ -110,12 +106,9 @@ def _named(fits: Mapping[str, Fit] | Sequence[Fit]) -> dict[str, Fit]:
 
 
 def _refuse_others(named: Mapping[str, Fit]) -> None:
-    """Refuse fits that are to other data, or of other methods."""
+    """Refuse fits that are to other data."""
     (first, one), *others = named.items()
     for name, other in others:
-        if (one.draws is None) != (other.draws is None):
-            problem = f"has '{first}' and '{name}', which are of different methods"
-            raise SceneError("fits", problem)
         if _key(one) != _key(other):
             problem = f"has '{first}' and '{name}', which are to different data"
             hint = "Scores and likelihoods compare only where all data and their errors are equal."

@@ -54,9 +54,6 @@ class Pool:
 
         Calls are taken one by one as workers come free, so that their iterator may depend on the
         results so far. Those under way are cancelled where this iterator is closed.
-
-        Raises FitFailed if the process that made a call died time after time; ClusterError if the
-        scheduler is lost.
         """
         ended: SimpleQueue[Future[Any]] = SimpleQueue()
         pending: dict[Future[Any], Any] = {}

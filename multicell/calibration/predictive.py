@@ -2,8 +2,7 @@
 
 Given parameters θ, data minus mean m(θ) of runs are taken to be normal with the covariance C of
 :mod:`multicell.calibration.likelihood` at the best point: errors of measurement, scatter of tissues
-and of the mean of fresh runs, error of the emulator. From a posterior that was sampled with runs, a
-draw has a tissue of its own, and what is left are the errors of measurement.
+and of the mean of fresh runs, error of the emulator.
 
 - Posterior predictive checks (Gelman, Meng & Stern 1996, Statistica Sinica 6, 733) compare a
   discrepancy of the data with that of replicated data: χ² = r'C⁻¹r with r = m(θ) - y, and the
@@ -135,8 +134,6 @@ def predictive_of(fit: Fit) -> Predictive:
     problem = fit.problem
     logs = np.array([math.log(d.value) if d.log else 0.0 for d in problem.measured.data])
     jacobian = np.log(problem.sigma) + logs
-    if fit.draws is not None:
-        return Predictive(fit.draws.residuals, weights, problem.noise.errors, jacobian)
     known = fit.likelihood
     assert known is not None
     residuals = known.predict(shares)[0]
@@ -150,11 +147,9 @@ def predictive_of(fit: Fit) -> Predictive:
 
 
 def least_residuals(fit: Fit, predictive: Predictive) -> Array:
-    """Return m(θ) - y in σ where ln p(y | θ) is largest, (n,); of sampled fits at the best runs."""
-    known = fit.likelihood if fit.draws is None else None
-    if known is None:
-        mean = np.nanmean(fit.fresh.runs, axis=0)
-        return np.asarray((mean - fit.problem.observed) / fit.problem.sigma)
+    """Return m(θ) - y in σ where ln p(y | θ) is largest, (n,)."""
+    known = fit.likelihood
+    assert known is not None
 
     def loss(shares: Array) -> Array:
         r = known.predict(shares)[0]

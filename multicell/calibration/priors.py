@@ -200,11 +200,7 @@ def values_at(free: Range, shares: Array) -> Array:
 def split_free(
     free: Mapping[str, Any], scene: Scene
 ) -> tuple[dict[str, Any], dict[str, Density | None]]:
-    """Return free parameters with ranges alone, and their densities; None: uniform.
-
-    Raises SceneError for a distribution that is none, that SciPy refuses or that has no density in
-    its range.
-    """
+    """Return free parameters with ranges alone, and their densities; None: uniform."""
     ranges: dict[str, Any] = {}
     densities: dict[str, Density | None] = {}
     for name, given in free.items():
@@ -227,11 +223,7 @@ def split_free(
 def prior_of(
     ranges: Sequence[Range], densities: Sequence[Density | None], constraints: Sequence[str]
 ) -> Prior:
-    """Return the prior of free parameters.
-
-    Raises SceneError for a constraint that cannot be read, that always or never holds, and where
-    all of them together leave next to nothing.
-    """
+    """Return the prior of free parameters."""
     if not constraints and not any(densities):
         return Prior(len(ranges))
     for free, density in zip(ranges, densities, strict=True):

@@ -18,7 +18,6 @@ from multicell.calibration.distance import (
     misfit,
     scale_readings,
     scales,
-    standardise,
 )
 from multicell.calibration.noise import Noise
 from multicell.calibration.priors import Prior, prior_of, split_free
@@ -122,21 +121,9 @@ class Problem:
     def _groups(self) -> tuple[NDArray[np.int64], Array]:
         return groups_of(self.measured.data)
 
-    def once(self, shares: Sequence[float], seed: int) -> Array:
-        """Run all conditions once; return (reading - datum) / σ, (n,)."""
-        readings = {
-            (k, seed): self.on_scales(k, self.simulator(shares, k, seed))
-            for k in range(len(self.measured.conditions))
-        }
-        return standardise(self.observed, self.sigma, self.runs(readings, [seed])[0])
-
 
 def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) -> tuple[Range, ...]:
-    """Return the ranges of free parameters.
-
-    Raises SceneError if there are none, one is no key of the scene of every condition, one is a
-    condition of the data, or the end of a range is refused by the scene.
-    """
+    """Return the ranges of free parameters."""
     for condition in measured.conditions:
         for key in free:
             if key in condition.changes:
@@ -157,10 +144,7 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
 def free_of(
     free: Mapping[str, Any], measured: Measured, constraints: Sequence[str] = ()
 ) -> tuple[tuple[Range, ...], Prior]:
-    """Return the ranges and the prior of free parameters, some of which have distributions.
-
-    Raises SceneError as :func:`ranges_of`, :func:`split_free` and :func:`prior_of`.
-    """
+    """Return the ranges and the prior of free parameters, some of which have distributions."""
     plain, densities = split_free(free, measured.conditions[0].scene)
     ranges = ranges_of(plain, measured)
     return ranges, prior_of(ranges, list(densities.values()), constraints)

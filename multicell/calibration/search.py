@@ -115,8 +115,6 @@ class Search:
         - ``points``: number of points that are wanted in all, besides those of another fit
         - ``deadline``: time (as of ``time.monotonic``) after which no batch is begun
         - ``progress``: called with the numbers of runs done and wanted after each run
-
-        Raises FitFailed if all runs of the first points fail.
         """
         import optuna
 

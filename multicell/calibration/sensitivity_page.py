@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 
 
 def write_report(result: Sensitivity, folder: Path) -> Path:
-    """Write ``report.html`` and its pictures, and return the page.
-
-    Raises OutputError if the folder cannot be written to.
-    """
+    """Write ``report.html`` and its pictures, and return the page."""
     pictures: dict[str, Drawing] = {}
     index, first = "parts of the variance", "st"
     if result.method == "morris":

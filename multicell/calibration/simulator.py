@@ -76,10 +76,7 @@ class SceneSimulator:
         return {} if self.coarse == 1.0 else {"coarse": self.coarse}
 
     def made_coarse(self, factor: float) -> SceneSimulator:
-        """Return the simulator of runs with cells so many times as wide; data count the tissue.
-
-        Raises SceneError if the scene of a condition cannot be made coarse.
-        """
+        """Return the simulator of runs with cells so many times as wide; data count the tissue."""
         from multicell.scene.coarsening import coarsen
 
         for scene in self.scenes:

@@ -32,11 +32,7 @@ if TYPE_CHECKING:
 
 
 def group(data: Sequence[Datum], table: str) -> list[Datum]:
-    """Return data in which replicates and specimens are one: the mean, with its error.
-
-    Raises DataError for a specimen with two values at one time, and where there is no scatter to
-    take from the rows.
-    """
+    """Return data in which replicates and specimens are one: the mean, with its error."""
     groups: dict[tuple[Any, ...], list[Datum]] = {}
     for datum in data:
         when = datum.condition, datum.time, datum.at, datum.depth

@@ -28,9 +28,8 @@ if TYPE_CHECKING:
 
 
 FACTS: Final = (
-    "method", "sd", "specimens", "scatter", "seeds", "repeats", "population", "sets_of_parameters",
-    "reused", "draws", "generations", "temperature", "fresh_runs", "profile_runs", "seconds",
-    "coarse",
+    "sd", "specimens", "scatter", "seeds", "repeats", "sets_of_parameters", "reused",
+    "fresh_runs", "profile_runs", "seconds", "coarse",
 )  # fmt: skip
 
 
@@ -67,22 +66,19 @@ def load_fit(folder: str | Path) -> Fit:
     plan = stored_plan(folder, result)
     found = make_runs(plan, folder, Pool(_NoRuns(folder)), clock.monotonic())
     facts = {name: value for name, value in result.items() if name in FACTS}
-    return Fit(plan.problem, plan.scene, found.evaluations, found.draws, folder, facts,
-               found.fresh, found.ends, found.readings)  # fmt: skip
+    return Fit(plan.problem, plan.scene, found.evaluations, folder, facts, found.fresh,
+               found.ends, found.readings)  # fmt: skip
 
 
 def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
-    """Return what a folder holds a fit of; without a result its runs are those of a search.
-
-    Raises OutputError if there is none, or it is damaged.
-    """
+    """Return what a folder holds a fit of; without a result its runs are those of a search."""
     from multicell.calibration.fit_folder import FIT
     from multicell.scene.scene import load_scene
 
     entry = read_document(folder / FIT)
     if entry is None:
         raise OutputError(f"'{folder}' holds no fit")
-    known = result or {"method": "best"}
+    known = result or {}
     try:
         problem = entry["problem"]
         request = entry.get("request", {})
@@ -102,9 +98,8 @@ def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
             measured, ranges, len(seeds), seeds[0], scatter=problem["scatter"], prior=prior
         )
         plan = FitPlan(
-            stated, scene, table, known["method"], int(known.get("sets_of_parameters", 0)), 0,
-            float("inf"), int(problem["population"]), float(problem["sd"]),
-            int(known.get("repeats", 0)), problem["specimens"],
+            stated, scene, table, int(known.get("sets_of_parameters", 0)), float("inf"),
+            float(problem["sd"]), int(known.get("repeats", 0)), problem["specimens"],
             int(known.get("profile_runs", 0)) // (2 * len(ranges)),
         )  # fmt: skip
     except MulticellError as error:
@@ -129,8 +124,6 @@ def reusable(problem: Problem, folder: str | Path) -> list[dict[str, Any]]:
 
     They are of the same scene, conditions and seeds, with parameters within these ranges; a run
     kept no more than what the data of its fit asked for.
-
-    Raises OutputError for a folder that cannot be read; SceneError where no run can serve.
     """
     from multicell.calibration.fit_folder import FIT, SEARCH
     from multicell.calibration.search import Search

@@ -50,14 +50,6 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
 )
 @shared.output_option("Folder of the fit; the same fit there is continued.")
 @click.option(
-    "--method",
-    default="best",
-    show_default=True,
-    metavar="NAME",
-    help="best: the best point in few runs, with approximate intervals; posterior: sampled with "
-    "runs, some thousands.",
-)
-@click.option(
     "--seeds",
     type=int,
     default=2,
@@ -83,13 +75,6 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     callback=_budget,
     metavar="RUNS|TIME",
     help="Number of runs, or a time such as '2 h', in all.",
-)
-@click.option(
-    "--population",
-    type=int,
-    default=200,
-    show_default=True,
-    help="Draws in a generation of the posterior.",
 )
 @click.option(
     "--coarse",

@@ -142,10 +142,7 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 
 
 def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Scene:
-    """Return the scene that SCENE, ``--law`` and ``--set`` describe.
-
-    Raises SceneError if there is no such scene or law, or a change makes no sense.
-    """
+    """Return the scene that SCENE, ``--law`` and ``--set`` describe."""
     parsed = parse_changes(changes)
     named = {} if law is None else name_law(law)
     from multicell.scene.scene import load_scene
@@ -185,9 +182,6 @@ def parse_changes(items: Sequence[str]) -> dict[str, Any]:
 
     A value that is valid TOML (number, true, quoted text, table) is taken as such, any other
     text as a string; an empty one becomes None.
-
-    Raises click.BadParameter if an item has no ``=`` or no key; SceneError for a value that cannot
-    be read, with its key.
     """
     changes: dict[str, Any] = {}
     for item in items:

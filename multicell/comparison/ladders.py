@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, Literal, final
 
 import numpy as np
 
+from multicell.comparison.null_methods import NULL_METHODS
 from multicell.comparison.replay import Problem, Trajectory
 from multicell.errors import SceneError
 from multicell.integrators import registry
@@ -38,14 +39,14 @@ class Method:
     """A method of integration with its setting.
 
     - ``name``, str: name in tables and charts
-    - ``control``, "tolerance" or "step": what its setting means: a tolerance in mean radii, or a
-      step in s
+    - ``control``, "tolerance", "step" or "none": what its setting means: a tolerance in mean
+      radii, or a step in s; or that it has none
     - ``make``, callable: setting -> integrator
     - ``info``, MethodInfo: what is known of it; by default what the registry knows by that name
     """
 
     name: str
-    control: Control
+    control: Control | Literal["none"]
     make: Callable[[float], Integrator]
     info: MethodInfo = None  # type: ignore[assignment]  # set below
 
@@ -62,20 +63,18 @@ def find_method(method: Any, scene: Scene, radius: float) -> Method:
     setting a method has is part of what is known of it (:class:`MethodInfo`).
 
     - ``method``: a :class:`Method`; a name in :data:`multicell.integrators.registry.METHODS`, a
-      variant of one, or ``"file.py:Name"``; a class; or an integrator, of which all but the
-      tolerance or step stays as it is
+      variant of one, or in :data:`multicell.comparison.null_methods.NULL_METHODS`, or
+      ``"file.py:Name"``; a class; or an integrator, of which all but the tolerance or step stays
+      as it is. What takes neither is compared as it is.
     - ``scene``: its ``integrator.max_displacement`` holds for all methods
     - ``radius``: mean radius of the cells, µm
 
-    Raises SceneError if there is no such method, or it has neither step nor tolerance.
+    Raises SceneError if there is no such method.
     """
     if isinstance(method, Method):
         return method
-    info = method_info(method, "methods")
-    wanted = "step" if info.control == "step" else "atol"
-    if wanted not in info.settings:
-        raise SceneError("methods", f"{info.name!r} cannot be turned: it takes no {wanted!r}")
-    return as_method(info, scene, radius)
+    known = NULL_METHODS.get(method) if isinstance(method, str) else None
+    return as_method(known or method_info(method, "methods"), scene, radius)
 
 
 def select_methods(methods: Sequence[Any], scene: Scene, radius: float) -> list[Method]:
@@ -104,6 +103,8 @@ def as_method(info: MethodInfo, scene: Scene, radius: float) -> Method:
         # an implicit one solves its equations far more exactly than its step is exact
         return build(info, step=step, atol=_SOLVED * radius, **limits)
 
+    if ("step" if info.control == "step" else "atol") not in info.settings:
+        return Method(info.name, "none", lambda _: build(info, **limits), info)
     if info.control == "step":
         return Method(info.name, "step", by_step, info)
     return Method(info.name, "tolerance", by_tolerance, info)
@@ -129,6 +130,8 @@ def settings(
     Raises SceneError for a setting that makes no sense.
     """
     given = None if ladder is None else ladder.get(method.name, ladder.get(method.control))
+    if method.control == "none":
+        return [math.nan]
     if given is None:
         if method.control == "tolerance":
             return list(TOLERANCES)

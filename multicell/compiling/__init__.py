@@ -231,8 +231,6 @@ def address_of(function: Any, result: Any, *arguments: Any) -> int:
     - ``function``: a jitted function of a module
     - ``result``: a value of the type that it must return
     - ``arguments``: values of the types of its arguments
-
-    Raises TypeError if it returns something else.
     """
     key = (function, kind_of(result), kind_of(arguments))
     if key not in _ADDRESSES:

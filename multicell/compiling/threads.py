@@ -19,8 +19,6 @@ def thread_count(wanted: int | None) -> int:
     """Return the number of threads to use, and let numba know it.
 
     - ``wanted``: number of threads, or None for all that there are
-
-    Raises SceneError if there are not as many.
     """
     import numba
 

@@ -73,9 +73,6 @@ def constants_of(
     - ``function``: the function of the law
     - ``fields``: names of the constants
     - ``without_energy``, ``force_alone``: see :class:`LawFunction`
-
-    Raises TypeError if the function does not have the arguments that the function of a law has, or
-    for a name that is taken.
     """
     for name in fields:
         if name in SHARED or name.startswith("_") or "__" in name:

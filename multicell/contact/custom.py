@@ -61,10 +61,7 @@ class UserLaw(OwnLaw, PairLaw):
         return f"{self.source}, a law of your own: {', '.join(parts) or 'no parameters'}"
 
     def evaluate(self, *given: Any, **named: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return force (nN), stiffness (nN/µm) and energy (fJ) as :meth:`PairLaw.evaluate`.
-
-        Raises SceneError with file and line, where the user's function fails or returns no numbers.
-        """
+        """Return force (nN), stiffness (nN/µm) and energy (fJ) as :meth:`PairLaw.evaluate`."""
         with own_code("contact.law"):
             try:
                 return super().evaluate(*given, **named)

@@ -151,8 +151,6 @@ class PairLaw(ABC):
         """Return force (nN), stiffness (nN/µm) and energy (fJ) at once.
 
         The law's function is called as it is, once for each element.
-
-        Raises TypeError for a law that needs ``rest`` where it is not given.
         """
         constants = self.constants()
         function = function_of(constants)

@@ -113,7 +113,7 @@ class SceneFields:
         return {"departure_from_a_ball": departure(cells.position, cells.radius)}
 
     def columns(self, cells: Cells) -> dict[str, float]:
-        """Return the columns of the history: media, uptake, and grids that a tolerance chooses."""
+        """Return the columns of the history: media and uptake."""
         if self.system is None:
             return {}
         media = {f"medium_{name}": level for name, level in self.system.media.items()}
@@ -122,7 +122,7 @@ class SceneFields:
         if self._scene.dimensions == 3:
             rim = viable_volume(cells)
             found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
-        return found | self.system.grids.columns()
+        return found
 
     def fitness(self, cells: Cells, time: float) -> tuple[dict[str, dict[str, Any]], list[str]]:
         """Return how well the grids fit the cells, by field, and remarks."""
@@ -139,7 +139,7 @@ class SceneFields:
         return {
             "ledger": {name: account.kept() for name, account in self.system.ledger.items()},
             "rates": {name: report.kept() for name, report in self.system.reports.items()},
-            "grids": self.system.grids.kept(),
+            "grids": self.system.grids_kept(),
         }
 
     def resume(self, frame: Frame) -> None:

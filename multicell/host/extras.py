@@ -20,8 +20,6 @@ def needs(*packages: str) -> None:
     """Raise an error unless some packages are installed.
 
     - ``packages``: names as they are imported, such as ``"pyvista"``
-
-    Raises MissingPackage if one of them is not installed; the text says how to install them all.
     """
     absent = [name for name in packages if not _there(name)]
     if absent:

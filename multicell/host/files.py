@@ -27,9 +27,6 @@ def read_regular(path: Path, largest: int) -> bytes:
 
     - ``path``: the file. A link to one is one; a pipe or a device, which may never end, is none.
     - ``largest``: number of bytes that it may have
-
-    Raises OSError if it is missing, something else or larger, or cannot be read; ``strerror`` says
-    which.
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     descriptor = os.open(path, flags)
@@ -49,21 +46,13 @@ def read_regular(path: Path, largest: int) -> bytes:
 
 
 def read_text(path: Path, largest: int) -> str:
-    r"""Return the text of a regular file, its lines ending in ``\n``, as :func:`read_regular`.
-
-    Raises OSError as there; UnicodeDecodeError for text that is not UTF-8.
-    """
+    r"""Return the text of a regular file, its lines ending in ``\n``, as :func:`read_regular`."""
     text = read_regular(path, largest).decode("utf-8-sig")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the table that a TOML text describes.
-
-    Raises ValueError with words: for text that is no TOML, and for keys of more parts than any of
-    ours, before Python's parser sees them, whose time and memory grow with the square of their
-    number.
-    """
+    """Return the table that a TOML text describes."""
     import tomllib
 
     for found in _DEEP.finditer(text):

@@ -86,10 +86,7 @@ class _Loader:
 
 
 def _refuse_cache_of_others(folder: str) -> None:
-    """Refuse a folder of compiled code where other users can put some, which would be run.
-
-    Raises PermissionError if it belongs to another user, or all may write there.
-    """
+    """Refuse a folder of compiled code where other users can put some, which would be run."""
     if not folder or not hasattr(os, "geteuid") or not os.path.isdir(folder):
         return
     about = os.stat(folder)

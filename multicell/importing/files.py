@@ -12,13 +12,7 @@ _MAX_BYTES = 100_000_000
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file.
-
-    Raises
-    ------
-    SceneError
-        If it is missing, no regular file, larger than 100 MB or not UTF-8.
-    """
+    """Return the text of a file."""
     name = str(path)
     try:
         return files.read_text(path, _MAX_BYTES)
@@ -31,13 +25,7 @@ def read_text(path: Path) -> str:
 
 
 def read_rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Return the rows of a CSV file that hold something, each with the number of its line.
-
-    Raises
-    ------
-    SceneError
-        As :func:`read_text`, and for a line that is no row, with its number.
-    """
+    """Return the rows of a CSV file that hold something, each with the number of its line."""
     rows = []
     for number, line in enumerate(read_text(path).split("\n"), start=1):
         try:

@@ -110,14 +110,7 @@ def _yes(text: str) -> bool:
 
 
 def read_xml(path: Path) -> Element:
-    """Return the root element of an XML file.
-
-    Raises
-    ------
-    SceneError
-        For a file that cannot be read, is too large, is no well-formed XML (with its line), has a
-        document type, or is nested more than fifty deep.
-    """
+    """Return the root element of an XML file."""
     parser, tree = expat.ParserCreate(), _Tree(path.name)
     tree.listen(parser)
     try:

@@ -6,12 +6,12 @@ where there is no velocity: under error control the step is tried shorter, with 
 integration ends.
 
 Error control. The estimate of a step is measured as CVODE does, in the root mean square of
-e_k / (atol + rtol |x_k|), and PI control (Gustafsson 1991) chooses the next step. The first
-step of a coupling step is derived from its state (Hairer, Nørsett & Wanner), so that nothing
-is carried over. Where the result is of lower order p than the estimate, the error of a
-step may not exceed θ^(1/p), θ = rtol + atol / mean radius, in that norm, in place of one:
-the number of steps grows like θ^(-1/p), so that the error of the interval follows the
-tolerance (tolerance calibration, Söderlind & Wang 2006).
+e_k / (atol + rtol |x_k|), which stays below :func:`.limits.norm_share`, and PI control (Gustafsson
+1991) chooses the next step. The first step of a coupling step is derived from its state (Hairer,
+Nørsett & Wanner), so that nothing is carried over. Where the result is of lower order p than the
+estimate, the error of a step may not exceed θ^(1/p), θ = rtol + atol / mean radius, in that norm:
+the number of steps grows like θ^(-1/p), so that the error of the interval follows the tolerance
+(tolerance calibration, Söderlind & Wang 2006).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.integrators import base, stepping
 from multicell.integrators.base import Outcome
-from multicell.integrators.limits import beyond
+from multicell.integrators.limits import beyond, norm_share
 from multicell.mechanics import forces
 from multicell.mechanics.system import Mechanics
 
@@ -61,7 +61,7 @@ def control(method: ErrorControl, system: Mechanics, order: float, lower: int) -
     # θ of the module's text; a sum costs a third of a mean, which matters with two cells
     mean = len(radius) / float(radius.sum()) if len(radius) else math.inf
     share = min(1.0, method.rtol + method.atol * mean)
-    strictness = (1.0, share, math.sqrt(share))[lower]
+    strictness = (norm_share(len(radius)), share, math.sqrt(share))[lower]
     return stepping.Control(
         method.rtol, method.atol, strictness, order, method.max_steps, method.max_displacement
     )

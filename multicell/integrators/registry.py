@@ -13,7 +13,6 @@ from multicell.integrators import (
     auto,
     backward_euler,
     cvode,
-    cvode_sparse,
     multirate,
     rkc,
     rosenbrock,
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 _FAMILIES = (
     auto,
     cvode,
-    cvode_sparse,
     backward_euler,
     runge_kutta,
     multirate,

@@ -7,10 +7,10 @@ started at the last good state, with a ceiling on its steps, which is lifted aga
 SUNDIALS holds the mean square of all coordinates' errors against the tolerance: one daughter among
 thousands of cells at rest may then be wrong by many tolerances in a single step, and end in another
 pocket, where the true course leads to none but one. Tissue that grows is like that all the time. So
-SUNDIALS is given a share of the tolerance, and a step in which a single cell's estimated error is
-too large for all that is refused and taken with a smaller share. To bound h times the largest
-positive eigenvalue of J made errors as small, with two to five times as many steps, and products
-for that eigenvalue in each of them.
+solvers are given a share of the tolerance (:func:`.limits.norm_share`), and a step in which a
+single cell's estimated error exceeds the tolerance is refused and taken with a smaller share. To
+bound h times the largest positive eigenvalue of J made errors as small, with two to five times as
+many steps, and products for that eigenvalue in each of them.
 """
 
 from __future__ import annotations
@@ -21,17 +21,13 @@ from typing import Any, Protocol, final
 
 from multicell.cells import FloatArray
 from multicell.integrators.base import Outcome
-from multicell.integrators.limits import beyond
+from multicell.integrators.limits import beyond, norm_share
 from multicell.integrators.stepping import furthest_move, largest_length
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
 _MAX_REFUSALS = 30
 _STEPS_BEFORE_LIFT = 8
-_SHARE = 0.1
-"""Share of the tolerance that a norm over many cells gets; few cells get 1/√(3n), with which the
-norm bounds each of them."""
-_MAX_ERROR = 3.0  # estimated error of a cell in a step that is refused, in tolerances
 _SMALLER = 0.25  # by how much the share is made smaller then
 
 
@@ -101,8 +97,8 @@ class Run:
         self.atol = atol
         self.share, self._most_error = 1.0, math.inf
         if each_cell and len(system):
-            self.share = max(_SHARE, 1.0 / math.sqrt(3.0 * len(system)))
-            self._most_error = _MAX_ERROR * (atol + rtol * float(system.motion.radius.mean()))
+            self.share = norm_share(len(system))
+            self._most_error = atol + rtol * float(system.motion.radius.mean())
         self.length = system.motion.end - system.motion.begin
         self.elapsed = 0.0
         self.offset = 0.0

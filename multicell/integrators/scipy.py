@@ -89,7 +89,10 @@ class Scipy:
         from multicell.integrators.restarts import Run
 
         hold(self.info, system)
-        run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
+        run = Run(
+            system, np.array(position), self.max_steps, self.max_displacement, self.atol, self.rtol,
+            each_cell=True,
+        )  # fmt: skip
         return run.integrate(lambda run, ceiling: _Stepped(self, run, ceiling))
 
 
@@ -107,7 +110,8 @@ class _Stepped:
         self.factorised = 0
         self.solver = getattr(integrate, method.name)(
             self.velocity, 0.0, run.position.ravel(), run.left,
-            rtol=method.rtol, atol=method.atol, max_step=ceiling or np.inf, **options,
+            rtol=max(run.share * method.rtol, _LEAST_RTOL), atol=run.share * method.atol,
+            max_step=ceiling or np.inf, **options,
         )  # fmt: skip
 
     def step(self) -> tuple[float, FloatArray, float]:

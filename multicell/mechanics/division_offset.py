@@ -51,10 +51,6 @@ class Offsets:
         - ``n``: number of cells
         - ``pairs``, ``offset``: see :class:`~multicell.mechanics.motion.Motion`
         - ``values``: returns for the two cells of each pair what the law keeps for it
-
-        Raises ValueError if only one of the two is given, if a pair is no pair of cells, stands
-        twice or has its larger index first, or if an offset is not finite or negative at the
-        beginning.
         """
         if pairs is None and offset is None:
             return cls(None)

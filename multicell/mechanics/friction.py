@@ -403,9 +403,6 @@ class FrictionMatrix:
         - ``tolerance``: relative tolerance, if not that of the parameters
         - ``warm``: whether ``velocity`` holds a guess; if not, the iteration starts from rest
         - ``held``: cells that stand still: theirs are no unknowns, and have zero force and velocity
-
-        Raises FrictionNotSolvedError if the tolerance is not reached; ``velocity`` then has no
-        meaning.
         """
         gamma = self._measured() if held is None else self._measured()._replace(held=held)
         wanted = self.friction.tolerance if tolerance is None else tolerance
@@ -496,8 +493,6 @@ class PairFriction:
         """Return the mean of each cell's three diagonal entries of Γ, (n,) nN s/µm.
 
         At the state last given to :meth:`linearise`, as a preconditioner of Γ - γK needs it.
-
-        Raises RuntimeError before the first linearisation.
         """
         return self._linearised.diagonal()
 

@@ -72,9 +72,6 @@ def largest_growth_rate(
     - ``products``: largest number of products J·v, 5 or more. After division 20 give μ to many
       digits; that it is zero they only tell within some hundredths of the largest decay rate.
     - ``dimensions``: 2 for cells that stay in a plane: motions out of it do not count
-
-    Raises ValueError if ``products`` is below 5, or ``dimensions`` is neither 2 nor 3;
-    StateRejected if the positions cannot be evaluated.
     """
     if products < _FEWEST:
         raise ValueError(f"products is {products}, must be {_FEWEST} or more")

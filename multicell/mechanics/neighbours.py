@@ -85,8 +85,6 @@ def neighbour_pairs(position: FloatArray, cutoff: float) -> IndexArray:
     - ``cutoff``: largest distance, µm
 
     Returns (m, 2) int32: each pair once, smaller index first, in lexicographic order.
-
-    Raises TooManyPairsError if the pairs would not fit into memory.
     """
     radius = np.full(len(position), 0.5 * cutoff)
     return build(np.ascontiguousarray(position, dtype=float), radius, 0.0).pairs()
@@ -102,9 +100,6 @@ def build(
     - ``skin``: added to the sum of the radii, µm
     - ``threads``: with more than one, chunks are searched in parallel (same result)
     - ``chunk``: cells in a chunk
-
-    Raises TooManyPairsError if there are more than 500 pairs per cell beyond the first four
-    million.
     """
     n = len(position)
     if n < 2:

@@ -55,8 +55,6 @@ def outside_force(system: Mechanics, time: float, position: FloatArray) -> Float
 
     It is what is missing in Γ v = F with the prescribed velocities: the drag of the medium and the
     friction with other cells, less the force of contacts, walls and from outside.
-
-    Raises StateRejected as :meth:`Mechanics.velocity`.
     """
     given = system.prescribed
     if given is None:

@@ -130,10 +130,7 @@ class Mechanics:
         self.stiffness_scale: float | None = None
 
     def begin(self, motion: Motion) -> None:
-        """Take the radii and moduli for a coupling step; the old list is dropped.
-
-        Raises ValueError if the motion's pairs with an offset or their offsets have no meaning.
-        """
+        """Take the radii and moduli for a coupling step; the old list is dropped."""
         self.motion = motion
         self.stiffness_scale = None
         n = len(motion.radius)
@@ -165,11 +162,7 @@ class Mechanics:
         return len(self.motion.radius)
 
     def velocity(self, time: float, position: FloatArray, out: FloatArray) -> None:
-        """Write dx/dt, (n, 3) µm/s, at ``position``, (n, 3) µm, and ``time``, s.
-
-        Raises StateRejected if the positions are not finite, too many cells overlap, or friction
-        cannot be solved for.
-        """
+        """Write dx/dt, (n, 3) µm/s, at ``position``, (n, 3) µm, and ``time``, s."""
         self.work.evaluations += 1
         friction, given = self._pair_friction, self.prescribed
         if friction is None:
@@ -247,10 +240,7 @@ class Mechanics:
     def jacobian_product(
         self, vector: FloatArray, out: FloatArray, linear: Linearisation | None = None
     ) -> None:
-        """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation, or at one.
-
-        Raises StateRejected if friction cannot be solved for.
-        """
+        """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation, or at one."""
         self.work.jacobian_products += 1
         linear = self._linearised() if linear is None else linear
         given = self.prescribed

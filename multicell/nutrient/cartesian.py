@@ -74,10 +74,7 @@ class Box:
 
 
 def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (3,), (3,) in µm of the box that holds all cells and the margin.
-
-    Raises NutrientFailed if a position is not finite.
-    """
+    """Return the corners (3,), (3,) in µm of the box that holds all cells and the margin."""
     if len(position) == 0:
         position = np.zeros((1, 3))
     # column by column: NumPy takes twenty times as long for all three at once
@@ -99,9 +96,6 @@ def lay(low: FloatArray, high: FloatArray, spacing: float, height: float | None 
     (A box that grew in steps would make supply, and with it the states of the cells, jump.) So
     it is the spacing that gives way: it is at most ``spacing``, and the number of nodes along
     an axis has only small factors, where the sine transform is fast.
-
-    Raises NutrientFailed if more than :data:`MAX_NODES` nodes would be needed; nothing is allocated
-    before.
     """
     axes = 3 if height is None else 2
     # bare numbers: of three of them arrays are ten times as slow
@@ -134,8 +128,6 @@ def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None
       looked at
     - ``spacing``, float, µm: largest edge of a cube; see :func:`multicell.scene.domain.filling`
     - ``height``, float, µm, optional: of the layer in two dimensions
-
-    Raises NutrientFailed if no cubes fill it.
     """
     axes = 3 if height is None else 2
     lengths = (high - low)[:axes]
@@ -394,8 +386,6 @@ def scatter(
     - ``shape``, (nx, ny, nz)
 
     Returns (nx, ny, nz): amount per µm³; its sum times ``spacing**3`` is the sum of ``amount``.
-
-    Raises ValueError for arrays of other shapes, and for a position outside the box or not finite.
     """
     points = _points(position)
     amounts = np.ascontiguousarray(amount, dtype=np.float64)
@@ -417,8 +407,6 @@ def gather(position: FloatArray, values: FloatArray, origin: Triple, spacing: fl
 
     Returns (n,): in the unit of ``values``; never outside the range of the eight nodes around a
     point.
-
-    Raises ValueError for arrays of other shapes, and for a position outside the box or not finite.
     """
     return gathered(position, values, origin, spacing)[0]
 

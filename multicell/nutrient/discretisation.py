@@ -43,8 +43,6 @@ def discretisation_error(
 
     Returns float or None: the largest error at any cell, mM; None without cells, for a transient
     field, and where the grid is too small to be made coarser.
-
-    Raises NutrientFailed as for :meth:`NutrientField.solve`.
     """
     if parameters.regime != "steady" or len(cells) == 0:
         return None

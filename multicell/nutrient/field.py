@@ -64,10 +64,7 @@ class NutrientField:
 
     @property
     def box(self) -> Box:
-        """The grid of cubes or squares.
-
-        Raises ValueError before the first solve, and for a radial field.
-        """
+        """The grid of cubes or squares."""
         if isinstance(self.layout, BoxLayout):
             return self.layout.box
         raise ValueError(f"{self.name} lives on shells, not in a box")
@@ -92,10 +89,6 @@ class NutrientField:
         - ``radius``, (n,), µm, optional: of the cells; needed where diffusion differs outside
           tissue, and for shells
         - ``time``, float, s
-
-        Raises NutrientFailed if the grid would become too large, a position is not finite, or the
-        solver fails; the field then still is the last one; ValueError if shapes do not match or a
-        capacity is negative or not finite.
         """
         demand = {self.name: (capacity, production)}
         return self.group.solve(position, demand, radius=radius, time=time)[self.name]
@@ -114,9 +107,6 @@ class NutrientField:
 
         The grid is laid round the cells first. What it encloses then and did not before is the
         medium of the moment, counted as ``relaid``.
-
-        Raises NutrientFailed, ValueError as for :meth:`solve`; the field then still is the last
-        one.
         """
         demand = {self.name: (capacity, production)}
         reports = self.group.advance(position, demand, radius=radius, begin=begin, end=end)
@@ -132,10 +122,7 @@ class NutrientField:
         return self._group
 
     def attach_medium(self) -> None:
-        """Let a finite medium lie round the grid, as it is at the start.
-
-        Raises NutrientFailed if the grid covers all of it.
-        """
+        """Let a finite medium lie round the grid, as it is at the start."""
         from multicell.nutrient.medium import attach
 
         self.well_mixed = attach(self.name, self.parameters.nutrient, self.layout.whole)
@@ -160,9 +147,6 @@ class NutrientField:
 
         Between the last nodes and the faces by the conditions there: on a face with a value it is
         that value. Outside the grid, where it lies in stirred medium, by the nearest face.
-
-        Raises ValueError before the first solve, and for positions outside a grid that is not all
-        round in stirred medium.
         """
         return self.layout.read(self._reached(position), self.values, self._conditions)
 
@@ -171,8 +155,6 @@ class NutrientField:
 
         Differences of the interpolated field over one spacing, along the axes of a box or the
         radius of shells; exact for parabolas, up to the faces. In stirred medium it is zero.
-
-        Raises ValueError as for :meth:`sample`.
         """
         reached = self._reached(position)
         found = self.layout.gradient(reached, self.values)

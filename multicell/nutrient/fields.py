@@ -18,9 +18,8 @@ import numpy as np
 from multicell.cells import Cells, FloatArray, Phase, State
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import Exchange, Ledger
-from multicell.nutrient.choosing.grids import Grids
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.grid import BoxLayout
+from multicell.nutrient.grid import BoxLayout, ShellLayout
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import circles, solving_order
 
@@ -96,34 +95,27 @@ class Feeding:
             self.groups = [self.fields[name].group for name in self.order]
         around = circles(scene.nutrients, known, scene.responses)
         self._circles = {x[-1]: x for x in map(tuple, around.values()) if len(x) > 1}
-        self.grids = Grids(scene, [group.names for group in self.groups])
+        self._changes: dict[str, tuple[float, float]] = {}  # of geometry: number, time of the last
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, Exchange] = {}
         self._uptake: dict[str, FloatArray] = {}
-        # a field whose regime the run chooses may become transient
-        may_move = [x for x in self.order if x in self.grids.choosers or not self._rests(x)]
-        self.content_errors = dict.fromkeys(may_move, 0.0)
+        marched = [name for name in self.order if not self._rests(name)]
+        self.content_errors = dict.fromkeys(marched, 0.0)
         self._turnover: dict[str, tuple[float, float]] = {}
 
     def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
-        """Solve for the fields at the start of a run; ``again`` for other states of its cells.
-
-        Raises NutrientFailed.
-        """
+        """Solve for the fields at the start of a run; ``again`` for other states of its cells."""
         for group in self.groups:
             if again:
                 # the account begins anew, and a finite medium with it
                 for name in group.names:
                     self.ledger[name], self.fields[name].well_mixed = Ledger(), None
-            self._begin(group, cells, time, choose=not again)
+            self._begin(group, cells, time)
             self._settle(group, cells, time)
 
     def _settle(self, group: FieldGroup, cells: Cells, time: float) -> None:
-        """Solve in turn for the steady fields of a circle that ends with this one.
-
-        Raises NutrientFailed if they do not settle.
-        """
+        """Solve in turn for the steady fields of a circle that ends with this one."""
         names = self._circles.get(group.names[-1], ())
         if not names or not all(map(self._rests, names)):
             return  # others depend on what the last step has left
@@ -144,11 +136,9 @@ class Feeding:
         problem = f"{' and '.join(names)} do not settle: their uptakes depend on each other"
         raise NutrientFailed(problem, "Make one of these dependences weaker (uptake_on.*.effect).")
 
-    def _begin(self, group: FieldGroup, cells: Cells, time: float, *, choose: bool) -> None:
-        """Solve for fields at the start of a run; ``choose`` their grid where the run does so."""
+    def _begin(self, group: FieldGroup, cells: Cells, time: float) -> None:
+        """Solve for fields at the start of a run."""
         demand = {name: self.demand_now(name, cells) for name in group.names}
-        if choose and group.names[0] in self.grids.choosers:
-            self.grids.begin(group, cells, demand, time)
         if self._rests_first(group.names[0]):
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=time)
         else:
@@ -186,8 +176,6 @@ class Feeding:
 
         What a steady field exchanged in this time is what its solution of ``begin`` said.
         ``before`` are the cells at the beginning: what they would take up rates transient fields.
-
-        Raises NutrientFailed.
         """
         demand = {}
         if before is not None:
@@ -205,11 +193,8 @@ class Feeding:
     ) -> None:
         """Bring fields to ``end``; ``began`` are the largest uptakes of the cells of ``begin``."""
         demand = {name: self.demand_now(name, cells) for name in group.names}
-        rested = self._rests(group.names[0])
-        layouts = {name: self.fields[name].layout for name in group.names}
-        if group.names[0] in self.grids.choosers:
-            self.grids.look(group, cells, demand, begin, end)
-        if rested and self._rests(group.names[0]):
+        shells = {name: self._on_shells(name) for name in group.names}
+        if self._rests(group.names[0]):
             for name in group.names:
                 self.ledger[name].add(self.reports[name], end - begin)
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=end)
@@ -225,7 +210,8 @@ class Feeding:
         for name in group.names:
             self.ledger[name].fill(self.fields[name].stored())
         for name in group.names:
-            self.grids.note(self.fields[name], layouts[name], end)
+            if self._on_shells(name) != shells[name]:
+                self._changes[name] = self._changes.get(name, (0, 0.0))[0] + 1, end
             self._sample(name, cells, demand[name][0])
 
     def kept(self) -> dict[str, Any]:
@@ -237,7 +223,7 @@ class Feeding:
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),
             "errors": (dict(self.content_errors), dict(self._turnover)),
-            "grids": self.grids.kept(),
+            "grids": self.grids_kept(),
         }
 
     def take_back(self, kept: Mapping[str, Any]) -> None:
@@ -247,7 +233,31 @@ class Feeding:
         self.ledger, self.concentrations = kept["ledger"], kept["concentrations"]
         self.reports, self._uptake = kept["reports"], kept["uptake"]
         self.content_errors, self._turnover = kept["errors"]
-        self.grids.take(kept["grids"])
+        self._take_grids(kept["grids"])
+
+    def grids_kept(self) -> dict[str, dict[str, float]]:
+        """Return the changes between shells and cubes, as frames store them."""
+        changed = self._changes.items()
+        return {name: {"changes": number, "changed_at": time} for name, (number, time) in changed}
+
+    def _take_grids(self, kept: Mapping[str, Mapping[str, float]]) -> None:
+        self._changes = {name: (x["changes"], x["changed_at"]) for name, x in kept.items()}
+
+    def _on_shells(self, name: str) -> bool:
+        return isinstance(self.fields[name].layout, ShellLayout)
+
+    def grid_remarks(self, name: str) -> list[str]:
+        """Return in words whether a field went over from shells to cubes, or back."""
+        if name not in self._changes:
+            return []
+        number, time = self._changes[name]
+        shells = self._on_shells(name)
+        ways = "cubes to shells" if shells else "shells to cubes"
+        often = "" if number == 1 else f", the last of {number:g} changes"
+        return [
+            f"{name} went over from {ways} at {time / 3600.0:.4g} h{often}: "
+            f"the tissue is {'round' if shells else 'not round'}."
+        ]
 
     def gradients(self, position: FloatArray, names: Iterable[str]) -> dict[str, FloatArray]:
         """Return the gradients of fields at positions, name -> (n, 3) mM/µm."""
@@ -256,9 +266,8 @@ class Feeding:
     def restore(self, frame: Frame) -> None:
         """Take fields, concentrations and accounts from a frame."""
         assert frame.progress is not None
-        self.grids.take(frame.progress.grids)
+        self._take_grids(frame.progress.grids)
         for name, field in self.fields.items():
-            self.grids.apply(field)
             self.ledger[name] = ledger = Ledger(**frame.progress.ledger[name])
             if (ledger.made is None) == self.reacts(name):
                 problem = f"of the run that this frame is from are not the same for {name}"

@@ -69,9 +69,6 @@ def advance(
     Parameters as for :meth:`FieldGroup.advance`; changes of the media up to and at ``end`` that
     have not been done are done at their times. A steady field counts as ``relaid`` what its content
     has changed by.
-
-    Raises NutrientFailed if a solve fails, or a medium cannot be what cells and grid ask of it; the
-    fields then still are the last ones.
     """
     exchange = _Exchange(group, position, demand, radius, begin)
     for time, name, level in exchange.changes(end):
@@ -251,11 +248,7 @@ class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
             each.follow(level)
 
     def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
-        """Take a step of backward Euler of ``dt`` s that ends at ``t``.
-
-        Raises NutrientFailed if no concentrations of the media agree with what flows between them
-        and the fields.
-        """
+        """Take a step of backward Euler of ``dt`` s that ends at ``t``."""
         eq, volume = self.equation, self._volumes
         before, levels = self._parts(data)
         share = 1.0 + self.decay * dt

@@ -36,10 +36,7 @@ def fitness(
             fields[name]["medium"] = field.well_mixed.concentration
         if parameters.nutrient.layer is not None and isinstance(field.layout, ShellLayout):
             _rate_layer(name, field.layout, parameters.nutrient.layer, cells, fields, notes)
-        notes += feeding.grids.remarks(field)
-        if name in feeding.grids.choosers:
-            fields[name] |= feeding.grids.rated(field)
-            continue
+        notes += feeding.grid_remarks(name)
         capacity, production = feeding.demand_now(name, cells)
         about = field, parameters, cells, capacity, production, time
         try:

@@ -14,19 +14,16 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.errors import NutrientFailed
-from multicell.nutrient import finite, foreign
+from multicell.nutrient import finite
 from multicell.nutrient.balance import FADED, Exchange
 from multicell.nutrient.course import Course, Demand, substance
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.grid import Layout, tissue_share
-from multicell.nutrient.march import StepRefused
 
 if TYPE_CHECKING:
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.parameters import FieldParameters
     from multicell.nutrient.reactions.kinetics import Kinetics
-    from multicell.nutrient.steady import SolveReport
     from multicell.scene.nutrient import Nutrient
 
 
@@ -55,11 +52,7 @@ class FieldGroup:
     def solve(
         self, position: FloatArray, demand: Demand, *, radius: FloatArray | None, time: float
     ) -> dict[str, Exchange]:
-        """Bring the fields to rest with the cells' uptake and secretion.
-
-        Raises NutrientFailed if there is no state of rest, or it is not found; the fields then are
-        the last ones; ValueError if shapes do not match or a capacity is negative or not finite.
-        """
+        """Bring the fields to rest with the cells' uptake and secretion."""
         course = Course(self, position, demand, radius, time, carry=False)
         self.info = course.run("multicell-steady", time, time).info
         course.finish(time)
@@ -85,10 +78,6 @@ class FieldGroup:
 
         The grid is laid round the cells first. What it encloses then and did not before is the
         medium of the moment, counted as ``relaid``.
-
-        Raises NutrientFailed if a field grows without bound, which is named with its growth rate,
-        or the march cannot go on; the fields then are the last ones; ValueError as for
-        :meth:`solve`.
         """
         if any(field.well_mixed is not None for field in self.fields.values()):
             return finite.advance(self, position, demand, radius, begin, end)
@@ -96,43 +85,13 @@ class FieldGroup:
         course = Course(self, position, demand, radius, begin, carry=True)
         relaid = course.masses() - np.array(before)
         nutrients = [field.parameters.nutrient for field in self.fields.values()]
-        if nutrients[0].solver in (None, "multicell-march"):
-            self.info = course.run(
-                "multicell-march", begin, end,
-                tolerance=min(n.time_tolerance for n in nutrients),
-                scales=np.array([FADED * n.highest for n in nutrients]),
-            ).info  # fmt: skip
-        else:
-            self.info = foreign.advance(course.equation, course.state, nutrients, begin, end)
+        self.info = course.run(
+            "multicell-march", begin, end,
+            tolerance=min(n.time_tolerance for n in nutrients),
+            scales=np.array([FADED * n.highest for n in nutrients]),
+        ).info  # fmt: skip
         course.finish(end)
         return course.march(self.info, relaid)
-
-    def leap(
-        self,
-        position: FloatArray,
-        demand: Demand,
-        *,
-        radius: FloatArray | None,
-        begin: float,
-        end: float,
-    ) -> dict[str, SolveReport]:
-        """Take one step of backward Euler from ``begin`` to ``end`` (s), whatever its error.
-
-        Finite media stay as they are.
-
-        Raises NutrientFailed, ValueError as for :meth:`solve`; the fields then still are the last
-        ones.
-        """
-        course = Course(self, position, demand, radius, end, carry=True)
-        data = np.array(course.state.data, dtype=float)
-        try:
-            found, reports = course.equation.solution(data, end, end - begin, data)
-        except StepRefused as refused:
-            problem = f"one step of {end - begin:.3g} s has no solution without negative values"
-            raise NutrientFailed(problem, "A shorter coupling_step may have one.") from refused
-        course.state.data[...] = found.reshape(data.shape)
-        course.finish(end)
-        return reports
 
     def fill(self, position: FloatArray, *, radius: FloatArray | None, time: float) -> None:
         """Begin with the media's concentrations everywhere."""

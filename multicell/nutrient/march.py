@@ -57,8 +57,6 @@ def march(
     - ``tolerance``: largest error of a step, as ``error_of`` says it
     - ``done``: counts and amounts, which are added to
     - ``opening``, float, s: first step
-
-    Raises NutrientFailed if steps become too many or too short.
     """
     length = end - begin
     elapsed, dt = 0.0, opening

@@ -46,10 +46,7 @@ class WellMixed:
 
 
 def attach(name: str, nutrient: Nutrient, covered: float) -> WellMixed:
-    """Return the medium at the start, round a grid that covers ``covered`` µm³.
-
-    Raises NutrientFailed if the grid covers all of it.
-    """
+    """Return the medium at the start, round a grid that covers ``covered`` µm³."""
     volume, level = beyond(name, nutrient, covered), nutrient.medium(0.0)
     done = sum(time <= 0.0 for time, _ in nutrient.media or ())
     return WellMixed(level * volume, volume, level * volume, changes=done)

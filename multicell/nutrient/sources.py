@@ -22,8 +22,6 @@ def injected(layout: Layout, sources: Mapping[str, Source]) -> FloatArray:
 
     A point is spread over the nodes around it with linear weights, as a cell is; a plane over the
     two layers of nodes beside it.
-
-    Raises NutrientFailed if a source lies outside the box.
     """
     assert isinstance(layout, BoxLayout)
     total = layout.filled(0.0)

@@ -84,10 +84,7 @@ class Shells:
         supply: FloatArray | None = None,
         tolerance: float = TOLERANCE,
     ) -> tuple[FloatArray, SolveReport]:
-        """Solve for the steady concentration; see :func:`multicell.nutrient.steady.solve_steady`.
-
-        Raises NutrientFailed if Newton's iterations do not converge.
-        """
+        """Solve for the steady concentration as ``solve_steady`` does in a box."""
         problem = _Balance(self, sink, half_saturation, linear, supply)
         c = np.array(start, dtype=float)
         if self._const == 0.0 and not problem.supply.any():

@@ -125,8 +125,6 @@ def solve_steady(
     - ``tolerance``: see :data:`TOLERANCE`
 
     Returns (nx, ny, nz), mM; SolveReport.
-
-    Raises NutrientFailed if the iterations do not converge or meet values that are not finite.
     """
     nodes = math.prod(operator.shape)
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:

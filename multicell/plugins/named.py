@@ -51,9 +51,6 @@ def load_object(spec: str, what: str) -> Any:
 
     - ``spec``: path of a Python file, a colon and the name of something in it
     - ``what``: what it is for, as the path of errors: ``"integrator"``, ``"law"``
-
-    Raises SceneError if the text has another form, there is no such file or no such name in it, or
-    the file raises an exception.
     """
     match = _NAMED.fullmatch(spec)
     if match is None:

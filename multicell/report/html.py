@@ -45,8 +45,6 @@ def write_page(
     - ``pictures``: PNG file to write, relative to the page's folder -> the function that draws it,
       and its caption. The page holds it without its title.
     - ``**context``: what else the template asks for
-
-    Raises OutputError if a picture or the page cannot be written.
     """
     with file_errors("use the output folder", path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)

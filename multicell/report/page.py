@@ -25,8 +25,6 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
 
     - ``result``: the run; it may be unfinished
     - ``folder``: where to write, by default the folder of the run
-
-    Raises OutputError if there is no folder to write to, or it cannot be written to.
     """
     place = result.folder if folder is None else Path(folder)
     if place is None:

@@ -113,10 +113,7 @@ class Result:
 
 
 def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
-    """Return rows of a history as one array per column.
-
-    Raises ValueError if a row lacks a column of the first one, or has more.
-    """
+    """Return rows of a history as one array per column."""
     rows = list(rows)
     if any(set(row) != set(rows[0]) for row in rows):
         raise ValueError("rows of a history must have the same columns")
@@ -161,11 +158,7 @@ def load_result(folder: str | Path) -> Result:
 
 
 def recorded_scene(contents: Contents) -> Scene:
-    """Return the scene of a result folder.
-
-    Raises OutputError if ``scene.toml`` is not the scene that was run: its numbers would be given
-    to frames that were computed with others; SceneError if it cannot be read.
-    """
+    """Return the scene of a result folder."""
     from multicell.host.files import parse_toml
     from multicell.scene.scene import Scene, beside, load_scene
 

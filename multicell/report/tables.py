@@ -89,10 +89,7 @@ def _kinds(run: Result) -> NDArray[Any]:
 
 
 def whole_table(run: Result, name: str) -> DataFrame:
-    """Return a table of all frames.
-
-    Raises OutputError if there is no such table; MissingPackage if pandas is not installed.
-    """
+    """Return a table of all frames."""
     if name not in TABLES:
         raise OutputError(f"there is no table {name!r}. {near_miss(name, TABLES)}")
     parts = list(TABLES[name](run, enumerate(run.frames)))

@@ -29,19 +29,13 @@ def _checksum(table: Mapping[str, Any]) -> str:
 
 
 def write_table(path: Path, table: Mapping[str, Any]) -> None:
-    """Write a table with its checksum, so that the file is either the old one or complete.
-
-    Raises OutputError if it cannot be written.
-    """
+    """Write a table with its checksum, so that the file is either the old one or complete."""
     plain: dict[str, Any] = json.loads(to_json(table))
     write_text(path, to_json({**plain, _CHECKSUM: _checksum(plain)}) + "\n")
 
 
 def read_table(path: Path) -> dict[str, Any] | None:
-    """Return the table that was written to a file; None where there is no file.
-
-    Raises OutputError if it cannot be read, or is not what was written.
-    """
+    """Return the table that was written to a file; None where there is no file."""
     with file_errors("read", path):
         try:
             text = read_regular(path, _MAX_BYTES)
@@ -122,10 +116,7 @@ class Lines:
         self.entries += entries
 
     def replace(self, entries: Iterable[Any]) -> None:
-        """Keep these entries only, so that the file is either the old one or complete.
-
-        Raises OutputError if they cannot be written.
-        """
+        """Keep these entries only, so that the file is either the old one or complete."""
         kept = list(entries)
         data, chain = _join(kept, 0)
         write_bytes(self._path, data)

@@ -71,10 +71,7 @@ def file_errors(action: str, path: Path) -> Iterator[None]:
 
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Keep other runs out of a folder; the lock of a process that is killed is gone with it.
-
-    Raises OutputError if another run uses the folder, or it cannot be written to.
-    """
+    """Keep other runs out of a folder; the lock of a process that is killed is gone with it."""
     path = folder / LOCK
     lock = FileLock(path, timeout=0, thread_local=False)
     with file_errors("use the output folder", folder):
@@ -113,11 +110,7 @@ def in_use(folder: Path) -> bool:
 
 
 def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Make an output folder, or refuse one that holds something and may not be overwritten.
-
-    Raises OutputError if the folder is a file, holds something and may not be overwritten, is to be
-    overwritten through a symbolic link, or cannot be made.
-    """
+    """Make an output folder, or refuse one that holds something and may not be overwritten."""
     folder = Path(folder)
     with file_errors("use the output folder", folder):
         if folder.is_symlink() and not folder.exists():
@@ -146,10 +139,7 @@ def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
 
 
 def remove(folder: Path, names: Iterable[str]) -> None:
-    """Remove files of a run, also half-written ones; of links the links, not what they lead to.
-
-    Raises OutputError if one of them cannot be removed.
-    """
+    """Remove files of a run, also half-written ones; of links the links, not what they lead to."""
     for name in names:
         for path in (folder / name, folder / f"{name}.part"):
             with file_errors("remove", path):
@@ -171,8 +161,6 @@ def replace_file(path: Path, mode: str = "wb", **options: Any) -> Iterator[IO[An
 
     Whatever happens, under ``path`` there is the old file or the new one, and nothing beside it.
     A process that is killed leaves a file that ends in ``.part``.
-
-    Raises OutputError if it cannot be written, for example because the disk is full.
     """
     part = path.with_name(path.name + ".part")
     with file_errors("write", path), ExitStack() as stack:
@@ -218,19 +206,13 @@ def sync_folder(folder: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file so that it is either the old one or complete.
-
-    Raises OutputError if it cannot be written.
-    """
+    """Write a file so that it is either the old one or complete."""
     with replace_file(path) as file:
         file.write(data)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file so that it is either the old one or complete.
-
-    Raises OutputError if it cannot be written.
-    """
+    """Write a text file so that it is either the old one or complete."""
     write_bytes(path, text.encode("utf-8"))
 
 

@@ -61,10 +61,7 @@ class Whole:
 
 
 def write(path: Path, whole: Whole) -> None:
-    """Write a file in the place of ``path``; until it is complete the old one stays.
-
-    Raises OutputError if it cannot be written, for example because the disk is full.
-    """
+    """Write a file in the place of ``path``; until it is complete the old one stays."""
     with replace_file(path, "w+b") as file:
         sink = Sink(file)
         try:
@@ -223,10 +220,7 @@ def _open_file(path: Path) -> Iterator[Any]:
 
 
 def check_whole(path: Path) -> None:
-    """Refuse a file that is missing, cut short, or not one of ours; its data are not read.
-
-    Raises OutputError if it is one of these.
-    """
+    """Refuse a file that is missing, cut short, or not one of ours; its data are not read."""
     if not path.is_file():
         raise OutputError(f"'{path}' is missing")
     with _open_file(path) as file:
@@ -236,10 +230,7 @@ def check_whole(path: Path) -> None:
 
 
 def check_contained(path: Path) -> None:
-    """Refuse an HDF5 file of any kind that leads out of itself, or claims to hold far more than it.
-
-    Raises OutputError if it does, or cannot be read.
-    """
+    """Refuse any HDF5 file that leads out of itself, or claims to hold far more than it."""
     with _open_file(path) as file:
         claimed, left = 0, [file]
         while left:
@@ -259,10 +250,7 @@ def check_contained(path: Path) -> None:
 
 
 def check_claim(path: Path, claimed: int) -> None:
-    """Refuse a file whose data would take far more memory than the file has bytes.
-
-    Raises OutputError with both sizes.
-    """
+    """Refuse a file whose data would take far more memory than the file has bytes."""
     size = path.stat().st_size
     if claimed > max(_ALWAYS, _RATIO * size):
         raise OutputError(
@@ -408,10 +396,7 @@ class File:
             check_claim(self.path, self._claimed)
 
     def history(self) -> dict[str, NDArray[np.float64]]:
-        """Return the history by column, (m,) each.
-
-        Raises OutputError if it is not what was written.
-        """
+        """Return the history by column, (m,) each."""
         with self._again() as file:
             columns = {name: file["history"][name][()] for name in self.columns}
             if digest(columns) != int(file["history"].attrs["digest"]):

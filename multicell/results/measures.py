@@ -357,9 +357,6 @@ def observables_of(scene: Scene, *, own: bool = True) -> Iterator[tuple[Observab
     """Yield the observables that exist in a scene, each with what stands for its star.
 
     - ``own``: whether also those of the user's own
-
-    Raises SceneError if the scene names one of the user's own that this process does not know, or
-    that needs what the scene does not have.
     """
     stated = scene.output.observables.items() if own else ()
     owned = [find_own(name, entry) for name, entry in stated]

@@ -205,10 +205,7 @@ OWN: Final[dict[str, Observable]] = {}
 
 
 def find_own(name: str, stated: OwnObservable) -> Observable:
-    """Return the observable that a scene names.
-
-    Raises SceneError if this process has not made it, or made it with another unit.
-    """
+    """Return the observable that a scene names."""
     path, function = f"output.observables.{name}", stated.function
     found = OWN.get(function)
     if found is not None and found.name == name:

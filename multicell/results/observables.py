@@ -32,10 +32,7 @@ def sizes(cells: Cells, dimensions: int) -> FloatArray:
 
 
 def centre(cells: Cells, dimensions: int) -> FloatArray:
-    """Return the centroid of all cells, weighted by :func:`sizes`: (3,), µm.
-
-    Raises ValueError if there are no cells.
-    """
+    """Return the centroid of all cells, weighted by :func:`sizes`: (3,), µm."""
     if len(cells) == 0:
         raise ValueError("a population of no cells has no centre")
     return np.average(cells.position, axis=0, weights=sizes(cells, dimensions))
@@ -321,10 +318,7 @@ class RadialProfile:
 
 
 def radial_profile(frame: Frame, dimensions: int, bins: int = 20) -> RadialProfile:
-    """Return averages over ``bins`` shells (or rings) of equal thickness that hold all cells.
-
-    Raises ValueError if the frame has no cells or ``bins`` is below 1.
-    """
+    """Return averages over ``bins`` shells (or rings) of equal thickness that hold all cells."""
     if bins < 1:
         raise ValueError(f"a profile needs at least 1 bin, got {bins}")
     cells = frame.cells

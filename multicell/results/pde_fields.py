@@ -75,10 +75,7 @@ def refuse_several(fields: Mapping[str, Field]) -> None:
 
 
 def collection(fields: Mapping[str, Field], names: Iterable[str] | None) -> FieldCollection:
-    """Return fields that share a grid as py-pde's collection, their names as labels.
-
-    Raises SceneError if there are none, a name is none of theirs, or they live on different grids.
-    """
+    """Return fields that share a grid as py-pde's collection, their names as labels."""
     wanted = list(fields) if names is None else list(names)
     if isinstance(names, str) or not wanted:
         held = "the frame holds none" if names is None else f"are {names!r}"

@@ -33,7 +33,6 @@ _RATIOS: Final = (
     "splitting.relative_volume_error", "integrator.replays", "integrator.stability_checks",
     "integrator.checks_beyond_stability", "integrator.largest_stability_ratio",
     "ledger.*.relative_remainder", "ledger.relative_remainder", "fields.*.departure_from_a_ball",
-    "fields.*.nodes",
 )  # fmt: skip
 """Further numbers without a unit."""
 UNITS: Final[Mapping[str, str]] = {
@@ -42,8 +41,6 @@ UNITS: Final[Mapping[str, str]] = {
     # of the computation
     "time": "s",
     "shift_effect": "um",
-    "grid_error_*": "mM",
-    "spacing_*": "um",
     "splitting.volume_error": "um^3",
     "splitting.mean_step": "s",
     "integrator.largest_shift_effect": "um",
@@ -51,8 +48,8 @@ UNITS: Final[Mapping[str, str]] = {
     "fields.*.layer": "um",
     "wall.*": "s",
     **{f"ledger.*.{name}": "amol" for name in _AMOUNTS},
-    **{f"fields.*.{name}": "mM"
-       for name in ("medium", "discretisation_error", "tolerance", "estimated_error")},
+    "fields.*.medium": "mM",
+    "fields.*.discretisation_error": "mM",
     **{f"start.{name}": "" for name in ("quiescent", "necrotic", "unfit")},
     **{f"integrator.{name}": "" for name in _COUNTS},
     **dict.fromkeys(_RATIOS, ""),
@@ -97,8 +94,6 @@ def unit_of(name: str) -> str:
       with dots (``"ledger.oxygen.inflow"``), or of a column of a table with the table's name
       (``"cells.radius"``). One of the user's own that has several units in this process has none
       here.
-
-    Raises KeyError if the name is not declared.
     """
     if name in UNITS:
         return UNITS[name]
@@ -140,10 +135,7 @@ def known_unit(name: str) -> str:
 
 
 def units_of(summary: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """Return the units of all entries of a summary that have one, by their dotted names.
-
-    Raises KeyError if the name of a number is not declared.
-    """
+    """Return the units of all entries of a summary that have one, by their dotted names."""
     units: dict[str, str] = {}
     for name, value in summary.items():
         path = f"{prefix}{name}"

@@ -197,10 +197,7 @@ class Contents:
         return sum(part.length for part in self._rows)
 
     def frame(self, place: int) -> Frame:
-        """Return a frame.
-
-        Raises OutputError if it is damaged; the text says which frame before it can still be read.
-        """
+        """Return a frame."""
         try:
             return frame_of(self.places[place].arrays(), self.nutrients)
         except OutputError as error:
@@ -225,10 +222,7 @@ class Contents:
         return lineage_of({path: np.concatenate([part[path] for part in parts]) for path in paths})
 
     def history(self, rows: int | None = None) -> dict[str, NDArray[np.float64]]:
-        """Return the first rows of the history, by default all, by column.
-
-        Raises OutputError if they are damaged.
-        """
+        """Return the first rows of the history, by default all, by column."""
         wanted = self.rows if rows is None else rows
         parts: list[dict[str, Any]] = [dict.fromkeys(self.columns, np.empty(0))]
         for length, read in self._rows:
@@ -240,11 +234,7 @@ class Contents:
         return {name: np.concatenate([part[name] for part in parts]) for name in self.columns}
 
     def whole(self) -> None:
-        """Refuse results of which a part cannot be read any more.
-
-        Raises OutputError if the journal ends in a damaged record; the text says what can still be
-        read.
-        """
+        """Refuse results of which a part cannot be read any more."""
         if self.damage is not None:
             count = len(self.places)
             rest = (

@@ -62,11 +62,7 @@ _MAX_DEPTH: Final = 32
 
 
 def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
-    """Return a frame as arrays, always in the same order.
-
-    Raises ValueError if the frame's nutrients are not those of the scene, or the number of
-    concentrations is not the number of cells.
-    """
+    """Return a frame as arrays, always in the same order."""
     names = sorted(nutrients)
     if sorted(frame.concentrations) != names:
         raise ValueError(
@@ -175,10 +171,7 @@ def resume_obstacle(frame: Frame) -> str:
 
 
 def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
-    """Return what a run needs to be resumed, or None if nothing was noted.
-
-    Raises OutputError if the text is no such record.
-    """
+    """Return what a run needs to be resumed, or None if nothing was noted."""
     if not text:
         return None
     entries = parse_table(text)
@@ -217,11 +210,7 @@ def _has_keys(name: str, value: Any, nutrients: set[str]) -> bool:
 
 
 def parse_table(text: bytes | str) -> dict[str, Any]:
-    """Return a JSON table.
-
-    Raises OutputError if the text is none, or holds what no table of ours does: numbers of
-    thousands of digits, hundreds of levels.
-    """
+    """Return a JSON table."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -251,10 +240,7 @@ def log_arrays(lineage: Lineage | None, begin: Mapping[str, int]) -> Arrays:
 
 
 def lineage_of(arrays: Mapping[str, NDArray[Any]]) -> Lineage:
-    """Return the lineage whose logs are these arrays.
-
-    Raises OutputError if they contradict each other.
-    """
+    """Return the lineage whose logs are these arrays."""
     logs = {
         log: {name: arrays[f"{log}/{name}"] for name in columns} for log, columns in COLUMNS.items()
     }

@@ -13,9 +13,6 @@ def with_copy(scene: Scene, folder: Path) -> Scene:
     """Return a scene that names a copy of its table in a folder; it is written if not there.
 
     A scene without a table is returned as it is.
-
-    Raises SceneError if the table has changed since the scene was made, or is not there any more;
-    OutputError if the copy cannot be written.
     """
     table = scene.initial.cells
     if table is None:

@@ -55,10 +55,7 @@ def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
 
 
 def read_frame(file: Source, place: int, nutrients: Iterable[str], ends: Ends) -> Arrays:
-    """Return the arrays of a frame, in the order in which a journal has them.
-
-    Raises ValueError, IndexError, KeyError if the data sets contradict each other.
-    """
+    """Return the arrays of a frame, in the order in which a journal has them."""
     names = list(nutrients)
     columns = [*Cells.schema(), *(f"concentration_{name}" for name in names)]
     cells = {

@@ -21,10 +21,7 @@ _LATITUDES, _LONGITUDES = 12, 24  # of the boxes that a shell is cut into
 
 
 def blocks(frame: Frame, types: Sequence[str] = ()) -> MultiBlock:
-    """Return the cells and the fields of a frame by name: ``"cells"``, then those of the fields.
-
-    Raises MissingPackage if pyvista is not installed.
-    """
+    """Return the cells and the fields of a frame by name: ``"cells"``, then those of the fields."""
     parts: dict[str, Any] = {"cells": cells_points(frame, types)}
     parts |= {name: field_grid(field) for name, field in frame.fields.items()}
     import pyvista
@@ -39,8 +36,6 @@ def cells_points(frame: Frame, types: Sequence[str] = ()) -> PolyData:
     as ParaView colours by numbers; what they mean stands in ``state_names`` and so on.
 
     - ``types``: names of the types by their numbers
-
-    Raises MissingPackage if pyvista is not installed.
     """
     needs("pyvista")
     import pyvista
@@ -64,8 +59,6 @@ def field_grid(field: Field) -> Any:
     along latitudes and longitudes that all have its value.
 
     Returns pyvista.ImageData or pyvista.UnstructuredGrid.
-
-    Raises MissingPackage if pyvista is not installed.
     """
     needs("pyvista")
     import pyvista

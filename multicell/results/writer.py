@@ -107,9 +107,6 @@ class Store:
         - ``folder``: output folder; from now on no other run may write to it
         - ``scene``: the scene of the run; it says which nutrients the frames have
         - ``overwrite``: remove the files of an earlier run first
-
-        Raises OutputError if the folder cannot be used
-        (:func:`multicell.results.folder.make_folder`), or a run uses it.
         """
         folder = make_folder(folder, overwrite=overwrite)
         with ExitStack() as stack:
@@ -178,9 +175,6 @@ class Store:
         """Write a frame to disk.
 
         - ``lineage``: of the run up to the frame; what is not on disk yet is written
-
-        Raises ValueError if the frame's nutrients are not those of the scene, or the number of
-        concentrations is not the number of cells.
         """
         self._add(arrays_of(frame, self._nutrients), log_arrays(lineage, self._logged), sync=True)
 
@@ -212,8 +206,6 @@ class Store:
         """Add one row to the history; the first row says which columns there are.
 
         It is on disk with the next frame, or after a second.
-
-        Raises ValueError if a later row has other columns.
         """
         if not self._columns:
             self._columns = tuple(sorted(row))  # as they come back from HDF5
@@ -231,10 +223,7 @@ class Store:
             self._write()
 
     def settle(self) -> None:
-        """Make one file ``frames.h5`` of all that there is.
-
-        Raises OutputError if that cannot be written. Everything then stays readable in the journal.
-        """
+        """Make one file ``frames.h5`` of all that there is."""
         self.flush()
         self._journal.sync()
         contents = Contents(self.folder)

@@ -338,8 +338,6 @@ def solving_order(
 
     Fields that react with each other come one after another, and so do those whose uptakes depend
     on each other.
-
-    Raises SceneError for fields that depend on each other in another circle.
     """
     from graphlib import CycleError, TopologicalSorter
 

@@ -68,8 +68,8 @@ _SAME: Final = """
     nutrients.*.regions.*.diffusion nutrients.*.regions.*.x nutrients.*.regions.*.y
     nutrients.*.regions.*.z nutrients.*.growth_half_saturation nutrients.*.growth_inhibition
     nutrients.*.quiescence nutrients.*.necrosis nutrients.*.necrosis_above nutrients.*.regime
-    nutrients.*.solver nutrients.*.time_tolerance nutrients.*.initial nutrients.*.geometry
-    nutrients.*.roundness_limit nutrients.*.spacing nutrients.*.tolerance nutrients.*.margin
+    nutrients.*.time_tolerance nutrients.*.initial nutrients.*.geometry
+    nutrients.*.roundness_limit nutrients.*.spacing nutrients.*.margin
     nutrients.*.layer nutrients.*.height
     energy.yields energy.growth_half_saturation energy.quiescence energy.necrosis
     reactions.*.kind reactions.*.rate reactions.*.consumes reactions.*.produces

@@ -49,8 +49,6 @@ class Energy:
         - ``concentrations``, name -> (n,), mM
 
         Returns (n,) mM/s.
-
-        Raises KeyError if a field has no concentrations.
         """
         made = np.zeros(())
         for name, gain in (self.yields or {}).items():

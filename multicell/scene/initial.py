@@ -48,11 +48,7 @@ class Initial:
     )
 
     def check(self) -> None:
-        """Let the table say how many cells there are.
-
-        Raises SceneError if it contradicts the number that is given, or leaves other keys without
-        effect.
-        """
+        """Let the table say how many cells there are."""
         number = 1 if self.cells is None else self.cells.rows
         if self.count is None:
             object.__setattr__(self, "count", number)

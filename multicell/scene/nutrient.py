@@ -36,22 +36,6 @@ _level_above_zero = partial(quantity, "mM", above=0, at_most=MOST)
 _rate = partial(quantity, "1/s", default=0.0, at_least=0, at_most=1e6)
 _flux = partial(quantity, "amol/s", at_least=0, at_most=1e9, hint=_FLUX)
 
-STEPPING = {
-    "explicit": 0.5,
-    "runge-kutta": 1.0,
-    "adams-bashforth": 0.4,
-    "implicit": 0.4,
-    "crank-nicolson": 0.8,
-    "scipy": None,
-}
-"""py-pde's solvers -> length of their steps over the limit of explicit Euler's; None: their own.
-
-Half of the limit keeps explicit Euler above zero. Those that are called implicit are fixed-point
-iterations, which converge up to about as much only."""
-
-SOLVERS = ("multicell-steady", "multicell-march", "multicell-implicit", *STEPPING)
-"""What a field may be solved by."""
-
 FACES = ("*", "r+", "x", "y", "z", "x-", "x+", "y-", "y+", "z-", "z+")
 """Names of the sides of a field's grid, as py-pde has them; ``*`` stands for all others."""
 
@@ -312,12 +296,6 @@ class Nutrient:
         default="auto",
         doc="auto: steady where diffusion settles within a coupling step",
     )
-    solver: str | None = choice(
-        list(SOLVERS),
-        default=None,
-        doc="ours or py-pde's, which are for comparison; absent: multicell-steady for steady "
-        "fields, multicell-march for transient ones",
-    )
     time_tolerance: float = number(
         default=1e-3, at_least=1e-9, at_most=0.1, doc="error of a transient step / concentration"
     )
@@ -328,18 +306,13 @@ class Nutrient:
         ["box", "radial", "auto"],
         default=None,
         doc="a grid of cubes, of spherical shells, or shells as long as the tissue is round; "
-        "absent: cubes, or what tolerance asks for",
+        "absent: cubes",
     )
     roundness_limit: float = number(
         default=0.1, above=0, below=1, doc="departure from a ball up to which shells are enough"
     )
     spacing: float | None = quantity(
-        "um", default=None, above=0, doc="of the grid; absent: by tolerance or diffusion length"
-    )
-    tolerance: float | None = _level_above_zero(
-        default=None,
-        doc="error at the cells by which the run chooses spacing, geometry and regime",
-        hint=_DENSE,
+        "um", default=None, above=0, doc="of the grid; absent: by diffusion length"
     )
     margin: float = quantity(
         "um",
@@ -374,10 +347,6 @@ class Nutrient:
             problem = "and uptake are given both, must be one of them"
             hint = "uptake is that of a cell whatever its size; remove one of them."
             raise SceneError("uptake_per_volume", problem, hint)
-        self._check_solver()
-        if self.tolerance is not None and self.spacing is not None:
-            problem = "cannot stand beside a spacing, which it chooses"
-            raise SceneError("tolerance", problem, "Give one of them.")
         if self.necrosis is not None and self.quiescence is not None:
             self._check_order(self.necrosis, self.quiescence)
         if self.geometry == "radial":
@@ -387,27 +356,6 @@ class Nutrient:
                     raise SceneError(f"sides.{face}", "does not exist on a radial grid", hint)
         elif "r+" in self.sides and self.layout == "box":
             raise SceneError("sides.r+", "does not exist on a grid of cubes", "Use 'x-' or '*'.")
-
-    def _check_solver(self) -> None:
-        """Refuse a solver that does not fit the regime; without one take the solver's own."""
-        if self.solver is None:
-            return
-        own = "steady" if self.solver == "multicell-steady" else "transient"
-        if self.regime == "auto":
-            object.__setattr__(self, "regime", own)
-        elif self.regime != own:
-            problem = f"is for {own} fields, but regime is '{self.regime}'"
-            raise SceneError("solver", problem, "Remove one of them.")
-        if self.finite_medium is not None and self.solver not in SOLVERS[:2]:
-            problem = f"is '{self.solver}', which knows no finite medium"
-            raise SceneError("solver", problem, "Take 'multicell-march', or remove one of them.")
-
-    def limit(self, spacing: float, dimensions: int) -> float:
-        """Return the longest step of explicit Euler in s on a grid, where diffusion sets it.
-
-        On shells it is that of cubes: the innermost one is emptied as fast.
-        """
-        return spacing**2 / (2.0 * dimensions * self.diffusion)
 
     def _check_order(self, necrosis: float, quiescence: float) -> None:
         if not necrosis < quiescence:
@@ -433,16 +381,8 @@ class Nutrient:
 
     @property
     def layout(self) -> str:
-        """What its grid may be: ``"box"``, ``"radial"``, or ``"auto"`` for either.
-
-        With a tolerance and no geometry it is either, unless sides, sources or regions are not the
-        same all round.
-        """
-        if self.geometry is not None:
-            return self.geometry
-        if self.tolerance is None or self.sources or self.regions or self.shaped_sides:
-            return "box"
-        return "auto"
+        """What its grid may be: ``"box"``, ``"radial"``, or ``"auto"`` for either."""
+        return self.geometry or "box"
 
     @property
     def shaped_sides(self) -> set[str]:

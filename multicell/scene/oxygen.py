@@ -30,9 +30,6 @@ def in_concentrations(value: Any, path: tuple[str | int, ...], nutrients: Any) -
     - ``value``: the part: a value, or tables and lists of such
     - ``path``: its keys, and the places in lists
     - ``nutrients``: the fields of the scene, of which oxygen has the temperature
-
-    Raises SceneError for a pressure or a percentage as a concentration of another field than
-    oxygen.
     """
     if isinstance(value, str):
         field = _field(path)

@@ -146,10 +146,7 @@ class PhaseLength:
 
 
 def _own_growth_law(name: str) -> bool:
-    """Return whether a scene names a law of the user's own that is loaded; refuse one that is not.
-
-    Raises SceneError.
-    """
+    """Return whether a name is that of a loaded law of the user's own; refuse one not loaded."""
     if ":" in name and name not in LAWS:
         raise SceneError("law", f"is {shown(name)}, which is not loaded", LAWS.hint(name))
     return name in LAWS

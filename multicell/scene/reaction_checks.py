@@ -15,7 +15,13 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Joining
     from multicell.scene.scene import Scene
 
-_SHARED = ("margin", "roundness_limit", "layer", "height", "initial", "solver")
+_SHARED = (
+    "margin",
+    "roundness_limit",
+    "layer",
+    "height",
+    "initial",
+)
 """Keys of fields that are the same for all that react with each other, as grid and geometry are."""
 
 
@@ -53,13 +59,6 @@ def _check_grid(scene: Scene, group: list[str]) -> None:
     first = group[0]
     for name in group:
         nutrient = scene.nutrients[name]
-        if (nutrient.tolerance is None) != (scene.nutrients[first].tolerance is None):
-            with_one, without = (name, first) if nutrient.tolerance is not None else (first, name)
-            problem = f"is missing, but {with_one}, with which it reacts, has one"
-            hint = (
-                "Fields that react with each other share one grid: give each a tolerance, or none."
-            )
-            raise SceneError(f"nutrients.{without}.tolerance", problem, hint)
         keys: dict[str, tuple[Any, Any]] = {
             key: (getattr(nutrient, key), getattr(scene.nutrients[first], key)) for key in _SHARED
         }

@@ -60,10 +60,7 @@ if TYPE_CHECKING:
 
 
 def _is_own_law(name: str) -> bool:
-    """Return whether a scene names a law of the user's own that is loaded; refuse one that is not.
-
-    Raises SceneError.
-    """
+    """Return whether a name is that of a loaded law of the user's own; refuse one not loaded."""
     if ":" in name and name not in OWN:
         raise SceneError("law", f"is {shown(name)}, which is not loaded", OWN.hint(name))
     return name in OWN
@@ -254,10 +251,7 @@ def _effect(scene: Scene, name: str, part: Response) -> Effect:
 def _ends(
     scene: Scene, behaviour: Behaviour, part: Response, *, falls: bool
 ) -> tuple[float, float]:
-    """Return the values of a behaviour at no effect and at the full one.
-
-    Raises SceneError where they are the same.
-    """
+    """Return the values of a behaviour at no effect and at the full one."""
     if part.law == "table":
         return 0.0, 1.0
     own, base, largest = own_value(scene, behaviour), part.base, part.largest
@@ -331,10 +325,7 @@ def unit_of(scene: Scene, part: Response, key: str) -> str:
 
 
 def in_base_units(scene: Scene, part: Response) -> Response:
-    """Return a response in base units.
-
-    Raises SceneError for one that does not fit the scene; the path is that within the response.
-    """
+    """Return a response in base units."""
     behaviour, of = behaviour_named(part.behaviour, "behaviour")
     _check_behaviour(scene, behaviour, of)
     for kind in part.types:

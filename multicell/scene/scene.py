@@ -311,10 +311,7 @@ def scene_names() -> list[str]:
 
 
 def scene_text(source: str | Path) -> str:
-    """Return a scene as its author wrote it: the TOML of a built-in scene or of a file.
-
-    Raises SceneError as :func:`load_scene` for what cannot be read.
-    """
+    """Return a scene as its author wrote it: the TOML of a built-in scene or of a file."""
     return _read(source)
 
 

@@ -61,10 +61,7 @@ def positions(given: Given) -> FloatArray:
 
 
 def kinds_of(scene: Scene, given: Given) -> NDArray[np.int16] | None:
-    """Return the types that a table gives by their places in the scene, (n,); None if it does not.
-
-    Raises DataError for a type that the scene does not have.
-    """
+    """Return the types in a table by their places in the scene, (n,); None if it has none."""
     if "kind" not in given.columns:
         return None
     codes, names = given.columns["kind"], list(scene.types)

@@ -128,11 +128,7 @@ class StartTable:
     rows: int | None = count(default=None, at_least=1, at_most=10**8, doc="number of cells")
 
     def check(self) -> None:
-        """Read the file, unless it is known what it must hold.
-
-        Raises SceneError if there is no such file, or it is another one; DataError with row and
-        column, for a table that cannot be a start.
-        """
+        """Read the file, unless it is known what it must hold."""
         given = None if self.sha256 is None else _KNOWN.get(self.sha256)
         if given is None:
             if self.sha256 is not None and self.rows is not None:
@@ -153,10 +149,7 @@ class StartTable:
 
     @property
     def given(self) -> Given:
-        """What the table says; read now if it has not been.
-
-        Raises SceneError, DataError as for a table that is read with its scene.
-        """
+        """What the table says; read now if it has not been."""
         found: Given | None = getattr(self, "_given", None)
         if found is None:
             assert self.sha256 is not None
@@ -171,10 +164,7 @@ class StartTable:
         return found
 
     def content(self) -> tuple[str, bytes]:
-        """Return name and content of a file with this table, for the folder of a run.
-
-        Raises SceneError if the file has changed, or is not there any more.
-        """
+        """Return name and content of a file with this table, for the folder of a run."""
         if not self.file:
             return COPIES[0], self.given.content()
         content = self._bytes()
@@ -229,8 +219,6 @@ def in_memory(source: Any) -> StartTable:
     """Return the table of cells that are given as an object.
 
     - ``source``: a ``DataFrame`` or a mapping of titles to columns
-
-    Raises DataError with row and column, for what cannot be a start.
     """
     given = normalise(from_object(source, "cells"))
     digest = hashlib.sha256(given.content()).hexdigest()
@@ -244,8 +232,6 @@ def with_cells(scene: Scene, source: Any) -> Scene:
     - ``scene``: all but its start
     - ``source``: path of a CSV or Parquet file, a ``DataFrame``, a mapping of titles to columns, or
       :class:`Cells`
-
-    Raises SceneError, DataError for a table that cannot be a start of this scene.
     """
     if isinstance(source, str | Path):
         return scene.with_changes({"initial.cells": str(source)})
@@ -271,11 +257,7 @@ def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]
 
 
 def normalise(source: Columns) -> Given:
-    """Return what a table says, in base units and under the names of :data:`START_COLUMNS`.
-
-    Raises DataError for unknown columns and units, names that are none, numbers that no cell has,
-    several frames, and where a column for x or y is missing.
-    """
+    """Return what a table says, in base units and under the names of :data:`START_COLUMNS`."""
     titles: dict[str, str] = {}
     factors: dict[str, float] = {}
     known = {

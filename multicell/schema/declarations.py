@@ -488,11 +488,7 @@ def tables(
     ),
 )  # fmt: skip
 def parameters(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass, with keyword arguments only, that converts and checks its fields.
-
-    Raises TypeError at declaration, for a field that is not declared by one of this module's
-    functions.
-    """
+    """Make a frozen dataclass, with keyword arguments only, that converts and checks its fields."""
     cls.__post_init__ = convert_fields  # type: ignore[attr-defined]
     made = dataclass(frozen=True, kw_only=True)(cls)
     for spec in fields(made):  # type: ignore[arg-type]

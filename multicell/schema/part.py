@@ -103,9 +103,6 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
     - ``value``: mapping of keys to values, as read from TOML
     - ``path``: where the table stands, as dotted keys
     - ``also``: keys that the caller has taken out already, for the list of allowed keys
-
-    Raises SceneError for an unknown or missing key and for any value that is refused, with its full
-    path.
     """
     entries = mapping(value, path)
     known = specs(part)

@@ -113,9 +113,6 @@ def parse_axis(
     - ``text``: as typed behind ``--vary``, or the values as :meth:`Scene.with_changes` takes them
     - ``scene``: the scene that is varied
     - ``repeated``: whether a value may be there twice, as in a column of a table
-
-    Raises SceneError for a key that the scene does not have, no values, a value twice and one that
-    the key cannot have.
     """
     found = key_of(scene, key)
     given = _listed(found, text) if isinstance(text, str) else _sequence(found, text)
@@ -138,9 +135,6 @@ def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:
     - ``text``: ``"8:25 h"``, ``"log 1e-3:1 1/s"``, or ``("8 h", "25 h")`` and ``(1e-3, 1.0,
       "log")``
     - ``scene``: the scene that is varied
-
-    Raises SceneError for a key that the scene does not have or that is no number, for anything but
-    two ends of which the first is lower, and for ends that the key cannot have.
     """
     found = key_of(scene, key)
     if not is_numeric(found):
@@ -162,10 +156,7 @@ def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:
 
 
 def parse_ranges(free: Mapping[str, Any], scene: Scene) -> tuple[Range, ...]:
-    """Return the ranges of free parameters; that they go together is for :func:`check_ranges`.
-
-    Raises SceneError if there are none, or one of them is none.
-    """
+    """Return the ranges of free parameters; that they go together is for :func:`check_ranges`."""
     if not free:
         raise SceneError("free", "names no parameter", "For example drag.viscosity='1:10 kPa s'.")
     return tuple(with_unique_names(parse_range(key, text, scene) for key, text in free.items()))
@@ -332,11 +323,7 @@ def _example(key: Key) -> str:
 
 
 def check_ranges(scene: Scene, ranges: Sequence[Range]) -> None:
-    """Refuse ranges that do not fit to a scene.
-
-    Raises SceneError for a key without effect, and for an end of a range that the scene refuses
-    whatever the other ranges are at, with the key.
-    """
+    """Refuse ranges that do not fit to a scene."""
     from multicell.studies.ineffective import refuse_ineffective
 
     for free in ranges:
@@ -351,10 +338,7 @@ def _ends_of(free: Range) -> tuple[Any, Any]:
 
 
 def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Range]) -> Scene:
-    """Return the scene with changes and other parameters at the low or the high ends.
-
-    Raises SceneError if it is refused wherever the others are.
-    """
+    """Return the scene with changes and other parameters at the low or the high ends."""
     refused: SceneError | None = None
     for place in (0, 1):
         at = {other.key: _ends_of(other)[place] for other in others}
@@ -367,10 +351,7 @@ def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Range]
 
 
 def change(scene: Scene, changes: Mapping[str, Any]) -> Scene:
-    """Return a scene with other values, or say with which it is refused.
-
-    Raises SceneError with the path of what is refused and all the changes.
-    """
+    """Return a scene with other values, or say with which it is refused."""
     first = {key: changes[key] for key in _FIRST if key in changes}
     try:
         return scene.with_changes({**first, **changes})

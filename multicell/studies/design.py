@@ -69,10 +69,7 @@ class Design:
 
 
 def check_form(design: Design) -> None:
-    """Refuse a design whose parts do not go together, or that has too many points.
-
-    Raises SceneError.
-    """
+    """Refuse a design whose parts do not go together, or that has too many points."""
     if design.kind not in DESIGNS:
         from multicell.schema import near_miss
 
@@ -186,8 +183,6 @@ def parse_axis_or_range(key: str, given: Any, scene: Scene, sampled: bool = Fals
 
     A text is a range where it has one colon (``"8:25 h"``), else it lists values; a tuple is one
     where points are sampled.
-
-    Raises SceneError as :func:`parse_axis` and :func:`parse_range`.
     """
     if isinstance(given, Axis | Range):
         return given
@@ -212,9 +207,6 @@ def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
     The header has the keys, each with the unit of its column, as ``nutrients.oxygen.boundary
     [mM]`` or ``nutrients.oxygen.boundary / mM``; where there is none the values have units of their
     own, or are numbers without. Lines that begin with ``#`` are remarks.
-
-    Raises SceneError for a file that cannot be read, a column without a key or unit, a row of
-    another length and a value that its key cannot have, with the line.
     """
     try:
         table = read_table(path, _MAX_BYTES)

@@ -41,9 +41,6 @@ def refuse_ineffective(
 
     - ``scenes``: what sets each of them apart (key -> value), and the scene
     - ``keys``: what is varied
-
-    Raises SceneError with the key, the reason, and where only some of the scenes are concerned in
-    which.
     """
     found: dict[str, tuple[str, Mapping[str, Any]]] = {}
     effective = set()

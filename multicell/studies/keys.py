@@ -38,10 +38,7 @@ class Key:
     scene: Scene
 
     def plain(self, value: Any) -> Any:
-        """Return a value as a scene file in base units would have it.
-
-        Raises SceneError if the declaration refuses it.
-        """
+        """Return a value as a scene file in base units would have it."""
         if self.spec.kind == "measure":  # other keys of its part decide its unit
             last = self.name.rpartition(".")[2]
             try:
@@ -69,11 +66,7 @@ class Key:
 
 
 def key_of(scene: Scene, name: str) -> Key:
-    """Return where a dotted key leads in a scene.
-
-    Raises SceneError for a key that no scene or not this one has, that of a whole table, and one
-    that cannot be varied.
-    """
+    """Return where a dotted key leads in a scene."""
     check_dotted(name)
     if name in _NO_AXES:
         raise SceneError(name, f"cannot be varied: it {_NO_AXES[name]}")

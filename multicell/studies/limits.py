@@ -28,10 +28,7 @@ def whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
 
 
 def check_seeds(seeds: Any, first: int) -> int:
-    """Return a number of runs of each point, whose seeds begin with a scene's.
-
-    Raises SceneError if it is none or too many, or the seeds end too high.
-    """
+    """Return a number of runs of each point, whose seeds begin with a scene's."""
     count = whole("seeds", seeds, 1, MAX_SEEDS, "It is the number of runs of each point.")
     if first + count - 1 >= 2**63:
         problem = f"is {count}: beginning with the scene's seed {first} they end too high"
@@ -40,10 +37,7 @@ def check_seeds(seeds: Any, first: int) -> int:
 
 
 def check_runs(points: int, seeds: int, name: str = "seeds") -> None:
-    """Refuse too many points, or too many runs of them.
-
-    Raises SceneError with the number under ``name``.
-    """
+    """Refuse too many points, or too many runs of them."""
     hint = "Vary less, or sample it (--design lhs or sobol)."
     if points > MAX_POINTS:
         raise SceneError(name, f"makes {points:,} points, must be at most {MAX_POINTS:,}", hint)
@@ -53,10 +47,7 @@ def check_runs(points: int, seeds: int, name: str = "seeds") -> None:
 
 
 def check_cores(cores: int | None) -> None:
-    """Refuse a number of worker processes that this machine cannot be meant to have.
-
-    Raises SceneError if it is below one, or above eight and four for each core.
-    """
+    """Refuse a number of worker processes that this machine cannot be meant to have."""
     if cores is not None:
         whole("cores", cores, 1, max(8, 4 * (os.cpu_count() or 1)))
 

@@ -52,8 +52,6 @@ def write_report(
     - ``table``: of the study, as ``study.to_xarray()``
     - ``runs``, ``states``: all runs and how they stand, in the order of the table
     - ``shown``: observables to show, by default those of :data:`KEY_OBSERVABLES` that change
-
-    Raises OutputError if the folder cannot be written to; SceneError if an observable is unknown.
     """
     names = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"

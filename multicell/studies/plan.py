@@ -157,8 +157,6 @@ def make_plan(
 
     Parameters are those of :func:`multicell.studies.study.study`; ``vary`` may also be axes that
     were read before.
-
-    Raises SceneError for anything that is not a plan.
     """
     if integrator and ":" not in integrator:
         scene, integrator = scene.with_changes({"integrator": integrator}), ""
@@ -253,9 +251,6 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
     - ``folder``: with ``study.toml``, and the scene that it names
     - ``integrator``: ``file.py:Name`` of a method of the user's own; what files name is never
       executed
-
-    Raises SceneError for files that are missing or cannot be read, and for anything in them that is
-    refused.
     """
     from multicell.scene.scene import load_scene
 

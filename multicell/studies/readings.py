@@ -78,10 +78,7 @@ def _read_run(
 
 
 def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
-    """Return the observables that are asked for, or the usual ones of a scene.
-
-    Raises SceneError for a name that no run of the scene has.
-    """
+    """Return the observables that are asked for, or the usual ones of a scene."""
     history = in_history(scene)
     known = {**history, **at_the_end(scene)}
     if names is None:

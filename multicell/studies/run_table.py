@@ -88,10 +88,7 @@ def _word(value: Any) -> str:
 
 
 def checked_times(scene: Scene, times: Sequence[Any] | None) -> FloatArray | None:
-    """Return times in s; without any the ends of runs are meant.
-
-    Raises SceneError for times beyond the run, and for ends that would not be at one time.
-    """
+    """Return times in s; without any the ends of runs are meant."""
     if times is None:
         if scene.stop_cells is not None:
             problem = f"is {scene.stop_cells:,}: runs end at different times"

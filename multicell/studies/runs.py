@@ -70,10 +70,7 @@ class PlainScene:
 
     @classmethod
     def of(cls, scene: Scene) -> PlainScene:
-        """Return a scene as plain values.
-
-        Raises SceneError if this process does not know one of its observables.
-        """
+        """Return a scene as plain values."""
         own = scene.output.observables.items()
         observables = {stated.function: find_own(name, stated).source for name, stated in own}
         return cls(scene.to_dict(), own_laws(scene), observables)
@@ -110,8 +107,6 @@ def digest(scene: Scene, integrator: str = "") -> str:
     of named tables such as types, in which they take their random numbers, counts.
 
     - ``integrator``: ``file.py:Name`` of a method of the user's own
-
-    Raises SceneError if the file of a method cannot be read.
     """
     content: dict[str, Any] = {"model": MODEL_VERSION, "scene": canonical(scene)}
     if integrator:

@@ -161,10 +161,7 @@ def _unfinished_status(name: str, place: Path, state: str) -> RunStatus:
 
 
 def read_note(place: Path) -> Mapping[str, Any] | None:
-    """Return why a run failed, as its folder says; None where it does not.
-
-    Raises OutputError if that cannot be read.
-    """
+    """Return why a run failed, as its folder says; None where it does not."""
     return read_table(place / NOTE)
 
 

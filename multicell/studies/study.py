@@ -263,11 +263,7 @@ def load_study(folder: str | Path, *, integrator: str = "") -> Study:
 
 
 def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
-    """Write a plan to a folder, and return the study.
-
-    Raises OutputError if the folder holds a study that the plan does not widen and may not be
-    overwritten, holds something else, or cannot be written to.
-    """
+    """Write a plan to a folder, and return the study."""
     from multicell.results.folder import make_folder, write_text
     from multicell.results.start_copy import with_copy
 

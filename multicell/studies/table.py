@@ -63,8 +63,6 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
 
     Returns xarray.Dataset: with attributes for its provenance, and for every variable its
     ``units``.
-
-    Raises OutputError if the results of a run that is done cannot be read.
     """
     needs("xarray")
     import xarray
@@ -220,10 +218,7 @@ def is_current(table: xarray.Dataset, plan: Plan, states: Sequence[RunStatus]) -
 
 
 def save(table: xarray.Dataset, path: Path) -> None:
-    """Write a table as netCDF, so that the file is either the old one or complete.
-
-    Raises MissingPackage, OutputError.
-    """
+    """Write a table as netCDF, so that the file is either the old one or complete."""
     needs("xarray", "h5netcdf")
     part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two processes may write it
     packed = {
@@ -274,10 +269,7 @@ def checksum(table: xarray.Dataset) -> str:
 
 
 def write_csv(table: xarray.Dataset, path: Path) -> None:
-    """Write a table as CSV, one row for each run and time, with units in the header.
-
-    Raises MissingPackage, OutputError.
-    """
+    """Write a table as CSV, one row for each run and time, with units in the header."""
     needs("pandas")
     from multicell.results.folder import replace_file
     from multicell.tables.titles import titled

@@ -215,11 +215,7 @@ def _close(client: Any) -> None:
 
 
 def check_workers(client: Any, scheduler: str) -> None:
-    """Refuse a cluster whose workers would not do what this process does.
-
-    Raises ClusterError if there are no workers, one has several threads, or other versions than
-    this process.
-    """
+    """Refuse a cluster whose workers would not do what this process does."""
     threads = client.nthreads()
     if not threads:
         raise ClusterError(
@@ -272,8 +268,6 @@ def check_folder(client: Client, folder: Path) -> None:
     """Refuse workers that do not see the folder of a study, or cannot write there.
 
     - ``folder``: an absolute path
-
-    Raises OutputError if this process cannot write there; ClusterError if a worker cannot.
     """
     import uuid
 
@@ -333,10 +327,7 @@ def _end_with_parent() -> None:
 
 
 def own_cores() -> int:
-    """Return how many cores this process may use, as its group of processes is limited to.
-
-    Raises MissingPackage if Dask is not installed.
-    """
+    """Return how many cores this process may use, as its group of processes is limited to."""
     needs("dask", "distributed")
     from dask.system import CPU_COUNT
 

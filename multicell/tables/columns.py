@@ -42,20 +42,13 @@ class Columns:
 
 
 def from_bytes(content: bytes, name: str) -> Columns:
-    """Return the columns of a CSV or Parquet file.
-
-    Raises DataError for a file that cannot be read, has no rows, or two columns of one title;
-    MissingPackage for Parquet without pyarrow.
-    """
+    """Return the columns of a CSV or Parquet file."""
     read = _parquet if content[:4] == PARQUET else _csv
     return _filled(read(content, name))
 
 
 def from_object(source: Any, name: str) -> Columns:
-    """Return the columns of a ``DataFrame`` or a mapping of titles to columns.
-
-    Raises DataError for anything else, columns of different lengths, and a table without rows.
-    """
+    """Return the columns of a ``DataFrame`` or a mapping of titles to columns."""
     if hasattr(source, "columns") and hasattr(source, "itertuples"):
         titles = [str(title).strip() for title in source.columns]
         arrays = (source.iloc[:, k].to_numpy() for k in range(len(titles)))

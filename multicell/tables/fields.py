@@ -37,9 +37,6 @@ def read_table(source: Any, largest: int) -> Table:
 
     - ``source``: path of a CSV file, a ``DataFrame``, or a mapping of titles to columns
     - ``largest``: number of bytes that a file may have
-
-    Raises DataError for a file that cannot be read, rows or columns of different lengths, two
-    columns of one title in a frame, and a table without rows.
     """
     if isinstance(source, str | Path):
         path = Path(source).expanduser()

@@ -19,8 +19,6 @@ def read_bytes(path: Path, largest: int) -> bytes:
     """Return the content of a regular file.
 
     - ``largest``: number of bytes that it may have
-
-    Raises DataError if there is no such file, it is too large or cannot be read.
     """
     try:
         return read_regular(path, largest)
@@ -36,9 +34,6 @@ def rows_of(content: bytes, name: str) -> Iterator[Row]:
 
     - ``content``: of the file, UTF-8 with or without a byte order mark
     - ``name``: of the file, for errors
-
-    Raises DataError for text that is not UTF-8, no rows at all, one column that holds semicolons or
-    tabs, broken quotes, and a row of another length than the header.
     """
     numbers: list[int] = []
     reader = csv.reader(lines_of(content, numbers), skipinitialspace=True)
@@ -73,10 +68,7 @@ def _broken(content: bytes, error: UnicodeDecodeError) -> int:
 
 
 def lines_of(content: bytes, numbers: list[int]) -> Iterator[str]:
-    """Yield the lines of a file that are no remarks and not blank, and note their numbers.
-
-    Raises UnicodeDecodeError for text that is not UTF-8; its place counts from that of a buffer.
-    """
+    """Yield the lines of a file that are no remarks and not blank, and note their numbers."""
     text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline=None)
     for number, line in enumerate(text, start=1):
         if line.strip(" \t,\n") and not line.lstrip().startswith("#"):

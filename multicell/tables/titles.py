@@ -48,9 +48,6 @@ def read_title(title: str, known: Mapping[str, str], place: str) -> Title | None
     - ``title``: of the column
     - ``known``: base unit by name, ``""`` for columns without a unit
     - ``place``: the table in words, for errors
-
-    Raises DataError for a name that needs a unit and has none, one that has none and is given one,
-    and a unit of another kind.
     """
     name, text = _parted(title, known)
     if name not in known:

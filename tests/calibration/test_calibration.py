@@ -20,7 +20,6 @@ from multicell.calibration.indices import analyse, sample
 from multicell.calibration.likelihood import likelihood, scatter_of
 from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
-from multicell.calibration.posterior import posterior
 from multicell.calibration.problem import problem_of, ranges_of
 from multicell.calibration.search import Search
 from multicell.calibration.verdict import intervals
@@ -33,18 +32,15 @@ CASES = {
     "kink": Growing("walk", kink=True),
     "chaotic": Growing("shared", common=False),
 }
-ALWAYS = (("best", "kink"), ("best", "shared over time"))
-"""What every run of the tests repeats; ranks of posteriors are tested in ``test_fit_posterior``."""
+ALWAYS = ("kink", "shared over time")
+"""What every run of the tests repeats."""
 
 
-def sampled(method, problem, seed):
+def sampled(problem):
     """Return weighted draws of a fit, as places in the ranges."""
-    if method == "posterior":
-        draws = posterior(problem, Pool(), seed=seed, population=60)
-        return draws.shares, draws.weights
     search = Search(problem, None)
     search.run(Pool(), 30)
-    found = fresh(problem, search, Pool(), search.emulator(), None)
+    found = fresh(problem, search, Pool(), search.emulator())
     shares = found.likelihood.draws()
     return shares, np.full(len(shares), 1.0 / len(shares))
 
@@ -65,23 +61,21 @@ def check(hits):
 
 @pytest.mark.harness
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("method", ["best", "posterior"])
-def test_intervals_cover_as_often_as_they_say(method, case, request):
+def test_intervals_cover_as_often_as_they_say(case, request):
     count = request.config.getoption("--calibrations")
-    if count == 0 and (method, case) not in ALWAYS:
+    if count == 0 and case not in ALWAYS:
         pytest.skip("asked for with --calibrations N")
     rng = np.random.default_rng(1)
     hits = []
-    for repeat in range(count or QUICK):
+    for _ in range(count or QUICK):
         truth = 0.2 + 0.6 * rng.random(2)
         problem = growing(CASES[case], truth, rng)
-        hits.append(covered(problem, sampled(method, problem, repeat), truth))
+        hits.append(covered(problem, sampled(problem), truth))
     check(hits)
 
 
 @pytest.mark.harness
-@pytest.mark.parametrize("method", ["best", "posterior"])
-def test_intervals_of_the_real_engine_cover_as_often_as_they_say(method, request):
+def test_intervals_of_the_real_engine_cover_as_often_as_they_say(request):
     """Six cells that grow for 40 h: cycle time and radius from five sizes of one culture."""
     count = request.config.getoption("--calibrations")
     if count == 0:
@@ -103,7 +97,7 @@ def test_intervals_of_the_real_engine_cover_as_often_as_they_say(method, request
         measured = read_data({**shape, "diameter / um": np.maximum(values, 0.0).tolist()}, scene)
         problem = problem_of(measured, ranges, 2, 1 + 10**4 * repeat)
         truth = [free.value(x) for free, x in zip(ranges, shares, strict=True)]
-        hits.append(covered(problem, sampled(method, problem, repeat), truth))
+        hits.append(covered(problem, sampled(problem), truth))
     check(hits)
 
 

@@ -144,7 +144,6 @@ def test_expected_cost_is_that_of_coarse_runs():
 @pytest.mark.parametrize(
     ("changes", "path", "said"),
     [
-        ({"method": "posterior"}, "coarse", "method 'best'"),
         ({"budget": "1 h"}, "coarse", "budget in runs"),
         ({"reuse": "elsewhere"}, "coarse", "no other fit"),
         ({"simulator": lambda *_: None}, "coarse", "simulator of one's own"),

@@ -239,8 +239,6 @@ def recorded_by(simulation):
         "time",
         "step",
         "splitting_",
-        "spacing_",
-        "grid_error_",
         "shift_",
         "stability_",
     )

@@ -20,7 +20,6 @@ from multicell.calibration.fit import plan_of
 from multicell.calibration.fresh import _check
 from multicell.calibration.likelihood import scatter_of
 from multicell.calibration.pool import Pool, open_pool
-from multicell.calibration.posterior import posterior
 from multicell.calibration.problem import ranges_of
 from multicell.calibration.search import Search
 from multicell.calibration.simulator import SceneSimulator, reading
@@ -156,25 +155,6 @@ def test_a_folder_of_another_fit_is_refused(example):
         mc.fit(changed, module.DATA, module.FREE, output=folder, cores=1)
 
 
-def test_a_sampled_posterior_of_a_scene_has_the_best_point_in_it(tmp_path):
-    """Few draws of a scene of six cells: the path from the scene through pyABC and its files."""
-    data = {"time / h": [20], "diameter / um": [22.0], "diameter sd / um": [2.0]}
-    found = mc.fit(
-        SMALL, data, {"cells.division_radius": "4:10 um"}, method="posterior", seeds=1,
-        population=12, budget=200, cores=1, output=tmp_path,
-    )  # fmt: skip
-    assert found.kind == "exact"
-    frame = found.posterior
-    assert frame.weight.sum() == pytest.approx(1.0)
-    assert frame.attrs["kind"] == "exact"
-    inside = found.intervals(0.999)["division_radius"]
-    assert inside.low < found.best.values["cells.division_radius"] < inside.high
-    plan = plan_of(SMALL, data, {"cells.division_radius": "4:10 um"}, method="posterior", seeds=1,
-                   population=12, budget=200)  # fmt: skip
-    assert plan.left(None)[0] == 200
-    assert plan.left(tmp_path) == (0, 0.0)
-
-
 def test_a_parameter_without_effect_is_said_to_be_open():
     problem = linear([[1.0, 0.0]] * 3, [0.5] * 3, 0.05)
     ((entry),) = fitted(problem).undetermined
@@ -258,18 +238,15 @@ def test_intervals_are_those_of_the_draws():
     assert tilted.median == pytest.approx(math.sqrt(0.5), abs=2e-3)
 
 
-def test_workers_of_a_cluster_find_the_same_as_this_process(tmp_path):
-    """Two processes: the search and the posterior are the same to the bit."""
+def test_workers_of_a_cluster_find_the_same_as_this_process():
+    """Two processes: the search is the same to the bit."""
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.2, noise=0.1, seeds=2)
     own = Search(problem, None, seed=4).run(Pool(), 15)
-    drawn = posterior(problem, Pool(), seed=7, population=10)
     with open_pool(2, None) as pool:
         assert pool.count == 2
         theirs, here = calls_of(lambda: Search(problem, None, seed=4).run(pool, 15))
-        draws = posterior(problem, pool, seed=7, population=10, folder=tmp_path)
     assert here == []
     assert [e.misfit.loss for e in theirs] == [e.misfit.loss for e in own]
-    assert draws.shares.tolist() == drawn.shares.tolist()
 
 
 DATA = {"time / h": [10, 20], "cells": [7, 9]}
@@ -280,14 +257,11 @@ REFUSED = [
     ({"free": {"growth.cycle_time": "25:8 h"}}, "must have the lower end first"),
     ({"free": {"growth.cycle_time": "-5:8 h"}}, "growth.cycle_time: is "),
     ({"free": {"seed": "1:5"}}, "seed: cannot be varied"),
-    ({"method": "bets"}, "Did you mean 'best'?"),
     ({"seeds": 0}, "seeds: is 0, must be a whole number from 1 to"),
-    ({"population": 2}, "population: is 2, must be a whole number from 10 to"),
     ({"budget": 23}, "budget: is 23 runs: what 18 fresh runs leave tries 2 sets of parameters, 2"),
     ({"repeats": 3}, "repeats: is 3, must be a whole number from 4 to 1,000"),
     ({"repeats": 1001}, "repeats: is 1001, must be a whole number from 4 to 1,000"),
     ({"budget": "5 um"}, "budget: is '5 um', must be a time"),
-    ({"budget": 100, "method": "posterior"}, "leaves 88 draws for the posterior"),
     ({"scene": "no-such"}, "there is no scene named 'no-such'"),
 ]
 
@@ -316,9 +290,6 @@ def test_a_condition_cannot_be_fitted():
 
 
 def test_budgets_are_shared_out():
-    plan = plan_of(SMALL, DATA, FREE, method="posterior", budget=3000)
-    assert (plan.points, plan.draws) == (0, 3000 - 12)
-    assert plan.runs == 3000
     plan = plan_of(SMALL, DATA, FREE, budget="2 h")
     assert plan.seconds == 7200.0
     assert plan_of(SMALL, DATA, FREE, budget=41 + 12 + 6).points == 20
@@ -328,7 +299,6 @@ def test_budgets_are_shared_out():
 
 def test_too_few_points_tell_a_best_one_and_no_intervals():
     found = fitted(linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.02), points=3)
-    assert found.kind == "none"
     assert found.undetermined == []
     assert "Too few points were tried for intervals." in found.notes
     with pytest.raises(FitFailed, match="too few points"):

@@ -16,7 +16,6 @@ from multicell.calibration.distance import (
     misfit,
     scale_readings,
     scales,
-    standardise,
 )
 from multicell.calibration.emulator import draws, emulator
 from multicell.calibration.noise import Noise
@@ -45,7 +44,6 @@ def test_one_run_has_no_scatter_and_absent_readings_cost_more_than_any_other():
     found = misfit(y, sigma, np.array([[1.5, math.nan]]))
     assert found.residuals.tolist() == [1.0, ABSENT]
     assert found.loss == 1.0 + ABSENT**2
-    assert standardise(y, sigma, np.array([0.5, math.nan])).tolist() == [-1.0, ABSENT]
 
 
 def test_counts_are_compared_by_their_ratio():

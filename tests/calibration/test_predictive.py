@@ -103,23 +103,6 @@ def test_data_of_the_model_pass_and_data_of_another_do_not():
     assert loose.chi_squared > 0.7
 
 
-def test_a_posterior_that_was_sampled_with_runs_is_checked_by_its_draws():
-    from multicell.calibration.pool import Pool
-    from multicell.calibration.posterior import posterior
-
-    problem = linear(MATRIX, VALUES, 0.05, noise=0.03)
-    drawn = posterior(problem, Pool(), seed=1, population=150)
-    found = replace(fitted(problem), draws=drawn)
-    check = found.predictive_check()
-    assert 0.05 < check.chi_squared < 0.95
-    assert predictive_of(found).covariance.tolist() == np.eye(4).tolist()
-    with pytest.raises(mc.SceneError, match="of different methods"):
-        mc.compare_fits({"a": found, "b": fitted(problem)})
-    table = mc.compare_fits({"a": found, "b": found})
-    assert math.isnan(table.loc["a"].aic)
-    assert table.behind.tolist() == [0.0, 0.0]
-
-
 def test_fits_that_cannot_be_compared_are_refused():
     one, other = fitted(linear(MATRIX, VALUES, 0.05)), fitted(linear(MATRIX, VALUES, 0.06))
     for fits, words in (

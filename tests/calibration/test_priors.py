@@ -15,7 +15,6 @@ from multicell.calibration.data import read_data
 from multicell.calibration.emulator import best_of, draws
 from multicell.calibration.fit import plan_of
 from multicell.calibration.pool import Pool
-from multicell.calibration.posterior import posterior
 from multicell.calibration.priors import Constraint, Density, Prior, values_at
 from multicell.calibration.problem import free_of
 from multicell.calibration.search import Search
@@ -105,16 +104,6 @@ def test_a_normal_prior_shrinks_the_posterior_as_in_closed_form():
     np.testing.assert_allclose(best_of(found.loss, found.prior, drawn), mean, atol=0.002)
 
 
-def test_a_posterior_sampled_with_runs_has_the_prior_in_it():
-    problem = linear([[1.0, 0.0], [0.0, 1.0]], [0.45, 0.6], 0.05)
-    mean, covariance = shrunk(problem)
-    sampled = posterior(with_prior(problem, PULL, None), Pool(), seed=2, population=150)
-    average = sampled.weights @ sampled.shares
-    spread = np.sqrt(sampled.weights @ (sampled.shares - average) ** 2)
-    np.testing.assert_allclose(average, mean, atol=0.012)
-    np.testing.assert_allclose(spread, np.sqrt(np.diag(covariance)), rtol=0.25)
-
-
 ORDER = Constraint("p0 < p1", (1.0, -1.0), 0.0)
 
 
@@ -129,11 +118,6 @@ def test_draws_under_a_constraint_are_those_that_keep_it():
     assert (drawn[:, 0] < drawn[:, 1]).all()
     away = 0.05 / math.sqrt(math.pi)
     np.testing.assert_allclose(drawn.mean(axis=0), [0.5 - away, 0.5 + away], atol=0.002)
-    sampled, calls = calls_of(lambda: posterior(problem, Pool(), seed=2, population=100))
-    assert {shares[0] < shares[1] for shares, *_ in calls} == {True}
-    np.testing.assert_allclose(
-        sampled.weights @ sampled.shares, [0.5 - away, 0.5 + away], atol=0.02
-    )
 
 
 def test_the_best_point_lies_on_a_constraint_that_the_data_ask_to_break():

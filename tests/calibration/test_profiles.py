@@ -149,7 +149,6 @@ def test_a_profile_is_a_table_with_units_and_bad_input_is_refused():
         ({"profile_runs": 2}, "profile_runs: is 2, must be a whole number from 3 to 12"),
         ({"profile_runs": 13}, "profile_runs: is 13, must be a whole number from 3 to 12"),
         ({"profile_runs": -1}, "profile_runs: is -1, must be a whole number from 3 to 12"),
-        ({"profile_runs": 4, "method": "posterior"}, "profile_runs: has no meaning with method"),
     ],
 )
 def test_numbers_of_runs_at_the_ends_are_checked(wrong, words):

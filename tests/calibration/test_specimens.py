@@ -154,8 +154,6 @@ def test_bad_choices_are_named(tmp_path):
         mc.fit(SCENE, table, free, specimens="other")
     with pytest.raises(SceneError, match="scatter"):
         mc.fit(SCENE, table, free, scatter="none")
-    with pytest.raises(SceneError, match="needs the method 'best'"):
-        mc.fit(SCENE, table, free, scatter="unknown", method="posterior")
 
 
 def test_glucose_has_no_partial_pressure(tmp_path):

@@ -60,19 +60,6 @@ def test_a_fit_is_opened_from_its_folder_without_a_run(stored, monkeypatch):
     assert mc.compare_fits({"a": found, "b": again}).behind.tolist() == [0.0, 0.0]
 
 
-def test_a_sampled_posterior_is_opened_without_a_run(tmp_path, monkeypatch):
-    data = {"time / h": [20], "diameter / um": [22.0], "diameter sd / um": [2.0]}
-    for budget, kind in ((200, "exact"), (40, "tempered")):
-        folder = tmp_path / kind
-        found = mc.fit(SCENE, data, {RADIUS: "4:10 um"}, method="posterior", seeds=1, repeats=4,
-                       population=12, budget=budget, cores=1, output=folder)  # fmt: skip
-        with monkeypatch.context() as patch:
-            patch.setattr(SceneSimulator, "__call__", None)
-            again = mc.load_fit(folder)
-        assert found.kind == kind
-        assert same(again, found)
-
-
 def test_folders_that_hold_no_fit_that_is_done_are_refused(stored, tmp_path):
     _, folder = stored
     with pytest.raises(mc.OutputError, match="holds no fit that is done"):
@@ -181,7 +168,6 @@ REFUSED = [
      "whose scene is another one under the condition"),
     ({"data": {**DATA, "diameter / um": [26.0, 90.0, 29.0]}},
      "whose runs may have ended before 'diameter' was as large"),
-    ({"method": "posterior", "budget": None}, "reuse: has no meaning with method 'posterior'"),
 ]  # fmt: skip
 
 

@@ -66,8 +66,6 @@ KEYS = {
 FIT = ["fit", "growth", "--data", "data.csv", "--free", FREE, "-o", "o"]
 COUNTS = {
     "fit seeds": [*FIT, "--seeds", 10**9],
-    "fit population": [*FIT, "--method",
-                       "posterior", "--population", 10**9],
     "fit budget": [*FIT, "--budget", 10**9],
     "fit cores": [*FIT, "--cores", 10**6],
     "sensitivity seeds": ["sensitivity", "growth", "--free", FREE, "-o", "o", "--seeds", 10**9],

@@ -190,8 +190,8 @@ def fitted(problem, points=30, profile_runs=0, checked_by=None):
     """Return the fit of a problem by the best point; ``checked_by`` makes the runs at ends."""
     search = Search(problem, None, seed=1)
     known = search.run(Pool(), points)
-    facts = {"method": "best", "sd": 0.1, "seconds": 1.0, "draws": 0, "sets_of_parameters": points}
-    again = fresh(problem, search, Pool(), search.emulator(), None)
+    facts = {"sd": 0.1, "seconds": 1.0, "sets_of_parameters": points}
+    again = fresh(problem, search, Pool(), search.emulator())
     other = search if checked_by is None else Search(checked_by, None, seed=1)
     ends = check_ends(problem, other, Pool(), again, profile_runs)
-    return Fit(problem, SCENE, known, None, None, facts, again, ends)
+    return Fit(problem, SCENE, known, None, facts, again, ends)

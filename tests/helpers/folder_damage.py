@@ -22,7 +22,7 @@ DEEP = "[" * 100_000
 def files_of(folder):
     """Return the files of a folder that are read again, by their paths in it."""
     own = ("study.toml", "scene.toml", "study.nc", "expected.json", "fit.json", "search.log",
-           "posterior.db", "posterior.journal", "result.json")  # fmt: skip
+           "result.json")  # fmt: skip
     names = [name for name in own if (folder / name).is_file()]
     runs = sorted((folder / "runs").glob("*/*")) if (folder / "runs").is_dir() else []
     wanted = ("summary.json", "frames.h5", "scene.toml")

@@ -436,12 +436,8 @@ def _fit_reactions(scene, fields):
     reacting = [field for name, field in fields.items() if name in joined]
     first = reacting[0]
     for field in reacting:
-        for key in ("uptake_on", "secretion_from", "regime", "initial", "solver"):
+        for key in ("uptake_on", "secretion_from", "regime", "initial"):
             field.pop(key, None)
-        if "tolerance" in first:
-            field.setdefault("tolerance", first["tolerance"])
-        else:
-            field.pop("tolerance", None)
         for key in ("margin", "roundness_limit", "height", "spacing", "geometry", "layer"):
             if key in first:
                 field[key] = first[key]
@@ -698,11 +694,6 @@ def _fit_field(scene, field, earlier, fields, flat):
             del field["secretion_from"][name]
     _fit_secretion(scene, field)
     radius = base(scene.get("cells", {}).get("division_radius", 5.0))
-    if "tolerance" in field:
-        # what a grid can reach for most cells; it chooses the spacing
-        field.pop("spacing", None)
-        level = base(field.get("boundary", 0.07))
-        field["tolerance"] = max(base(field["tolerance"]), 0.3 * level)
     if "spacing" in field and base(field["spacing"]) > 4.0 * radius:
         field["spacing"] = radius
     if flat and field.get("geometry") == "radial":
@@ -718,9 +709,6 @@ def _fit_field(scene, field, earlier, fields, flat):
     _fit_sides(field, flat)
     _fit_sources(scene, field, flat)
     _fit_regions(scene, field, flat)
-    if "solver" in field:
-        # explicit ones take longer than a scene at random may
-        field["solver"], field["regime"] = "multicell-march", "transient"
     if "finite_medium" in field:
         _fit_medium(field)
     if "diffusion_medium" in field:

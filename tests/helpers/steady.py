@@ -14,7 +14,6 @@ import multicell as mc
 
 CASES = {
     "mechanics": ("doublet-settle", {"motility.force": "0.01 nN", "motility.persistence": "1 h"}),
-    "sparse": ("settle", {"initial.count": 2, "integrator": "cvode-sparse"}),
     "field": ("spheroid", {"growth": None, "death": None, "initial.count": 4,
                            "nutrients.oxygen.spacing": "20 um"}),
     "transient": ("spheroid", {"growth": None, "death": None, "initial.count": 4,

@@ -12,7 +12,6 @@ from strategies import mechanics
 from multicell.contact.jkr import JKR
 from multicell.integrators.auto import Auto
 from multicell.integrators.cvode import Cvode, CvodeAdams
-from multicell.integrators.cvode_sparse import CvodeSparse
 
 VISCOSITY, DURATION = 0.05, 60.0
 SEEDS = range(3)
@@ -41,18 +40,14 @@ def system(radius):
     return mechanics(radius, np.ones(len(radius)), duration=DURATION, viscosity=VISCOSITY)
 
 
-@pytest.mark.parametrize(
-    ("method", "n"), [(Cvode, 300), (Cvode, 1300), (CvodeAdams, 1300), (CvodeSparse, 300)]
-)
+@pytest.mark.parametrize(("method", "n"), [(Cvode, 300), (Cvode, 1300), (CvodeAdams, 1300)])
 def test_no_step_is_accepted_in_which_one_cell_is_wrong_by_many_tolerances(method, n, monkeypatch):
     taken = accepted_steps(monkeypatch)
     position, radius = divided(n, 1, share=0.004)
     used = system(radius)
     outcome = method(atol=1e-2).integrate(used, position)
     assert outcome.done
-    assert np.nanmax([step[4] for step in taken]) <= 3.0 * (1e-2 + 1e-6 * 5.0)
-    # a share of a tenth is enough for few cells
-    assert (used.work.rejections > 0) is (n > 1000)
+    assert np.nanmax([step[4] for step in taken]) <= 1e-2 + 1e-6 * 5.0
 
 
 def test_the_norm_of_sundials_lets_a_cell_be_wrong_by_many_tolerances(monkeypatch):
@@ -78,7 +73,7 @@ def test_cvode_steps_have_the_errors_that_are_estimated(light, atol, monkeypatch
     assert 0.5 < np.nanmax([step[4] for step in taken]) / max(true) < 3.0
 
 
-@pytest.mark.parametrize(("n", "share"), [(1, 1.0 / 3.0**0.5), (2, 1.0 / 6.0**0.5), (1000, 0.1)])
+@pytest.mark.parametrize(("n", "share"), [(1, 1.0 / 3.0**0.5), (2, 1.0 / 6.0**0.5), (1000, 0.03)])
 def test_few_cells_get_the_share_that_bounds_each_of_them(n, share):
     from multicell.integrators.restarts import Run
 

@@ -108,7 +108,7 @@ def test_what_double_precision_cannot_follow_is_refused_at_once(what, scene, nam
 
 @pytest.mark.parametrize("viscosity", [1e-6, 1e-8, 1e-10, 1e-11])
 @pytest.mark.parametrize(
-    "name", ["cvode", "cvode-adams", "cvode-sparse", "backward-euler", "scipy-radau", "scipy-bdf"]
+    "name", ["cvode", "cvode-adams", "backward-euler", "scipy-radau", "scipy-bdf"]
 )
 def test_up_to_there_a_doublet_finds_its_equilibrium(name, viscosity, open_door):
     """Where stiffness outruns everything, what is left is the rest distance of the law."""

@@ -129,7 +129,7 @@ def test_virial_and_wall_pressure_agree_at_rest(shear, felt):
     assert virial > 0.05
 
 
-METHODS = ("auto", "cvode", "cvode-sparse", "rosenbrock", "rkc2", "backward-euler", "dopri5")
+METHODS = ("auto", "cvode", "rosenbrock", "rkc2", "backward-euler", "dopri5")
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -10,12 +10,7 @@ from pde.solvers.base import SolverBase
 import multicell as mc
 from multicell.biology.initial import initial_cells
 from multicell.nutrient.fields import Feeding
-from multicell.report.explain.scene import explain
-from multicell.scene.nutrient import SOLVERS, STEPPING
 from multicell.scene.scene import Scene
-
-SLOW = {"diffusion": 20.0, "uptake": 0.2, "half_saturation": 0.005, "boundary": 0.07}
-"""Oxygen a hundred times slower: the same steady field, and long explicit steps."""
 
 
 def scene(nutrient, **changes):
@@ -55,8 +50,6 @@ def test_py_pde_is_loaded_by_a_run_with_a_field_and_by_no_other():
         ),
         ({"regime": "steady", "finite_medium": {"volume": 1e9}}, "multicell-march",
          "AtRestWithMedia"),
-        ({**SLOW, "solver": "multicell-implicit"}, "multicell-implicit", "AccountedEquation"),
-        ({**SLOW, "solver": "explicit"}, "euler", "AccountedEquation"),
     ],
 )  # fmt: skip
 def test_a_run_takes_its_solver_from_the_registry_of_py_pde(nutrient, solver, equation):
@@ -68,68 +61,6 @@ def test_a_run_takes_its_solver_from_the_registry_of_py_pde(nutrient, solver, eq
     registered = SolverBase.from_name(solver, None)
     assert group.info["class"] == type(registered).__name__
     assert group.info["pde_class"] == equation
-
-
-def test_scenes_know_the_solvers_that_py_pde_knows():
-    for name in SOLVERS:
-        assert SolverBase.from_name({"explicit": "euler"}.get(name, name), None).info["class"]
-
-
-def test_a_spheroid_by_explicit_steps_is_that_of_the_steady_solver():
-    """Diffusion settles in three of the twenty minutes between two exchanges with the cells."""
-    found = {}
-    for solver in ("multicell-steady", "explicit"):
-        slower = {"diffusion": 5.0, "uptake": 0.05}
-        oxygen = {**SLOW, **slower, "spacing": 20.0, "quiescence": 0.02, "solver": solver}
-        changes = {"nutrients": {"oxygen": oxygen}, "duration": "2 d", "coupling_step": "20 min"}
-        found[solver] = ran(mc.load_scene("spheroid").with_changes(changes))
-    steady, explicit = found.values()
-    assert len(explicit.cells) == len(steady.cells) > 5
-    np.testing.assert_allclose(
-        explicit.concentrations["oxygen"], steady.concentrations["oxygen"], rtol=2e-3
-    )
-    account = explicit.ledger["oxygen"]
-    assert account.relative_remainder < 1e-10
-    assert account.uptake == pytest.approx(steady.ledger["oxygen"].uptake, rel=0.02)
-
-
-@pytest.mark.parametrize("solver", [*STEPPING, "multicell-implicit"])
-def test_all_solvers_agree_and_their_accounts_close(solver):
-    nutrient = {
-        **SLOW, "spacing": 20.0, "geometry": "radial", "decay": 1e-4, "perfusion": 2e-4,
-        "secretion": 0.05, "media": [[900.0, 0.02]], "time_tolerance": 1e-4,
-    }  # fmt: skip
-    ours = ran(scene({**nutrient, "regime": "transient"}))
-    theirs = ran(scene({**nutrient, "solver": solver}))
-    np.testing.assert_allclose(
-        theirs.fields["a"].values, ours.fields["a"].values, rtol=2e-3, atol=0.0
-    )
-    account, other = theirs.ledger["a"], ours.ledger["a"]
-    # CVODE solves its equations as well as its tolerance asks for, the others to rounding
-    assert account.relative_remainder < (1e-3 if solver == "multicell-implicit" else 1e-9)
-    for name in ("inflow", "uptake", "decayed", "washed", "secreted", "stored"):
-        assert getattr(account, name) == pytest.approx(getattr(other, name), rel=0.01)
-
-
-def test_solvers_that_do_not_fit_are_refused():
-    for nutrient, words in (
-        ({"solver": "explicit", "regime": "steady"}, "is for transient fields"),
-        ({"solver": "multicell-steady", "regime": "transient"}, "is for steady fields"),
-        ({"solver": "euler"}, "solver"),
-        ({"solver": "explicit", "finite_medium": {"volume": 1e9}}, "knows no finite medium"),
-    ):
-        with pytest.raises(mc.SceneError, match=words):
-            scene(nutrient)
-    quick = scene({"diffusion": 1e7, "spacing": 10.0, "solver": "explicit"}, coupling_step="1 h")
-    with pytest.raises(mc.errors.StepFailed, match="is stable with steps up to"):
-        mc.Simulation(quick).step()
-
-
-def test_explain_says_the_limit_of_explicit_steps():
-    described = scene({"diffusion": 2000.0, "spacing": 20.0, "solver": "explicit"})
-    words = str(explain(described))
-    # half of h² / 6 D
-    assert "py-pde's explicit with steps of at most 0.017 s, 36,000 in a coupling step" in words
 
 
 @pytest.mark.parametrize("regime", ["transient", "steady"])

@@ -21,7 +21,7 @@ MEASURED = {
     "nothing limits": ("growth", {}, 169, 191, 0.11),
     "steps that the run chooses": ("grow-2000", {}, 2007, 198, 0.45),
     "held back by pressure, flat": ("monolayer", {}, 1963, 204, 0.78),
-    "doses in a finite medium": ("dosing", {}, 769, 201, 0.61),
+    "doses in a finite medium": ("dosing", {}, 1056, 201, 0.61),
     "two fields, phases, an early end": ("emt6", {}, 20060, 233, 5.7),
     "a domain, no growth": ("chemotaxis", {}, 120, 231, None),
     "a hundred thousand": ("spheroid", {**MANY, "initial.count": 10**5}, 101_678, 326, 8.9),

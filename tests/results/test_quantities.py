@@ -48,7 +48,7 @@ SCENES = {
                                "mitotic_divisions": 1}},
         "nutrients": {
             "oxygen": {"quiescence": 0.06, "necrosis": 0.05, "uptake": 500.0, "height": 10.0},
-            "drug": {"boundary": 0.01, "uptake": 1.0, "tolerance": 1e-3, "height": 10.0},
+            "drug": {"boundary": 0.01, "uptake": 1.0, "height": 10.0},
         },
         "integrator": {"method": "auto"},
     },

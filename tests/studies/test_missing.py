@@ -8,7 +8,7 @@ import pytest
 from multicell.errors import MissingPackage
 from multicell.host.extras import needs
 
-HEAVY = ("dask", "distributed", "xarray", "pandas", "pyabc", "optuna", "SALib", "h5netcdf")
+HEAVY = ("dask", "distributed", "xarray", "pandas", "optuna", "SALib", "h5netcdf")
 
 
 def test_a_missing_package_is_told_with_what_to_do():

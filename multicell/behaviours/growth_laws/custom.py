@@ -62,10 +62,7 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
         return np.asarray(birth * self._cycle() * self._shape(np.asarray(volume) / birth))
 
     def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
-        """Return the volumes after a share of a cycle without limits, (n,).
-
-        Raises SceneError with file and line, where the user's function fails.
-        """
+        """Return the volumes after a share of a cycle without limits, (n,)."""
         begin, given = np.broadcast_arrays(np.asarray(volume, dtype=float) / birth, share)
         if "volume" in self._parts:
             return birth * self._call("volume", begin, given)

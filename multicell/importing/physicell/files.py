@@ -24,11 +24,6 @@ def found_file(element: Element, home: Path) -> Path:
     ----------
     home
         Folder of the settings.
-
-    Raises
-    ------
-    SceneError
-        If there is no such file, with where it was looked for; or if it is elsewhere.
     """
     folder, name = (element.find(tag) for tag in ("folder", "filename"))
     if name is None or not name.word():

@@ -17,11 +17,6 @@ def read_kinds(root: Element, account: Account) -> list[Kind]:
 
     A type takes what it does not say from the one named as its ``parent_type``, else from that
     called ``default`` or with the ID 0.
-
-    Raises
-    ------
-    SceneError
-        If there is none, or one has no name, no whole ID, or a parent that is not above it.
     """
     elements = root.all("cell_definitions/cell_definition")
     if not elements:

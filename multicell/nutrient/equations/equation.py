@@ -29,7 +29,6 @@ from multicell.nutrient.equations.placed import PlacedSubstance
 from multicell.nutrient.equations.steady_solver import SteadyFieldSolver
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout
-from multicell.nutrient.operators import fastest
 from multicell.nutrient.uptake import uptake_and_slope
 
 if TYPE_CHECKING:
@@ -313,18 +312,6 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
                 demand=None if self.coupling is None else self.demands(nodes, t)[name],
             )  # fmt: skip
         return np.array([nodes[name] for name in self.names]), reports
-
-    def limit(self) -> float:
-        """Return the longest step in s at which explicit Euler is stable, by a bound on the rates.
-
-        Reactions are not part of it.
-        """
-        rates = [
-            fastest(each.operator) + each.linear
-            + float(each.sink.max(initial=0.0)) / each.substance.half_saturation
-            for each in self.substances.values()
-        ]  # fmt: skip
-        return 1.0 / max(rates)
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return the concentration of each substance that errors are small beside, (m,) mM."""

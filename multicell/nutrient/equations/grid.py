@@ -27,9 +27,6 @@ def layout_on(grid: GridBase, *, height: float | None = None) -> Layout:
     - ``grid``: ``CartesianGrid`` in two or three dimensions, or ``SphericalSymGrid`` round the
       origin
     - ``height``, float, µm, optional: of the layer that a plane stands for; absent: one spacing
-
-    Raises SceneError for other grids, periodic ones, a hollow ball, and spacings that differ
-    between axes.
     """
     hint = "Cubes, squares and balls of shells are what fields of cells live on."
     steps = grid.discretization
@@ -84,8 +81,6 @@ def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
 
     - ``given``: a concentration, one condition in py-pde's terms, or a mapping of sides to
       conditions, with ``"x"`` for both sides of an axis and ``"*"`` for all others
-
-    Raises SceneError if a side has none, or a ball's is of another kind.
     """
     if not isinstance(given, Mapping):
         given = {"value": _number(given)}

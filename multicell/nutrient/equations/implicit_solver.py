@@ -118,10 +118,7 @@ class _March:
         self.y = np.empty(0)
 
     def advance(self, data: FloatArray, begin: float, end: float) -> FloatArray:
-        """Return the data at ``end``.
-
-        Raises NutrientFailed if SUNDIALS gives up, steps become too many, or rates are not finite.
-        """
+        """Return the data at ``end``."""
         self.shape = data.shape
         jumps = self._jumps(begin, end)
         if begin != self.reached or begin in jumps or not np.array_equal(self.y, data.ravel()):

@@ -55,8 +55,6 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         """Return a function that brings a state from one time to another.
 
         ``dt`` is the first step; absent: a tenth of the time between two jumps of the medium.
-
-        Raises SceneError for an equation that takes no steps of backward Euler.
         """
         pde: Stepped = suitable(self.pde, state, "implicit_step")
         done = March(np.zeros((len(pde.names), len(COLUMNS))))

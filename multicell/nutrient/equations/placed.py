@@ -297,8 +297,6 @@ class PlacedSubstance:
         - ``before``, mM: where the step begins
         - ``demand``, mM/s: largest uptake and secretion of the nodes, in place of those of the
           term's cells
-
-        Raises NutrientFailed.
         """
         sink, secreted = (self.sink, None) if demand is None else demand
         supply, linear = self.supply(level, secreted), self.linear

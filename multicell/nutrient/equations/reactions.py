@@ -94,11 +94,7 @@ class Reactions:
     def solution(
         self, start: Nodes, t: float, dt: float, before: Nodes | None
     ) -> tuple[FloatArray, dict[str, SolveReport]]:
-        """Return the state of rest with what holds at ``t``, or that ``dt`` s after ``before``.
-
-        Raises NutrientFailed if there is no state of rest, or a substance becomes denser than
-        water; StepRefused if a step is too long.
-        """
+        """Return the state of rest with what holds at ``t``, or that ``dt`` s after ``before``."""
         coupled, first = self._coupled(t), self._flat(start)
         if before is None:
             c = settle(coupled, np.maximum(first, 0.0))

@@ -70,10 +70,7 @@ class Steady(Protocol):
 
 
 def suitable(pde: PDEBase, state: Any, method: str) -> Any:
-    """Return an equation that has the method by which a solver solves it.
-
-    Raises SceneError if it has not, or the state is not one of its own.
-    """
+    """Return an equation that has the method by which a solver solves it."""
     if not hasattr(pde, method):
         problem = f"is {type(pde).__name__}, but multicell's solvers solve equations of fields only"
         raise SceneError("equation", problem, "Take one of py-pde's own solvers.")

@@ -119,9 +119,6 @@ class Coupled:
         """Return the state a step of ``dt`` s later, or the steady state where that is infinite.
 
         - ``before``, ``start``, (m, nodes), mM: state before, not negative, and first guess
-
-        Raises StepRefused if Newton's iterations do not converge to a state without negative
-        values.
         """
         return _Newton(self, before, dt).solve(start)
 
@@ -296,8 +293,6 @@ def settle(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArray:
 
     Steps of implicit Euler that lengthen from one to the next, the last one without end: from where
     they start they follow the true course, and do not end in states that are unstable.
-
-    Raises NutrientFailed if there is no such state, or it is not found.
     """
     rates = np.sum(np.abs(coupled.rates(c)) * coupled.volumes, axis=1)
     held = np.sum(np.abs(c) * coupled.volumes, axis=1)

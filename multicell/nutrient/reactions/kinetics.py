@@ -60,8 +60,6 @@ def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
     - ``names``: of the fields
     - ``reactions``: name -> :class:`~multicell.scene.reactions.Reaction`, a table of its keys, or a
       reaction of the user's own
-
-    Raises SceneError for a field that is not one of these, and for what is no reaction.
     """
     fixed: dict[str, Reaction] = {}
     own: list[Own] = []

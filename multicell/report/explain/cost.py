@@ -48,8 +48,6 @@ _CELL_EVALUATION: Final = 2.1e-7  # and for each cell: forces, lists, and a shar
 _FRICTION: Final = 5.0  # times as much where cells rub: velocities are solved for
 _FIELD: Final = 4e-4  # s of a field in a step
 _NODE_STEP: Final = 1.7e-7  # and for each node
-_TRIED: Final = 8e-3  # s of one with a tolerance, whose grid is tried now and then
-_TRIED_SHELLS: Final = 9e-3  # where it can only be shells
 
 _NOTED_SHARE: Final = 0.01  # part of the tissue whose death at the start is worth a note
 
@@ -123,17 +121,19 @@ def evaluations(scene: Scene) -> float:
 
 def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[float, float, float]:
     """Return what all fields take: time, memory, and room on the disk."""
-    most = mean = each = 0.0
-    for name, nutrient in scene.nutrients.items():
+    most = mean = 0.0
+    for name in scene.nutrients:
         nodes = _nodes(scene, name, found.radius)
         size = _NODE
         if together := len(group_of(name, scene.reactions)):
             size += _REACTING + _TOGETHER * together
         most, mean = most + size * float(nodes.max()), mean + _mean(found, nodes)
-        tried = _TRIED_SHELLS if nutrient.layout == "radial" else _TRIED
-        each += _FIELD if nutrient.tolerance is None else tried
     packages = _FIELD_PACKAGES if scene.nutrients else 0.0
-    return steps * (each + _NODE_STEP * mean), packages + most, _NODE_FRAME * frames * mean
+    return (
+        steps * (_FIELD * len(scene.nutrients) + _NODE_STEP * mean),
+        packages + most,
+        _NODE_FRAME * frames * mean,
+    )
 
 
 def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from multicell.report.explain.items import Number, Part, hours, part
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
 from multicell.scene.coupling import fixed_step, usual_step
-from multicell.scene.nutrient import STEPPING, Nutrient
+from multicell.scene.nutrient import Nutrient
 from multicell.scene.reactions import Reaction, group_of
 from multicell.scene.responses import effects
 from multicell.scene.scene import Scene
@@ -67,15 +67,8 @@ def _reaction_words(reaction: Reaction) -> str:
 def _what(scene: Scene, name: str) -> str:
     """Return one sentence on regime, geometry, medium and dependences of a field."""
     nutrient = scene.nutrients[name]
-    if nutrient.tolerance is None:
-        regime = f"{scales.regime(scene, name)} ({_regime_reason(scene, name)})"
-        parts = [regime, _geometry(scene, nutrient, scales.spacing(scene, name))]
-    else:
-        from multicell.report.explain.tolerance import choice_words
-
-        parts = choice_words(scene, name)
-    if nutrient.solver is not None:
-        parts.append(_solver_words(scene, name, nutrient))
+    regime = f"{scales.regime(scene, name)} ({_regime_reason(scene, name)})"
+    parts = [regime, _geometry(scene, nutrient, scales.spacing(scene, name))]
     parts.append(_medium(nutrient))
     together = [other for other in group_of(name, scene.reactions) if other != name]
     if together:
@@ -91,19 +84,6 @@ def _what(scene: Scene, name: str) -> str:
     for other, share in (nutrient.secretion_from or {}).items():
         parts.append(f"{share:g} secreted for each {other} taken up")
     return "; ".join(parts)
-
-
-def _solver_words(scene: Scene, name: str, nutrient: Nutrient) -> str:
-    """Return which solver the scene asks for, and the limit of its steps."""
-    share = STEPPING.get(nutrient.solver or "")
-    if share is None:
-        return f"solved by {nutrient.solver}"
-    limit = share * nutrient.limit(scales.spacing(scene, name), scene.dimensions)
-    steps = math.ceil(usual_step(scene) / limit)
-    return (
-        f"solved by py-pde's {nutrient.solver} with steps of at most {limit:.2g} s, "
-        f"{steps:,} in a coupling step"
-    )
 
 
 def _regime_reason(scene: Scene, name: str) -> str:

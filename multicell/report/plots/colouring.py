@@ -74,8 +74,6 @@ def colouring(
       states
     - ``lineage``: table of all cells that ever were, for clones
     - ``limits``: range of the colours of a quantity; absent: :func:`limits_of` the frame
-
-    Raises OutputError for a name that is none of them.
     """
     if name is None:
         name = "type" if len(scene.types) > 1 else "state"
@@ -175,10 +173,7 @@ def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Co
 
 
 def quantity(frame: Frame, name: str) -> tuple[FloatArray, str]:
-    """Return the values of a quantity of the cells, (n,), and its unit.
-
-    Raises OutputError for a name that is none.
-    """
+    """Return the values of a quantity of the cells, (n,), and its unit."""
     if name in frame.concentrations:
         return frame.concentrations[name], unit_of(f"cells.concentration_{name}")
     if name == "volume":

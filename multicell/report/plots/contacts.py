@@ -48,10 +48,7 @@ def mean_distances(cells: Cells, types: int, dimensions: int) -> FloatArray:
 
 @style.styled
 def contacts(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figure:
-    """Draw heterotypic contacts, all contacts, and the distance of each type from the centre.
-
-    Raises ValueError if the history does not tell contacts of types apart, or is empty.
-    """
+    """Draw heterotypic contacts, all contacts, and the distance of each type from the centre."""
     if len(history.get("heterotypic_fraction", ())) == 0:
         raise ValueError("the history has no contacts of different types: nothing to draw")
     end = float(history["time"][-1])
@@ -153,10 +150,7 @@ def _pair(cells: Cells, scene: Scene, time: float) -> Pair:
 
 @style.styled
 def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figure:
-    """Draw the pull over the distance of two cells, or over the diameter of more.
-
-    Raises ValueError if nothing pulls, or the history or the frames are empty.
-    """
+    """Draw the pull over the distance of two cells, or over the diameter of more."""
     if len(history.get("pull", ())) == 0 or len(frames) == 0:
         raise ValueError("the run has no pull: nothing to draw")
     force, time = history["pull"], history["time"]

@@ -28,8 +28,6 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
     """Draw the cells that the plane z = centre cuts, and beside them a map of every field.
 
     A line shows where cells begin to rest, a dashed one where most are necrotic.
-
-    Raises ValueError if the frame has no cells or no fields.
     """
     shown = [name for name in scene.nutrients if name in frame.fields]
     if not shown:

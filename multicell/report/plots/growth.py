@@ -16,10 +16,7 @@ from multicell.scene.scene import Scene
 
 @style.styled
 def growth(history: style.History, scene: Scene) -> Figure:
-    """Draw number of cells, diameter and states against time; switches of media are marked.
-
-    Raises ValueError if the history is empty.
-    """
+    """Draw number of cells, diameter and states against time; switches of media are marked."""
     unit, time, subtitle = _course(history)
     figure = style.headed(scene, subtitle)
     rim = np.isfinite(history["viable_rim"]).any()  # there is none without a core
@@ -45,10 +42,7 @@ def growth(history: style.History, scene: Scene) -> Figure:
 
 @style.styled
 def motion(history: style.History, scene: Scene) -> Figure:
-    """Draw diameter and largest pressure against time, for cells that only move.
-
-    Raises ValueError if the history is empty.
-    """
+    """Draw diameter and largest pressure against time, for cells that only move."""
     unit, time, subtitle = _course(history)
     figure = style.headed(scene, subtitle)
     grid = figure.add_gridspec(2, 1, left=0.1, right=0.97, top=0.82, bottom=0.11, hspace=0.32)

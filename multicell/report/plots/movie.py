@@ -64,10 +64,6 @@ def movie(
       cut
     - ``transparent``: leave the background out, for ``.webp`` in space only; the letters can be
       read on light and on dark pages
-
-    Raises OutputError for a file of another kind or one that cannot be written, a plane that cuts
-    no cell of a frame, a colour or a cut that is none, a run without cells, and options that do not
-    go together; MissingPackage if the encoder of mp4 is not installed.
     """
     path = Path(path)
     if path.suffix.lower() not in KINDS:
@@ -169,10 +165,7 @@ def _save(
 
 
 def _encoder(kind: str) -> dict[Any, str]:
-    """Return matplotlib's settings for a kind of film.
-
-    Raises MissingPackage if the encoder of mp4 is not installed.
-    """
+    """Return matplotlib's settings for a kind of film."""
     if kind != ".mp4":
         return {}
     needs("imageio_ffmpeg")

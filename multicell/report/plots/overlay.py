@@ -26,8 +26,6 @@ def overlay(runs: Mapping[str, style.History], quantity: str) -> Figure:
 
     - ``runs``: histories by the names that the legend gives them
     - ``quantity``: name of the column
-
-    Raises OutputError if a run has no such column, or no history yet.
     """
     for label, history in runs.items():
         if quantity not in history:

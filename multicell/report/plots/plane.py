@@ -32,10 +32,7 @@ class Plane:
 
     @classmethod
     def parse(cls, text: str) -> Plane:
-        """Return the plane that a text such as ``"x"``, ``"x=0"`` or ``"z=12 um"`` names.
-
-        Raises OutputError if it names none.
-        """
+        """Return the plane that a text such as ``"x"``, ``"x=0"`` or ``"z=12 um"`` names."""
         from multicell.errors import SceneError
         from multicell.units import to_base
 
@@ -88,10 +85,7 @@ def _turn_field(field: Field, order: list[int]) -> Field:
 
 
 def height(frame: Frame, plane: Plane, middle: FloatArray) -> float:
-    """Return where the plane cuts a frame that was turned, µm on its third axis.
-
-    Raises OutputError if it cuts no cell.
-    """
+    """Return where the plane cuts a frame that was turned, µm on its third axis."""
     if plane.at is None:
         return float(middle[2])
     place, radius = frame.cells.position[:, 2], frame.cells.radius

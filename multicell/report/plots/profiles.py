@@ -37,8 +37,6 @@ def profiles(frame: Frame, scene: Scene) -> Figure:
     """Draw concentrations, or pressure without fields, and states against the radius.
 
     Where there is more than one cell type the lower part shows types instead of states.
-
-    Raises ValueError if the frame has no cells.
     """
     middle = centre(frame.cells, scene.dimensions)
     # shells about a cell wide, but never so few that a profile cannot be seen

@@ -26,13 +26,7 @@ _REACH: Final = 4.0
 
 @styled
 def response_curves(scene: Scene) -> Figure:
-    """Draw a panel for each behaviour and signal, with a curve for each response.
-
-    Raises
-    ------
-    ValueError
-        If nothing responds to a single signal, or there are too many to draw.
-    """
+    """Draw a panel for each behaviour and signal, with a curve for each response."""
     panels: dict[tuple[str, str], list[Effect]] = {}
     for effect in effects(scene):
         if len(effect.signals) == 1 and not isinstance(effect.law, Constant):

@@ -59,9 +59,6 @@ def section(
     - ``lineage``: table of all cells that ever were, for the colours of clones
     - ``half``: half the height of the window, µm; absent: as the cells need it
     - ``limits``: range of the colours of a quantity; absent: that of the cells
-
-    Raises ValueError if the frame has no cells; OutputError if the plane cuts no cell, or the
-    colour is none.
     """
     dimensions, where = scene.dimensions, plane or Plane()
     if dimensions == 2 and where.axis != "z":
@@ -210,10 +207,7 @@ def draw_discs(
 
 
 def slice_at(field: Field, z: float) -> FloatArray:
-    """Return the field on the plane at height z (µm), interpolated linearly: (nx, ny).
-
-    Raises ValueError if the plane lies outside the grid.
-    """
+    """Return the field on the plane at height z (µm), interpolated linearly: (nx, ny)."""
     if field.kind == "radial":
         field = field.in_plane(z)
     if field.values.shape[2] == 1:

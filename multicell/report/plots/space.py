@@ -43,9 +43,6 @@ def space(
     - ``view``: direction and cut; absent: a quarter is cut away and opens to the eye
     - ``colour``, ``lineage``, ``half``, ``limits``: as for
       :func:`multicell.report.plots.section.section`
-
-    Raises ValueError if the frame has no cells; OutputError if the cells lie in a plane, or the
-    colour is none.
     """
     view = view or View()
     shade = _shades(frame, scene, colour, lineage, limits)

@@ -164,10 +164,7 @@ PICTURES: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, SVG or PDF, as its file's name ends.
-
-    Raises OutputError if the file cannot be written, or its name ends otherwise.
-    """
+    """Write a figure as PNG, SVG or PDF, as its file's name ends."""
     format = PICTURES.get(path.suffix.lower())
     if format is None:
         raise OutputError(f"'{path}' is no picture: its name must end in {', '.join(PICTURES)}")

@@ -227,10 +227,7 @@ def scatter_text(mean: float, sd: float) -> tuple[str, str]:
 
 
 def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> xr.Dataset:
-    """Return the part of a grid at given values of some axes, the nearest there are.
-
-    Raises SceneError for an axis or a word that is not there.
-    """
+    """Return the part of a grid at given values of some axes, the nearest there are."""
     for name, wanted in fixed.items():
         axis_named(table, name)
         table = table.isel({name: nearest(table, name, wanted)})
@@ -238,10 +235,7 @@ def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> xr.Dataset:
 
 
 def nearest(table: xr.Dataset, name: str, wanted: Any) -> int:
-    """Return the place of the value of an axis that is nearest to a number, or is a word.
-
-    Raises SceneError for a word that is not there.
-    """
+    """Return the place of the value of an axis that is nearest to a number, or is a word."""
     values = table[name].values
     if values.dtype.kind in "fiu":
         return int(np.abs(values - float(wanted)).argmin())

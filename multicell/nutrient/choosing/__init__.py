@@ -1,1 +1,0 @@
-"""Choosing grid, geometry and regime of a field by estimated errors."""
