@@ -38,13 +38,14 @@ class ResponseLaw(ABC):
 @final
 @dataclass(frozen=True)
 class Monod(ResponseLaw):
-    """s / (half + s); falling half / (half + s)."""
+    """s / (half + s); falling half / (half + s); what is below zero (tension) counts as zero."""
 
     half: float
 
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
         """Return the share."""
-        return (self.half if falls else signal) / (self.half + signal)
+        above = np.maximum(signal, 0.0)
+        return (self.half if falls else above) / (self.half + above)
 
     @property
     def middle(self) -> float:

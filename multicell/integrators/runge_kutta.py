@@ -169,7 +169,7 @@ class AdaptiveRungeKutta4(_Adaptive):
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "rk4-adaptive", "explicit Runge-Kutta of order 4 under error control", "tolerance",
-        order=4, colour="#d65f9c", marker=">", atol=0.01,
+        order=4, colour="#d6c400", marker=">", atol=0.01,
     )  # fmt: skip
     tableau: ClassVar[Tableau] = RUNGE_KUTTA_4_3
     estimate: ClassVar[float] = 4.0

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 import multicell as mc
+from multicell.behaviours import laws
 from multicell.biology.plan import biology_plan
 from multicell.biology.responding import combine, value_of
 from multicell.errors import SceneError
@@ -413,3 +414,18 @@ def test_responses_are_explained_in_sentences_and_drawn(tmp_path):
                                                            "apoptosis rate, 1/h"]  # fmt: skip
     with pytest.raises(ValueError, match="nothing to draw"):
         response_curves(scene(3))
+
+
+@pytest.mark.parametrize("falls", [False, True])
+@pytest.mark.parametrize(
+    "law",
+    [laws.Monod(0.01), laws.Hill(0.01, 3.0), laws.Threshold(0.01), laws.Linear(0.0, 0.02)],
+    ids=lambda law: type(law).__name__,
+)
+def test_shares_stay_between_none_and_all_under_tension(law, falls):
+    """Pressure is below zero in tension, and may be the half value with the other sign."""
+    signal = np.array([-1e9, -0.011, -0.01, -0.00999999, -1e-12, 0.0, 1e-12, 0.01, 1e9])
+    share = np.asarray(law.share(signal, falls=falls), dtype=float)
+    assert ((share >= 0.0) & (share <= 1.0)).all()
+    assert (np.diff(share) <= 0.0).all() if falls else (np.diff(share) >= 0.0).all()
+    assert (share[:5] == share[5]).all()
