@@ -10,7 +10,8 @@ A quantity that cannot be negative, such as the radius of a core, has a kink whe
 the process is of a signed quantity behind it, which is the reading where that is above zero, and of
 which a reading of zero says only that it is not (Tobin 1958, Econometrica 26, 24). What such
 readings say is approximated by expectation propagation (Minka 2001, UAI 17, 362), one Gaussian
-factor each; means and variances of readings are those of the signed quantity cut off at zero.
+factor each; means and variances of readings are those of the signed quantity cut off at zero. Where
+the readings above zero leave a reading of zero no room, the white part grows until both are likely.
 
 The synthetic likelihood of the processes (:mod:`multicell.calibration.distance`) gives the next
 points that are worth a run, and with fresh runs an approximate posterior
@@ -39,6 +40,8 @@ _ABOVE: Final = 3  # readings above zero without which nothing is known of what 
 _JITTER: Final = 1e-10  # of the diagonal of covariances, in variances of the values
 _DIFFERENCE: Final = 1e-7  # step of slopes, in parts of a range
 _SWEEPS: Final = 60  # of expectation propagation, at most
+_DENIED: Final = 4.0
+"""Standard deviations above zero at which the readings around a reading of zero deny it."""
 
 Loss = Callable[[Array], Array]  # from parameters (k, d) to -2 ln L, (k,)
 Mask = NDArray[np.bool_]
@@ -204,6 +207,7 @@ def _process(points: Array, residuals: Array, numbers: NDArray[np.int64], lowest
         patterns.setdefault(column.tobytes(), []).append(k)
     groups = [np.array(group) for group in patterns.values()]
     kernel = _kernel(points, values, [(~hidden[:, group[0]], group) for group in groups])
+    kernel = _with_zeros(kernel, points, values, hidden, lowest)
     covariance = kernel(points) + _JITTER * np.eye(len(points))
     columns = []
     for group in groups:
@@ -252,6 +256,50 @@ def _kernel(points: Array, values: Array, groups: Sequence[tuple[Mask, NDArray[n
 
     found = minimize(loss, kernel.theta, jac=True, method="L-BFGS-B", bounds=kernel.bounds)
     return kernel.clone_with_theta(found.x)
+
+
+def _with_zeros(kernel: Any, points: Array, values: Array, hidden: Mask, lowest: Array) -> Any:
+    """Return a kernel whose white part is large enough for the readings of zero.
+
+    - ``points``, (k, d), ``values``, ``hidden``, (k, m), ``lowest``, (m,)
+
+    Kernels are fitted to what is seen. If that denies a zero, both would be forced through the same
+    points and expectation propagation has no solution: the white part is then the one of largest
+    likelihood of both, each zero taken for itself.
+    """
+    from scipy.linalg import cho_factor, cho_solve
+    from scipy.optimize import minimize_scalar
+    from scipy.special import log_ndtr
+
+    white, smooth = kernel.k2.noise_level, kernel.k1(points)
+    data = np.flatnonzero(hidden.any(axis=0))
+
+    def heights(white: float) -> tuple[Array, float]:
+        """Return deviations by which zeros are denied, and -ln L of all other readings."""
+        covariance = smooth + (white + _JITTER) * np.eye(len(points))
+        found, total = [], 0.0
+        for k in data:
+            zero, seen = hidden[:, k], ~hidden[:, k]
+            factor = cho_factor(covariance[np.ix_(seen, seen)], lower=True)
+            across = covariance[np.ix_(seen, zero)]
+            weights = cho_solve(factor, values[seen, k])
+            known = (across * cho_solve(factor, across)).sum(axis=0)
+            left = np.maximum(covariance[zero, zero] - known, white + _JITTER)
+            found.append((across.T @ weights - lowest[k]) / np.sqrt(left))
+            total += 0.5 * float(values[seen, k] @ weights) + np.log(np.diag(factor[0])).sum()
+        return np.concatenate(found) if found else np.zeros(0), total
+
+    if heights(white)[0].max(initial=0.0) <= _DENIED:
+        return kernel
+
+    def loss(log_white: float) -> float:
+        above, total = heights(float(np.exp(log_white)))
+        return total - float(log_ndtr(-above).sum())
+
+    # no scatter is needed that exceeds the distance of the highest reading from zero
+    most = 2.0 * np.log(np.abs(values[:, data] - lowest[data]).max())
+    best = minimize_scalar(loss, bounds=(np.log(white), most), method="bounded").x
+    return kernel.clone_with_theta(np.append(kernel.theta[:-1], best))
 
 
 def _targets(

@@ -9,8 +9,8 @@ and of the mean of fresh runs, error of the emulator.
   largest |r| in standard deviations.
 - The predictive score is Σ ln p(y_i | y_-i) over the data, each left out once. With K = C⁻¹,
   y_i | y_-i, θ is normal with deviation (K r)_i / K_ii and variance 1 / K_ii (Bürkner, Gabry &
-  Vehtari 2021, Comput. Stat. 36, 1243); draws are weighted by 1 / p(y_i | y_-i, θ), weights
-  truncated at √S times their mean (Ionides 2008, J. Comput. Graph. Stat. 17, 295).
+  Vehtari 2021, Comput. Stat. 36, 1243); draws are weighted by 1 / p(y_i | y_-i, θ), the
+  largest weights smoothed.
 """
 
 from __future__ import annotations
@@ -95,11 +95,8 @@ class Predictive:
     def scores(self) -> Array:
         """Return ln p(y_i | y_-i) of all data, (n,)."""
         logs = self.pointwise
-        ratios = self.weights[:, None] * np.exp(logs.min(axis=0) - logs)
-        sizes = ratios / self.weights[:, None]
-        mean = self.weights @ sizes
-        ratios = np.minimum(sizes, mean * math.sqrt(len(logs))) * self.weights[:, None]
-        return np.asarray(np.log((ratios * np.exp(logs)).sum(axis=0) / ratios.sum(axis=0)))
+        weights = np.apply_along_axis(_smoothed, 0, np.log(self.weights)[:, None] - logs)
+        return np.asarray(np.log((weights * np.exp(logs)).sum(axis=0)))
 
     def log_likelihood(self, residuals: Array) -> float:
         """Return ln p(y | θ) for the m(θ) - y of some parameters, (n,); base units."""
@@ -126,6 +123,27 @@ class Predictive:
         own = np.abs(self.residuals / deviation).max(axis=1)
         other = np.abs(self._errors(seed) / deviation).max(axis=1)
         return float(chi), float(self.weights @ (other >= own))
+
+
+def _smoothed(ratios: Array) -> Array:
+    """Return the weights of draws from logarithms of their importance ratios, (S,); their sum is 1.
+
+    The largest ratios are replaced by quantiles of a Pareto distribution that is fitted to them
+    (Vehtari et al. 2024, JMLR 25, 72): one draw far out would outweigh all others.
+    """
+    from scipy.stats import genpareto
+
+    sizes = np.exp(ratios - ratios.max())
+    count = math.ceil(min(0.2 * len(sizes), 3.0 * math.sqrt(len(sizes))))
+    order = np.argsort(sizes, kind="stable")
+    largest, below = order[-count:], sizes[order[-count - 1]]
+    beyond = sizes[largest] - below
+    middle = float(np.median(beyond))
+    if middle > 0.0:  # else the datum tells no draws apart
+        shape, _, scale = genpareto.fit(beyond / middle, 0.5, floc=0.0, scale=1.0)
+        places = (np.arange(count) + 0.5) / count
+        sizes[largest] = np.minimum(below + middle * genpareto.ppf(places, shape, scale=scale), 1.0)
+    return np.asarray(sizes / sizes.sum())
 
 
 def predictive_of(fit: Fit) -> Predictive:

@@ -72,6 +72,13 @@ def test_scores_of_data_that_scatter_together_condition_on_the_others():
         )
 
 
+def test_one_draw_far_out_does_not_decide_a_score():
+    found, *_ = correlated(2000)
+    away = found.residuals.copy()
+    away[7, 3] += 7.0 / math.sqrt(found.precision[3, 3])  # a chance of e-24
+    np.testing.assert_allclose(replace(found, residuals=away).scores, found.scores, atol=0.5)
+
+
 def test_checks_are_the_probabilities_of_their_closed_forms():
     covariance = np.array([[1.0, 0.6], [0.6, 2.0]])
     off = np.array([1.2, -0.7])
