@@ -78,9 +78,10 @@ _comparing = shared.grouped(
 )
 @click.option(
     "--clock",
-    type=click.Choice(["wall", "cpu"]),
-    default="wall",
-    help="The time that judges; that of the processors suffers less from other load.",
+    type=click.Choice(["cpu", "wall"]),
+    default="cpu",
+    show_default=True,
+    help="The time that judges: of the processors, or on the wall.",
 )
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
 @_seconds("--patience", "Longest solve in s.", default=10.0)

@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.comparison.files import Row
+from multicell.host.extras import needs
 from multicell.results.folder import file_errors, write_text
 from multicell.scene.scene import Scene
 from multicell.tables.text import table_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 Pictures = dict[str, tuple[Callable[[], "Figure"], str]]
 """Name of a file -> the function that draws it, and its caption."""
@@ -58,6 +60,21 @@ class Comparison(ABC):
     def with_values(self, **values: Any) -> list[Row]:
         """Return the rows of the table whose columns have these values."""
         return [row for row in self.table if all(row[key] == x for key, x in values.items())]
+
+    def to_pandas(self) -> DataFrame:
+        """Return the table; its ``attrs`` are the facts about the problem.
+
+        Raises
+        ------
+        MissingPackage
+            If pandas is not installed.
+        """
+        needs("pandas")
+        from pandas import DataFrame
+
+        table = DataFrame(self.table)
+        table.attrs = dict(self.facts)
+        return table
 
     def to_csv(self) -> str:
         """Return the table as CSV; NaN is written as ``nan``."""

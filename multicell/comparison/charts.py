@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from multicell.comparison import panels
-from multicell.comparison.norms import NORMS
 from multicell.comparison.styles import Style, appearance, points
 from multicell.report.plots.style import QUIET, RED, blank, styled
 from multicell.report.wording import cell_count, time_unit
@@ -58,7 +57,7 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
     for cost, span in zip(costs, spans, strict=True):
         width = decade * panels.decades(span)
         place = (left / _WIDTH, base / tall, width / _WIDTH, height / tall)
-        axes = figure.add_axes(place, label=f"{norm} {'cost' if cost == 'cost' else 'wall'}")
+        axes = figure.add_axes(place, label=f"{norm} {'cost' if cost == 'cost' else 'time'}")
         _panel(axes, result, norm, cost, (span, errors), styles)
         if not axes.lines:
             axes.text(0.5, 0.5, "no error above zero", transform=axes.transAxes, **_NOTE)
@@ -82,7 +81,8 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
 def norms(result: WorkPrecision) -> Figure:
     """Draw error over time in every norm."""
     columns = 3
-    rows = -(-len(NORMS) // columns)
+    measured = result.measures()
+    rows = -(-len(measured) // columns)
     first, step = (1.45 if result.stepwise else 1.3), 3.75
     tall = first - 0.3 + step * rows
     left_open = "every norm; grey: uncertainty of the reference"
@@ -90,16 +90,16 @@ def norms(result: WorkPrecision) -> Figure:
         left_open = f"grey: uncertainty of the reference; yellow: {_floor(result.conditioning)}"
     figure = _comparison_figure(result, left_open, tall)
     styles = appearance(result)
-    every = (point for name in NORMS for point in points(result, name, result.clock))
+    every = (point for name in measured for point in points(result, name, result.clock))
     span = panels.log_range(end for point in every for end in (point.shortest, point.longest))
-    for k, (name, norm) in enumerate(NORMS.items()):
+    for k, (name, norm) in enumerate(measured.items()):
         row, column = divmod(k, columns)
         errors = panels.log_range(point.error for point in points(result, name, result.clock))
         decade = min(1.9 / panels.decades(span), 2.75 / panels.decades(errors))
         width, height = decade * panels.decades(span), decade * panels.decades(errors)
         left, base = 0.7 + 2.62 * column, tall - first - step * row - height
         place = (left / _WIDTH, base / tall, width / _WIDTH, height / tall)
-        axes = figure.add_axes(place, label=f"{name} wall")
+        axes = figure.add_axes(place, label=f"{name} time")
         _panel(axes, result, name, result.clock, (span, errors), styles, size=3.5)
         if width < _NARROW:
             axes.xaxis.set_major_locator(LogLocator(100.0))

@@ -17,7 +17,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.comparison.files import Row
-from multicell.comparison.norms import Observed, displacements, errors
+from multicell.comparison.norms import Norm, Observed, displacements, errors
 from multicell.comparison.replay import Problem
 from multicell.integrators import shift as online
 
@@ -102,14 +102,19 @@ def shift_starts(problem: Problem, shift: float) -> Problem:
 
 
 def conditioning_of(
-    problem: Problem, shift: float, found: Observed, exact: Observed
+    problem: Problem,
+    shift: float,
+    found: Observed,
+    exact: Observed,
+    norms: Mapping[str, Norm] | None = None,
 ) -> Conditioning:
     """Return the conditioning of the steps of a problem.
 
     - ``shift``: see :func:`shift_starts`
     - ``found``, ``exact``: what is compared of the ends from shifted positions, and of those of the
       reference
+    - ``norms``: of the floor, by default :data:`multicell.comparison.norms.NORMS`
     """
     begin = np.array([step.motion.begin for step in problem.steps])
     rms, worst = displacements(found.positions, exact.positions)
-    return Conditioning(shift, begin, rms, worst, errors(problem, found, exact))
+    return Conditioning(shift, begin, rms, worst, errors(problem, found, exact, norms))

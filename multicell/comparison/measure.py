@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 
 from multicell.comparison.files import DONE, FAILED, SKIPPED, Row
 from multicell.comparison.ladders import Method, weighted_cost
-from multicell.comparison.norms import WORST_CELL, errors, no_errors, observe
+from multicell.comparison.norms import WORST_CELL, errors, observe
 from multicell.comparison.reference import Reference
 from multicell.comparison.replay import Problem, Trajectory, replay, solve_compiled
 from multicell.mechanics.motion import Work
@@ -102,7 +102,7 @@ def climb(
         return Rung(row, foreseen, reserved - lost)
 
     def skip(setting: float, words: str) -> Row:
-        return _row(method, setting, SKIPPED, words=words)
+        return _row(method, setting, exact, SKIPPED, words=words)
 
     # a point takes two solves at least
     rows, spent = climb_ladder(ladder, effort, measure, skip, solves=2)
@@ -175,22 +175,23 @@ def _solve_row(
 ) -> Row:
     """Return the row of a solve; one that succeeded is timed."""
     if not found.done:
-        return _row(method, setting, FAILED, words=found.problem, spent=found.wall)
+        return _row(method, setting, exact, FAILED, words=found.problem, spent=found.wall)
     problem, solver = exact.problem, method.make(setting)
     # that solve has compiled the kernels and filled the caches; if it was short another warms up
     if found.wall < effort.share:
         replay(problem, solver)
     timed = replay(problem, solver)
     return _row(
-        method, setting, DONE, **_times([(timed.wall, timed.cpu)]), spent=found.wall,
+        method, setting, exact, DONE, **_times([(timed.wall, timed.cpu)]), spent=found.wall,
         cost=weighted_cost(found.work), **vars(found.work),
-        **_columns(errors(problem, observe(problem, found), exact.observed), exact),
+        **_columns(errors(problem, observe(problem, found), exact.observed, exact.norms), exact),
     )  # fmt: skip
 
 
-def _row(method: Method, setting: float, status: str, **known: Any) -> Row:
+def _row(method: Method, setting: float, exact: Reference, status: str, **known: Any) -> Row:
     """Return one row of the table; what is not known is NaN."""
-    unknown = (*_times([(0.0, 0.0)]), "spent", *_columns(no_errors()), "cost", *vars(Work()))
+    unmeasured = _columns(dict.fromkeys(exact.norms, math.nan), exact)
+    unknown = (*_times([(0.0, 0.0)]), "spent", *unmeasured, "cost", *vars(Work()))
     first = {"method": method.name, "control": method.control, "setting": setting}
     return {**first, "status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
 
@@ -203,10 +204,9 @@ def _times(repeats: Sequence[tuple[float, float]]) -> dict[str, float]:
     return {clock: min(times) for clock, times in found.items()} | middle | longest
 
 
-def _columns(errors: Mapping[str, float], exact: Reference | None = None) -> dict[str, float]:
+def _columns(errors: Mapping[str, float], exact: Reference) -> dict[str, float]:
     """Return the errors as columns; that of the worst cell in mean radii, in µm and in shifts."""
-    radius = math.nan if exact is None else exact.problem.mean_radius
-    known = None if exact is None else exact.conditioning
+    radius, known = exact.problem.mean_radius, exact.conditioning
     floor = math.nan if known is None else known.floor["worst_cell_median"]
     return {
         **{f"error_{norm}": value for norm, value in errors.items()},

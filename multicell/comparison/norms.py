@@ -9,7 +9,7 @@ of the worst cell is given as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -17,6 +17,10 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.comparison.replay import Problem, Trajectory
+from multicell.errors import SceneError
+
+Metric = Callable[[FloatArray], float]
+"""A quantity of the user's own: positions of all cells, (n, 3) µm -> a number in any unit."""
 
 _ENERGIES = 100  # common times at which the energy is taken
 _CELLS = 1500  # cells among which distances are taken
@@ -61,7 +65,7 @@ class Norm:
     - ``name``, str: name in tables (``error_<name>``)
     - ``quantity``, str: what is compared
     - ``moment``, str: where: ``"worst"``, ``"median"`` or ``"last"`` of the common times or steps
-    - ``scale``, str: what the difference is divided by
+    - ``scale``, str: what the difference is divided by; empty: nothing
     - ``measure``, callable: observed, exact, mean radius in µm -> error
     """
 
@@ -73,7 +77,8 @@ class Norm:
 
     def words(self, stepwise: bool = False) -> str:
         """Return what is measured, of a whole run or of single coupling steps."""
-        return f"{self.quantity}, {_MOMENTS[self.moment][stepwise]} / {self.scale}"
+        where = f"{self.quantity}, {_MOMENTS[self.moment][stepwise]}"
+        return f"{where} / {self.scale}" if self.scale else where
 
     def title(self, stepwise: bool = False) -> str:
         """Return the same in a few words."""
@@ -91,15 +96,37 @@ def observe(problem: Problem, trajectory: Trajectory) -> Observed:
     )
 
 
-def errors(problem: Problem, found: Observed, exact: Observed) -> dict[str, float]:
-    """Return the error of ``found`` in every norm of :data:`NORMS`, all dimensionless."""
+def errors(
+    problem: Problem, found: Observed, exact: Observed, norms: Mapping[str, Norm] | None = None
+) -> dict[str, float]:
+    """Return the error of ``found`` in every norm, by default in all of :data:`NORMS`."""
     radius = problem.mean_radius
-    return {name: norm.measure(found, exact, radius) for name, norm in NORMS.items()}
+    return {name: norm.measure(found, exact, radius) for name, norm in (norms or NORMS).items()}
 
 
-def no_errors() -> dict[str, float]:
-    """Return the errors of a solve that failed: NaN in every norm."""
-    return dict.fromkeys(NORMS, float("nan"))
+def norms_with(metrics: Mapping[str, Metric] | None) -> dict[str, Norm]:
+    """Return :data:`NORMS`, and one of the user's own for each metric.
+
+    Raises SceneError for a name that is no identifier or that a norm has.
+    """
+    own = {}
+    for name, metric in (metrics or {}).items():
+        if not name.isidentifier() or name in NORMS:
+            problem = "is the name of a norm" if name in NORMS else "is no identifier"
+            raise SceneError(f"metrics.{name}", problem)
+        own[name] = described(name, metric)
+    return NORMS | own
+
+
+def described(name: str, metric: Metric | None = None) -> Norm:
+    """Return the norm of a user's own metric; without the metric it only has words."""
+
+    def measure(found: Observed, exact: Observed, radius: float) -> float:
+        assert metric is not None
+        pairs = zip(found.positions, exact.positions, strict=True)
+        return max(abs(float(metric(a)) - float(metric(b))) for a, b in pairs)
+
+    return Norm(name, name.replace("_", " "), "worst", "", measure)
 
 
 def gyration(position: FloatArray) -> float:

@@ -9,8 +9,8 @@ single coupling steps the conditioning is part of the reference
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -18,7 +18,7 @@ from multicell.cells import Cells
 from multicell.comparison import cache as reference_cache
 from multicell.comparison.conditioning import SHIFT, Conditioning, conditioning_of, shift_starts
 from multicell.comparison.ladders import Method, find_method
-from multicell.comparison.norms import Observed, errors, observe
+from multicell.comparison.norms import NORMS, Norm, Observed, errors, observe
 from multicell.comparison.record import record
 from multicell.comparison.replay import Problem, Trajectory, replay
 from multicell.errors import StepFailed
@@ -49,6 +49,7 @@ class Reference:
     - ``cached``, bool: whether it comes from the cache
     - ``conditioning``, Conditioning or None: what a shift at the beginning of each coupling step
       does to its end; None of a whole run, or if it was not asked for
+    - ``norms``, name -> Norm: in which errors are measured
     """
 
     problem: Problem
@@ -59,6 +60,7 @@ class Reference:
     words: str
     cached: bool
     conditioning: Conditioning | None = None
+    norms: Mapping[str, Norm] = field(default_factory=lambda: NORMS)
 
 
 def reference(
@@ -69,6 +71,7 @@ def reference(
     shift: float = SHIFT,
     cells: Cells | None = None,
     cache: str | Path | bool = True,
+    norms: Mapping[str, Norm] = NORMS,
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Reference:
@@ -86,6 +89,8 @@ def reference(
     - ``cells``: cells to start from instead of the scene's initial ones
     - ``cache``: folder of the cache; True for that of the user
       (:func:`multicell.comparison.cache.cache_folder`), False for none
+    - ``norms``: in which errors are measured; a reference with a norm of the user's own is not
+      kept, since what it measures has no name
     - ``threads``: see :class:`multicell.simulation.Simulation`
     - ``progress``: called with a few words about what is being done
 
@@ -93,6 +98,7 @@ def reference(
     written.
     """
     tell = progress or (lambda _: None)
+    cache = cache if norms.keys() == NORMS.keys() else False
     unsolved = unsolved_problem(scene, cells, threads)
     shift = 0.0 if stepwise is None else shift
     recording = {"samples": stepwise, "cells": cells, "threads": threads}
@@ -111,7 +117,7 @@ def reference(
                 name, tolerance = _RECORDED
                 leading = find_method(name, scene, unsolved.mean_radius)
                 sampled = _record(unsolved, leading, tolerance, recording, tell)
-            solved = _solve(unsolved, chosen, sampled, shift, recording, tell)
+            solved = _solve(unsolved, chosen, sampled, shift, norms, recording, tell)
         except StepFailed as error:
             if k + 1 == len(pairs):
                 raise
@@ -206,6 +212,7 @@ def _solve(
     pair: Pair,
     sampled: tuple[Problem, Trajectory] | None,
     shift: float,
+    norms: Mapping[str, Norm],
     recording: dict[str, Any],
     tell: Callable[[str], None],
 ) -> Reference:
@@ -220,16 +227,17 @@ def _solve(
         wall = run.wall + found.wall
     observed = observe(problem, found)
     check = _replay(problem, checking, other, "check of the reference", tell)
-    uncertainty = errors(problem, observe(problem, check), observed)
+    uncertainty = errors(problem, observe(problem, check), observed, norms)
     conditioning = None
     if shift > 0.0:
         moved = shift_starts(problem, shift)
         ends = _replay(moved, method, setting, f"reference after a shift of {shift:g} um", tell)
-        conditioning = conditioning_of(problem, shift, observe(problem, ends), observed)
+        conditioning = conditioning_of(problem, shift, observe(problem, ends), observed, norms)
     text = f"{method.name} at {setting:g}, checked by {checking.name} at {other:g}"
     return Reference(
-        problem, found, observed, uncertainty, wall, text, cached=False, conditioning=conditioning
-    )
+        problem, found, observed, uncertainty, wall, text, cached=False, conditioning=conditioning,
+        norms=norms,
+    )  # fmt: skip
 
 
 def _record(

@@ -14,8 +14,9 @@ import numpy as np
 from multicell.comparison.base import Comparison, Pictures
 from multicell.comparison.conditioning import Conditioning
 from multicell.comparison.files import DONE, FAILED, Row
-from multicell.comparison.norms import NORMS, WORST_CELL
+from multicell.comparison.norms import NORMS, WORST_CELL, Norm, described
 from multicell.errors import OutputError
+from multicell.host.extras import needs
 from multicell.results.documents import read_table, write_table
 from multicell.results.folder import to_json
 from multicell.results.records import parse_table
@@ -23,6 +24,7 @@ from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from xarray import Dataset
 
 
 FILES: Final = (
@@ -166,7 +168,11 @@ class WorkPrecision(Comparison):
     @property
     def norms(self) -> dict[str, str]:
         """Name of each norm -> what it measures here."""
-        return {name: norm.words(self.stepwise) for name, norm in NORMS.items()}
+        return {name: norm.words(self.stepwise) for name, norm in self.measures().items()}
+
+    def measures(self) -> dict[str, Norm]:
+        """Return all norms of the table by their names, those of the user's own among them."""
+        return NORMS | {name: described(name) for name in self.facts.get("metrics", ())}
 
     @property
     def methods(self) -> list[str]:
@@ -248,6 +254,24 @@ class WorkPrecision(Comparison):
         s, e = np.log(np.array(points)).T
         return float(np.polyfit(s, e, 1)[0])
 
+    def to_xarray(self) -> Dataset:
+        """Return all numbers of the table along ``integrator`` and ``rung``, from coarse to fine.
+
+        The method is not called so here, since ``sel`` of xarray has an option of that name.
+
+        Raises
+        ------
+        MissingPackage
+            If xarray is not installed.
+        """
+        needs("xarray")
+        table = self.to_pandas().drop(columns=["control", "words", "mode"], errors="ignore")
+        table = table.rename(columns={"method": "integrator"})
+        table["rung"] = table.groupby("integrator", sort=False).cumcount()
+        found: Dataset = table.set_index(["integrator", "rung"]).to_xarray()
+        plain = {k: v for k, v in table.attrs.items() if isinstance(v, (int, float, str))}
+        return found.assign_attrs(plain)
+
     def figure(self, norm: str = "position") -> Figure:
         """Draw error over time and over evaluations; failures as crosses on top."""
         from multicell.comparison.charts import workprecision
@@ -286,8 +310,8 @@ class WorkPrecision(Comparison):
         return context(self)
 
     def _check(self, norm: str) -> None:
-        if norm not in NORMS:
-            raise ValueError(f"there is no norm {norm!r}: choose from {', '.join(NORMS)}")
+        if norm not in self.uncertainty:
+            raise ValueError(f"there is no norm {norm!r}: choose from {', '.join(self.norms)}")
 
 
 def _rows_from(table: Sequence[Row]) -> list[Row]:

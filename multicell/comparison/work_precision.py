@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from multicell.comparison.ladders import (
     stiffness,
 )
 from multicell.comparison.measure import Effort, TimedPoint, climb, time_again
+from multicell.comparison.norms import Metric, norms_with
 from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, method_pair, reference, unsolved_problem
 from multicell.comparison.result import FILES, WorkPrecision
@@ -38,7 +39,8 @@ def compare(
     *,
     stepwise: bool | int = False,
     shift: float | str = SHIFT,
-    clock: str = "wall",
+    clock: str = "cpu",
+    metrics: Mapping[str, Metric] | None = None,
     cells: Cells | None = None,
     references: Sequence[tuple[str, float] | tuple[Method, float]] | None = None,
     cache: str | Path | bool = True,
@@ -79,8 +81,12 @@ def compare(
         are (:mod:`multicell.comparison.conditioning`): root mean square of each coordinate, in
         µm or with a unit; 0 to leave it out. A whole run has none.
     clock
-        Which time judges: ``"wall"``, or ``"cpu"`` for that of the processors, which other load
-        on the machine disturbs less. Both are measured.
+        Which time judges: ``"cpu"``, that of the processors, or ``"wall"``, which other load on
+        the machine disturbs more. Both are measured.
+    metrics
+        Name -> function of the positions of all cells, (n, 3) µm, that returns a number in any
+        unit. Its error is the largest difference from the reference over the common times or
+        steps; the name serves as a norm of the result. The reference is then not cached.
     cells
         Cells to start from instead of the scene's initial ones.
     references
@@ -124,6 +130,7 @@ def compare(
     if moved < 0.0:
         raise SceneError("shift", f"is {shift!r}, must be 0 um or more")
     tell = progress or (lambda _: None)
+    norms = norms_with(metrics)
     radius = unsolved_problem(described, cells, threads).mean_radius
     asked = capable_methods(described) if methods is None else methods
     chosen = select_methods(asked, described, radius)
@@ -132,7 +139,7 @@ def compare(
     prepare(output, FILES, overwrite)
     exact = reference(
         described, pair=pair, stepwise=count, shift=moved, cells=cells, cache=cache,
-        threads=threads, progress=tell,
+        norms=norms, threads=threads, progress=tell,
     )  # fmt: skip
     decay = stiffness(exact.problem, exact.trajectory)
     left = max(60.0, 10.0 * exact.wall) if budget is None else budget
@@ -149,6 +156,8 @@ def compare(
     time_again(again, exact.problem, repeats)
     named = [] if methods is None else [method.name for method in chosen]
     facts = {**_facts(exact, decay), "looks": unregistered_styles(chosen), "named": named}
+    if metrics:
+        facts["metrics"] = list(metrics)
     result = WorkPrecision(described, table, exact.uncertainty, facts, clock, exact.conditioning)
     if output is not None:
         result.save(output)

@@ -62,7 +62,7 @@ class RunTable:
                 return dict(row)
         raise KeyError(f"no row has {where}")
 
-    def to_dataframe(self) -> pandas.DataFrame:
+    def to_pandas(self) -> pandas.DataFrame:
         """Return the rows as a ``DataFrame``; its ``attrs`` are the facts."""
         needs("pandas")
         import pandas

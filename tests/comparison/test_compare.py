@@ -30,6 +30,7 @@ from multicell.comparison.norms import NORMS, errors, observe, pair_distances
 from multicell.comparison.record import record
 from multicell.comparison.reference import method_pair, reference
 from multicell.comparison.replay import Trajectory, replay
+from multicell.comparison.result import WorkPrecision
 from multicell.comparison.work_precision import compare
 from multicell.integrators.base import Outcome
 from multicell.integrators.registry import METHODS
@@ -184,17 +185,17 @@ def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
 def test_the_curves_are_those_of_the_table(failing):
     figure = failing.figure("position_final")
     axes = {a.get_label(): a for a in figure.axes}
-    for cost in ("wall", "cost"):
+    for cost, label in (("cpu", "time"), ("cost", "cost")):
         (line,) = (
-            line for line in axes[f"position_final {cost}"].lines if line.get_label() == "fragile"
+            line for line in axes[f"position_final {label}"].lines if line.get_label() == "fragile"
         )
         row = only(failing, method="fragile", setting=1.0)
         assert line.get_xdata() == pytest.approx([row[cost]])
         assert line.get_ydata() == pytest.approx([row["error_position_final"]])
-    band = next(p for p in axes["position_final wall"].patches if p.get_label() == "_uncertainty")
+    band = next(p for p in axes["position_final time"].patches if p.get_label() == "_uncertainty")
     top = max(band.get_path().transformed(band.get_patch_transform()).vertices[:, 1])
     assert top == pytest.approx(failing.uncertainty["position_final"])
-    assert {f"{norm} wall" for norm in NORMS} <= {
+    assert {f"{norm} time" for norm in NORMS} <= {
         a.get_label() for a in failing.norms_figure().axes
     }
 
@@ -209,7 +210,7 @@ def test_the_fastest_is_the_least_time_of_those_that_reach_the_error(failing):
     times = {"exact": 3.0, "fragile": 1.0}
     for row in failing.table:
         if row["status"] == "done":
-            row["wall"] = times[row["method"]] + row["setting"]
+            row["cpu"] = times[row["method"]] + row["setting"]
     slack = failing.uncertainty["position"]
     assert failing.fastest(0.01)["method"] == "fragile"
     assert failing.fastest(slack + 0.009 / RADIUS)["method"] == "exact"
@@ -439,3 +440,43 @@ def test_what_is_compiled_at_a_finer_setting_is_not_held_against_the_method():
     assert late.called > 20
     assert [row["status"] for row in result.table] == ["done"] * 4
     assert all(row["spent"] < 0.25 for row in result.table)
+
+
+# what is handed on
+
+
+def test_a_metric_of_ones_own_is_a_norm():
+    """The cells of a pair are drawn apart by a known length; their centre stays."""
+    metrics = {
+        "centre": lambda x: float(np.linalg.norm(x.mean(axis=0))),
+        "gap": lambda x: 2.0 * float(np.linalg.norm(x[0] - x[1])),
+    }
+    method = step_method(lambda s: Planted(apart=s))
+    result = compared([method], [0.1, 0.01, 0.001], metrics=metrics)
+    for row, length in zip(result.table, (0.1, 0.01, 0.001), strict=True):
+        assert row["error_centre"] == pytest.approx(0.0, abs=1e-12)
+        assert row["error_gap"] == pytest.approx(2.0 * length, rel=1e-6)
+    assert result.order(method.name, "gap") == pytest.approx(1.0)
+    assert result.norms["gap"] == "gap, largest over the common times"
+    assert len(result.norms_figure().axes) == len(NORMS) + len(metrics)
+    again = WorkPrecision.from_json(result.to_json())
+    assert again.fastest(0.03, "gap")["error_gap"] <= 0.03
+
+
+@pytest.mark.parametrize(("name", "why"), [("energy", "name of a norm"), ("a b", "no identifier")])
+def test_wrong_names_of_metrics_are_refused(name, why):
+    with pytest.raises(SceneError, match=f"metrics.{name}: is .*{why}"):
+        compared([EXACT], [1.0], metrics={name: np.sum})
+
+
+def test_tables_are_handed_out_with_their_columns():
+    result = compared([EXACT, step_method(lambda s: Planted(shift=s), "off")], [2.0, 1.0])
+    table = result.to_pandas()
+    assert list(table.columns) == list(result.table[0])
+    assert table["setting"].tolist() == [2.0, 1.0, 2.0, 1.0]
+    assert table.attrs["mode"] == "whole run"
+    data = result.to_xarray()
+    assert dict(data.sizes) == {"integrator": 2, "rung": 2}
+    off = data["error_position"].sel(integrator="off").values
+    np.testing.assert_array_equal(off, [row["error_position"] for row in result.rows("off")])
+    assert data.attrs["coupling_steps"] == result.facts["coupling_steps"]

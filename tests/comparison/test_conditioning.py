@@ -221,7 +221,7 @@ def test_an_error_is_judged_by_what_a_shift_does(judged):
 def test_the_chart_draws_the_floor_with_its_words(judged):
     for norm in ("position", "worst_cell", "worst_cell_median"):
         figure = judged.figure(norm)
-        for axes in (a for a in figure.axes if a.get_label() in (f"{norm} wall", f"{norm} cost")):
+        for axes in (a for a in figure.axes if a.get_label() in (f"{norm} time", f"{norm} cost")):
             (band,) = (p for p in axes.patches if p.get_label() == "_floor")
             corners = band.get_path().transformed(band.get_patch_transform()).vertices
             assert max(corners[:, 1]) == pytest.approx(judged.conditioning.floor[norm])

@@ -150,7 +150,7 @@ def test_a_result_comes_back_from_its_json(failing):
     assert again.to_csv() == failing.to_csv()
     assert again.uncertainty == failing.uncertainty
     assert again.scene == failing.scene
-    assert (again.clock, again.stepwise) == ("wall", True)
+    assert (again.clock, again.stepwise) == ("cpu", True)
     assert again.within(0.01).keys() == failing.within(0.01).keys()
 
 

@@ -129,7 +129,7 @@ def test_runs_are_used_again(tmp_path, here):
     same = both.row(key="cells.division_radius")
     assert same == pytest.approx(one.row(), nan_ok=True)
     assert both.row(key="cells.young")["derivative"] == 0.0
-    assert both.to_dataframe()["key"].tolist() == ["cells.division_radius", "cells.young"]
+    assert both.to_pandas()["key"].tolist() == ["cells.division_radius", "cells.young"]
     assert "elasticity" in both.text()
     assert both.to_csv().count("\n") == 3
 
