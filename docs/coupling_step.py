@@ -205,7 +205,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--results", type=Path, default=HERE / "chart-data")
     parser.add_argument("--figures", type=Path, default=HERE / "figures")
-    parser.add_argument("--page", type=Path, default=HERE / "which-integrator.md")
+    parser.add_argument("--page", type=Path, default=HERE / "theory" / "coupling.md")
     given = parser.parse_args()
     path = given.results / "coupling-step.csv"
     if given.tables:

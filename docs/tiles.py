@@ -31,6 +31,7 @@ from tile_picture import draw
 from tile_problems import GOALS, STATES, Solved, Tile, solved
 from tile_race import DEFAULT, REACHED, Row, race
 from tile_tables import again_table, defaults_table, main_table, states_table
+from which_integrator_tables import replaced
 
 from multicell.comparison.ladders import find_method
 from multicell.comparison.null_methods import NULL_METHODS
@@ -275,18 +276,10 @@ def show(given: argparse.Namespace) -> None:
         end = "" if goal == GOALS[0] else "-fine"
         draw(*first, goal).savefig(given.figures / f"tiles{end}.png", dpi=150)
     if given.page is not None:
-        fill(given.page, pages)
-
-
-def fill(page: Path, tables: dict[str, str]) -> None:
-    """Put tables between the markers of a page that name them."""
-    text = page.read_text(encoding="utf-8")
-    for name, table in tables.items():
-        begin, end = f"<!-- {name}: made by a script -->", f"<!-- end of {name} -->"
-        if begin in text:
-            before, _, rest = text.partition(begin)
-            text = f"{before}{begin}\n\n{table}\n\n{end}{rest.partition(end)[2]}"
-    page.write_text(text, encoding="utf-8")
+        page = given.page.read_text(encoding="utf-8")
+        for name, text in pages.items():
+            page = replaced(page, name, text)
+        given.page.write_text(page, encoding="utf-8")
 
 
 def parser() -> argparse.ArgumentParser:

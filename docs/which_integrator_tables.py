@@ -9,10 +9,8 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from statistics import median
 from typing import final
 
-from multicell.comparison.files import CLOCKS
 from multicell.comparison.result import DONE, WorkPrecision
 from multicell.integrators.registry import METHODS
 
@@ -20,9 +18,6 @@ Goal = tuple[float, str]
 """An error, and the norm in which it is to be reached."""
 
 ERRORS = {1e-2: "1 %", 1e-3: "0.1 %"}
-DEFAULTS = "sundials-defaults"
-SHOWN = ("auto", "cvode", "rosenbrock", "rkc2", "dopri5", "euler", DEFAULTS)
-"""Methods whose time over that of the fastest is told."""
 
 
 @final
@@ -36,15 +31,13 @@ class Entry:
     took: float
 
     @property
-    def norms(self) -> dict[str, str]:
-        """The norms that judge -> what they are called in the tables.
+    def norm(self) -> str:
+        """The norm that judges: root mean square over the cells.
 
         Where single steps are compared the worst one may be decided by one contact that forms
         or not; the median step is the typical one.
         """
-        if self.result.stepwise:
-            return {"position_median": "mean", "worst_cell_median": "worst cell"}
-        return {"position": "mean", "worst_cell": "worst cell"}
+        return "position_median" if self.result.stepwise else "position"
 
     @property
     def stiffness(self) -> float:
@@ -102,32 +95,23 @@ def shown(seconds: float) -> str:
     return f"{seconds:.3g} s" if seconds >= 1.0 else f"{1e3 * seconds:.3g} ms"
 
 
-def fastest_table(entries: list[Entry], error: float) -> str:
-    """Return the table of one error: the fastest methods, and others over the fastest."""
-    names = ["defaults" if name == DEFAULTS else f"`{name}`" for name in SHOWN]
-    head = ["scene", "λΔt", "error of", "fastest explicit", "fastest implicit", *names]
+def scenes_table(entries: list[Entry]) -> str:
+    """Return the fastest method of each kind for each error, and ``auto`` over the best."""
+    head = ["scene", "λΔt"]
+    for text in ERRORS.values():
+        head += [f"explicit, {text}", f"implicit, {text}", f"`auto` / best, {text}"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += [
-        f"| {' | '.join(line(entry, (error, norm)))} |" for entry in entries for norm in entry.norms
-    ]
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"| {' | '.join(line(entry))} |" for entry in entries)])
 
 
-def line(entry: Entry, goal: Goal) -> list[str]:
+def line(entry: Entry) -> list[str]:
     """Return the cells of one line of the table."""
-    times = entry.times(goal)
-    least = own(times)
-    ratios = [f"{times[name] / least:.2g}" if name in times else "–" for name in SHOWN]
-    known = entry.result.conditioning
-    lost = known is not None and known.floor[goal[1]] > goal[0]
-    return [
-        f"[{entry.name}](figures/compare-{entry.slug}.png)",
-        f"{entry.stiffness:,.0f}",
-        f"{entry.norms[goal[1]]}{' †' if lost else ''}",
-        first_of(times, "explicit"),
-        first_of(times, "implicit"),
-        *ratios,
-    ]
+    cells = [f"[{entry.name}](figures/compare-{entry.slug}.png)", f"{entry.stiffness:,.0f}"]
+    for error in ERRORS:
+        times = entry.times((error, entry.norm))
+        ratio = f"{times['auto'] / own(times):.2g}" if "auto" in times else "–"
+        cells += [first_of(times, "explicit"), first_of(times, "implicit"), ratio]
+    return cells
 
 
 def own(times: dict[str, float]) -> float:
@@ -135,46 +119,13 @@ def own(times: dict[str, float]) -> float:
     return next((time for name, time in times.items() if name in METHODS), math.nan)
 
 
-def summary(entries: list[Entry]) -> str:
-    """Summarise all lines of both tables, and state how times were measured."""
-    goals = [
-        (entry, (error, norm)) for entry in entries for norm in entry.norms for error in ERRORS
-    ]
-    found = [times for entry, goal in goals if (times := entry.times(goal))]
-    first = [kind(next(name for name in times if kind(name))) for times in found]
-    ratios = {
-        name: sorted(times[name] / own(times) for times in found if name in times)
-        for name in ("auto", "cvode", "rosenbrock")
-    }
-    rows = [
-        f"| `{name}` | {len(of)} | {of[0]:.2g} to {of[-1]:.2g} | {median(of):.2g} | "
-        f"{sum(ratio <= 1.3 for ratio in of)} |"
-        for name, of in ratios.items()
-    ]
-    clocks = " and ".join(sorted({CLOCKS[entry.result.clock] for entry in entries}))
-    took = sum(entry.took for entry in entries) / 60.0
-    head = (
-        f"An explicit method is the fastest in {first.count('explicit')} of the {len(goals)} lines "
-        f"of both tables, an implicit one in {first.count('implicit')}. The measure is {clocks}; "
-        f"all measurements took {took:.0f} min. Times in this table are relative to the fastest "
-        "method."
-    )
-    titles = "| method | lines reached | time, range | time, median | lines within 1.3 |"
-    return "\n".join([head, "", titles, "|---|---|---|---|---|", *rows])
-
-
 def write_page(entries: list[Entry], page: Path | None) -> None:
-    """Put the tables between their marks on the page, or print them."""
-    blocks = {
-        **{f"fastest at {text}": fastest_table(entries, e) for e, text in ERRORS.items()},
-        "lines together": summary(entries),
-    }
+    """Put the table between its marks on the page, or print it."""
+    table = scenes_table(entries)
     if page is None:
-        print("\n\n".join(blocks.values()))
+        print(table)
         return
-    text = page.read_text(encoding="utf-8")
-    for name, block in blocks.items():
-        text = replaced(text, name, block)
+    text = replaced(page.read_text(encoding="utf-8"), "built-in scenes", table)
     page.write_text(text, encoding="utf-8")
 
 

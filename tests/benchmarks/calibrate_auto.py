@@ -1,7 +1,7 @@
 """What `auto` expects of its candidates, what they cost, and how well it chooses.
 
-Problem: single coupling steps of ten minutes from ``docs/phase_problems.py``: tissue at rest,
-growing and freshly divided, of some numbers of cells, at λΔt from 10² to 10⁶. At each tolerance
+Problem: single coupling steps of ten minutes from ``docs/tile_problems.py``: quiet, typical and
+fresh tissue, of some numbers of cells, at λΔt from 10² to 10⁶. At each tolerance
 all candidates are timed, an implicit one at the part of it that ``auto`` would give it. For each:
 CPU milliseconds (the shortest of ``--repeats``), error of the worst cell in % of a radius,
 evaluations, products, and the cost in evaluations that ``auto`` predicts. The last column is the
@@ -24,7 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
 
-from phase_problems import STATES, Solved, solved
+from tile_problems import STATES, Solved, Tile, solved
 
 from multicell.comparison.ladders import find_method
 from multicell.comparison.replay import replay
@@ -86,7 +86,7 @@ def main() -> None:
     rows: list[Row] = []
     seeds = range(1, given.seeds + 1)
     for n, seed, state, z in product(given.cells, seeds, STATES, STIFFNESS):
-        step = solved(state, n, z, seed)
+        step = solved(Tile(state, n, z, seed))
         for atol in TOLERANCES:
             print(f"\n{state}, {n} cells, z = {z:g}, seed {seed}, {atol:g} µm")
             for row in measured(step, atol, given.repeats):
