@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, final, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.report.wording import cell_count, measures, time_unit
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.report.result import Result
     from multicell.results.frame import Frame
+    from multicell.scene.scene import Scene
 
 _MOST_VIEW: Final = 8_000_000
 """Characters above which the view is left to the report: notebooks keep all that they show."""
@@ -27,8 +30,10 @@ _MOST_VIEW: Final = 8_000_000
 class DrawnFrames(Sequence["Frame"]):
     """The frames of a result, each with :meth:`~multicell.results.frame.Frame.plot`."""
 
-    def __init__(self, frames: Sequence[Frame], draw: Callable[..., Figure]) -> None:
-        self._frames, self._draw = frames, draw
+    def __init__(
+        self, frames: Sequence[Frame], scene: Scene, lineage: Mapping[str, NDArray[Any]]
+    ) -> None:
+        self._frames, self._scene, self._lineage = frames, scene, lineage
 
     @property
     def times(self) -> FloatArray:
@@ -61,11 +66,19 @@ class DrawnFrames(Sequence["Frame"]):
     def __getitem__(self, place: slice) -> Sequence[Frame]: ...
     def __getitem__(self, place: int | slice) -> Frame | Sequence[Frame]:
         if isinstance(place, slice):
-            return DrawnFrames(self._frames[place], self._draw)
-        return replace(self._frames[place], draw=self._draw)
+            return DrawnFrames(self._frames[place], self._scene, self._lineage)
+        return replace(self._frames[place], draw=partial(_draw, self._scene, self._lineage))
 
     def __repr__(self) -> str:
         return f"<{len(self)} frames>"
+
+
+def _draw(
+    scene: Scene, lineage: Mapping[str, NDArray[Any]], frame: Frame, **options: Any
+) -> Figure:
+    from multicell.report.plots.run import Plots
+
+    return Plots([frame], {}, scene, lineage).section(**options)
 
 
 def line(result: Result) -> str:

@@ -17,7 +17,6 @@ from multicell.results.frame import Frame
 from multicell.results.named import Named
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from pandas import DataFrame
     from xarray import Dataset
 
@@ -57,12 +56,7 @@ class Result:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "history", Named(self.history, "column of the history"))
-        object.__setattr__(self, "frames", DrawnFrames(self.frames, self._draw))
-
-    def _draw(self, frame: Frame, **options: Any) -> Figure:
-        from multicell.report.plots.run import Plots
-
-        return Plots([frame], self.history, self.scene, self.lineage).section(**options)
+        object.__setattr__(self, "frames", DrawnFrames(self.frames, self.scene, self.lineage))
 
     def __repr__(self) -> str:
         return line(self)
