@@ -137,6 +137,14 @@ class Cells:
     def __len__(self) -> int:
         return len(self.id)
 
+    def __repr__(self) -> str:
+        if not len(self):
+            return "<Cells: none>"
+        sizes = f"{self.radius.min():.3g} to {self.radius.max():.3g} µm"
+        counts = zip(*np.unique(self.state, return_counts=True), strict=True)
+        states = ", ".join(f"{n:,} {State(state).name.lower()}" for state, n in counts)
+        return f"<Cells: {len(self):,}, radius {sizes}, {states}>"
+
     @property
     def volume(self) -> FloatArray:
         """Volume of each cell as a free sphere, (n,), µm³."""

@@ -19,6 +19,7 @@ from multicell.host.memory import Returns
 from multicell.integrators.base import info_of
 from multicell.integrators.own import own_integrator
 from multicell.precompile import Precompilation
+from multicell.report.bar import shown as shown_progress
 from multicell.report.result import (
     Result,
     history_arrays,
@@ -54,7 +55,7 @@ class RunOptions:
     integrator: str | type[Integrator] | Integrator | None = None
     overwrite: bool = False
     threads: int | None = None
-    progress: Callable[[Simulation], None] | None = None
+    progress: Callable[[Simulation], None] | bool | None = None
     reactions: Mapping[str, OwnReaction] | None = None
 
 
@@ -65,7 +66,7 @@ def run(
     integrator: str | type[Integrator] | Integrator | None = None,
     overwrite: bool = False,
     threads: int | None = None,
-    progress: Callable[[Simulation], None] | None = None,
+    progress: Callable[[Simulation], None] | bool | None = None,
     report: bool = True,
     reactions: Mapping[str, OwnReaction] | None = None,
     cells: Any = None,
@@ -87,7 +88,7 @@ def run(
     threads
         Number of threads for large populations, by default all; it does not change results.
     progress
-        Called after every coupling step.
+        True for a bar, in terminals and notebooks; or what is called after every coupling step.
     report
         Whether to write pictures and ``report.html``; only with a folder.
     reactions
@@ -179,19 +180,20 @@ def advance_run(
     simulation: Simulation,
     recorder: Recorder,
     interrupt: Callable[[], None],
-    progress: Callable[[Simulation], None] | None,
+    progress: Callable[[Simulation], None] | bool | None,
     precompilation: Precompilation | None = None,
 ) -> None:
     """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
     try:
-        while not simulation.finished:
-            simulation.step()
-            recorder.record(simulation)
-            if precompilation is not None:
-                precompilation.watch(simulation)
-            if progress is not None:
-                progress(simulation)
-            interrupt()
+        with shown_progress(simulation.scene, progress) as note:
+            while not simulation.finished:
+                simulation.step()
+                recorder.record(simulation)
+                if precompilation is not None:
+                    precompilation.watch(simulation)
+                if note is not None:
+                    note(simulation)
+                interrupt()
     except OutputError as error:
         # what cannot be written now cannot be finished either
         raise OutputError(
@@ -345,7 +347,7 @@ def resume(
     integrator: str | type[Integrator] | Integrator | None = None,
     overwrite: bool = False,
     threads: int | None = None,
-    progress: Callable[[Simulation], None] | None = None,
+    progress: Callable[[Simulation], None] | bool | None = None,
     report: bool = True,
     reactions: Mapping[str, OwnReaction] | None = None,
 ) -> Result:

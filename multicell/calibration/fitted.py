@@ -111,6 +111,12 @@ class Fit:
     ends: Sequence[End] = ()
     readings: Mapping[Run, Reading] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        keys = ", ".join(r.key for r in self.problem.ranges)
+        place = "in memory" if self.folder is None else f"in '{self.folder}'"
+        counts = f"{len(self.problem.observed)} data, {len(self.evaluations)} points"
+        return f"<Fit of {keys} to {counts}, {place}>"
+
     @cached_property
     def best(self) -> Best:
         """The best parameters, and what runs with other seeds than the search's show there."""

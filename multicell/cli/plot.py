@@ -123,18 +123,7 @@ def _number(run: Result, moment: str | None, frame: int | None) -> int:
     """Return the number of the frame that is asked for."""
     count = len(run.frames)
     if moment is not None:
-        import numpy as np
-
-        from multicell.report.wording import time_unit
-        from multicell.results.reader import Frames
-        from multicell.units import to_base
-
-        assert isinstance(run.frames, Frames)
-        time, times = to_base(moment, "s", "--time"), run.frames.times
-        if not times[0] <= time <= times[-1]:
-            first, last = (time_unit(times[-1]).text(end) for end in (times[0], times[-1]))
-            raise OutputError(f"the run has no frame at {moment}: it goes from {first} to {last}")
-        return int(np.argmin(np.abs(times - time)))
+        return run.number_at(moment, "--time")
     number = -1 if frame is None else frame
     if not -count <= number < count:
         raise OutputError(f"there is no frame {number}: the run has {count}")

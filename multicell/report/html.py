@@ -48,8 +48,8 @@ def write_page(
     """
     with file_errors("use the output folder", path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-    page = _environment().get_template(template)
-    text = page.render(
+    text = rendered(
+        template,
         title=title,
         subtitle=subtitle,
         tiles=dict(tiles),
@@ -58,11 +58,15 @@ def write_page(
             for name, (draw, caption) in pictures.items()
         ],
         scene="" if scene is None else scene.to_toml(),
-        version=package_version(),
         **context,
     )
     write_text(path, text)
     return path
+
+
+def rendered(template: str, **context: Any) -> str:
+    """Return a template of this room, filled in."""
+    return _environment().get_template(template).render(version=package_version(), **context)
 
 
 @cache

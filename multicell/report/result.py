@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
+from multicell.report.notebook import DrawnFrames, line, shown
 from multicell.results.frame import Frame
+from multicell.results.named import Named
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -52,9 +54,42 @@ class Result:
     scene: Scene
     lineage: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "history", Named(self.history, "column of the history"))
+        object.__setattr__(self, "frames", DrawnFrames(self.frames, self.scene, self.lineage))
+
+    def __repr__(self) -> str:
+        return line(self)
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: key figures, a section, and the view."""
+        return shown(self)
+
+    def at(self, time: float | str) -> Frame:
+        """Return the frame nearest to a time.
+
+        Parameters
+        ----------
+        time
+            In s, or with a unit: ``"10 d"``.
+
+        Raises
+        ------
+        OutputError
+            If the run has no frames then.
+        SceneError
+            If it is no time.
+        """
+        return self.frames[self.number_at(time)]
+
+    def number_at(self, time: float | str, path: str = "time") -> int:
+        """Return the number of the frame nearest to a time; an error names it ``path``."""
+        assert isinstance(self.frames, DrawnFrames)
+        return self.frames.nearest(time, path)
+
     def summary(self) -> dict[str, Any]:
         """Return a copy of the summary."""
-        return copy.deepcopy(dict(self.summary_dict))
+        return Named(copy.deepcopy(dict(self.summary_dict)), "entry of the summary")
 
     @property
     def plot(self) -> Plots:

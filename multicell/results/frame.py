@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, final
 
@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, IntArray
+from multicell.results.named import Named
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
     from pde.fields.collection import FieldCollection
     from pde.fields.scalar import ScalarField
@@ -56,6 +58,11 @@ class Field:
             raise ValueError(f"field {self.name}: values have {np.ndim(self.values)} dimensions")
         if not self.spacing > 0.0:
             raise ValueError(f"field {self.name}: spacing is {self.spacing}, must be above 0")
+
+    def __repr__(self) -> str:
+        shape = " × ".join(f"{n}" for n in self.values.shape if n > 1) or "1"
+        span = f"{self.values.min():.3g} to {self.values.max():.3g} {self.unit}"
+        return f"<Field {self.name}, {shape} of {self.spacing:g} µm, {span}>"
 
     def in_plane(self, z: float) -> Field:
         """Return a radial field on squares in the plane at height z (µm), as a flat box."""
@@ -172,6 +179,8 @@ class Frame:
         a pull).
     progress
         What else a run needs to be resumed; None in frames made by hand.
+    draw
+        What draws it; None in frames that are not of a result.
     """
 
     time: float
@@ -181,6 +190,34 @@ class Frame:
     fields: Mapping[str, Field] = field(default_factory=dict)
     contacts: IntArray = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     progress: Progress | None = None
+    draw: Callable[..., Figure] | None = None
+
+    def __post_init__(self) -> None:
+        concentrations = Named(self.concentrations, "concentration")
+        object.__setattr__(self, "concentrations", concentrations)
+        object.__setattr__(self, "fields", Named(self.fields, "field"))
+
+    def __repr__(self) -> str:
+        fields = f", fields: {', '.join(self.fields)}" if self.fields else ""
+        count = f"{len(self.cells):,} cells"
+        return f"<Frame at {self.time / 3600.0:g} h, step {self.step}, {count}{fields}>"
+
+    def plot(self, **options: Any) -> Figure:
+        """Draw the cells that a plane cuts.
+
+        Parameters
+        ----------
+        **options
+            ``plane`` and ``colour``, as for ``plot.section`` of the result.
+
+        Raises
+        ------
+        ValueError
+            If the frame is not one of a result, which knows the scene.
+        """
+        if self.draw is None:
+            raise ValueError("only frames of a result can be drawn: result.frames, result.at()")
+        return self.draw(self, **options)
 
     def to_pde(self, names: Iterable[str] | None = None) -> FieldCollection:
         """Return fields that share a grid as a copy in py-pde's ``FieldCollection``.

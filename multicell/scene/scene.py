@@ -56,6 +56,7 @@ from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
 from multicell.scene.responses import Response, Signal, check_responses
+from multicell.scene.shown import as_html, in_a_line
 from multicell.schema import (
     Tables,
     build,
@@ -245,6 +246,13 @@ class Scene:
     def to_dict(self) -> dict[str, Any]:
         """Return the scene as nested dicts of base-unit numbers; what is absent has no key."""
         return plain(self)
+
+    def __repr__(self) -> str:
+        return in_a_line(self)
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return as_html(self)
 
     def with_changes(self, changes: Mapping[str, Any]) -> Scene:
         """Return a scene with other values.

@@ -22,7 +22,7 @@ SCENES = {
     "sorting-signal": {"duration": "30 min", "initial.count": 40},
 }
 NUMBERS = {
-    2: {
+    3: {
         "growth": {"cells": 4, "volume": 1186.5190148530758, "distance": 7.537163742614355},
         "spheroid": {
             "cells": 70,
