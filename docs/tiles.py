@@ -13,7 +13,8 @@ Cost      printed at the beginning; one thread. --quick takes about two minutes
 Command   python docs/tiles.py     (--states, --cells, --stiffness, --seeds, --methods)
           python docs/tiles.py --again 5     five tiles with other seeds, compared with the first
 
-What is done is kept in docs/chart-data and not computed again. With --tables nothing is computed.
+What is done is kept in docs/chart-data and not computed again. With --tables nothing is computed;
+--renew METHOD solves by that method again, if it has changed.
 """
 
 from __future__ import annotations
@@ -235,6 +236,26 @@ def compute(given: argparse.Namespace) -> None:
     print(f"{(cpu_time() - begin) / 60.0:.1f} min of CPU")
 
 
+def renew(given: argparse.Namespace) -> None:
+    """Solve what some methods have solved again: after a change of these, on the same steps."""
+    rows = kept(given.results, "tile-costs")
+    took_part = {(*(r[n] for n in KEY), r["method"]) for r in rows}
+    found: list[Row] = []
+    for about in kept(given.results, "tiles"):
+        tile = Tile(about["state"], int(about["cells"]), about["stiffness"], int(about["seed"]))
+        key = tuple(about[n] for n in KEY)
+        names = [name for name in given.renew if (*key, name) in took_part]
+        if names and tile.cells in given.cells:
+            step = solved(tile, given.cache)
+            methods = [find_method(n, step.problem.scene, step.problem.mean_radius) for n in names]
+            again = race(step, methods, 0, loosest(tile, rows))
+            found += [{**columns(tile), **row} for row in again]
+    new = {(*(r[n] for n in KEY), r["method"]) for r in found}
+    rows = [r for r in rows if (*(r[n] for n in KEY), r["method"]) not in new]
+    (given.results / "tile-costs.csv").unlink()
+    keep(given.results, "tile-costs", rows + found)
+
+
 def _minutes(tiles: Sequence[Tile], known: Sequence[Row]) -> float:
     """Return about what tiles take, by those that were solved or else by their size."""
     took: dict[tuple[object, ...], list[float]] = {}
@@ -292,6 +313,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--all", action="store_true", help="all λΔt for any number of cells")
     made.add_argument("--quick", action="store_true", help="few tiles and seeds, in a folder apart")
     made.add_argument("--again", type=int, default=0, help="repeat so many tiles with other seeds")
+    made.add_argument("--renew", nargs="+", default=[], help="solve again by these methods")
     made.add_argument("--methods", nargs="+", default=registered())
     made.add_argument("--budget-minutes", type=float, default=math.inf, help="of CPU time")
     made.add_argument("--tables", action="store_true", help="compute nothing")
@@ -309,7 +331,10 @@ def main() -> None:
         given.cells, given.stiffness, given.seeds = (100, 1_000), (1e1, 1e3, 1e5), 1
         if given.results == HERE / "chart-data":
             given.results = given.figures = Path("tiles-quick")
-    if not given.tables:
+    if given.renew:
+        warm_up(given)
+        renew(given)
+    elif not given.tables:
         compute(given)
     show(given)
 

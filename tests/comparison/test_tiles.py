@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from formulas import dense_jacobian
 
-from multicell.comparison.ladders import Method
+from multicell.comparison.ladders import Method, find_method
+from multicell.comparison.replay import replay
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -93,6 +94,29 @@ def test_what_is_done_is_not_computed_again(scripts, given, monkeypatch):
     monkeypatch.setattr(scripts.tiles, "race", lambda *_: raced.append(1))
     scripts.tiles.compute(given)
     assert not raced
+
+
+def test_a_method_that_has_changed_is_renewed(scripts, given):
+    scripts.tiles.compute(given)
+    before = scripts.tiles.kept(given.results, "tile-costs")
+    given.renew = ["cvode"]
+    scripts.tiles.renew(given)
+    after = scripts.tiles.kept(given.results, "tile-costs")
+    # as text: NaN is no number that equals itself
+    others = [[str(r) for r in rows if r["method"] != "cvode"] for rows in (before, after)]
+    assert others[0] == others[1]
+    assert len(after) == len(before) > len(others[0])
+    assert after[-1]["method"] == "cvode"
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_auto_follows_what_moves_in_quiet_stiff_tissue(scripts, cache, seed):
+    """A method of large steps may step over it: cvode was off by more than ten times the motion."""
+    step = scripts.problems.solved(scripts.problems.Tile("quiet", 100, 1e6, seed), cache)
+    radius = step.problem.mean_radius
+    auto = find_method("auto", step.problem.scene, radius)
+    end = replay(step.problem, auto.make(auto.info.atol / radius)).positions[0]
+    assert max(step.errors(end)) < 0.15
 
 
 def test_a_solve_is_stopped_when_its_time_is_over(scripts, cache):
