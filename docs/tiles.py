@@ -237,7 +237,11 @@ def compute(given: argparse.Namespace) -> None:
 
 
 def renew(given: argparse.Namespace) -> None:
-    """Solve what some methods have solved again: after a change of these, on the same steps."""
+    """Solve what some methods have solved again: after a change of these, on the same steps.
+
+    The best of the other methods takes part. A machine is faster at one time than at another, so
+    new costs are those over its new one times its old one.
+    """
     rows = kept(given.results, "tile-costs")
     took_part = {(*(r[n] for n in KEY), r["method"]) for r in rows}
     found: list[Row] = []
@@ -247,13 +251,27 @@ def renew(given: argparse.Namespace) -> None:
         names = [name for name in given.renew if (*key, name) in took_part]
         if names and tile.cells in given.cells:
             step = solved(tile, given.cache)
+            here = [r for r in rows if tuple(r[n] for n in KEY) == key]
+            best = _best([r for r in here if r["method"] not in names])
+            names.append(best["method"])
             methods = [find_method(n, step.problem.scene, step.problem.mean_radius) for n in names]
             again = race(step, methods, 0, loosest(tile, rows))
-            found += [{**columns(tile), **row} for row in again]
+            slower = _best([r for r in again if r["method"] == best["method"]])["cost"]
+            found += [
+                {**columns(tile), **row, "cost": row["cost"] * best["cost"] / slower}
+                for row in again if row["method"] in given.renew
+            ]  # fmt: skip
     new = {(*(r[n] for n in KEY), r["method"]) for r in found}
     rows = [r for r in rows if (*(r[n] for n in KEY), r["method"]) not in new]
     (given.results / "tile-costs.csv").unlink()
     keep(given.results, "tile-costs", rows + found)
+
+
+def _best(rows: Sequence[Row]) -> Row:
+    """Return the cheapest row of the finest goal that is reached, null methods aside."""
+    reached = [r for r in rows if r["status"] == REACHED and r["method"] not in NULL_METHODS]
+    goals = [r for r in reached if r["goal"] != DEFAULT]
+    return min(goals or reached, key=lambda r: (r["goal"], r["cost"]))
 
 
 def _minutes(tiles: Sequence[Tile], known: Sequence[Row]) -> float:
