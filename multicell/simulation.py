@@ -198,7 +198,7 @@ class Simulation(RunState):
             factor = self._growth_factor()
             grown = grow(plan, self.cells, self.signals, factor, end - begin)
             before = None if plan.growth is None else freeze(self.cells, factor)
-            first, began = self.next_id, self.cells
+            began = self.cells
         with self.phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
         with self.phase("events"):
@@ -206,7 +206,7 @@ class Simulation(RunState):
             self.cells.position, self.cells.pressure = position, pressure
             self.released += lost
             self.timeline = self.timeline.after_step()
-            self._divide_and_remove()
+            self._divide_and_remove(end - begin)
             self._sort()
         with self.phase("nutrient"):
             self._fields.advance(self.cells, begin, end, None if before is None else began)
@@ -214,13 +214,13 @@ class Simulation(RunState):
             self._decide(end - begin)
             self._irradiate(begin)
             if before is not None:
-                self._estimate(before, first, begin, end)
+                self._estimate(before, begin, end)
 
-    def _estimate(self, before: FrozenRates, first: int, begin: float, end: float) -> None:
+    def _estimate(self, before: FrozenRates, begin: float, end: float) -> None:
         """Estimate the error of the step that has ended, and choose the length of the next."""
         cells, plan, dt = self.cells, self.timeline.plan, end - begin
         jumped, now = end in plan.jumps, freeze(cells, self._growth_factor())
-        error = step_error(self.plan, before, now, cells, first, dt, jumped=jumped)
+        error = step_error(self.plan, before, now, cells, dt, jumped=jumped)
         self.step_error = error
         self.splitting = (self.splitting or 0.0) + error.volume / max(len(cells), 1)
         if self.pace is not None:
@@ -308,12 +308,10 @@ class Simulation(RunState):
         if self.scene.pull is not None and before and not len(found):
             self.separation = {"time": time, "force": self.scene.pull.load(time)}
 
-    def _divide_and_remove(self) -> None:
-        """Change the number of cells, and all that is noted of single ones."""
+    def _divide_and_remove(self, dt: float) -> None:
+        """Change the number of cells after a step of ``dt`` s, and all that is noted of them."""
         before, first = self.cells, self.next_id
-        after = divide_and_remove(
-            self.plan, before, self.step_index, first, self.time, self.signals
-        )
+        after = divide_and_remove(self.plan, before, first, self.time, dt, self.signals)
         born = after.next_id - first
         self.cells, self.next_id = after.cells, after.next_id
         self.divisions += born // 2

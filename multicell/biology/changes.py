@@ -44,12 +44,12 @@ def mutant_chances(plan: BiologyPlan, cells: Cells, found: Found) -> FloatArray 
     return _by_type(plan, "mutation to", found, cells)
 
 
-def mutate(plan: BiologyPlan, daughters: Cells, chances: FloatArray, step: int) -> None:
+def mutate(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> None:
     """Let daughters be of another type, whose mothers' chances are (n, types).
 
     Chances that add up to more than one leave none of the mother's type.
     """
-    u = random.uniform(plan.seed, Purpose.MUTATION, step, daughters.id)[:, 0]
+    u = random.uniform(plan.seed, Purpose.MUTATION, 0, daughters.id)[:, 0]
     ends = np.cumsum(chances, axis=1)
     turns = np.flatnonzero(u < ends[:, -1])
     _become(plan, daughters, turns, (u[turns, None] >= ends[turns]).sum(axis=1))

@@ -14,7 +14,7 @@ from multicell.biology.cycle import enter_cycle
 from multicell.biology.durations import draw_cycle_times
 from multicell.biology.responding import value_of
 from multicell.biology.traits import draw_moduli, drift
-from multicell.cells import HALF, Cells, FloatArray, State
+from multicell.cells import HALF, SPHERE, Cells, FloatArray, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -35,37 +35,43 @@ def due_to_divide(
     if plan.order:
         ripe = (cells.phase == plan.order[-1]) & (cells.progress >= cells.phase_length)
     else:
-        least: Any = plan.division_volume
-        scale = value_of(plan, "division radius", 1.0, found, cells)
-        if scale is not None:
-            least = least * scale**3
-        ripe = cells.volume >= least * (1.0 - ROUNDING)
+        ripe = cells.volume >= _division_volume(plan, cells, found) * (1.0 - ROUNDING)
     return np.asarray(ripe & (cells.state == State.PROLIFERATING))
+
+
+def _division_volume(plan: BiologyPlan, cells: Cells, found: Mapping[str, FloatArray]) -> Any:
+    """Return the volume at which cells divide, µm³: a number, or (n,) where it responds."""
+    scale = value_of(plan, "division radius", 1.0, found, cells)
+    return plan.division_volume if scale is None else plan.division_volume * scale**3
 
 
 def divide(
     plan: BiologyPlan,
     cells: Cells,
-    step: int,
     next_id: int,
+    dt: float = 0.0,
     found: Mapping[str, FloatArray] = _NONE,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
 
-    Each mother is replaced by two daughters of half her volume (what she grew beyond the division
-    volume included), at +- r (1 - 2^(-1/3)) from her centre along a random axis, r her radius:
-    volume and centre of mass are conserved and the daughters stay within the mother. A cell that is
-    doomed to die at this division does not divide.
+    Each mother is replaced by two daughters of half her volume, at +- r (1 - 2^(-1/3)) from her
+    centre along a random axis, r her radius: volume and centre of mass are conserved and the
+    daughters stay within the mother. A mother that passed the division volume within the step was
+    two daughters since: each has half of the division volume, and what it has grown in the rest of
+    the step by its own cycle time. A cell that is doomed to die at this division does not divide.
+
+    Random numbers depend on seed and identity only, and identities are given in the order in which
+    mothers came to divide, so that other coupling steps leave draws as they are.
 
     - ``plan``: a scene without ``growth`` has no divisions
     - ``cells``: the population; it is not changed
-    - ``step``: index of the coupling step, part of the key of the random numbers
     - ``next_id``: first identity that is free
+    - ``dt``: length of the coupling step that has ended, s: no mother can wait for longer
     - ``found``, name -> (n,): signals at the cells, for what responds to them
 
     Returns cells: the cells that did not divide, in their old order, followed by the daughters in
-    the order of their mothers' identities. The daughters have age 0, the mother's pressure and
-    Poisson ratio and damage, and draw cycle time and modulus anew unless these are heritable;
+    the order of their identities. The daughters have the age of that rest, the mother's pressure
+    and Poisson ratio and damage, and draw cycle time and modulus anew unless these are heritable;
     next_id: first identity that is free now; it has grown by two a division.
     """
     if plan.growth is None:
@@ -74,21 +80,44 @@ def divide(
     if not ripe.any():
         return cells, next_id
     mothers = cells.take(ripe)
-    # identities follow those of the mothers, so that the order of the arrays does not matter
-    order = np.argsort(mothers.id)
-    mothers = mothers.take(order)
+    due = np.broadcast_to(_division_volume(plan, cells, found), len(cells))[ripe]
+    waited, volume = _waited(plan, mothers, due, dt)
+    order = np.lexsort((mothers.id, -waited))
+    mothers, waited, volume = mothers.take(order), waited[order], volume[order]
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
     chances = mutant_chances(plan, cells, found)
     if chances is not None:
         chances = np.repeat(chances[ripe][order], 2, axis=0)
-    daughters = _daughters(plan, mothers, step, ids, chances)
+    daughters = _daughters(plan, mothers, ids, chances)
+    daughters.age = np.repeat(np.maximum(waited, 0.0), 2)
+    if not plan.order:
+        _grow_since(plan, daughters, np.repeat(volume, 2), np.repeat(waited, 2))
     return cells.replaced(~ripe, daughters), int(ids[-1]) + 1
+
+
+def _waited(
+    plan: BiologyPlan, mothers: Cells, due: FloatArray, dt: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return how long mothers have grown beyond their division, and their volumes then.
+
+    - ``due``, (n,) µm³: volumes at which they divide, without phases
+    - ``dt``, s: no mother has waited for longer
+
+    Returns (n,) s of unlimited growth; (n,) µm³.
+    """
+    if plan.order:
+        return mothers.progress - mothers.phase_length, mothers.volume
+    assert plan.law is not None
+    birth, cycle, volume = plan.birth_volume, mothers.cycle_time, mothers.volume
+    # what exceeds that was there before the step: the threshold has fallen, or a table said so
+    most = np.minimum(volume, plan.law.volume_after(due, dt / cycle, birth))
+    shares = plan.law.share_at(most / birth) - plan.law.share_at(due / birth)
+    return np.asarray(np.maximum(shares, 0.0) * cycle), np.asarray(volume - (most - due))
 
 
 def _daughters(
     plan: BiologyPlan,
     mothers: Cells,
-    step: int,
     ids: NDArray[np.int64],
     mutant: FloatArray | None,
 ) -> Cells:
@@ -96,7 +125,7 @@ def _daughters(
 
     ``mutant`` are the chances of each daughter to be of each type, or None.
     """
-    axis = random.directions(plan.seed, Purpose.AXIS, step, mothers.id, plan.dimensions)
+    axis = random.directions(plan.seed, Purpose.AXIS, 0, mothers.id, plan.dimensions)
     offset = (mothers.radius * (1.0 - HALF))[:, None] * axis
     daughters = mothers.take(np.repeat(np.arange(len(mothers)), 2))
     daughters.position[0::2] += offset
@@ -104,15 +133,28 @@ def _daughters(
     daughters.parent = daughters.id
     daughters.id = ids
     daughters.radius = daughters.radius * HALF
-    daughters.age = np.zeros(len(ids))
     daughters.doomed = np.maximum(daughters.doomed, 1) - np.int8(1)
     if mutant is not None:
-        mutate(plan, daughters, mutant, step)
-    drift(plan, daughters, step)
+        mutate(plan, daughters, mutant)
+    drift(plan, daughters)
     if "young" not in plan.heritable:
-        daughters.young = draw_moduli(plan, step, ids, daughters.kind)
+        daughters.young = draw_moduli(plan, ids, daughters.kind)
     if plan.order:
         enter_cycle(plan, daughters, daughters.progress - daughters.phase_length)
     elif "cycle_time" not in plan.heritable:
-        daughters.cycle_time = draw_cycle_times(plan, step, ids, daughters.kind)
+        daughters.cycle_time = draw_cycle_times(plan, ids, daughters.kind)
     return daughters
+
+
+def _grow_since(
+    plan: BiologyPlan, daughters: Cells, mother: FloatArray, waited: FloatArray
+) -> None:
+    """Let daughters grow since the division, by their own cycle times.
+
+    - ``mother``, (n,) µm³: volume at which the mother of each divided
+    - ``waited``, (n,): time since then, s of unlimited growth
+    """
+    assert plan.law is not None
+    share = waited / daughters.cycle_time
+    volume = plan.law.volume_after(0.5 * mother, share, plan.birth_volume)
+    daughters.radius = np.cbrt(volume / SPHERE)

@@ -57,7 +57,7 @@ def newborn_lengths(
 
 
 def draw_cycle_times(
-    plan: BiologyPlan, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
+    plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16]
 ) -> FloatArray:
     """Return cycle times of new cells, (n,), s; infinite in a scene without growth.
 
@@ -68,9 +68,8 @@ def draw_cycle_times(
         return np.full(len(ids), np.inf)
 
     def draw(ids: NDArray[np.int64], attempt: int) -> FloatArray:
-        # daughters have other identities and later steps
         mean, variation = growth.cycle_time, growth.cycle_variation
-        return scatter_about(plan.seed, Purpose.CYCLE, step + attempt, ids, mean, variation)
+        return scatter_about(plan.seed, Purpose.CYCLE, attempt, ids, mean, variation)
 
     drawn = _drawn(plan, ids, draw)
     return drawn if plan.cycle_scale is None else drawn * scale(plan, kind)

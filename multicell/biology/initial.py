@@ -87,7 +87,7 @@ def initial_cells(scene: Scene) -> Cells:
     kind = draw_kinds(plan, ids)
     phases = bool(plan.order)
     lengths = draw_lengths(plan, ids, kind) if phases else np.empty((initial.count, 0))
-    cycle_time = lengths.sum(axis=1) if phases else draw_cycle_times(plan, 0, ids, kind)
+    cycle_time = lengths.sum(axis=1) if phases else draw_cycle_times(plan, ids, kind)
     progress = stages(plan, ids, kind, cycle_time)
     age = np.zeros(initial.count) if scene.growth is None else progress * cycle_time
     cells = Cells(
@@ -95,7 +95,7 @@ def initial_cells(scene: Scene) -> Cells:
         parent=np.full(initial.count, -1),
         position=np.zeros((initial.count, 3)),
         radius=np.ones(initial.count),
-        young=draw_moduli(plan, 0, ids, kind),
+        young=draw_moduli(plan, ids, kind),
         poisson=np.full(initial.count, scene.cells.poisson),
         state=np.full(initial.count, State.PROLIFERATING, dtype=np.int8),
         age=age,

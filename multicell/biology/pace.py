@@ -65,7 +65,7 @@ def next_pace(plan: StepPlan, pace: Pace, error: StepError, uptake: float, dt: f
     drift = pace.drift + weight * (error.drift - pace.drift)
     states = pace.states + weight * (error.states - pace.states)
     uptake = pace.uptake + weight * (uptake - pace.uptake)
-    wrong = max(abs(drift) + states + error.births, uptake)
+    wrong = max(abs(drift) + states, uptake)
     most = min(2.0 * pace.step, longest)
     shortest = plan.shortest
     step = longest

@@ -1,17 +1,15 @@
 """The error that coupling steps make with growth, estimated from what they hold fixed.
 
-Within a coupling step concentrations, pressures and states are those of its beginning, and a
-division waits for its end. So growth is integrated by Euler's method: a cell that grows at the
-rate g₀ at the beginning of a step and at g₁ after it has gained Δt g₀, where the trapezoidal rule
-gives Δt (g₀ + g₁)/2. The difference, Δt (g₀ - g₁)/2, is the error of the step to leading order. It
-is also what step doubling gives: one step of 2Δt with the rates of its beginning gains 2Δt g₀, two
-of Δt gain Δt (g₀ + g₁), and half of their difference is the error of one of the two. Both rates
-are known anyway, so that the estimate needs no second solution of anything.
+Within a coupling step concentrations, pressures and states are those of its beginning. So growth is
+integrated by Euler's method: a cell that grows at the rate g₀ at the beginning of a step and at g₁
+after it has gained Δt g₀, where the trapezoidal rule gives Δt (g₀ + g₁)/2. The difference, Δt (g₀ -
+g₁)/2, is the error of the step to leading order. It is also what step doubling gives: one step of
+2Δt with the rates of its beginning gains 2Δt g₀, two of Δt gain Δt (g₀ + g₁), and half of their
+difference is the error of one of the two. Both rates are known anyway, so that the estimate needs
+no second solution of anything.
 
-Without phases a mother grows beyond the division volume until the step ends, as one cell where two
-daughters would have grown: what they would have gained beyond her is missing, as much as she has
-grown beyond it with linear growth and nothing with exponential one. (With phases what is left of a
-step counts for both daughters, and nothing is missing.)
+A division happens at the end of a step. What is left of the step since it was due counts for both
+daughters, and nothing is missing.
 
 Where a medium changes at once just when a step ends, and its field is steady, that step has rightly
 held the surroundings of before, and the next one holds those of after: the change is no error.
@@ -54,10 +52,9 @@ class StepError(NamedTuple):
 
     - ``volume``, float, µm³: of all cells together
     - ``rms``, ``worst``, float: size of the error of a single living cell over its volume
-    - ``drift``, ``states``, ``births``, float, 1/s: parts of growth that a step gets wrong, over
+    - ``drift``, ``states``, float, 1/s: parts of growth that a step gets wrong, over
       its length, for :mod:`multicell.biology.pace`: because the surroundings of cells changed
-      (signed), because cells went over to another state, and because divisions wait for the step's
-      end
+      (signed), and because cells went over to another state
     """
 
     volume: float = 0.0
@@ -65,7 +62,6 @@ class StepError(NamedTuple):
     worst: float = 0.0
     drift: float = 0.0
     states: float = 0.0
-    births: float = 0.0
 
 
 def freeze(cells: Cells, factor: FloatArray) -> FrozenRates:
@@ -78,7 +74,7 @@ def freeze(cells: Cells, factor: FloatArray) -> FrozenRates:
 
 
 def step_error(
-    plan: BiologyPlan, before: FrozenRates, now: FrozenRates, cells: Cells, next_id: int, dt: float,
+    plan: BiologyPlan, before: FrozenRates, now: FrozenRates, cells: Cells, dt: float,
     *, jumped: bool = False,
 ) -> StepError:  # fmt: skip
     """Return the error of a coupling step that has just ended.
@@ -86,8 +82,6 @@ def step_error(
     - ``plan``: with growth
     - ``before``, ``now``: what the step held fixed, and what the next one will
     - ``cells``: the population after the step, n cells, in the order of ``now``
-    - ``next_id``: first identity that was free at the step's beginning: cells from it on are
-      daughters
     - ``dt``: length of the step, s
     - ``jumped``: whether the surroundings have changed at once at the step's end, which is no error
     """
@@ -103,11 +97,6 @@ def step_error(
     began = now.factor if jumped else _inherit(before, now, cells)
     change = 0.5 * rate * (began - now.factor)
     error, volume = dt * change, cells.volume
-    missing = law.missing_in_waiting()
-    if not plan.order:
-        born = cells.id >= next_id
-        if born.any():
-            error[born] -= missing * (volume[born] - birth)
     living = ~cells.dead
     count = int(np.count_nonzero(living))
     if count == 0:
@@ -125,7 +114,6 @@ def step_error(
         float(np.abs(relative).max()),
         float(same.sum()) / free if free > 0.0 else 0.0,
         float(np.abs(other).sum()) / free if free > 0.0 else 0.0,
-        abs(missing) * 0.5 * math.log(2.0) * float((rate * now.factor).sum()) / (birth * count),
     )
 
 

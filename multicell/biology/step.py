@@ -102,13 +102,16 @@ def bind(
 def divide_and_remove(
     plan: BiologyPlan,
     cells: Cells,
-    step: int,
     next_id: int,
     time: float,
+    dt: float,
     found: Concentrations = MappingProxyType({}),
 ) -> Events:
-    """Return the cells after all that changes their number at a time in s."""
-    divided, free = divide(plan, cells, step, next_id, found)
+    """Return the cells after all that changes their number at the end of a step.
+
+    ``time`` is that end and ``dt`` the length of the step, s.
+    """
+    divided, free = divide(plan, cells, next_id, dt, found)
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside

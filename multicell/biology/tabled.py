@@ -52,7 +52,7 @@ def tabled_cells(scene: Scene) -> Cells:
         parent=np.full(n, -1, dtype=np.int64),
         position=positions(given),
         radius=np.ones(n),
-        young=columns["young"] if "young" in columns else draw_moduli(plan, 0, ids, kind),
+        young=columns["young"] if "young" in columns else draw_moduli(plan, ids, kind),
         poisson=columns.get("poisson", np.full(n, scene.cells.poisson)),
         state=_states(given),
         age=np.zeros(n),
@@ -112,7 +112,7 @@ def _volume_of(plan: BiologyPlan, given: Given) -> FloatArray | None:
 
 def _without_phases(plan: BiologyPlan, cells: Cells, given: Given) -> FloatArray:
     """Give cells cycle times and ages; return their volumes, µm³."""
-    drawn = draw_cycle_times(plan, 0, cells.id, cells.kind)
+    drawn = draw_cycle_times(plan, cells.id, cells.kind)
     cells.cycle_time = given.columns.get("cycle_time", drawn)
     volume = _volume_of(plan, given)
     if volume is not None:

@@ -31,22 +31,18 @@ def draw_kinds(plan: BiologyPlan, ids: NDArray[np.int64]) -> NDArray[np.int16]:
     return np.searchsorted(ends, place, side="right").astype(np.int16)
 
 
-def draw_moduli(
-    plan: BiologyPlan, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
-) -> FloatArray:
+def draw_moduli(plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
     """Return Young's moduli of new cells, (n,), kPa: ``durations.scattered``."""
-    drawn = scatter_about(plan.seed, Purpose.MODULI, step, ids, plan.young, plan.young_variation)
+    drawn = scatter_about(plan.seed, Purpose.MODULI, 0, ids, plan.young, plan.young_variation)
     return drawn if plan.young_ratio is None else np.asarray(drawn * plan.young_ratio[kind])
 
 
-def drift(plan: BiologyPlan, daughters: Cells, step: int) -> None:
+def drift(plan: BiologyPlan, daughters: Cells) -> None:
     """Let traits that daughters inherit drift: ln x changes by a normal number of the scene's sd.
 
     The mean of ln x stays, so that its variance grows by sd² in each generation. The normal
     distribution is cut at three standard deviations.
     """
     for place, (name, sd) in enumerate(plan.drift.items()):
-        z = random.truncated_normal(
-            plan.seed, Purpose.DRIFT, step * len(plan.drift) + place, daughters.id, 3.0
-        )
+        z = random.truncated_normal(plan.seed, Purpose.DRIFT, place, daughters.id, 3.0)
         setattr(daughters, name, getattr(daughters, name) * np.exp(sd * z))

@@ -159,7 +159,7 @@ def test_without_growth_cycles_are_infinite_and_ages_finite() -> None:
     assert np.isinf(cells.cycle_time).all()
     assert (cells.age == 0).all()
     ripe = replace(cells, radius=np.full(200, 6.0))
-    assert divide(biology_plan(scene), ripe, 1, 200) == (ripe, 200)
+    assert divide(biology_plan(scene), ripe, 200) == (ripe, 200)
 
 
 def test_seed_decides_everything() -> None:
@@ -317,7 +317,7 @@ def test_uptake_feedback_settles_instead_of_switching_all_cells(dt: float) -> No
 def test_division_conserves_volume_and_centre_of_mass_of_every_mother() -> None:
     scene = make_scene()
     before = some_cells(400)
-    after, next_id = divide(biology_plan(scene), before, 12, 5000)
+    after, next_id = divide(biology_plan(scene), before, 5000)
     born = after.take(after.id >= 5000)
     ripe = (before.state == State.PROLIFERATING) & (before.radius >= 5.0)
     assert next_id == 5000 + 2 * ripe.sum() == 5000 + len(born)
@@ -344,7 +344,7 @@ def test_only_ripe_proliferating_cells_divide_and_the_rest_are_untouched() -> No
     scene = make_scene()
     before = some_cells(400)
     untouched = {name: column.copy() for name, column in before.columns()}
-    after, _ = divide(biology_plan(scene), before, 12, 5000)
+    after, _ = divide(biology_plan(scene), before, 5000)
     kept = before.take((before.state != State.PROLIFERATING) | (before.radius < 5.0))
     for name, column in kept.columns():
         np.testing.assert_array_equal(getattr(after, name)[: len(kept)], column)
@@ -358,7 +358,7 @@ def test_a_cell_at_the_division_volume_up_to_rounding_divides() -> None:
         state=np.zeros(2, dtype=np.int8),
         radius=np.array([np.nextafter(5.0, 0.0), 5.0 * (1.0 - 1e-9)]),
     )
-    after, next_id = divide(biology_plan(make_scene()), cells, 1, 100)
+    after, next_id = divide(biology_plan(make_scene()), cells, 100)
     assert next_id == 102
     assert after.id.tolist() == [cells.id[1], 100, 101]
 
@@ -367,21 +367,22 @@ def test_division_does_not_depend_on_the_order_of_the_arrays() -> None:
     scene = make_scene()
     cells = some_cells(400)
     shuffled = cells.take(np.random.default_rng(5).permutation(400))
-    one, next_one = divide(biology_plan(scene), cells, 3, 9000)
-    two, next_two = divide(biology_plan(scene), shuffled, 3, 9000)
+    one, next_one = divide(biology_plan(scene), cells, 9000)
+    two, next_two = divide(biology_plan(scene), shuffled, 9000)
     assert next_one == next_two
     for name, column in by_id(one).items():
         np.testing.assert_array_equal(column, by_id(two)[name])
 
 
-def test_division_axes_are_isotropic_and_change_with_the_step() -> None:
+def test_division_axes_are_isotropic_and_those_of_the_mothers() -> None:
     scene = make_scene()
     mothers = replace(
         some_cells(4000), radius=np.full(4000, 5.0), state=np.zeros(4000, dtype=np.int8)
     )
     axes = []
-    for step in (1, 2):
-        born, _ = divide(biology_plan(scene), mothers, step, 20_000)
+    for first in (0, 4000):
+        named = replace(mothers, id=mothers.id + first)
+        born, _ = divide(biology_plan(scene), named, 20_000)
         difference = born.position[0::2] - born.position[1::2]
         axes.append(difference / np.linalg.norm(difference, axis=1)[:, None])
     for column in axes[0].T:
@@ -393,11 +394,11 @@ def grown(scene: Scene, cells: Cells, dt: float, steps: int) -> list[int]:
     """Return the number of cells after each of ``steps`` steps of free growth."""
     next_id = int(cells.id.max()) + 1
     counts = []
-    for step in range(1, steps + 1):
+    for _ in range(steps):
         factor = growth_factor(biology_plan(scene), {}, cells.pressure)
         volume = volumes_after(biology_plan(scene), cells, factor, dt)
         cells = replace(cells, radius=np.cbrt(volume / SPHERE), age=cells.age + dt)
-        cells, next_id = divide(biology_plan(scene), cells, step, next_id)
+        cells, next_id = divide(biology_plan(scene), cells, next_id, dt)
         counts.append(len(cells))
     return counts
 
@@ -425,22 +426,15 @@ def euler_lotka(cycle: float, variation: float) -> float:
     return optimize.brentq(excess, 0.5 * np.log(2) / cycle, 1.5 * np.log(2) / cycle)
 
 
-def test_free_growth_is_exponential_and_its_bias_shrinks_with_the_step() -> None:
+def test_free_growth_is_exponential_at_the_rate_of_euler_and_lotka_whatever_the_step() -> None:
     scene = make_scene(nutrients={}, growth=growth())
-    start = stable_population(scene, 600)
-    errors = []
+    start = stable_population(scene, 4000)
+    expected = euler_lotka(CYCLE, 0.1)
     for parts in (6, 12, 48):
         counts = grown(scene, start, CYCLE / parts, 5 * parts)
         rate = np.log(counts[-1] / counts[parts - 1]) / (4 * CYCLE)
-        # A mother outgrows the division volume by half a step on average, and her two daughters
-        # share what each of them would have grown: a cycle takes a quarter of a step longer.
-        expected = euler_lotka(CYCLE * (1 + 0.25 / parts), 0.1)
         assert rate == pytest.approx(expected, rel=0.003)
-        errors.append(abs(rate / euler_lotka(CYCLE, 0.1) - 1.0))
-    assert errors[0] > errors[1] > errors[2]
-    assert errors[0] == pytest.approx(0.25 / 6, rel=0.1)
-    assert errors[2] < 0.012
-    assert rate == pytest.approx(np.log(2) / CYCLE, rel=0.012)
+    assert expected == pytest.approx(np.log(2) / CYCLE, rel=0.012)
 
 
 # --- death ---------------------------------------------------------------------------------------

@@ -57,7 +57,7 @@ def lived(scene, hours, step=0.1):
         end = number * step * HOUR
         grown = grow(biology_plan(scene), cells, {}, np.ones(len(cells)), end - time)
         cells, _ = age_cells(biology_plan(scene), cells, grown, {}, time, end)
-        after = divide_and_remove(biology_plan(scene), cells, number, next_id, end)
+        after = divide_and_remove(biology_plan(scene), cells, next_id, end, end - time)
         cells, next_id = after.cells.copy(), after.next_id
         decide(biology_plan(scene), cells, {}, number, end - time, end)
         time = end

@@ -51,7 +51,7 @@ def test_steps_are_long_at_rest_and_short_when_the_medium_has_changed(switched):
     changed = length[(begin >= 30.3) & (begin < 31.0)]
     resting = length[(begin > 40.0) & (begin < 53.0)]
     assert resting.min() == longest  # all cells rest: there is no growth to get wrong
-    assert changed.max() < growing.min() < longest
+    assert changed.max() < growing.min()  # free growth and divisions are exact
     # a fixed step as fine as the finest would be many times as many
     assert len(length) < time[-1] / shortest / 8
 
@@ -71,7 +71,7 @@ def test_steps_land_on_frames_changes_of_the_medium_and_the_end(switched):
 def test_each_step_gets_no_more_of_growth_wrong_than_the_tolerance(switched):
     found = mc.run(SWITCHED.with_changes({"coupling_tolerance": 0.04}), threads=1)
     fine, coarse = (np.abs(r.history["splitting_volume_error"]).sum() for r in (switched, found))
-    assert found.summary()["steps"] < 0.5 * switched.summary()["steps"]
+    assert found.summary()["steps"] < 0.6 * switched.summary()["steps"]
     assert fine < 0.5 * coarse
     mean = switched.summary()["splitting"]["mean_step"]
     assert mean == SWITCHED.duration / switched.summary()["steps"]
@@ -137,12 +137,12 @@ def test_the_pace_doubles_at_most_and_halves_as_often_as_it_must():
         assert pace.step == min(56.25 * 2.0**k, 3600.0)
     assert pace_after(pace, rough).step == 56.25
     assert pace_after(pace, calm, uptake=1e-2).step == 56.25
-    # a part that births get wrong is held at just below the tolerance
-    for births in (2e-6, 4e-6, 1e-5):
-        steady = Pace(3600.0)
+    # a steady part that is wrong is held at just below the tolerance
+    for states in (2e-6, 4e-6, 1e-5):
+        steady = Pace(3600.0, states=states)
         for _ in range(3):
-            steady = pace_after(steady, StepError(births=births))
-        assert 0.5 * coupling.TOLERANCE < births * steady.step <= coupling.TOLERANCE
+            steady = pace_after(steady, StepError(states=states))
+        assert 0.5 * coupling.TOLERANCE < states * steady.step <= coupling.TOLERANCE
 
 
 def test_a_drift_to_and_fro_is_no_error_but_switching_to_and_fro_is():

@@ -11,8 +11,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
@@ -40,12 +38,3 @@ class GrowthLaw(ABC):
 
         ``ratio`` is the volume over that at birth, from 1 to 2.
         """
-
-    def missing_in_waiting(self) -> float:
-        """Return what two daughters would gain beyond their mother, over what she gains.
-
-        While a mother beyond the division volume waits for the end of the coupling step: she grows
-        at the rate g(V_d), two daughters at 2 g(V_b). One for linear growth, zero for exponential.
-        """
-        young, old = (float(self.rate(np.array(volume))) for volume in (1.0, 2.0))
-        return 2.0 * young / old - 1.0
