@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from which_integrator_tables import replaced
+from marked import replaced
 
 import multicell as mc
 

@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from which_integrator_tables import replaced
+from marked import replaced
 
 HERE = Path(__file__).parent
 CELLS = (100, 1_000, 10_000, 100_000, 1_000_000)
