@@ -18,6 +18,7 @@ import click
 from multicell import __version__
 from multicell.cli import options as shared
 from multicell.cli.compare import compare, stability
+from multicell.cli.doctor import doctor
 from multicell.cli.dose_response import dose_response
 from multicell.cli.fit import fit
 from multicell.cli.importing import importing
@@ -184,7 +185,7 @@ def export(
 
 for added in (
     scenes, init, coarsen, schema, plot, view, movie, compare, stability, study, sensitivity,
-    dose_response, fit,
+    doctor, dose_response, fit,
 ):  # fmt: skip
     main.add_command(added)
 main.add_command(importing)
