@@ -49,7 +49,7 @@ extensions = [
     "public_names",
     "scene_keys",
 ]
-exclude_patterns = ["extensions", "gallery/*.ipynb", "gallery/*.md5", "jupyter_execute"]
+exclude_patterns = ["extensions", "paper", "gallery/*.ipynb", "gallery/*.md5", "jupyter_execute"]
 
 bibtex_bibfiles = ["references.bib"]
 bibtex_reference_style = "author_year"

@@ -45,3 +45,10 @@ def test_papers_of_the_citation_file_are_among_the_references():
     for reference in citation["references"]:
         if "doi" not in reference:
             assert reference["title"].lower() in titles
+
+
+def test_the_paper_cites_what_the_bibliography_has():
+    paper = (ROOT / "docs" / "paper" / "paper.md").read_text("utf-8")
+    cited = set(re.findall(r"@(\w+)", paper))
+    assert len(cited) > 10
+    assert cited <= set(entries())
