@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell.biology.responding import value_of
-from multicell.cells import Cells, Phase
+from multicell.cells import Cells
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -25,9 +25,8 @@ def bonds(
     """Return receptors and ligands at ``begin`` and their rates up to ``end``, (n, 4), or None.
 
     At ``begin`` they are those of the cells. At ``end`` they are the type's course at that time,
-    times the factor of the cell's phase and those of the concentrations that it finds at
-    ``begin``. Between the two times they run linearly, so that a course with a kink between two
-    coupling times is cut there.
+    times the factors of the concentrations that it finds at ``begin``. Between the two times they
+    run linearly, so that a course with a kink between two coupling times is cut there.
     """
     if plan.adhesion is None:
         return None
@@ -45,12 +44,6 @@ def bond_levels(
     Concentrations that are not known yet have no effect.
     """
     levels = np.array([part.bonds(time) for part in plan.types.values()])[cells.kind]
-    for number, part in enumerate(plan.types.values()):
-        for column, by_phase in enumerate((part.receptor_by_phase, part.ligand_by_phase)):
-            if by_phase:
-                own = np.flatnonzero(cells.kind == number)
-                factor = np.array([by_phase.get(phase.name, 1.0) for phase in Phase])
-                levels[own, column] *= factor[cells.phase[own]]
     for column, behaviour in enumerate(("receptors", "ligands")):
         response = value_of(plan, behaviour, 1.0, concentrations, cells, early=True)
         if response is not None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.cells import Cells, FloatArray, Phase, State
+from multicell.cells import Cells, FloatArray, State
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import Exchange, Ledger
 from multicell.nutrient.field import NutrientField
@@ -342,12 +342,10 @@ class Feeding:
 
     def _active(self, what: str, name: str, cells: Cells) -> FloatArray:
         """Return uptake or secretion of each cell over that of a proliferating one, (n,)."""
-        by_state, by_kind, by_phase = self._factors[what, name]
+        by_state, by_kind = self._factors[what, name]
         active = by_state[cells.state]
         if by_kind is not None:
             active = active * by_kind[cells.kind]
-        if by_phase is not None:
-            active = active * by_phase[cells.phase]
         response = self._respond(f"{what} of {name}", cells, self.concentrations)
         return active if response is None else active * response
 
@@ -397,18 +395,11 @@ class Feeding:
         return capacity, production
 
 
-def factors(
-    scene: Scene, what: str, name: str
-) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
-    """Return factors on ``"uptake"`` or ``"secretion"`` of a field by state, by type and by phase.
+def factors(scene: Scene, what: str, name: str) -> tuple[FloatArray, FloatArray | None]:
+    """Return factors on ``"uptake"`` or ``"secretion"`` of a field by state and by type.
 
-    None stands for a factor that is always one.
+    None stands for factors by type that are all one.
     """
-    nutrient = scene.nutrients[name]
-    by_state = activity(nutrient)
-    if what == "secretion":
-        for state, factor in (nutrient.secretion_by_state or {}).items():
-            by_state[State[state.upper()]] = factor
     by_kind = []
     for kind in scene.types.values():
         own = kind.uptake_scale
@@ -416,13 +407,8 @@ def factors(
             own = kind.secretion_scale
         of = kind.uptake_of if what == "uptake" else kind.secretion_of
         by_kind.append(own * (of or {}).get(name, 1.0))
-    phases = nutrient.uptake_by_phase if what == "uptake" else nutrient.secretion_by_phase
-    by_phase = np.array([(phases or {}).get(phase.name, 1.0) for phase in Phase])
-    return by_state, _unless_one(np.array(by_kind)), _unless_one(by_phase)
-
-
-def _unless_one(found: FloatArray) -> FloatArray | None:
-    return found if (found != 1.0).any() else None
+    scales = np.array(by_kind)
+    return activity(scene.nutrients[name]), scales if (scales != 1.0).any() else None
 
 
 def activity(nutrient: Nutrient) -> FloatArray:

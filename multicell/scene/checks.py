@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from multicell.cells import Phase, State
+from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
@@ -99,10 +99,7 @@ def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
 
 
 def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
-    """Check that a programme of adhesion refers to phases and fields that there are."""
-    for key in ("receptor_by_phase", "ligand_by_phase"):
-        phases = getattr(kind, key)
-        check_phases(scene, f"{path}.{key}", phases)
+    """Check that factors of a type refer to fields that there are."""
     for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
         check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", FIELD)
 
@@ -146,13 +143,6 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that fields which a field refers to exist."""
     for key in ("uptake_on", "secretion_from"):
         check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", FIELD)
-    for key in ("uptake_by_phase", "secretion_by_phase"):
-        check_phases(scene, f"{path}.{key}", getattr(nutrient, key))
-    states = [state.name.lower() for state in State]
-    check_names(nutrient.secretion_by_state, states, f"{path}.secretion_by_state", "a state")
-    for key in ("secretion_by_state", "secretion_by_phase"):
-        if getattr(nutrient, key) and nutrient.secretion == 0.0:
-            raise SceneError(f"{path}.{key}", "has no effect: secretion is zero")
     if nutrient.uptake_on and not nutrient.takes_up:
         hint = "Give an uptake, or remove uptake_on."
         raise SceneError(f"{path}.uptake_on", "has no effect: uptake is zero", hint)

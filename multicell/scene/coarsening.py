@@ -43,8 +43,8 @@ _SAME: Final = """
     death.necrosis_rate death.damage_time death.damage_repair_time death.damage_variation
     surface.tension death.inflow death.core death.swelling death.swelling_time death.lysis_time
     death.apoptosis_rate death.apoptosis_time death.removal_fraction
-    types.*.fraction types.*.young types.*.receptor types.*.ligand types.*.receptor_by_phase
-    types.*.ligand_by_phase types.*.receptor_by types.*.ligand_by types.*.cycle_scale
+    types.*.fraction types.*.young types.*.receptor types.*.ligand
+    types.*.receptor_by types.*.ligand_by types.*.cycle_scale
     types.*.uptake_scale types.*.secretion_scale types.*.uptake_of types.*.secretion_of
     types.*.motility_scale
     adhesion.strength
@@ -62,7 +62,6 @@ _SAME: Final = """
     nutrients.*.sides.*.derivative nutrients.*.sides.*.rate nutrients.*.perfusion
     nutrients.*.decay nutrients.*.uptake_per_volume nutrients.*.half_saturation
     nutrients.*.quiescent_uptake nutrients.*.uptake_on.*.effect nutrients.*.uptake_on.*.half
-    nutrients.*.secretion_by_state nutrients.*.uptake_by_phase nutrients.*.secretion_by_phase
     nutrients.*.secretion_from nutrients.*.sources.*.x nutrients.*.sources.*.y
     nutrients.*.sources.*.z nutrients.*.sources.*.strength nutrients.*.sources.*.flux
     nutrients.*.regions.*.diffusion nutrients.*.regions.*.x nutrients.*.regions.*.y

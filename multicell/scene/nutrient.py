@@ -250,24 +250,6 @@ class Nutrient:
         Dependence, default_factory=Tables, doc="how uptake depends on other fields, by name"
     )
     secretion: float = _flux(default=0.0, doc="of a proliferating cell; a quiescent one as uptake")
-    secretion_by_state: Mapping[str, float] | None = quantities(
-        "",
-        at_least=0,
-        at_most=1e6,
-        doc="secretion of cells in a state / secretion; absent states: as uptake",
-    )
-    uptake_by_phase: Mapping[str, float] | None = quantities(
-        "",
-        at_least=0,
-        at_most=1e6,
-        doc="factors on uptake by phase of the cycle; absent phases: 1",
-    )
-    secretion_by_phase: Mapping[str, float] | None = quantities(
-        "",
-        at_least=0,
-        at_most=1e6,
-        doc="factors on secretion by phase of the cycle; absent phases: 1",
-    )
     secretion_from: Mapping[str, float] | None = quantities(
         "",
         at_least=0,

@@ -407,12 +407,6 @@ class CellType:
     ligand: tuple[tuple[float, float], ...] = course(
         default=0.0, at_least=0, doc="ligand concentration on the surface over time"
     )
-    receptor_by_phase: Mapping[str, float] | None = quantities(
-        "", at_least=0, doc="factors on receptor by phase of the cycle; absent phases: 1"
-    )
-    ligand_by_phase: Mapping[str, float] | None = quantities(
-        "", at_least=0, doc="factors on ligand by phase of the cycle"
-    )
     receptor_by: Mapping[str, tuple[tuple[float, float], ...]] | None = responses(
         "mM", at_least=0, doc="factors on receptor as curves over the concentration of fields"
     )
@@ -440,8 +434,8 @@ class CellType:
 
     @property
     def responds(self) -> bool:
-        """Whether receptors or ligands depend on phase or concentration."""
-        return any((self.receptor_by_phase, self.ligand_by_phase, self.receptor_by, self.ligand_by))
+        """Whether receptors or ligands depend on concentration."""
+        return bool(self.receptor_by or self.ligand_by)
 
     @property
     def sticks(self) -> bool:

@@ -103,8 +103,8 @@ def _most_bonds(scene: Scene) -> float:
         return 0.0
     most = [
         (
-            _most(kind.receptor, kind.receptor_by_phase, kind.receptor_by),
-            _most(kind.ligand, kind.ligand_by_phase, kind.ligand_by),
+            _most(kind.receptor, kind.receptor_by),
+            _most(kind.ligand, kind.ligand_by),
         )
         for kind in scene.types.values()
     ]
@@ -115,13 +115,10 @@ def _most_bonds(scene: Scene) -> float:
 
 def _most(
     course: tuple[tuple[float, float], ...],
-    by_phase: Mapping[str, float] | None,
     by_field: Mapping[str, tuple[tuple[float, float], ...]] | None,
 ) -> float:
     """Return the largest concentration of receptors or ligands that a type may ever have."""
     most = max(value for _, value in course)
-    if by_phase:
-        most *= max(1.0, *by_phase.values())
     for curve in (by_field or {}).values():
         most *= max(1.0, *(factor for _, factor in curve))
     return most

@@ -337,7 +337,6 @@ ADHESIVE = {
         "own": {
             "receptor": 2.0,
             "ligand": [[0.0, 1.0], ["10 h", 0.0]],
-            "receptor_by_phase": {"M": 0.1, "S": 0.5},
             "receptor_by": {"oxygen": [["0 mM", 0.0], ["0.02 mM", 1.0]]},
         }
     },
@@ -345,14 +344,13 @@ ADHESIVE = {
 }
 
 
-def test_receptors_follow_phase_and_concentration_linearly_over_a_step():
+def test_receptors_follow_concentration_linearly_over_a_step():
     described = scene(**ADHESIVE, initial__count=40, initial__stage="asynchronous")
     simulation = mc.Simulation(described)
     for _ in range(3):
         cells, time = simulation.cells, simulation.time
         oxygen = simulation.concentrations["oxygen"]
-        by_phase = np.select([cells.phase == Phase.M, cells.phase == Phase.S], [0.1, 0.5], 1.0)
-        expected = dict(zip(cells.id.tolist(), 2.0 * by_phase * oxygen / 0.02, strict=True))
+        expected = dict(zip(cells.id.tolist(), 2.0 * oxygen / 0.02, strict=True))
         motion = simulation._motion(time, time + 600.0, cells.radius)
         np.testing.assert_array_equal(motion.bonds[:, 0], cells.receptor)
         ends = motion.bonds[:, 0] + 600.0 * motion.bonds[:, 2]
@@ -385,11 +383,6 @@ def test_receptors_follow_phase_and_concentration_linearly_over_a_step():
         ({"death.necrosis_rate": 0}, "death.necrosis_rate", "above 0"),
         ({"death.swelling": 0.5}, "death.swelling", "at least 1"),
         ({"cells.heritable": ["young", "hair"]}, "cells.heritable", "must be one of"),
-        (
-            {**ADHESIVE, "types.own.receptor_by_phase": {"G4": 1.0}},
-            "types.own.receptor_by_phase.G4",
-            "not a phase",
-        ),
         (
             {**ADHESIVE, "types.own.receptor_by": {"oxigen": [[0, 1]]}},
             "types.own.receptor_by.oxigen",

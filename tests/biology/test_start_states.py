@@ -214,9 +214,9 @@ def test_given_states_are_kept_and_others_are_found():
 
 
 def test_products_that_kill_are_no_reason_to_search_for_ever():
-    """The dead of one field poison others: more cells die in each pass, and it ends."""
+    """Who dies of a product no longer makes it: what is found is stated, and the search ends."""
     toxin = {"diffusion": "50 um^2/s", "boundary": 0.0, "uptake": 0.0, "secretion": "1 amol/s",
-             "secretion_by_state": {"necrotic": 5.0}, "necrosis_above": "2e-3 mM"}  # fmt: skip
+             "necrosis_above": "2e-3 mM"}  # fmt: skip
     simulation = started(5000, **{"nutrients.toxin": toxin})
     state, c = simulation.cells.state, simulation.concentrations["toxin"]
     assert simulation.first_states["unfit"] == (c[state != State.NECROTIC] > 2e-3).sum()

@@ -18,7 +18,7 @@ import hypothesis
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from multicell.cells import Phase, State
+from multicell.cells import Phase
 from multicell.integrators.registry import METHODS
 from multicell.scene.nutrient import FACES
 from multicell.scene.parts import PHASES
@@ -39,13 +39,8 @@ NAMES = {
     "uptake_of": FIELDS,
     "yields": FIELDS,
     "secretion_of": FIELDS,
-    "secretion_by_state": tuple(state.name.lower() for state in State),
-    "uptake_by_phase": tuple(Phase.__members__),
-    "secretion_by_phase": tuple(Phase.__members__),
     "surface_energy": TYPES,
     "parameters": ("exponent",),
-    "receptor_by_phase": tuple(Phase.__members__),
-    "ligand_by_phase": tuple(Phase.__members__),
     "sides": FACES,
     "phases": PHASES,
     "sources": ("pump", "dish"),
@@ -654,16 +649,12 @@ def _step_of_its_own(scene):
 def _fit_types(scene, types, fields):
     sticky = scene.get("contact", {"law": "jkr"})["law"] in ("jkr", "exact-jkr")
     given = sticky and any("surface_energy" in kind for kind in types.values())
-    phases = bool((scene.get("growth") or {}).get("phases"))
     for number, kind in enumerate(types.values()):
         if number == 0:
             kind["fraction"] = 1.0
         kind.pop("surface_energy", None)
         if given:
             kind["surface_energy"] = dict.fromkeys(types, 0.05 + 0.01 * len(types))
-        for key in ("receptor_by_phase", "ligand_by_phase"):
-            if not phases and kind.get(key):
-                del kind[key]
         for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
             if key in kind:
                 kind[key] = {name: x for name, x in kind[key].items() if name in fields}
@@ -692,7 +683,6 @@ def _fit_field(scene, field, earlier, fields, flat):
     for name in list(field.get("secretion_from", {})):
         if not _takes_up(fields[name]):
             del field["secretion_from"][name]
-    _fit_secretion(scene, field)
     radius = base(scene.get("cells", {}).get("division_radius", 5.0))
     if "spacing" in field and base(field["spacing"]) > 4.0 * radius:
         field["spacing"] = radius
@@ -795,15 +785,6 @@ def _fit_responses(scene, fields, types):
         if types and part.get("cells"):
             made["cells"] = types[seed % len(types)]
         scene["responses"][name] = made
-
-
-def _fit_secretion(scene, field):
-    """Leave out factors by phase without phases, and all on a secretion that is not there."""
-    phases = bool((scene.get("growth") or {}).get("phases"))
-    silent = base(field.get("secretion", 0.0)) == 0.0
-    for key in ("uptake_by_phase", "secretion_by_phase", "secretion_by_state"):
-        if (key.endswith("phase") and not phases) or (key.startswith("secretion") and silent):
-            field.pop(key, None)
 
 
 def _fit_sources(scene, field, flat):

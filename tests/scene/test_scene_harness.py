@@ -184,7 +184,6 @@ def test_deep_nesting_is_refused_with_words():
 @pytest.mark.parametrize(
     "entries",
     [
-        {"types": {"a": {"receptor_by_phase": {}, "ligand_by_phase": {}}}},
         {"types": {"a": {"receptor_by": {}, "ligand_by": {}, "surface_energy": {}}}},
         {"adhesion": {}, "types": {"a": {"receptor": [["5 h", 1.0]], "ligand": 1}}},
         {"nutrients": {"o2": {"secretion_from": {}, "uptake_on": {}, "sides": {}}}},
