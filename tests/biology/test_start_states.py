@@ -216,10 +216,11 @@ def test_given_states_are_kept_and_others_are_found():
 def test_products_that_kill_are_no_reason_to_search_for_ever():
     """Who dies of a product no longer makes it: what is found is stated, and the search ends."""
     toxin = {"diffusion": "50 um^2/s", "boundary": 0.0, "uptake": 0.0, "secretion": "1 amol/s",
-             "necrosis_above": "2e-3 mM"}  # fmt: skip
+             "necrosis_above": "2e-2 mM", "regime": "steady"}  # fmt: skip
     simulation = started(5000, **{"nutrients.toxin": toxin})
     state, c = simulation.cells.state, simulation.concentrations["toxin"]
-    assert simulation.first_states["unfit"] == (c[state != State.NECROTIC] > 2e-3).sum()
+    assert simulation.first_states["necrotic"] > 2000, "203 die without the product"
+    assert simulation.first_states["unfit"] == (c[state != State.NECROTIC] > 2e-2).sum()
 
 
 def test_a_resumed_run_knows_its_start(tmp_path):
