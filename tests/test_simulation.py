@@ -196,24 +196,22 @@ def test_all_cells_may_die():
     assert simulation.summary()["diameter"] == 0.0
 
 
-def test_a_scene_without_nutrients_loads_no_pde_package():
-    program = (
-        "import sys, multicell as mc\n"
-        "s = mc.load_scene('settle').with_changes({'duration': '1 min', 'initial.count': 3})\n"
-        "mc.run(s)\n"
-        "print([m for m in ('pde', 'matplotlib', 'h5py', 'rich', 'sympy') if m in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "[]"
+SHORT_RUN = (
+    "mc.run(mc.load_scene('settle').with_changes({'duration': '1 min', 'initial.count': 3}))"
+)
 
 
-def test_importing_the_package_loads_no_compiler():
+@pytest.mark.parametrize(
+    ("action", "heavy"),
+    [
+        ("", ["numba", "scipy", "sksundae", "pde", "pint", "h5py"]),
+        (SHORT_RUN, ["pde", "matplotlib", "h5py", "rich", "sympy"]),
+    ],
+    ids=["import", "a run without nutrients"],
+)
+def test_packages_that_are_not_needed_are_not_loaded(action, heavy):
     program = (
-        "import sys, multicell\n"
-        "heavy = ('numba', 'scipy', 'sksundae', 'pde', 'pint', 'h5py')\n"
-        "print([name for name in heavy if name in sys.modules])"
+        f"import sys, multicell as mc\n{action}\nprint([m for m in {heavy} if m in sys.modules])"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True

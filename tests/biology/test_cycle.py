@@ -121,16 +121,19 @@ def test_random_durations_give_the_rate_of_the_euler_lotka_equation():
     assert np.log(2.0) + log_product == pytest.approx(0.0, abs=0.03)
 
 
-def test_phase_fractions_are_those_of_the_age_distribution():
-    described = scene()
+def check_phase_fractions(described, order, hours):
+    """Compare phases at the start and 20 h later with those of steady growth."""
     cells = cells_of(described, 20000, "asynchronous")
-    ends = np.cumsum([0, 6, 5, 3, 1]) / 15
+    ends = np.cumsum([0, *hours]) / 15
     expected = 2.0 * (2.0 ** -ends[:-1] - 2.0 ** -ends[1:])
     for population in (cells, lived(described, cells, 20, 1800.0)[0]):
-        counts = np.bincount(population.phase, minlength=len(Phase))
-        found = counts[[Phase.G1, Phase.S, Phase.G2, Phase.M]] / len(population)
-        np.testing.assert_allclose(found, expected, atol=4 * 0.5 / np.sqrt(20000))
-        assert counts[Phase.G0] == 0
+        found = np.bincount(population.phase, minlength=len(Phase)) / len(population)
+        np.testing.assert_allclose(found[order], expected, atol=4 * 0.5 / np.sqrt(20000))
+        assert found[Phase.G0] == 0
+
+
+def test_phase_fractions_are_those_of_the_age_distribution():
+    check_phase_fractions(scene(), [Phase.G1, Phase.S, Phase.G2, Phase.M], [6, 5, 3, 1])
 
 
 def test_the_number_of_cells_does_not_depend_on_the_coupling_step():
@@ -402,6 +405,10 @@ def test_bad_input(changes, path, words):
     assert words in str(caught.value)
 
 
+SHORT_PHASES = {
+    **{name: {"duration": "1 h"} for name in ("G1", "S", "G2")},
+    "M": {"duration": "2 h", "grows": False},
+}
 SMOOTH = {"growth.division": "smooth", "growth.restriction": False}
 
 
@@ -413,12 +420,7 @@ def test_smooth_division_conserves_and_parts_over_m():
         contact={"law": "jkr", "surface_energy": 0.05},
         output__every="5 min",
         **{
-            "growth.phases": {
-                "G1": {"duration": "1 h"},
-                "S": {"duration": "1 h"},
-                "G2": {"duration": "1 h"},
-                "M": {"duration": "2 h", "grows": False},
-            },
+            "growth.phases": SHORT_PHASES,
             **SMOOTH,
         },
     )
@@ -476,12 +478,7 @@ def test_sisters_of_a_smooth_division_feel_no_force_whatever_makes_them_stick(na
             "coupling_step": "5 min",
             "duration": "12 h",
             "contact.law": law,
-            "growth.phases": {
-                "G1": {"duration": "1 h"},
-                "S": {"duration": "1 h"},
-                "G2": {"duration": "1 h"},
-                "M": {"duration": "2 h", "grows": False},
-            },
+            "growth.phases": SHORT_PHASES,
             **STICKY[name],
             **SMOOTH,
         },
@@ -498,13 +495,7 @@ def test_sisters_of_a_smooth_division_feel_no_force_whatever_makes_them_stick(na
 
 
 def test_smooth_division_keeps_the_age_distribution_and_needs_phases():
-    described = scene(**SMOOTH)
-    cells = cells_of(described, 20000, "asynchronous")
-    ends = np.cumsum([0, 1, 6, 5, 3]) / 15
-    expected = 2.0 * (2.0 ** -ends[:-1] - 2.0 ** -ends[1:])
-    for population in (cells, lived(described, cells, 20, 1800.0)[0]):
-        counts = np.bincount(population.phase, minlength=len(Phase))
-        found = counts[[Phase.M, Phase.G1, Phase.S, Phase.G2]] / len(population)
-        np.testing.assert_allclose(found, expected, atol=4 * 0.5 / np.sqrt(20000))
+    order = [Phase.M, Phase.G1, Phase.S, Phase.G2]
+    check_phase_fractions(scene(**SMOOTH), order, [1, 6, 5, 3])
     with pytest.raises(SceneError, match="there are no phases"):
         mc.load_scene("growth").with_changes({"growth.division": "smooth"})
