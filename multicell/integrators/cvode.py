@@ -49,9 +49,9 @@ class Cvode(ErrorControl):
     - ``each_cell``: hold the tolerance for single cells. False for SUNDIALS's own norm, a mean over
       all coordinates, in which one cell among many may be wrong by many tolerances.
     - ``part``: part of the usual share of the tolerances (:func:`.limits.norm_share`) that SUNDIALS
-      gets with ``each_cell``. With the whole share one step in twenty at 0.05 kPa s left a cell 3 to
-      20 times as far off as a shift of its start by the tolerance; with a tenth none did, for 1.2
-      to 1.3 times the cost (tests/benchmarks/worst_cell.py)
+      gets with ``each_cell``. With the whole share one step in twenty at 0.05 kPa s left a cell
+      3 to 20 times as far off as a shift of its start by the tolerance; with a tenth none did,
+      for 1.2 to 1.3 times the cost (tests/benchmarks/worst_cell.py)
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -102,6 +102,9 @@ class Cvode(ErrorControl):
 @dataclass(frozen=True)
 class CvodeAdams(ErrorControl):
     """Adams formulas up to order 12, solved by the Newton-Krylov method of :class:`Cvode`.
+
+    Not safe for single cells: in one of 40 coupling steps at 0.5 kPa s a cell was six times as far
+    off as a shift of its start by the tolerance moves it (docs/theory/integrators.md).
 
     There is no functional iteration in scikit-sundae: this is an implicit method, and not an
     explicit one to compare with. Parameters as for

@@ -8,10 +8,9 @@ SUNDIALS holds the mean square of all coordinates' errors against the tolerance:
 thousands of cells at rest may then be wrong by many tolerances in a single step, and end in another
 pocket, where the true course leads to none but one. Tissue that grows is like that all the time. So
 solvers are given a share of the tolerance (:func:`.limits.norm_share`), CVODE a part of that share,
-and a step in which a single cell's estimated error exceeds the tolerance is refused and taken with a
-smaller share. To
-bound h times the largest positive eigenvalue of J made errors as small, with two to five times as
-many steps, and products for that eigenvalue in each of them.
+and a step in which a single cell's estimated error exceeds the tolerance is refused and taken with
+a smaller share. To bound h times the largest positive eigenvalue of J made errors as small, with
+two to five times as many steps, and products for that eigenvalue in each of them.
 """
 
 from __future__ import annotations
@@ -76,9 +75,9 @@ class Run:
     share : float
         Part of the tolerances that a solver gets whose norm is a mean over all coordinates.
 
-    ``part`` is the part of the usual share that a solver begins with.
     With ``each_cell`` the tolerance, ``atol`` + ``rtol`` times the mean radius, is held by single
-    cells, too, as far as solvers report the errors of their steps.
+    cells, too, as far as solvers report the errors of their steps; ``part`` is the part of the
+    usual share that a solver then begins with.
     """
 
     def __init__(

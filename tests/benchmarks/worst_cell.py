@@ -50,7 +50,7 @@ CASES = {
     "box": {f"domain.{axis}": ["-17 um", "17 um"] for axis in "xyz"},
     "plane": {"dimensions": 2},
 }
-"""Name -> what is changed of the scene ``growth``; with unlike sizes every second cell is halved."""
+"""Name -> what is changed of the scene ``growth``; of unlike sizes, half are halved."""
 QUICK = ("growing", "exact JKR", "plane")
 VISCOSITIES = (5.0, 0.5, 0.05, 0.01)
 SAFE = ("auto", "cvode", "rosenbrock", "rkc2")
@@ -69,7 +69,8 @@ class Velocity:
 
     def __init__(self, motion, template):
         self.motion, self.template = motion, template
-        self.law = type(template.law).__name__
+        laws = {"JKR": self.jkr, "ExactJKR": self.exact, "Cubic": self.cubic}
+        self.law = laws[type(template.law).__name__]
         self.margin = 0.6 * float(motion.radius.mean())
         self.soft = 0.75 * (1.0 - motion.poisson**2) / motion.young
         self.listed = None
@@ -84,7 +85,7 @@ class Velocity:
         distance = np.sqrt((away * away).sum(axis=1))
         rest = radius[i] + radius[j]
         h, reduced = rest - distance, radius[i] * radius[j] / rest
-        force = getattr(self, self.law)(h, self.modulus, reduced, rest)
+        force = self.law(h, self.modulus, reduced, rest)
         total = self.incidence @ (away * (force / distance)[:, None])
         walls = self.template.walls
         if walls is not None:
@@ -112,15 +113,15 @@ class Velocity:
         self.touching = np.array([(min(p), max(p)) in touching for p in self.pairs.T.tolist()])
         self.listed = x.copy()
 
-    def JKR(self, h, modulus, reduced, rest):
+    def jkr(self, h, modulus, reduced, rest):
         """Eq. 3.6 of the thesis: E √r h^(3/2) - √(6π σ E r^(3/2)) h^(3/4)."""
         h = np.maximum(h, 0.0)
         root = np.sqrt(h)
         sticky = np.sqrt(6.0 * np.pi * self.template.law.surface_energy * modulus * reduced**1.5)
         return modulus * np.sqrt(reduced) * h * root - sticky * np.sqrt(h * root)
 
-    def ExactJKR(self, h, modulus, reduced, rest):
-        """Johnson, Kendall & Roberts 1971: a contact radius x² with x⁴ / r - c x = h, c = √(2πw/E*)."""
+    def exact(self, h, modulus, reduced, rest):
+        """Johnson, Kendall & Roberts 1971: contact radius x² with x⁴ / r - √(2πw / E*) x = h."""
         work, star = self.template.law.surface_energy, 0.75 * modulus
         c = np.sqrt(2.0 * np.pi * work / star)
         # the least h is that of the turning point, 4 x³ = c r
@@ -140,7 +141,7 @@ class Velocity:
         force[held] = 4.0 * star * a3 / (3.0 * r) - np.sqrt(8.0 * np.pi * work * star * a3)
         return force
 
-    def Cubic(self, h, modulus, reduced, rest):
+    def cubic(self, h, modulus, reduced, rest):
         """CBMOS: μ h (1 + h / H)², H the range beyond the rest distance."""
         law = self.template.law
         reach = (law.cutoff - 1.0) * rest
@@ -184,8 +185,11 @@ def scene_of(case, viscosity, steps, count=50):
     return mc.load_scene("growth").with_changes(changes)
 
 
-def solved(case, viscosity, steps, folder):
-    """Return the steps and their true ends, from the starts and from each of the shifted ones."""
+def recorded(case, viscosity, steps):
+    """Return a problem whose steps start from recorded states, and the starts of each draw.
+
+    The first draw is the recorded state itself, then come those of each of :data:`SHIFTS`.
+    """
     scene = scene_of(case, viscosity, steps)
     cells = mc.Simulation(scene).cells
     if case == "unlike sizes":
@@ -193,20 +197,28 @@ def solved(case, viscosity, steps, folder):
         cells = replace(cells, radius=halves * cells.radius)
     problem, _ = record(scene, Rkc2(atol=0.01), samples=10**6, cells=cells, threads=1)
     seeded = [replace(problem, scene=scene.with_changes({"seed": k + 1})) for k in range(DRAWS)]
-    starts = [problem.starts]
-    starts += [shift_starts(which, shift).starts for shift in SHIFTS for which in seeded]
+    shifted = [shift_starts(which, shift).starts for shift in SHIFTS for which in seeded]
+    return problem, [problem.starts, *shifted]
+
+
+def true_ends(problem, starts, k, known=None):
+    """Return the true ends of a step from each draw; ``known`` ones are taken from, and kept."""
+    known = {} if known is None else known
+    for draw, row in enumerate(starts):
+        same = np.array_equal(known.get(f"start_{k}_{draw}", ()), row[k])
+        if not same or f"end_{k}_{draw}" not in known:
+            known[f"start_{k}_{draw}"] = row[k]
+            known[f"end_{k}_{draw}"] = true_end(problem, k, row[k], 1e-7 if draw else 1e-10)
+    return [known[f"end_{k}_{draw}"] for draw in range(len(starts))]
+
+
+def solved(case, viscosity, steps, folder):
+    """Return the problem and the true ends of its steps, of which ``folder`` keeps all."""
+    problem, starts = recorded(case, viscosity, steps)
     path = folder / "truth" / f"{case.replace(' ', '-')}-{viscosity:g}.npz"
     known = dict(np.load(path)) if path.is_file() else {}
-    steps = min(steps, len(problem.steps) - 1)
-    ends = []
-    for k in range(1, steps + 1):  # the first one starts from a lattice
-        for which, row in enumerate(starts):
-            same = np.array_equal(known.get(f"start_{k}_{which}", ()), row[k])
-            if not same or f"end_{k}_{which}" not in known:
-                known[f"start_{k}_{which}"] = row[k]
-                rtol = 1e-7 if which else 1e-10
-                known[f"end_{k}_{which}"] = true_end(problem, k, row[k], rtol)
-        ends.append([known[f"end_{k}_{which}"] for which in range(len(starts))])
+    # the first one starts from a lattice
+    ends = {k: true_ends(problem, starts, k, known) for k in range(1, steps + 1)}
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(path, **known)
     return problem, ends
@@ -221,7 +233,7 @@ def measured(case, viscosity, problem, ends, method):
     """Return a row for each step of a method."""
     atol, rows = METHODS[method].atol, []
     solver = from_options(IntegratorOptions(method=method))
-    for k, (exact, *shifted) in enumerate(ends, start=1):
+    for k, (exact, *shifted) in ends.items():
         system = problem.system()
         system.begin(problem.steps[k].motion)
         words, end = advance(system, solver, problem.starts[k])
@@ -290,7 +302,8 @@ def main():
             rows = list(csv.DictReader(file))
     for case in given.cases:
         for viscosity in given.viscosities:
-            here = [r for r in rows if (r["case"], float(r["viscosity_kPa_s"])) == (case, viscosity)]
+            key = case, viscosity
+            here = [r for r in rows if (r["case"], float(r["viscosity_kPa_s"])) == key]
             done = [r["method"] for r in here]
             missing = [
                 m for m in given.methods
@@ -308,7 +321,7 @@ def main():
                 rows += measured(case, viscosity, problem, ends, method)
             write(path, rows)
             print(
-                f"{case}, {viscosity:g} kPa·s: {len(ends[0][0])} to {len(ends[-1][0])} cells, "
+                f"{case}, {viscosity:g} kPa·s: {len(ends[1][0])} to {problem.counts[-1]} cells, "
                 f"{took:.0f} s of CPU for the truth, {time.process_time() - begin:.0f} s in all",
                 flush=True,
             )
