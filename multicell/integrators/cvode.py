@@ -50,8 +50,8 @@ class Cvode(ErrorControl):
       all coordinates, in which one cell among many may be wrong by many tolerances.
     - ``part``: part of the usual share of the tolerances (:func:`.limits.norm_share`) that SUNDIALS
       gets with ``each_cell``. With the whole share one step in twenty at 0.05 kPa s left a cell
-      3 to 20 times as far off as a shift of its start by the tolerance; with a tenth none did,
-      for 1.2 to 1.3 times the cost (tests/benchmarks/worst_cell.py)
+      3 to 20 times as far off as a shift of its start by the tolerance; with a tenth one in 300
+      did, for 1.2 to 1.3 times the cost (tests/benchmarks/worst_cell.py)
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(

@@ -15,7 +15,7 @@ spec.loader.exec_module(worst_cell)
 
 VISCOSITY = 0.05
 STEPS = (12, 15, 19)
-"""A contact forms late in the last one: with a tenfold share of the tolerance CVODE missed it."""
+"""A contact forms late in the last one: CVODE missed it with its whole share of the tolerance."""
 
 
 @functools.cache
