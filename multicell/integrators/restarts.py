@@ -7,10 +7,10 @@ started at the last good state, with a ceiling on its steps, which is lifted aga
 SUNDIALS holds the mean square of all coordinates' errors against the tolerance: one daughter among
 thousands of cells at rest may then be wrong by many tolerances in a single step, and end in another
 pocket, where the true course leads to none but one. Tissue that grows is like that all the time. So
-solvers are given a share of the tolerance (:func:`.limits.norm_share`), and a step in which a
-single cell's estimated error exceeds the tolerance is refused and taken with a smaller share. To
-bound h times the largest positive eigenvalue of J made errors as small, with two to five times as
-many steps, and products for that eigenvalue in each of them.
+solvers are given a share of the tolerance (:func:`.limits.norm_share`), CVODE a part of that share,
+and a step in which a single cell's estimated error exceeds the tolerance is refused and taken with
+a smaller share. To bound h times the largest positive eigenvalue of J made errors as small, with
+two to five times as many steps, and products for that eigenvalue in each of them.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ class Run:
         Part of the tolerances that a solver gets whose norm is a mean over all coordinates.
 
     With ``each_cell`` the tolerance, ``atol`` + ``rtol`` times the mean radius, is held by single
-    cells, too, as far as solvers report the errors of their steps.
+    cells, too, as far as solvers report the errors of their steps; ``part`` is the part of the
+    usual share that a solver then begins with.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class Run:
         rtol: float = 0.0,
         *,
         each_cell: bool = False,
+        part: float = 1.0,
     ) -> None:
         self.system = system
         self.position = position
@@ -97,7 +99,7 @@ class Run:
         self.atol = atol
         self.share, self._most_error = 1.0, math.inf
         if each_cell and len(system):
-            self.share = norm_share(len(system))
+            self.share = part * norm_share(len(system))
             self._most_error = atol + rtol * float(system.motion.radius.mean())
         self.length = system.motion.end - system.motion.begin
         self.elapsed = 0.0
@@ -185,7 +187,7 @@ class Run:
         except (StateRejected, StepImpossible) as error:
             raise _Refused(str(error), self.latest - before) from error
         if expected > self._most_error:
-            # with a share of 1/√(3n) the norm excludes it: this ends after a few times
+            # with 1/√(3n) the norm excludes it: this ends after a few times
             self.share *= _SMALLER
             self.system.work.rejections += 1
             raise Restart

@@ -180,7 +180,8 @@ class AdaptiveRungeKutta4(_Adaptive):
 class Dopri5(_Adaptive):
     """Dormand & Prince's pair of orders 5 and 4, the higher one propagated; stable to 3.3/λ_max.
 
-    Parameters as for :class:`~multicell.integrators.base.ErrorControl`.
+    Not safe for single cells where contacts form and break (docs/theory/integrators.md). Parameters
+    as for :class:`~multicell.integrators.base.ErrorControl`.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(

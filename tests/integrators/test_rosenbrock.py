@@ -159,7 +159,7 @@ def test_bdf_damps_the_buckling_that_is_below_its_tolerance():
     """This is what the bound is for."""
     position, system = chain(12, 1e-4, 6000.0)
     exact = reference(system(), position, 1e-13)
-    damped = Cvode(1e-6, 1e-2).integrate(system(), position).position
+    damped = Cvode(1e-6, 1e-2, part=1.0).integrate(system(), position).position
     assert np.abs(damped[:, 1]).max() < 0.1 * np.abs(exact[:, 1]).max()
 
 
@@ -242,7 +242,8 @@ SCENES = {
     "plane": ("settle", {"dimensions": 2, "initial.count": 60, "duration": "2 min"}),
     "one cell": ("settle", {"initial.count": 1, "duration": "2 min"}),
     "exact JKR": ("settle", {"contact.law": "exact-jkr", "initial.count": 40, "duration": "2 min"}),
-    "division": ("growth", {"initial.count": 30, "duration": "1 h"}),
+    # a little jitter: on the lattice any two methods part at a saddle
+    "division": ("growth", {"initial.count": 30, "initial.jitter": 0.05, "duration": "1 h"}),
 }
 
 

@@ -1,0 +1,333 @@
+"""Is the worst cell of a coupling step off by more than what nobody can know of its start?
+
+Problem   consecutive coupling steps (10 min) of few cells that grow and divide, each from its own
+          recorded state, at four viscosities: approximate and exact JKR, cubic springs, friction
+          between cells, cells of unlike sizes, a box with elastic walls, a plane
+Truth     SciPy's DOP853 at a relative tolerance of 1e-10 (some 1e-9 µm) in every case, 1e-7 from
+          shifted starts, on a right-hand side in NumPy written out here; it shares no code with
+          the package
+Ratio     error of the worst cell of a method at its default tolerance, over the conditioning of
+          the step: the largest displacement at the end, in the truth, that normal random shifts
+          of all start coordinates by 0.01 µm cause, or by the tolerance if that is larger; the
+          largest of four shifts, since one alone may by chance do a thirtieth of another
+Measured  steps, largest ratio, 95th percentile, steps with a ratio above 3, and above 3 where the
+          shift is 0.01 µm for all; worst error in µm; the summed effort in evaluations
+Cost      printed; half an hour for 30 steps of each case, nearly all of it the truth
+Command   python tests/benchmarks/worst_cell.py --results FOLDER    (--quick: 6 steps of 3 cases)
+
+What is in FOLDER is not measured again: ``worst-cell.csv`` has a row for each step and method,
+``truth`` the solutions. ``--again METHOD`` drops the rows of a method that has changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+import multicell as mc
+from multicell.comparison.conditioning import shift_starts
+from multicell.comparison.record import record
+from multicell.comparison.replay import advance
+from multicell.integrators.registry import METHODS, from_options
+from multicell.integrators.rkc import Rkc2
+from multicell.scene.parts import IntegratorOptions
+
+CASES = {
+    "growing": {},
+    "exact JKR": {"contact.law": "exact-jkr"},
+    "springs": {"contact": {"law": "cubic"}},
+    "friction": {"friction.normal": 0.1, "friction.tangential": 0.1},
+    "unlike sizes": {},
+    "box": {f"domain.{axis}": ["-17 um", "17 um"] for axis in "xyz"},
+    "plane": {"dimensions": 2},
+}
+"""Name -> what is changed of the scene ``growth``; of unlike sizes, half are halved."""
+QUICK = ("growing", "exact JKR", "plane")
+VISCOSITIES = (5.0, 0.5, 0.05, 0.01)
+SAFE = ("auto", "rosenbrock", "rkc2")
+"""Methods that are called safe at their defaults."""
+OTHERS = ("cvode", "cvode-adams", "dopri5")
+LIMIT = 3.0
+SHIFTS = (0.01, 0.1)  # µm; the second one for methods with this tolerance
+DRAWS = 4
+FIELDS = (
+    "case", "viscosity_kPa_s", "step", "method", "atol_um", "cells", "error_um", "shift_um",
+    "shift_0.01_um", "effort", "problem",
+)  # fmt: skip
+
+
+class Velocity:
+    """dx/dt of a coupling step in NumPy: pairs of a k-d tree, laws as their sources write them."""
+
+    def __init__(self, motion, template):
+        self.motion, self.template = motion, template
+        laws = {"JKR": self.jkr, "ExactJKR": self.exact, "Cubic": self.cubic}
+        self.law = laws[type(template.law).__name__]
+        self.margin = 0.6 * float(motion.radius.mean())
+        self.soft = 0.75 * (1.0 - motion.poisson**2) / motion.young
+        self.listed = None
+
+    def __call__(self, t, y):
+        x, motion = y.reshape(-1, 3), self.motion
+        if self.listed is None or np.square(x - self.listed).sum(axis=1).max() > self.margin**2 / 4:
+            self._list(x)
+        radius = motion.radius + motion.radius_rate * (t - motion.begin)
+        i, j = self.pairs
+        away = x[j] - x[i]
+        distance = np.sqrt((away * away).sum(axis=1))
+        rest = radius[i] + radius[j]
+        h, reduced = rest - distance, radius[i] * radius[j] / rest
+        force = self.law(h, self.modulus, reduced, rest)
+        total = self.incidence @ (away * (force / distance)[:, None])
+        walls = self.template.walls
+        if walls is not None:
+            strength = np.sqrt(radius) / (self.soft + walls.soft)
+            for side, sign in ((walls.low, 1.0), (walls.high, -1.0)):
+                pressed = np.maximum(radius[:, None] - sign * (x - side), 0.0)
+                total += sign * strength[:, None] * pressed**1.5
+        drag = 6.0 * np.pi * self.template.viscosity * radius
+        if max(self.template.friction) > 0.0:
+            return self._rubbing(total, drag, away / distance[:, None], h, reduced)
+        return (total / drag[:, None]).ravel()
+
+    def _list(self, x):
+        """Note all pairs that may meet while no cell moves by more than half the margin."""
+        motion, widest = self.motion, np.maximum(self.motion.radius, self.motion.end_radius).max()
+        reach = 2.0 * widest * getattr(self.template.law, "cutoff", 1.2) + self.margin
+        i, j = self.pairs = cKDTree(x).query_pairs(reach, output_type="ndarray").T
+        self.modulus = 1.0 / (self.soft[i] + self.soft[j])
+        m = np.arange(len(i))
+        ones = np.ones(len(i))
+        places = (np.concatenate([j, i]), np.concatenate([m, m]))
+        shape = (len(x), len(i))
+        self.incidence = csr_matrix((np.concatenate([ones, -ones]), places), shape=shape)
+        touching = set() if motion.touching is None else set(map(tuple, motion.touching.tolist()))
+        self.touching = np.array([(min(p), max(p)) in touching for p in self.pairs.T.tolist()])
+        self.listed = x.copy()
+
+    def jkr(self, h, modulus, reduced, rest):
+        """Eq. 3.6 of the thesis: E √r h^(3/2) - √(6π σ E r^(3/2)) h^(3/4)."""
+        h = np.maximum(h, 0.0)
+        root = np.sqrt(h)
+        sticky = np.sqrt(6.0 * np.pi * self.template.law.surface_energy * modulus * reduced**1.5)
+        return modulus * np.sqrt(reduced) * h * root - sticky * np.sqrt(h * root)
+
+    def exact(self, h, modulus, reduced, rest):
+        """Johnson, Kendall & Roberts 1971: contact radius x² with x⁴ / r - √(2πw / E*) x = h."""
+        work, star = self.template.law.surface_energy, 0.75 * modulus
+        c = np.sqrt(2.0 * np.pi * work / star)
+        # the least h is that of the turning point, 4 x³ = c r
+        turning = np.cbrt(0.25 * c * reduced)
+        lowest = turning**4 / reduced - c * turning
+        held = np.flatnonzero(np.where(self.touching, h >= lowest, h >= 0.0))
+        force = np.zeros_like(h)
+        h, c, r, star = h[held], c[held], reduced[held], star[held]
+        # Newton from the right of the largest root: the function is convex
+        x = np.cbrt(c * r) + (np.maximum(h, 0.0) * r) ** 0.25
+        for _ in range(60):
+            less = (x**4 / r - c * x - h) / np.maximum(4.0 * x**3 / r - c, 1e-300)
+            x = x - less
+            if (np.abs(less) <= 1e-15 * x).all():
+                break
+        a3 = x**6
+        force[held] = 4.0 * star * a3 / (3.0 * r) - np.sqrt(8.0 * np.pi * work * star * a3)
+        return force
+
+    def cubic(self, h, modulus, reduced, rest):
+        """CBMOS: μ h (1 + h / H)², H the range beyond the rest distance."""
+        law = self.template.law
+        reach = (law.cutoff - 1.0) * rest
+        return law.stiffness_at_rest * h * np.maximum(1.0 + h / reach, 0.0) ** 2
+
+    def _rubbing(self, total, drag, unit, h, reduced):
+        """Solve Γ v = F: Stokes drag and friction over the Hertz area π r h, a dense matrix."""
+        normal, tangential = self.template.friction
+        near = np.flatnonzero(h > 0.0)
+        unit, area = unit[near], np.pi * (reduced * h)[near]
+        outer = unit[:, :, None] * unit[:, None, :]
+        block = area[:, None, None] * ((normal - tangential) * outer + tangential * np.eye(3))
+        n = len(drag)
+        gamma = np.zeros((n, n, 3, 3))
+        i, j = self.pairs[0][near], self.pairs[1][near]
+        np.add.at(gamma, (i, i), block)
+        np.add.at(gamma, (j, j), block)
+        gamma[i, j] = gamma[j, i] = -block
+        gamma[np.arange(n), np.arange(n)] += drag[:, None, None] * np.eye(3)
+        return np.linalg.solve(gamma.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n), total.ravel())
+
+
+def true_end(problem, k, start, rtol=1e-10):
+    """Return where the cells are at the end of a coupling step, (n, 3) µm."""
+    motion = problem.steps[k].motion
+    span, velocity = (motion.begin, motion.end), Velocity(motion, problem.template)
+    found = solve_ivp(velocity, span, start.ravel(), "DOP853", rtol=rtol, atol=10.0 * rtol)
+    assert found.success, found.message
+    return found.y[:, -1].reshape(-1, 3)
+
+
+def scene_of(case, viscosity, steps, count=50):
+    """Return the scene whose coupling steps are taken: few cells, some of which divide."""
+    changes = {
+        "initial.count": count, "initial.stage": "uniform", "initial.jitter": 0.02,
+        "drag.viscosity": viscosity, "duration": 600.0 * (steps + 1),
+    }  # fmt: skip
+    changes |= CASES[case]
+    if case == "plane":
+        del changes["initial.jitter"]
+    return mc.load_scene("growth").with_changes(changes)
+
+
+def recorded(case, viscosity, steps):
+    """Return a problem whose steps start from recorded states, and the starts of each draw.
+
+    The first draw is the recorded state itself, then come those of each of :data:`SHIFTS`.
+    """
+    scene = scene_of(case, viscosity, steps)
+    cells = mc.Simulation(scene).cells
+    if case == "unlike sizes":
+        halves = np.where(np.arange(len(cells)) % 2, 1.0, 0.5)
+        cells = replace(cells, radius=halves * cells.radius)
+    problem, _ = record(scene, Rkc2(atol=0.01), samples=10**6, cells=cells, threads=1)
+    seeded = [replace(problem, scene=scene.with_changes({"seed": k + 1})) for k in range(DRAWS)]
+    shifted = [shift_starts(which, shift).starts for shift in SHIFTS for which in seeded]
+    return problem, [problem.starts, *shifted]
+
+
+def true_ends(problem, starts, k, known=None):
+    """Return the true ends of a step from each draw; ``known`` ones are taken from, and kept."""
+    known = {} if known is None else known
+    for draw, row in enumerate(starts):
+        same = np.array_equal(known.get(f"start_{k}_{draw}", ()), row[k])
+        if not same or f"end_{k}_{draw}" not in known:
+            known[f"start_{k}_{draw}"] = row[k]
+            known[f"end_{k}_{draw}"] = true_end(problem, k, row[k], 1e-7 if draw else 1e-10)
+    return [known[f"end_{k}_{draw}"] for draw in range(len(starts))]
+
+
+def solved(case, viscosity, steps, folder):
+    """Return the problem and the true ends of its steps, of which ``folder`` keeps all."""
+    problem, starts = recorded(case, viscosity, steps)
+    path = folder / "truth" / f"{case.replace(' ', '-')}-{viscosity:g}.npz"
+    known = dict(np.load(path)) if path.is_file() else {}
+    # the first one starts from a lattice
+    ends = {k: true_ends(problem, starts, k, known) for k in range(1, steps + 1)}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(path, **known)
+    return problem, ends
+
+
+def distance(a, b):
+    """Return the largest distance of a cell between two ends, µm."""
+    return float(np.sqrt(np.square(a - b).sum(axis=1)).max())
+
+
+def measured(case, viscosity, problem, ends, method):
+    """Return a row for each step of a method."""
+    atol, rows = METHODS[method].atol, []
+    solver = from_options(IntegratorOptions(method=method))
+    for k, (exact, *shifted) in ends.items():
+        system = problem.system()
+        system.begin(problem.steps[k].motion)
+        words, end = advance(system, solver, problem.starts[k])
+        moved = np.reshape([distance(other, exact) for other in shifted], (-1, DRAWS)).max(axis=1)
+        rows.append({
+            "case": case, "viscosity_kPa_s": viscosity, "step": k, "method": method,
+            "atol_um": atol, "cells": len(exact),
+            "error_um": math.inf if words else distance(end, exact),
+            "shift_um": moved[SHIFTS.index(atol) if atol in SHIFTS else 0],
+            "shift_0.01_um": moved[0], "effort": system.work.effort, "problem": words,
+        })  # fmt: skip
+    return rows
+
+
+def table(rows, names=("case", "viscosity_kPa_s", "method")):
+    """Return a line for each group of rows with the same values of these names."""
+    head = [
+        *(name.replace("_kPa_s", " / kPa·s") for name in names), "steps", "worst ratio", "95 %",
+        "over 3", "over 3 at 0.01 µm", "worst error / µm", "effort",
+    ]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    groups = {}
+    for row in rows:
+        groups.setdefault(tuple(str(row[name]) for name in names), []).append(row)
+    for key, group in groups.items():
+        error, shift, common, effort = (
+            np.array([float(row[name]) for row in group])
+            for name in ("error_um", "shift_um", "shift_0.01_um", "effort")
+        )
+        ratio = error / shift
+        lines.append(
+            f"| {' | '.join(key)} | {len(group)} | {ratio.max():.2g} | "
+            f"{np.quantile(ratio, 0.95):.2g} | {(ratio > LIMIT).sum()} | "
+            f"{(error > LIMIT * common).sum()} | {error.max():.2g} | {effort.sum():.0f} |"
+        )
+    return "\n".join(lines)
+
+
+def write(path, rows):
+    """Write all rows, sorted as the table is."""
+    order = {case: k for k, case in enumerate(CASES)}
+    rows.sort(key=lambda row: (order[row["case"]], -float(row["viscosity_kPa_s"])))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def main():
+    """Measure what is not kept yet, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--results", type=Path, default=Path("worst-cell"))
+    parser.add_argument("--steps", type=int, default=30, help="of each case (%(default)s)")
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
+    parser.add_argument("--viscosities", type=float, nargs="+", default=VISCOSITIES, help="kPa s")
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=SAFE + OTHERS)
+    parser.add_argument("--again", nargs="+", default=[], help="methods to measure anew")
+    parser.add_argument("--quick", action="store_true")
+    given = parser.parse_args()
+    if given.quick:
+        given.cases, given.steps = QUICK, 6
+    given.results.mkdir(parents=True, exist_ok=True)
+    path, rows = given.results / "worst-cell.csv", []
+    if path.is_file():
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    for case in given.cases:
+        for viscosity in given.viscosities:
+            key = case, viscosity
+            here = [r for r in rows if (r["case"], float(r["viscosity_kPa_s"])) == key]
+            done = [r["method"] for r in here]
+            missing = [
+                m for m in given.methods
+                if (m in given.again or done.count(m) < given.steps)
+                and METHODS[m].refusal(0, friction=case == "friction") is None
+            ]  # fmt: skip
+            if not missing:
+                continue
+            begin = time.process_time()
+            problem, ends = solved(case, viscosity, given.steps, given.results)
+            took = time.process_time() - begin
+            old = [r for r in here if r["method"] in missing]
+            rows = [r for r in rows if r not in old]
+            for method in missing:
+                rows += measured(case, viscosity, problem, ends, method)
+            write(path, rows)
+            print(
+                f"{case}, {viscosity:g} kPa·s: {len(ends[1][0])} to {problem.counts[-1]} cells, "
+                f"{took:.0f} s of CPU for the truth, {time.process_time() - begin:.0f} s in all",
+                flush=True,
+            )
+    print(f"{table(rows)}\n\n{table(rows, ('viscosity_kPa_s', 'method'))}")
+
+
+if __name__ == "__main__":
+    main()
