@@ -16,7 +16,7 @@ Command
         multicell compare settle --methods cvode,heun,examples/own_integrator.py:Midpoint -o chart
 """
 
-# sphinx_gallery_thumbnail_path = 'figures/compare-settle-1000.png'
+# sphinx_gallery_thumbnail_path = 'figures/compare-stiff-inclusions.png'
 
 import math
 from dataclasses import dataclass
