@@ -21,7 +21,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 
@@ -180,7 +180,7 @@ class Run:
     whole: float = 0.0
     some: float = 0.0
     steps: int = 0
-    end: Array | None = None
+    end: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def substeps(
@@ -214,7 +214,9 @@ def substeps(
     return course
 
 
-def grouping(of: Equations, squares: Array, step: float, goal: float, left: float):
+def grouping(
+    of: Equations, squares: Array, step: float, goal: float, left: float
+) -> tuple[Mask, float, float]:
     """Return the fast cells, the next step and their first one: those that cost least."""
     n, order = len(squares), np.argsort(-squares)
     sums, best = np.cumsum(squares[order]), (math.inf, np.zeros(len(squares), bool), step, step)
