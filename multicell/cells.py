@@ -102,6 +102,9 @@ class Cells:
         zero for sound cells.
     damage : (n,) float64
         Part of the damage that kills the cell; a dead one keeps it, daughters have the mother's.
+    lag : (n,) float64, s
+        Time of unlimited growth that the cell has yet to make good, because coupling steps hold
+        rates of growth fixed; negative: too much.
     """
 
     id: IntArray = _column(np.int64, "")
@@ -122,6 +125,7 @@ class Cells:
     phase_length: FloatArray = _column(np.float64, "s", optional=True)
     doomed: NDArray[np.int8] = _column(np.int8, "", optional=True)
     damage: FloatArray = _column(np.float64, "", optional=True)
+    lag: FloatArray = _column(np.float64, "s", optional=True)
 
     def __post_init__(self) -> None:
         n = len(self.id)

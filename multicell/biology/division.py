@@ -49,7 +49,7 @@ def divide(
     plan: BiologyPlan,
     cells: Cells,
     next_id: int,
-    dt: float = 0.0,
+    grown: float | FloatArray = 0.0,
     found: Mapping[str, FloatArray] = _NONE,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
@@ -66,7 +66,8 @@ def divide(
     - ``plan``: a scene without ``growth`` has no divisions
     - ``cells``: the population; it is not changed
     - ``next_id``: first identity that is free
-    - ``dt``: length of the coupling step that has ended, s: no mother can wait for longer
+    - ``grown``, (n,) or one for all, s: time of unlimited growth in the step that has ended: no
+      mother can have waited for longer
     - ``found``, name -> (n,): signals at the cells, for what responds to them
 
     Returns cells: the cells that did not divide, in their old order, followed by the daughters in
@@ -81,7 +82,8 @@ def divide(
         return cells, next_id
     mothers = cells.take(ripe)
     due = np.broadcast_to(_division_volume(plan, cells, found), len(cells))[ripe]
-    waited, volume = _waited(plan, mothers, due, dt)
+    most = np.broadcast_to(grown, len(cells))[ripe]
+    waited, volume = _waited(plan, mothers, due, most)
     order = np.lexsort((mothers.id, -waited))
     mothers, waited, volume = mothers.take(order), waited[order], volume[order]
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
@@ -96,12 +98,12 @@ def divide(
 
 
 def _waited(
-    plan: BiologyPlan, mothers: Cells, due: FloatArray, dt: float
+    plan: BiologyPlan, mothers: Cells, due: FloatArray, longest: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return how long mothers have grown beyond their division, and their volumes then.
 
     - ``due``, (n,) µm³: volumes at which they divide, without phases
-    - ``dt``, s: no mother has waited for longer
+    - ``longest``, (n,) s: no mother has waited for longer
 
     Returns (n,) s of unlimited growth; (n,) µm³.
     """
@@ -110,7 +112,7 @@ def _waited(
     assert plan.law is not None
     birth, cycle, volume = plan.birth_volume, mothers.cycle_time, mothers.volume
     # what exceeds that was there before the step: the threshold has fallen, or a table said so
-    most = np.minimum(volume, plan.law.volume_after(due, dt / cycle, birth))
+    most = np.minimum(volume, plan.law.volume_after(due, longest / cycle, birth))
     shares = plan.law.share_at(most / birth) - plan.law.share_at(due / birth)
     return np.asarray(np.maximum(shares, 0.0) * cycle), np.asarray(volume - (most - due))
 
