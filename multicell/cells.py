@@ -225,6 +225,14 @@ def _layout() -> dict[str, tuple[Any, int | None]]:
     return {spec.name: (spec.metadata["dtype"], spec.metadata["width"]) for spec in fields(Cells)}
 
 
+def rows_before(began: Cells, cells: Cells) -> IntArray:
+    """Return the rows that cells had before a coupling step, or their mothers, (n,)."""
+    row = began.rows_of(cells.id)
+    born = row < 0
+    row[born] = began.rows_of(cells.parent[born])
+    return row
+
+
 def rows_of(known: IntArray, ids: IntArray) -> IntArray:
     """Return the place among ``known`` identities of each of ``ids``; -1 where it is not there.
 

@@ -203,7 +203,7 @@ class Simulation(RunState):
             self.cells.position, self.cells.pressure = position, pressure
             self.released += lost
             self.timeline = self.timeline.after_step()
-            self._divide_and_remove(grown.time)
+            self._divide_and_remove(end - begin, grown.factor)
             self._sort()
         with self.phase("nutrient"):
             self._fields.advance(self.cells, began, begin, end)
@@ -293,13 +293,13 @@ class Simulation(RunState):
         if self.scene.pull is not None and before and not len(found):
             self.separation = {"time": time, "force": self.scene.pull.load(time)}
 
-    def _divide_and_remove(self, grown: FloatArray) -> None:
-        """Change the number of cells, and all that is noted of them.
+    def _divide_and_remove(self, dt: float, factor: FloatArray) -> None:
+        """Change the number of cells after a step of ``dt`` s, and all that is noted of them.
 
-        ``grown``, (n,) s: time of unlimited growth in the step that has ended
+        They have grown in it at ``factor``, (n,), of unlimited growth.
         """
-        before, first = self.cells, self.next_id
-        after = divide_and_remove(self.plan, before, first, self.time, grown, self.signals)
+        before, first, found = self.cells, self.next_id, self.signals
+        after = divide_and_remove(self.plan, before, first, self.time, dt, found, factor)
         born = after.next_id - first
         self.cells, self.next_id = after.cells, after.next_id
         self.divisions += born // 2

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multicell.cells import Cells, FloatArray, State, rows_of
+from multicell.cells import Cells, FloatArray, State, rows_before
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -51,12 +51,7 @@ def lag_after(
     - ``cells``, ``now``: those of its end, whose lag lacks this step, and their factors
     - ``dt``: its length, s
     """
-    grew = np.where(_grows(plan, began), before, np.nan)
-    if began.id is not cells.id and not np.array_equal(began.id, cells.id):
-        row = rows_of(began.id, cells.id)
-        born = row < 0
-        row[born] = rows_of(began.id, cells.parent[born])
-        grew = grew[row]
+    grew = np.where(_grows(plan, began), before, np.nan)[rows_before(began, cells)]
     change = np.where(_grows(plan, cells), now - grew, 0.0)
     lag = cells.lag + 0.5 * dt * np.nan_to_num(change)
     return np.where(cells.dead, 0.0, lag)

@@ -34,13 +34,13 @@ class Grown(NamedTuple):
     """What growth makes of cells by the end of a step.
 
     - ``radius``, (n,) µm
-    - ``time``, (n,) s: for which they have grown, as if nothing limited them, if they could grow
+    - ``factor``, (n,): part of unlimited growth at which they have grown if they could
     - ``lag``, (n,) s: what they have yet to make good
     - ``cycling``: their place in the cycle; None where the scene has no phases
     """
 
     radius: FloatArray
-    time: FloatArray
+    factor: FloatArray
     lag: FloatArray
     cycling: Cycling | None
 
@@ -75,7 +75,7 @@ def grow(
         pace = phase_pace(plan, concentrations, cells)
         cycling = advance(plan, cells, factor, resting, dt, pace)
         volume += cycling.volume - cells.volume
-    return Grown(np.asarray(np.cbrt(volume / SPHERE)), dt * factor, lag, cycling)
+    return Grown(np.asarray(np.cbrt(volume / SPHERE)), factor, lag, cycling)
 
 
 def age_cells(
@@ -112,14 +112,16 @@ def divide_and_remove(
     cells: Cells,
     next_id: int,
     time: float,
-    grown: float | FloatArray,
+    dt: float,
     found: Concentrations = MappingProxyType({}),
+    factor: float | FloatArray = 1.0,
 ) -> Events:
     """Return the cells after all that changes their number at the end of a step.
 
-    ``time`` is that end in s, ``grown`` the time of unlimited growth in the step, (n,) s.
+    ``time`` is that end and ``dt`` the length of the step, s, ``factor`` the part of unlimited
+    growth at which cells have grown in it, (n,) or one for all.
     """
-    divided, free = divide(plan, cells, next_id, grown, found)
+    divided, free = divide(plan, cells, next_id, dt, found, factor)
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside

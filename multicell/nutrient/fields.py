@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.cells import Cells, FloatArray, State
+from multicell.cells import Cells, FloatArray, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import Exchange, Ledger
 from multicell.nutrient.field import NutrientField
@@ -24,6 +24,8 @@ from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import circles, solving_order
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from multicell.nutrient.group import FieldGroup
     from multicell.results.frame import Field, Frame
     from multicell.scene.nutrient import Nutrient
@@ -170,28 +172,41 @@ class Feeding:
     ) -> None:
         """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
 
-        What a steady field exchanged in this time is what its solution of ``begin`` said. Transient
-        ones are exchanged with the mean of both populations, at the places of those at the end;
+        What a steady field exchanged in this time is what its solution of ``begin`` said. With
+        transient ones each cell exchanges the mean of the step, at its place at the end;
         ``before`` are the cells at the beginning.
         """
         began: dict[str, Demand] = {}
+        shares = np.zeros(0)
         if before is not None:
             marched = [name for name in self.order if not self._rests(name)]
             if any(self._nutrients[name].secretion_from for name in marched):
                 for name, field in self.fields.items():
                     self._uptake[name] = field.uptake(before.position, self._capacity(name, before))
-            began = {name: self.demand_now(name, before) for name in marched}
+            row, earlier, shares = _shares(before, cells, end - begin)
+            for name in marched:
+                one, other = self.demand_now(name, before)
+                began[name] = earlier * one[row], None if other is None else earlier * other[row]
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample(cells.position) for x in names}
             self.concentrations = {**self.concentrations, **found}
         for group in self.groups:
-            self._advance(group, cells, begin, end, began)
+            self._advance(group, cells, begin, end, began, shares)
             self._settle(group, cells, end)
 
     def _advance(
-        self, group: FieldGroup, cells: Cells, begin: float, end: float, began: Mapping[str, Demand]
+        self,
+        group: FieldGroup,
+        cells: Cells,
+        begin: float,
+        end: float,
+        began: Mapping[str, Demand],
+        shares: FloatArray,
     ) -> None:
-        """Bring fields to ``end``; ``began`` is what the cells of ``begin`` asked for."""
+        """Bring fields to ``end``.
+
+        ``began`` is the part of the demand that the beginning sets, ``shares`` that of the end.
+        """
         demand = {name: self.demand_now(name, cells) for name in group.names}
         shells = {name: self._on_shells(name) for name in group.names}
         if self._rests(group.names[0]):
@@ -200,7 +215,11 @@ class Feeding:
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=end)
         else:
             content = {name: self.fields[name].stored() for name in group.names}
-            mean = {name: _mean(began.get(name, now), now) for name, now in demand.items()}
+            mean = dict(demand)
+            for name in began.keys() & demand.keys():
+                (one, two), (uptake, made) = began[name], demand[name]
+                made = None if made is None or two is None else two + shares * made
+                mean[name] = one + shares * uptake, made
             found = group.advance(cells.position, mean, radius=cells.radius, begin=begin, end=end)
             for name, exchange in found.items():
                 gained = self.fields[name].stored() - content[name]
@@ -371,15 +390,18 @@ class Feeding:
         return capacity, production
 
 
-def _mean(began: Demand, ended: Demand) -> Demand:
-    """Return the demand of cells of which all together ask for the mean of two populations."""
+def _shares(
+    before: Cells, cells: Cells, dt: float
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Return how the demand of a step follows from that of its beginning and that of its end.
 
-    def scaled(before: FloatArray, now: FloatArray) -> FloatArray:
-        total = float(now.sum())
-        return now * (0.5 * (1.0 + float(before.sum()) / total)) if total > 0.0 else now
-
-    made = None if began[1] is None or ended[1] is None else scaled(began[1], ended[1])
-    return scaled(began[0], ended[0]), made
+    Returns the rows of the cells or their mothers at the beginning, and the weights of both
+    demands, (n,) each. Until a division each daughter stands for half of its mother.
+    """
+    row = rows_before(before, cells)
+    born = before.id[row] != cells.id
+    since = np.minimum(cells.age / dt, 1.0)
+    return row, np.where(born, 0.5 * (1.0 - since), 0.5), np.where(born, since, 0.5)
 
 
 def factors(scene: Scene, what: str, name: str) -> tuple[FloatArray, FloatArray | None]:
