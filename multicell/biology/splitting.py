@@ -38,7 +38,8 @@ def corrected_factor(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: fl
     """
     if dt <= 0.0 or not cells.lag.any():
         return factor
-    extra = np.clip(_SHARE / dt * cells.lag, -factor, factor)
+    most = np.abs(factor)
+    extra = np.clip(_SHARE / dt * cells.lag, -most, most)
     return np.where(_grows(plan, cells), factor + extra, factor)
 
 
