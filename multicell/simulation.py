@@ -210,10 +210,11 @@ class Simulation(RunState):
         with self.phase("biology"):
             self._decide(end - begin)
             self._irradiate(begin)
-            if plan.growth is not None and end not in self.timeline.plan.jumps:
-                # a jump changes nothing of the step that it ends
+            # a jump changes nothing of the step that it ends
+            spent = 0.0 if end in self.timeline.plan.jumps else end - begin
+            if plan.growth is not None or plan.death is not None:
                 now = self._growth_factor()
-                self.cells.lag = lag_after(plan, began, factor, self.cells, now, end - begin)
+                self.cells.lag = lag_after(plan, began, factor, self.cells, now, spent)
 
     def _growth_factor(self) -> FloatArray:
         """Return how fast cells would grow where they are now, (n,)."""
