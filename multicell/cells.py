@@ -102,6 +102,9 @@ class Cells:
         zero for sound cells.
     damage : (n,) float64
         Part of the damage that kills the cell; a dead one keeps it, daughters have the mother's.
+    lag : (n,) float64, s
+        Time of unlimited growth that the cell has yet to make good, because coupling steps hold
+        rates of growth fixed; negative: too much. Of one that has just died: time since then.
     """
 
     id: IntArray = _column(np.int64, "")
@@ -122,6 +125,7 @@ class Cells:
     phase_length: FloatArray = _column(np.float64, "s", optional=True)
     doomed: NDArray[np.int8] = _column(np.int8, "", optional=True)
     damage: FloatArray = _column(np.float64, "", optional=True)
+    lag: FloatArray = _column(np.float64, "s", optional=True)
 
     def __post_init__(self) -> None:
         n = len(self.id)
@@ -219,6 +223,14 @@ def _made(columns: dict[str, NDArray[Any]]) -> Cells:
 def _layout() -> dict[str, tuple[Any, int | None]]:
     """Return element type and width of every column by name; to ask a dataclass takes longer."""
     return {spec.name: (spec.metadata["dtype"], spec.metadata["width"]) for spec in fields(Cells)}
+
+
+def rows_before(began: Cells, cells: Cells) -> IntArray:
+    """Return the rows that cells had before a coupling step, or their mothers, (n,)."""
+    row = began.rows_of(cells.id)
+    born = row < 0
+    row[born] = began.rows_of(cells.parent[born])
+    return row
 
 
 def rows_of(known: IntArray, ids: IntArray) -> IntArray:

@@ -112,14 +112,13 @@ def two_cells(scene: Scene) -> tuple[Mechanics, FloatArray]:
     from multicell.biology.plan import biology_plan
     from multicell.scene import start
     from multicell.scene.checks import followed
-    from multicell.scene.coupling import longest_step
 
     cells = initial_cells(scene).take(np.zeros(2, dtype=np.int64))
     cells.id = np.arange(2, dtype=cells.id.dtype)
     cells.position[:, 0] += 1.9 * cells.radius * np.array([-0.5, 0.5])
     system = start.mechanics(scene, 1)
     motion = motion_of(
-        biology_plan(scene), cells, cells.radius, 0.0, longest_step(scene), concentrations={},
+        biology_plan(scene), cells, cells.radius, 0.0, scene.coupling_step, concentrations={},
         gradients=dict.fromkeys(followed(scene), np.zeros((2, 3))),
         contacts=np.empty((0, 2), dtype=np.int64),
     )  # fmt: skip

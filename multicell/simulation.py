@@ -20,10 +20,9 @@ from multicell.biology.changes import change_types
 from multicell.biology.growth import growth_factor
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
-from multicell.biology.pace import first_pace, next_pace
 from multicell.biology.plan import biology_plan
 from multicell.biology.radiation import irradiate
-from multicell.biology.splitting import columns, freeze, step_error
+from multicell.biology.splitting import lag_after
 from multicell.biology.start_states import StartStates
 from multicell.biology.step import age_cells, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
@@ -44,7 +43,6 @@ from multicell.scene.domain import check_start
 from multicell.scene.ranges import check_memory
 
 if TYPE_CHECKING:
-    from multicell.biology.splitting import FrozenRates
     from multicell.cells import IntArray
     from multicell.integrators.base import Integrator
     from multicell.mechanics.motion import Motion
@@ -197,7 +195,6 @@ class Simulation(RunState):
         with self.phase("biology"):
             factor = self._growth_factor()
             grown = grow(plan, self.cells, self.signals, factor, end - begin)
-            before = None if plan.growth is None else freeze(self.cells, factor)
             began = self.cells
         with self.phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
@@ -206,27 +203,18 @@ class Simulation(RunState):
             self.cells.position, self.cells.pressure = position, pressure
             self.released += lost
             self.timeline = self.timeline.after_step()
-            self._divide_and_remove(end - begin)
+            self._divide_and_remove(end - begin, grown.factor)
             self._sort()
         with self.phase("nutrient"):
-            self._fields.advance(self.cells, begin, end, None if before is None else began)
+            self._fields.advance(self.cells, began, begin, end)
         with self.phase("biology"):
             self._decide(end - begin)
             self._irradiate(begin)
-            if before is not None:
-                self._estimate(before, begin, end)
-
-    def _estimate(self, before: FrozenRates, begin: float, end: float) -> None:
-        """Estimate the error of the step that has ended, and choose the length of the next."""
-        cells, plan, dt = self.cells, self.timeline.plan, end - begin
-        jumped, now = end in plan.jumps, freeze(cells, self._growth_factor())
-        error = step_error(self.plan, before, now, cells, dt, jumped=jumped)
-        self.step_error = error
-        self.splitting = (self.splitting or 0.0) + error.volume / max(len(cells), 1)
-        if self.pace is not None:
-            pace = first_pace(plan) if jumped else self.pace
-            following = next_pace(plan, pace, error, self._fields.uptake_error(dt), dt)
-            self.timeline = self.timeline._replace(pace=following)
+            # a jump changes nothing of the step that it ends
+            spent = 0.0 if end in self.timeline.plan.jumps else end - begin
+            if plan.growth is not None or plan.death is not None:
+                now = self._growth_factor()
+                self.cells.lag = lag_after(plan, began, factor, self.cells, now, spent)
 
     def _growth_factor(self) -> FloatArray:
         """Return how fast cells would grow where they are now, (n,)."""
@@ -250,8 +238,6 @@ class Simulation(RunState):
         shift = self.replays.latest if self.replays is not None and self.replays.done else math.nan
         extra = {"shift_effect": shift, "stability_ratio": ratio}
         extra |= self._fields.departure(self.cells)
-        if self.scene.growth is not None:
-            extra |= columns(self.step_error, self.cells, self._fields.content_errors)
         extra |= self._fields.columns(self.cells)
         if self.scene.motions:
             now = self._motion(self.time, self.time, self.cells.radius)
@@ -308,10 +294,13 @@ class Simulation(RunState):
         if self.scene.pull is not None and before and not len(found):
             self.separation = {"time": time, "force": self.scene.pull.load(time)}
 
-    def _divide_and_remove(self, dt: float) -> None:
-        """Change the number of cells after a step of ``dt`` s, and all that is noted of them."""
-        before, first = self.cells, self.next_id
-        after = divide_and_remove(self.plan, before, first, self.time, dt, self.signals)
+    def _divide_and_remove(self, dt: float, factor: FloatArray) -> None:
+        """Change the number of cells after a step of ``dt`` s, and all that is noted of them.
+
+        They have grown in it at ``factor``, (n,), of unlimited growth.
+        """
+        before, first, found = self.cells, self.next_id, self.signals
+        after = divide_and_remove(self.plan, before, first, self.time, dt, found, factor)
         born = after.next_id - first
         self.cells, self.next_id = after.cells, after.next_id
         self.divisions += born // 2

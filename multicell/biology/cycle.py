@@ -337,8 +337,3 @@ def _length_of(
     """Return how long the cells at ``index`` stay in a phase, s."""
     lengths = draw_lengths(plan, cells.id[index], cells.kind[index])
     return np.asarray(lengths[np.arange(len(index)), phase - Phase.G1])
-
-
-def may_grow(plan: BiologyPlan, cells: Cells) -> NDArray[np.bool_]:
-    """Return which cells are in a phase in which they grow, or rest in G0 and would grow, (n,)."""
-    return np.asarray(plan.grows[cells.phase] | (cells.phase == Phase.G0))

@@ -51,6 +51,7 @@ def divide(
     next_id: int,
     dt: float = 0.0,
     found: Mapping[str, FloatArray] = _NONE,
+    factor: float | FloatArray = 1.0,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
 
@@ -66,8 +67,9 @@ def divide(
     - ``plan``: a scene without ``growth`` has no divisions
     - ``cells``: the population; it is not changed
     - ``next_id``: first identity that is free
-    - ``dt``: length of the coupling step that has ended, s: no mother can wait for longer
+    - ``dt``: length of the coupling step that has ended, s: no mother can have waited for longer
     - ``found``, name -> (n,): signals at the cells, for what responds to them
+    - ``factor``, (n,) or one for all: part of unlimited growth at which they have grown in the step
 
     Returns cells: the cells that did not divide, in their old order, followed by the daughters in
     the order of their identities. The daughters have the age of that rest, the mother's pressure
@@ -81,27 +83,31 @@ def divide(
         return cells, next_id
     mothers = cells.take(ripe)
     due = np.broadcast_to(_division_volume(plan, cells, found), len(cells))[ripe]
-    waited, volume = _waited(plan, mothers, due, dt)
-    order = np.lexsort((mothers.id, -waited))
+    rate = np.broadcast_to(factor, len(cells))[ripe]
+    waited, volume = _waited(plan, mothers, due, dt * rate)
+    age = np.maximum(waited, 0.0)
+    if not plan.order or plan.grows[plan.order[0]]:
+        age = np.divide(age, rate, out=np.zeros(len(age)), where=rate > 0.0)
+    order = np.lexsort((mothers.id, -age))
     mothers, waited, volume = mothers.take(order), waited[order], volume[order]
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
     chances = mutant_chances(plan, cells, found)
     if chances is not None:
         chances = np.repeat(chances[ripe][order], 2, axis=0)
     daughters = _daughters(plan, mothers, ids, chances)
-    daughters.age = np.repeat(np.maximum(waited, 0.0), 2)
+    daughters.age = np.repeat(age[order], 2)
     if not plan.order:
         _grow_since(plan, daughters, np.repeat(volume, 2), np.repeat(waited, 2))
     return cells.replaced(~ripe, daughters), int(ids[-1]) + 1
 
 
 def _waited(
-    plan: BiologyPlan, mothers: Cells, due: FloatArray, dt: float
+    plan: BiologyPlan, mothers: Cells, due: FloatArray, longest: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return how long mothers have grown beyond their division, and their volumes then.
 
     - ``due``, (n,) µm³: volumes at which they divide, without phases
-    - ``dt``, s: no mother has waited for longer
+    - ``longest``, (n,) s: no mother has waited for longer
 
     Returns (n,) s of unlimited growth; (n,) µm³.
     """
@@ -110,7 +116,7 @@ def _waited(
     assert plan.law is not None
     birth, cycle, volume = plan.birth_volume, mothers.cycle_time, mothers.volume
     # what exceeds that was there before the step: the threshold has fallen, or a table said so
-    most = np.minimum(volume, plan.law.volume_after(due, dt / cycle, birth))
+    most = np.minimum(volume, plan.law.volume_after(due, longest / cycle, birth))
     shares = plan.law.share_at(most / birth) - plan.law.share_at(due / birth)
     return np.asarray(np.maximum(shares, 0.0) * cycle), np.asarray(volume - (most - due))
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from multicell.biology.responding import bind_responses, missing_signals
 from multicell.cells import Phase
-from multicell.scene.coupling import fixed_step
 from multicell.scene.pairs import surface_energies
 from multicell.scene.sizes import birth_volume, division_volume
 from multicell.units import oxygen_solubility
@@ -42,8 +41,7 @@ if TYPE_CHECKING:
 class BiologyPlan:
     """What biology needs of a scene.
 
-    - ``seed``, ``dimensions``, ``step``: as in the scene; ``step`` is the fixed coupling step in s,
-      or None
+    - ``seed``, ``dimensions``, ``step``: as in the scene; ``step`` is the coupling step in s
     - ``birth_volume``, ``division_volume``, float, µm³
     - ``law``: by which volumes grow; None without growth
     - ``order``, phases: in which a cell goes through them from birth to division; none without
@@ -75,7 +73,7 @@ class BiologyPlan:
 
     seed: int
     dimensions: int
-    step: float | None
+    step: float
     birth_volume: float
     division_volume: float
     law: GrowthLaw | None
@@ -131,7 +129,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     return BiologyPlan(
         seed=scene.seed,
         dimensions=scene.dimensions,
-        step=fixed_step(scene),
+        step=scene.coupling_step,
         birth_volume=birth_volume(scene),
         division_volume=division_volume(scene),
         law=None if growth is None else growth.growth_law,

@@ -60,7 +60,7 @@ def update_states(
     state = cells.state
     if plan.may_rest and not plan.restricted:
         resting = wants_rest(plan, cells, concentrations)
-        due = deciding(cells, plan.step or dt, plan.reaction_time)
+        due = deciding(cells, plan.step, plan.reaction_time)
         state = np.where(due, np.where(resting, _RESTING, _GROWING), state)
     return _with_deaths(plan, cells, concentrations, state, step, dt, time)
 
@@ -106,9 +106,11 @@ def deciding(cells: Cells, dt: float, reaction_time: float) -> NDArray[np.bool_]
 
     A cell decides at birth and whenever its age passes a multiple of the reaction time, shifted by
     a part of it that the identity sets: multiples of the golden ratio spread these parts evenly,
-    and far apart for sisters. With a reaction time up to ``dt`` every cell decides in every step.
+    and far apart for sisters. It does so at the end of the step that is nearest to that moment, so
+    that decisions are neither late nor early on average. With a reaction time up to ``dt`` every
+    cell decides in every step.
     """
     shift = (cells.id + 1) * _GOLDEN % 1.0
-    now = np.floor(cells.age / reaction_time + shift)
-    before = np.floor((cells.age - dt) / reaction_time + shift)
-    return np.asarray((now > before) | (cells.age == 0.0))
+    now = np.floor((cells.age + 0.5 * dt) / reaction_time + shift)
+    before = np.floor((cells.age - 0.5 * dt) / reaction_time + shift)
+    return np.asarray((now > before) | (cells.age < dt))

@@ -18,6 +18,7 @@ from multicell.biology.death import damage_after, remove_lysed
 from multicell.biology.division import divide
 from multicell.biology.growth import volumes_after
 from multicell.biology.responding import wants_rest
+from multicell.biology.splitting import corrected_factor
 from multicell.biology.states import deciding, update_states
 from multicell.cells import SPHERE, Cells, FloatArray
 from multicell.scene.domain import check_inside
@@ -30,12 +31,17 @@ Concentrations = Mapping[str, FloatArray]
 
 @final
 class Grown(NamedTuple):
-    """What growth makes of cells by the end of a step: radii (n,) µm, and the place in the cycle.
+    """What growth makes of cells by the end of a step.
 
-    ``cycling`` is None where the scene has no phases.
+    - ``radius``, (n,) µm
+    - ``factor``, (n,): part of unlimited growth at which they have grown if they could
+    - ``lag``, (n,) s: what they have yet to make good
+    - ``cycling``: their place in the cycle; None where the scene has no phases
     """
 
     radius: FloatArray
+    factor: FloatArray
+    lag: FloatArray
     cycling: Cycling | None
 
 
@@ -55,11 +61,15 @@ class Events(NamedTuple):
 def grow(
     plan: BiologyPlan, cells: Cells, concentrations: Concentrations, factor: FloatArray, dt: float
 ) -> Grown:
-    """Return the radii after a time ``dt`` (s), and where the cells then are in their cycle.
+    """Return what growth makes of cells in a time ``dt`` (s).
 
     ``factor`` is how fast they grow where they are, (n,); see
-    :func:`multicell.biology.growth.growth_factor`.
+    :func:`multicell.biology.growth.growth_factor`. What earlier steps have left out is made good.
     """
+    own, factor = factor, corrected_factor(plan, cells, factor, dt)
+    lag = cells.lag if factor is own else cells.lag - dt * (factor - own)
+    if cells.dead.any():
+        lag = np.where(cells.dead, 0.0, lag)  # the volumes of the dead catch up at once
     volume = volumes_after(plan, cells, factor, dt)
     cycling = None
     if plan.order:
@@ -67,7 +77,7 @@ def grow(
         pace = phase_pace(plan, concentrations, cells)
         cycling = advance(plan, cells, factor, resting, dt, pace)
         volume += cycling.volume - cells.volume
-    return Grown(np.asarray(np.cbrt(volume / SPHERE)), cycling)
+    return Grown(np.asarray(np.cbrt(volume / SPHERE)), factor, lag, cycling)
 
 
 def age_cells(
@@ -76,8 +86,10 @@ def age_cells(
 ) -> tuple[Cells, float]:  # fmt: skip
     """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
     after = cells.shared()
-    after.radius = grown.radius
+    after.radius, after.lag = grown.radius, grown.lag
     after.age = after.age + (end - begin)
+    if cells.dead.any():
+        after.age = np.where(cells.dead, after.age + cells.lag, after.age)
     if grown.cycling is not None:
         for name in ("state", "phase", "progress", "phase_length"):
             setattr(after, name, getattr(grown.cycling, name))
@@ -106,12 +118,14 @@ def divide_and_remove(
     time: float,
     dt: float,
     found: Concentrations = MappingProxyType({}),
+    factor: float | FloatArray = 1.0,
 ) -> Events:
     """Return the cells after all that changes their number at the end of a step.
 
-    ``time`` is that end and ``dt`` the length of the step, s.
+    ``time`` is that end and ``dt`` the length of the step, s, ``factor`` the part of unlimited
+    growth at which cells have grown in it, (n,) or one for all.
     """
-    divided, free = divide(plan, cells, next_id, dt, found)
+    divided, free = divide(plan, cells, next_id, dt, found, factor)
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
@@ -135,7 +149,7 @@ def decide(
         cells.damage = damage_after(plan, cells, concentrations, dt)
     cells.state = update_states(plan, cells, concentrations, step, dt, time)
     if plan.restricted:
-        due = deciding(cells, plan.step or dt, plan.reaction_time)
+        due = deciding(cells, plan.step, plan.reaction_time)
         well = ~wants_rest(plan, cells, concentrations)
         leave_rest(plan, cells, due & well)
     dead = (cells.state != before) & cells.dead

@@ -61,6 +61,7 @@ def tabled_cells(scene: Scene) -> Cells:
         kind=kind,
         doomed=columns.get("doomed", np.zeros(n, dtype=np.int8)),
         damage=columns.get("damage", np.zeros(n)),
+        lag=columns.get("lag", np.zeros(n)),
     )
     phases = bool(plan.order)
     volume = _in_phases(plan, cells, given) if phases else _without_phases(plan, cells, given)

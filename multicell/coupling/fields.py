@@ -75,17 +75,12 @@ class SceneFields:
         """The fields as they were last solved."""
         return {} if self.system is None else self.system.snapshot()
 
-    @property
-    def content_errors(self) -> dict[str, float]:
-        """The part by which the last step got each field's content wrong."""
-        return {} if self.system is None else self.system.content_errors
-
     def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
         """Lay the fields and solve for them at the start, or once more for other cells."""
         if self.system is not None:
             self.system.begin(cells, time, again=again)
 
-    def advance(self, cells: Cells, begin: float, end: float, before: Cells | None) -> None:
+    def advance(self, cells: Cells, before: Cells, begin: float, end: float) -> None:
         """Solve for the fields of new cells; ``before`` are those of the step's beginning."""
         if self.system is not None:
             self.system.advance(cells, begin, end, before=before)
@@ -98,10 +93,6 @@ class SceneFields:
             # contacts are looked for before there is a field, and need no forces
             return {name: np.zeros((len(cells), 3)) for name in self._followed}
         return self.system.gradients(cells.position, self._followed)
-
-    def uptake_error(self, dt: float) -> float:
-        """Return the part of uptake that a step of ``dt`` s got wrong, over its length, 1/s."""
-        return 0.0 if self.system is None else self.system.uptake_error(self._scene, dt)
 
     def departure(self, cells: Cells) -> dict[str, float]:
         """Return how far the tissue departs from a ball, for the history of fields on shells."""

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.biology.signals import other_signals
-from multicell.biology.splitting import StepError
 from multicell.coupling.timeline import Timeline
 from multicell.coupling.wall import PHASES, Phase
 from multicell.errors import SceneError
@@ -23,7 +22,6 @@ from multicell.scene.domain import check_start
 from multicell.scene.steps import step_plan
 
 if TYPE_CHECKING:
-    from multicell.biology.pace import Pace
     from multicell.biology.plan import BiologyPlan
     from multicell.cells import Cells, FloatArray, IntArray
     from multicell.coupling.fields import SceneFields
@@ -36,14 +34,12 @@ if TYPE_CHECKING:
 
 
 _NOTED: Final = (
-    "divisions", "removals", "released", "separation", "next_id", "unsorted", "splitting",
-    "first_states",
+    "divisions", "removals", "released", "separation", "next_id", "unsorted", "first_states",
 )  # fmt: skip
 """What a run notes beside its cells; a frame's progress has entries of the same names."""
 
 _STATE: Final = (
-    "cells", "timeline", "contacts", "step_error", "named", "replays", "stability",
-    *_NOTED,
+    "cells", "timeline", "contacts", "named", "replays", "stability", *_NOTED,
 )  # fmt: skip
 """What a coupling step changes, beside fields, logs and counts of work."""
 
@@ -61,15 +57,12 @@ class RunState(ABC):
     - ``replays``, Replays or None: what small shifts have done to the ends of steps that were taken
       twice; None to take none
     - ``stability``, Stability: how far a fixed step was from its limit, where it has one
-    - ``splitting``, float or None, µm³: the error that coupling steps have made so far with the
-      volume of all cells, over their number; None without growth. What the last step has made of it
-      is ``step_error``.
     - ``first_states``, name -> int: cells that rested and were dead at the start, as it found them,
       and whose state does not fit the field
     - ``named``, table of the scene -> (k,) identities: cells that are driven from outside because
       of who or where they were at the start
     - ``plan``, BiologyPlan: what biology needs of the scene
-    - ``timeline``, Timeline: where the run is in time, and what chooses its steps
+    - ``timeline``, Timeline: where the run is in time
     - ``mover``, Mover: mechanics and the integrator
     - ``wall``, phase -> s: wall time of each phase of the loop
     """
@@ -95,9 +88,7 @@ class RunState(ABC):
         self.released = 0.0
         self.replays: Replays | None = Replays()
         self.stability = Stability()
-        self.splitting: float | None = None if scene.growth is None else 0.0
         self.first_states: Mapping[str, int] = {}
-        self.step_error = StepError()
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: Mapping[str, float] | None = None
         self.named: dict[str, IntArray] = {}
@@ -132,7 +123,6 @@ class RunState(ABC):
             **{name: getattr(self, name) for name in _NOTED},
             **self._fields.progress(),
             work=asdict(self.mechanics.work),
-            pace=None if self.pace is None else self.pace._asdict(),
             driven={path: ids.tolist() for path, ids in self.named.items()},
             replays={} if self.replays is None else self.replays._asdict(),
             stability=self.stability._asdict() if self.mover.limit > 0.0 else {},
@@ -199,13 +189,8 @@ class RunState(ABC):
 
     @property
     def steps(self) -> int:
-        """Number of coupling steps to the scene's end, chosen ones all as long as the next."""
+        """Number of coupling steps to the scene's end."""
         return self.timeline.steps
-
-    @property
-    def pace(self) -> Pace | None:
-        """What chooses the next coupling step; None where the scene fixes it."""
-        return self.timeline.pace
 
     @property
     def finished(self) -> bool:

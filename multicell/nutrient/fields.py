@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.cells import Cells, FloatArray, State
+from multicell.cells import Cells, FloatArray, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import Exchange, Ledger
 from multicell.nutrient.field import NutrientField
@@ -24,6 +24,8 @@ from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import circles, solving_order
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from multicell.nutrient.group import FieldGroup
     from multicell.results.frame import Field, Frame
     from multicell.scene.nutrient import Nutrient
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
 
 _MAX_TURNS = 200  # in which fields whose uptakes depend on each other are solved for
 _SETTLED = 1e-8  # change of a field, over its highest concentration, that ends the turns
+
+Demand = tuple[FloatArray, FloatArray | None]
+"""Largest uptake of each cell, and its secretion, (n,) amol/s."""
 
 Respond = Callable[[str, Cells, Mapping[str, FloatArray]], FloatArray | None]
 """Returns the factor that responses give a behaviour of each cell, (n,), or None for one."""
@@ -56,10 +61,6 @@ class Feeding:
       order of solving
     - ``ledger``, name -> Ledger
     - ``concentrations``, name -> (n,) float64, mM: at the cells of the last call
-    - ``content_errors``, name -> float: error of the content of each transient field that the last
-      coupling step has made, over the most that the field ever held. The step took up what the
-      cells of its end would have, and they changed on the way: half of the difference is wrong, to
-      leading order.
     """
 
     def __init__(
@@ -100,9 +101,6 @@ class Feeding:
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, Exchange] = {}
         self._uptake: dict[str, FloatArray] = {}
-        marched = [name for name in self.order if not self._rests(name)]
-        self.content_errors = dict.fromkeys(marched, 0.0)
-        self._turnover: dict[str, tuple[float, float]] = {}
 
     def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
         """Solve for the fields at the start of a run; ``again`` for other states of its cells."""
@@ -174,24 +172,41 @@ class Feeding:
     ) -> None:
         """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
 
-        What a steady field exchanged in this time is what its solution of ``begin`` said.
-        ``before`` are the cells at the beginning: what they would take up rates transient fields.
+        What a steady field exchanged in this time is what its solution of ``begin`` said. With
+        transient ones each cell exchanges the mean of the step, at its place at the end;
+        ``before`` are the cells at the beginning.
         """
-        demand = {}
+        began: dict[str, Demand] = {}
+        shares = np.zeros(0)
         if before is not None:
             marched = [name for name in self.order if not self._rests(name)]
-            demand = {name: float(self._capacity(name, before).sum()) for name in marched}
+            if any(self._nutrients[name].secretion_from for name in marched):
+                for name, field in self.fields.items():
+                    self._uptake[name] = field.uptake(before.position, self._capacity(name, before))
+            row, earlier, shares = _shares(before, cells, end - begin)
+            for name in marched:
+                one, other = self.demand_now(name, before)
+                began[name] = earlier * one[row], None if other is None else earlier * other[row]
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample(cells.position) for x in names}
             self.concentrations = {**self.concentrations, **found}
         for group in self.groups:
-            self._advance(group, cells, begin, end, demand)
+            self._advance(group, cells, begin, end, began, shares)
             self._settle(group, cells, end)
 
     def _advance(
-        self, group: FieldGroup, cells: Cells, begin: float, end: float, began: Mapping[str, float]
+        self,
+        group: FieldGroup,
+        cells: Cells,
+        begin: float,
+        end: float,
+        began: Mapping[str, Demand],
+        shares: FloatArray,
     ) -> None:
-        """Bring fields to ``end``; ``began`` are the largest uptakes of the cells of ``begin``."""
+        """Bring fields to ``end``.
+
+        ``began`` is the part of the demand that the beginning sets, ``shares`` that of the end.
+        """
         demand = {name: self.demand_now(name, cells) for name in group.names}
         shells = {name: self._on_shells(name) for name in group.names}
         if self._rests(group.names[0]):
@@ -200,12 +215,15 @@ class Feeding:
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=end)
         else:
             content = {name: self.fields[name].stored() for name in group.names}
-            found = group.advance(cells.position, demand, radius=cells.radius, begin=begin, end=end)
+            mean = dict(demand)
+            for name in began.keys() & demand.keys():
+                (one, two), (uptake, made) = began[name], demand[name]
+                made = None if made is None or two is None else two + shares * made
+                mean[name] = one + shares * uptake, made
+            found = group.advance(cells.position, mean, radius=cells.radius, begin=begin, end=end)
             for name, exchange in found.items():
                 gained = self.fields[name].stored() - content[name]
                 self.ledger[name].add(exchange, stored=gained)
-                if name in began:
-                    self._rate(name, began[name], float(demand[name][0].sum()), exchange.uptake)
                 self._note_medium(name)
         for name in group.names:
             self.ledger[name].fill(self.fields[name].stored())
@@ -222,7 +240,6 @@ class Feeding:
             "concentrations": dict(self.concentrations),
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),
-            "errors": (dict(self.content_errors), dict(self._turnover)),
             "grids": self.grids_kept(),
         }
 
@@ -232,7 +249,6 @@ class Feeding:
             field.take_back(kept["fields"][name])
         self.ledger, self.concentrations = kept["ledger"], kept["concentrations"]
         self.reports, self._uptake = kept["reports"], kept["uptake"]
-        self.content_errors, self._turnover = kept["errors"]
         self._take_grids(kept["grids"])
 
     def grids_kept(self) -> dict[str, dict[str, float]]:
@@ -304,7 +320,7 @@ class Feeding:
         cells: Cells,
         concentrations: Mapping[str, FloatArray],
         taken: Mapping[str, FloatArray],
-    ) -> tuple[FloatArray, FloatArray | None]:
+    ) -> Demand:
         """Return each cell's largest uptake and its secretion, (n,) amol/s, for other surroundings.
 
         - ``name``: of the field
@@ -318,27 +334,6 @@ class Feeding:
             return self.demand_now(name, cells)
         finally:
             self.concentrations, self._uptake = kept
-
-    def _rate(self, name: str, began: float, ended: float, uptake: float) -> None:
-        """Note the error of a march in which the largest uptake went from one rate to another."""
-        content = self.ledger[name].content
-        amiss = 0.5 * uptake * (1.0 - began / ended) if ended > 0.0 else 0.0
-        self.content_errors[name] = -amiss / content if content > 0.0 else 0.0
-        self._turnover[name] = (amiss, uptake)
-
-    def uptake_error(self, scene: Scene, dt: float) -> float:
-        """Return the part of uptake that the last step of ``dt`` s got wrong, over its length, 1/s.
-
-        Of the transient field of which it is most. Where less is taken up in a cycle of the cells
-        than the field holds, of that content.
-        """
-        if scene.growth is None:
-            return 0.0
-        found = [0.0]
-        for name, (amiss, uptake) in self._turnover.items():
-            most = max(uptake, self.ledger[name].content * dt / scene.growth.mean_cycle)
-            found.append(abs(amiss) / most / dt if most > 0.0 else 0.0)
-        return max(found)
 
     def _active(self, what: str, name: str, cells: Cells) -> FloatArray:
         """Return uptake or secretion of each cell over that of a proliferating one, (n,)."""
@@ -383,7 +378,7 @@ class Feeding:
         capacity = self._capacity(name, cells)
         return float(self.fields[name].uptake(cells.position, capacity).sum())
 
-    def demand_now(self, name: str, cells: Cells) -> tuple[FloatArray, FloatArray | None]:
+    def demand_now(self, name: str, cells: Cells) -> Demand:
         """Return each cell's largest uptake and its secretion, (n,) amol/s."""
         nutrient = self._nutrients[name]
         capacity = self._capacity(name, cells)
@@ -393,6 +388,20 @@ class Feeding:
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * self._uptake[other]
         return capacity, production
+
+
+def _shares(
+    before: Cells, cells: Cells, dt: float
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Return how the demand of a step follows from that of its beginning and that of its end.
+
+    Returns the rows of the cells or their mothers at the beginning, and the weights of both
+    demands, (n,) each. Until a division each daughter stands for half of its mother.
+    """
+    row = rows_before(before, cells)
+    born = before.id[row] != cells.id
+    since = np.minimum(cells.age / dt, 1.0)
+    return row, np.where(born, 0.5 * (1.0 - since), 0.5), np.where(born, since, 0.5)
 
 
 def factors(scene: Scene, what: str, name: str) -> tuple[FloatArray, FloatArray | None]:

@@ -59,12 +59,9 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if summary.get(name) is not None:
             unit = unit_of(name).replace("um", "µm")
             yield title_of(name), f"{summary[name]:.4g} {unit}".strip()
-    splitting = summary.get("splitting") or {}
-    amiss = splitting.get("relative_volume_error")
+    amiss = (summary.get("splitting") or {}).get("relative_volume_error")
     if amiss is not None:
         yield "volume changed by coupling steps", f"about {100.0 * amiss:+.2g} %"
-    if "mean_step" in splitting:
-        yield "mean coupling step", clock(splitting["mean_step"])
     effect = (summary.get("integrator") or {}).get("largest_shift_effect")
     if effect is not None:
         yield "effect of a shift of 0.01 µm", f"up to {effect:.2g} µm in a step"

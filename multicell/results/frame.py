@@ -124,9 +124,6 @@ class Progress:
     - ``ledger``, ``rates``, nutrient -> name -> float: the account of each field, amol, and what a
       steady one exchanges now, amol/s
     - ``work``, name -> int: what the integration has cost
-    - ``splitting``, float or None, µm³: the error that coupling steps have made with the volume of
-      all cells, over their number; None without growth
-    - ``pace``, name -> float, or None: what chooses the next coupling step, where that is not fixed
     - ``grids``, nutrient -> name -> float: what is known of grids that the run chooses or changes
       by itself
     - ``driven``, table of the scene -> identities: cells that are driven from outside, where a
@@ -148,8 +145,6 @@ class Progress:
     ledger: Mapping[str, Mapping[str, float]]
     rates: Mapping[str, Mapping[str, float]]
     work: Mapping[str, int]
-    splitting: float | None = None
-    pace: Mapping[str, float] | None = None
     grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     driven: Mapping[str, list[int]] = field(default_factory=dict)
     first_states: Mapping[str, int] = field(default_factory=dict)

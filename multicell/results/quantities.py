@@ -29,8 +29,8 @@ _COUNTS: Final = (
 
 _RATIOS: Final = (
     "step", "steps", "seed", "threads", "stability_ratio", "splitting_volume_error",
-    "splitting_cell_error", "splitting_worst_cell_error", "splitting_content_error_*",
-    "splitting.relative_volume_error", "integrator.replays", "integrator.stability_checks",
+    "splitting_worst_cell_error", "splitting.relative_volume_error",
+    "splitting.worst_cell_error", "integrator.replays", "integrator.stability_checks",
     "integrator.checks_beyond_stability", "integrator.largest_stability_ratio",
     "ledger.*.relative_remainder", "ledger.relative_remainder", "fields.*.departure_from_a_ball",
 )  # fmt: skip
@@ -42,7 +42,6 @@ UNITS: Final[Mapping[str, str]] = {
     "time": "s",
     "shift_effect": "um",
     "splitting.volume_error": "um^3",
-    "splitting.mean_step": "s",
     "integrator.largest_shift_effect": "um",
     "fields.*.spacing": "um",
     "fields.*.layer": "um",

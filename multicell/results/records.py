@@ -45,7 +45,7 @@ FIELD: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
-SPARSE: Final = frozenset({"cells/doomed", "cells/damage"})
+SPARSE: Final = frozenset({"cells/doomed", "cells/damage", "cells/lag"})
 """Arrays that a frame has only where they are not all zero, and a file only if a frame has them."""
 
 _OF_PARTS: Final = ("driven", "first_states", "replays", "stability")

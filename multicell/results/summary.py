@@ -6,14 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from multicell.results.contacts import counts_contacts, remembers_contacts
 from multicell.results.folder import versions
 from multicell.results.measures import observables_of
 from multicell.results.observable import TissueState, represented
 from multicell.results.quantities import units_of
-from multicell.scene.coupling import fixed_step
+from multicell.scene.sizes import birth_volume
 
 if TYPE_CHECKING:
+    from multicell.cells import Cells
     from multicell.results.frame import Frame
     from multicell.scene.scene import Scene
 
@@ -31,6 +34,10 @@ def history_row(scene: Scene, frame: Frame, **found: float) -> dict[str, float]:
     for observable, key in observables_of(scene):
         if observable.measure is not None and not observable.at_end:
             row[observable.name.replace("*", key)] = float(observable.value(state, key))
+    amiss = _splitting(scene, frame.cells)
+    if amiss:
+        row["splitting_volume_error"] = amiss["relative_volume_error"]
+        row["splitting_worst_cell_error"] = amiss["worst_cell_error"]
     return row | {name: float(value) for name, value in found.items()}
 
 
@@ -89,9 +96,10 @@ def run_summary(
             *remarks,
         ],
     }
+    splitting = _splitting(scene, frame.cells)
     summary = {
         **own,
-        **_splitting(scene, frame),
+        **({"splitting": splitting} if splitting else {}),
         "title": scene.title,
         "seed": scene.seed,
         "steps": frame.step,
@@ -148,15 +156,19 @@ def _start_notes(states: Mapping[str, int]) -> list[str]:
     return notes
 
 
-def _splitting(scene: Scene, frame: Frame) -> dict[str, Any]:
-    """Return the error that coupling steps have made with the volume of all cells, with growth."""
-    progress = frame.progress
-    if progress is None or progress.splitting is None:
+def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
+    """Return the volume by which cells have grown too much for fixed rates, in a scene with growth.
+
+    Of all together in µm³ and over their volume, and the largest part of a living cell's volume.
+    """
+    if scene.growth is None:
         return {}
-    volume, error = float(frame.cells.volume.sum()), progress.splitting * len(frame.cells)
-    entries = {"volume_error": error}
-    if volume > 0.0:
-        entries["relative_volume_error"] = error / volume
-    if fixed_step(scene) is None and frame.step:
-        entries["mean_step"] = frame.time / frame.step
-    return {"splitting": entries}
+    volume, living = cells.volume, ~cells.dead
+    rate = scene.growth.growth_law.rate(volume, birth_volume(scene)) / cells.cycle_time
+    excess = np.where(living, -rate * cells.lag, 0.0)
+    total, error = float(volume.sum()), float(excess.sum())
+    return {
+        "volume_error": error,
+        "relative_volume_error": error / total if total > 0.0 else 0.0,
+        "worst_cell_error": float(np.abs(excess / volume)[living].max(initial=0.0)),
+    }

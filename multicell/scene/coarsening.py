@@ -31,7 +31,7 @@ _SIGNALS: Final = {"volume": 3, "radius": 1}
 """Signals that are a size of the cell -> power of the factor; all others stay."""
 
 _SAME: Final = """
-    title duration seed coupling_step coupling_tolerance dimensions
+    title duration seed coupling_step dimensions
     initial.shape initial.spacing initial.jitter initial.stage
     cells.young cells.young_variation cells.poisson cells.allow_unphysical_poisson
     cells.reaction_time cells.heritable cells.drift

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
-from multicell.scene.coupling import longest_step
 from multicell.scene.parts import span
 from multicell.schema import near_miss, parameters, quantity, text, vector, whole_numbers
 
@@ -130,11 +129,11 @@ def check_driven(scene: Scene) -> None:
         if scene.dimensions == 2:
             _check_flat(path, driver)
     for name, motion in scene.motions.items():
-        way = longest_step(scene) * math.hypot(*motion.velocity)
+        way = scene.coupling_step * math.hypot(*motion.velocity)
         most = scene.cells.division_radius
         if way > most:
             problem = (
-                f"moves cells by {way:.3g} um in a coupling step of {longest_step(scene):g} s, "
+                f"moves cells by {way:.3g} um in a coupling step of {scene.coupling_step:g} s, "
                 f"must be at most the division radius, {most:g} um"
             )
             hint = f"Take a coupling_step of {most / math.hypot(*motion.velocity):.3g} s or less."

@@ -16,12 +16,6 @@ from typing import TYPE_CHECKING, Any, Final
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
-from multicell.scene.coupling import (
-    check_coupling,
-    longest_step,
-    quickest_cycle,
-    shortest_step,
-)
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -51,10 +45,9 @@ def check_sizes(scene: Scene) -> None:
 
 def _check_steps(scene: Scene) -> None:
     """Raise ``SceneError`` for steps so short or so long that no run could use them."""
-    check_coupling(scene)
-    step, shortest = longest_step(scene), shortest_step(scene)
-    if scene.duration / shortest > MAX_STEPS:
-        problem = f"is {shortest:g} s, must be at least {scene.duration / MAX_STEPS:g} s"
+    step = scene.coupling_step
+    if scene.duration / step > MAX_STEPS:
+        problem = f"is {step:g} s, must be at least {scene.duration / MAX_STEPS:g} s"
         hint = f"The run would take more than {MAX_STEPS:g} coupling steps."
         raise SceneError("coupling_step", problem, hint)
     fixed = scene.integrator
@@ -67,7 +60,8 @@ def _check_steps(scene: Scene) -> None:
     if scene.growth is None:
         return
     # a cell divides once in a coupling step at most: a shorter cycle would only make it larger
-    cycle = quickest_cycle(scene)
+    quickest = min((kind.cycle_scale for kind in scene.types.values()), default=1.0)
+    cycle = quickest * scene.growth.mean_cycle
     if min(step, scene.duration) > cycle:
         problem = f"is {step:g} s, must be at most a cycle of the cells, {cycle:g} s"
         hint = "Cells divide between coupling steps; take about a twentieth of the cycle."

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, final
 
 from multicell.cells import SPHERE
 from multicell.scene import domain as box
-from multicell.scene.coupling import usual_step
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient, Side
@@ -154,7 +153,7 @@ def regime(scene: Scene, name: str) -> str:
         return next((x for x in given if x != "auto"), "transient")
     if nutrient.regime != "auto":
         return nutrient.regime
-    settles = scales(scene, name).time <= _SETTLED * usual_step(scene)
+    settles = scales(scene, name).time <= _SETTLED * scene.coupling_step
     fixed = level_fixed(nutrient, scene.dimensions)
     return "steady" if settles and fixed else "transient"
 

@@ -27,7 +27,6 @@ from multicell.scene.checks import (
     check_nutrients,
     check_types,
 )
-from multicell.scene.coupling import AUTO, USUAL
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import Force, PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
@@ -63,7 +62,6 @@ from multicell.schema import (
     count,
     leaves,
     near_miss,
-    number,
     parameters,
     plain,
     quantity,
@@ -91,10 +89,7 @@ class Scene:
     ----------
     title : str
     duration : float, s
-    coupling_step : float, s, or "auto"
-    coupling_tolerance : float or None
-        Part of growth that the splitting into coupling steps may get wrong where the run chooses
-        them; None for the usual one.
+    coupling_step : float, s
     seed : int
         The same seed gives the same run.
     stop_cells : int or None
@@ -122,14 +117,7 @@ class Scene:
     title: str = text(default="", doc="one line about the scene")
     duration: float = quantity("s", above=0, doc="Simulated time, for example duration = '11 d'.")
     seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random numbers")
-    coupling_step: float | str = quantity(
-        "s", names=(AUTO,), default=USUAL, above=0,
-        doc="between exchanges of parts; 'auto': as long as coupling_tolerance allows",
-    )  # fmt: skip
-    coupling_tolerance: float | None = number(
-        default=None, above=0, at_most=0.1,
-        doc="part of growth that 'auto' steps may get wrong; absent: 0.005",
-    )  # fmt: skip
+    coupling_step: float = quantity("s", default=600.0, above=0, doc="between exchanges of parts")
     dimensions: int = count(default=3, at_least=2, at_most=3, doc="2: all cells in one plane")
     stop_cells: int | None = count(default=None, at_least=1, doc="the run ends at so many cells")
     initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")

@@ -40,7 +40,7 @@ START_COLUMNS: Final[Mapping[str, str]] = {
     "id": "", "parent": "", "position_x": "um", "position_y": "um", "position_z": "um",
     "radius": "um", "young": "kPa", "poisson": "", "state": "", "age": "s", "cycle_time": "s",
     "pressure": "kPa", "kind": "", "phase": "", "progress": "s", "phase_length": "s",
-    "doomed": "", "damage": "",
+    "doomed": "", "damage": "", "lag": "s",
 }  # fmt: skip
 """Columns that a start takes, with their base units, in the order in which they are written."""
 ALIASES: Final = {"x": "position_x", "y": "position_y", "z": "position_z", "type": "kind"}

@@ -118,7 +118,6 @@ _KEYS: Final[Mapping[str, Sequence[Rule]]] = {
         (lambda s, name: s.growth.phases[name].distribution == "fixed",
          "the phase has a fixed duration"),
     ],
-    "coupling_tolerance": [(lambda s: s.coupling_step != "auto", "coupling_step is not 'auto'")],
     "integrator.step": [(_controlled, "the method {method!r} chooses its steps")],
     "integrator.*": [(_lacks, "the method {method!r} has no {0}")],
     "cells.young": [

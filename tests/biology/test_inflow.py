@@ -49,10 +49,8 @@ def test_nothing_lost_nothing_flows():
     assert inflow_velocity(cells, 1.1 * cells.radius, 60.0, 3, 0.0) is None  # they swell
 
 
-def test_walls_and_chosen_steps_refuse_inflow():
+def test_walls_refuse_inflow():
     scene = load_scene("wm983b")
     walls = {axis: ["-500 um", "500 um"] for axis in "xyz"}
     with pytest.raises(SceneError, match=r"death\.inflow: has no meaning in a domain"):
         scene.with_changes({"domain": walls, "nutrients": None})
-    with pytest.raises(SceneError, match=r"forces of \[death\] are held fixed"):
-        scene.with_changes({"coupling_step": "auto"})

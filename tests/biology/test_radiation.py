@@ -147,14 +147,6 @@ def test_survivors_do_not_depend_on_the_coupling_step():
     assert within(1000 - len(dead[0]), 1000, np.exp(-2 * 0.72))
 
 
-def test_steps_that_a_run_chooses_end_at_each_fraction():
-    times = [1234.5, 7000.25]
-    course = {"start": None, "times": times}
-    scene = growing(course, count=40, coupling_step="auto", duration="3 h")
-    died = finished(scene).lineage.rows("deaths", 0)
-    assert sorted(set(died["time"])) == times
-
-
 def test_phases_and_types_differ_in_what_they_survive():
     phases = {name: {"duration": "5 h"} for name in ("G1", "S", "G2", "M")}
     course = {"phase_factor": {"S": 0.25, "M": 2.0}, "cells": "tumour"}

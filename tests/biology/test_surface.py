@@ -203,7 +203,5 @@ def test_wrong_surfaces_are_refused():
         scene.with_changes({"surface.tension": 0})
     with pytest.raises(SceneError, match=r"surface: has no meaning in a scene of 2 dimensions"):
         scene.with_changes({"dimensions": 2})
-    with pytest.raises(SceneError, match=r"forces of \[surface\] are held fixed"):
-        scene.with_changes({"coupling_step": "auto", "growth": {}})
     with pytest.raises(SceneError, match=r"death\.core"):
         scene.with_changes({"death.core": "solid"})

@@ -346,7 +346,6 @@ def base(value):
 def fitted(entries):
     """Return a scene's entries without what does not fit to the rest (the checks of a scene)."""
     scene = copy.deepcopy(entries)
-    _fit_coupling(scene)
     flat = scene.get("dimensions", 3) == 2
     fields, types = scene.get("nutrients", {}), scene.get("types", {})
     _fit_cells(scene)
@@ -480,11 +479,11 @@ def _fit_domain(scene, flat):
 
 
 def _fit_death(scene):
-    """Leave out the second law of the same death, and inflow where walls or the steps forbid it."""
+    """Leave out the second law of the same death, and inflow where walls forbid it."""
     death = scene.get("death", {})
     if "damage_time" in death:
         death.pop("necrosis_rate", None)
-    if "domain" in scene or scene.get("coupling_step") == "auto":
+    if "domain" in scene:
         death.pop("inflow", None)
 
 
@@ -586,18 +585,6 @@ def written_table(rows, radius, named):
     return file
 
 
-def _fit_coupling(scene):
-    """Leave out what keeps a run from choosing its steps, or the tolerance where it does not."""
-    if scene.get("coupling_step") != "auto":
-        scene.pop("coupling_tolerance", None)
-        return
-    scene.setdefault("growth", {})
-    for name in ("motility", "chemotaxis", "haptotaxis", "surface", "pull"):
-        scene.pop(name, None)
-    if scene.get("contact", {}).get("law") == "exact-jkr":
-        del scene["contact"]
-
-
 def _fit_growth(scene):
     growth = scene.get("growth")
     if growth is None:
@@ -620,7 +607,7 @@ def _fit_growth(scene):
     else:
         growth.pop("division", None)
     step = scene.get("coupling_step", 600.0)
-    if step != "auto" and base(step) > _quickest_cycle(scene):
+    if base(step) > _quickest_cycle(scene):
         scene["growth"], scene["coupling_step"] = {}, 600.0
         for kind in scene.get("types", {}).values():
             kind.pop("cycle_scale", None)
@@ -635,15 +622,6 @@ def _quickest_cycle(scene):
         cycle = base(growth.get("cycle_time", 54000.0))
     scales = [kind.get("cycle_scale", 1.0) for kind in scene.get("types", {}).values()]
     return cycle * min(scales, default=1.0)
-
-
-def _step_of_its_own(scene):
-    """Return about how long the steps are that a run of the scene would choose, s.
-
-    They follow any cycle and any reaction: a minute may be millions of them, and of cells.
-    """
-    reaction = base(scene.get("cells", {}).get("reaction_time", 7200.0))
-    return min(56.25, _quickest_cycle(scene) / 12.0, reaction / 2.0)
 
 
 def _fit_types(scene, types, fields):
@@ -858,10 +836,7 @@ def plausible(draw, extreme=0.004, small=True):
     if drawer.chance(0.7):  # most starts are arranged
         scene.get("initial", {}).pop("cells", None)
     if small:
-        step = drawer.one_of([1.0, 10.0, 60.0, 600.0, 1800.0])
-        scene["coupling_step"] = "auto" if drawer.chance(0.1) else step
-        if scene["coupling_step"] == "auto" and _step_of_its_own(scene) < 1e-6:
-            scene["coupling_step"] = step  # a run of its own steps would be too short
+        step = scene["coupling_step"] = drawer.one_of([1.0, 10.0, 60.0, 600.0, 1800.0])
         scene.setdefault("initial", {})["count"] = drawer.one_of([1, 2, 3, 5, 8, 12, 20])
         near = scene["initial"].get("spacing", 0.9)
         scene["initial"]["spacing"] = near if drawer.chance(0.1) else min(max(near, 0.8), 1.3)
@@ -891,7 +866,6 @@ def plausible(draw, extreme=0.004, small=True):
             across = base(field["spacing"]) if "spacing" in field else radius
             field["margin"] = min(base(field["margin"]), 12.0 * across)
         step = scene["coupling_step"]
-        step = _step_of_its_own(scene) if step == "auto" else step
         scene["duration"] = step * drawer.one_of([1.0, 2.0, 2.5, 3.0])
     return scene
 

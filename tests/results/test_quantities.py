@@ -42,7 +42,7 @@ SCENES = {
         "reactions": {"breakdown": {"rate": 1e-4, "consumes": {"waste_2": 1}}},
     },
     "a plane with a field": {
-        **SHORT, "dimensions": 2, "initial": {"count": 30}, "coupling_step": "auto",
+        **SHORT, "dimensions": 2, "initial": {"count": 30},
         "growth": {"critical_pressure": 0.02}, "death": {},
         "radiation": {"beam": {"dose": 1.0, "start": "5 min", "alpha": 0.1, "oxygen": "oxygen",
                                "mitotic_divisions": 1}},

@@ -233,21 +233,6 @@ def test_a_recorded_run_is_replayed_by_another_method():
     assert np.abs(moved[held]).max() == pytest.approx(0.6)
 
 
-def test_steps_that_a_run_chooses_end_where_a_driver_changes():
-    scene = Scene.from_dict({
-        "duration": "3 h", "coupling_step": "auto", "growth": {"cycle_time": "12 h"},
-        "initial": {"count": 4, "stage": "uniform"},
-        "forces": {"f": {"force": [0.01, 0, 0], "begin": "61 min", "end": "100.5 min"}},
-        "motions": {"m": {"cells": [0], "begin": "40 min"}},
-    })  # fmt: skip
-    simulation = Simulation(scene, threads=1)
-    times = []
-    while not simulation.finished:
-        simulation.step()
-        times.append(simulation.time)
-    assert {2400.0, 3660.0, 6030.0} <= set(times)
-
-
 def test_a_held_cell_beyond_a_side_ends_the_run_by_name():
     scene = scene_of(
         1, domain={"x": [-20, 20], "y": [-20, 20], "z": [-20, 20]},

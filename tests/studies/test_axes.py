@@ -39,7 +39,6 @@ def emt6():
         ("initial.count", "10:30:3", (10, 20, 30), (10.0, 20.0, 30.0)),
         ("initial.count", "5", (5,), (5.0,)),
         ("growth.phases.M.grows", "true,false", (True, False), None),
-        ("coupling_step", "auto,10 min", ("auto", "10 min"), None),
         ("cells.heritable", '[["young"], []]', (["young"], []), None),
     ],
 )  # fmt: skip
@@ -156,7 +155,6 @@ def test_ranges_are_read(emt6, text, low, high, log):
         (OXYGEN, (1.0, 2.0, 3.0), "must be two values"),
         (OXYGEN, (math.nan, 1.0), "must be a finite number"),
         ("contact.law", "1:2", "is no number"),
-        ("coupling_step", ("auto", "1 h"), "must have two numbers"),
         ("initial.count", "0:5", "must be at least 1"),
         ("growth.fases.G1.duration", "1:2 h", "growth.phases.G1.duration"),
     ],

@@ -17,7 +17,6 @@ NONE = [
     (RICH, {}, "growth.cycle_variation", "phases of the cycle"),
     ("spheroid", {}, "growth.restriction", "has no phases"),
     (RICH, {}, "growth.phases.S.variation", "a fixed duration"),
-    (RICH, {}, "coupling_tolerance", "not 'auto'"),
     (RICH, {}, "integrator.step", "chooses its steps"),
     (RICH, {"integrator": "euler"}, "integrator.atol", "has no atol"),
     (RICH, {}, "death.swelling_time", "do not swell"),

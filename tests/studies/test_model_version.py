@@ -22,13 +22,13 @@ SCENES = {
     "sorting-signal": {"duration": "30 min", "initial.count": 40},
 }
 NUMBERS = {
-    3: {
+    4: {
         "growth": {"cells": 4, "volume": 1413.2421188721287, "distance": 8.122308148673962},
         "spheroid": {
             "cells": 70,
-            "volume": 25717.843255989214,
-            "distance": 128.25303576621505,
-            "oxygen": 0.02789447853054349,
+            "volume": 25717.140844703117,
+            "distance": 128.2629828820745,
+            "oxygen": 0.027894726614651796,
         },
         "sorting-signal": {
             "cells": 40,

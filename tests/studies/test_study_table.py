@@ -80,7 +80,7 @@ def test_every_number_has_a_unit(found):
     for name, variable in found.data_vars.items():
         if variable.dtype.kind == "f":
             assert "units" in variable.attrs, name
-    for name in ("largest_pressure", "volume_released", "end_time", "splitting_cell_error"):
+    for name in ("largest_pressure", "volume_released", "end_time", "splitting_volume_error"):
         assert found[name].attrs["units"] == known_unit(name.replace("end_time", "time"))
 
 

@@ -36,7 +36,6 @@ from multicell.integrators.auto import Auto
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.random import Purpose, directions
-from multicell.scene.coupling import usual_step
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
 from multicell.simulation import Simulation
@@ -120,7 +119,7 @@ def compressed_state(scene: Scene, threads: int | None = None) -> State:
     middle = rest.start.mean(axis=0)
     start = middle + COMPRESSED * (rest.start - middle)
     return complete_state(
-        _with_contacts(replace(rest, start=start, kind="compressed")), usual_step(scene)
+        _with_contacts(replace(rest, start=start, kind="compressed")), scene.coupling_step
     )
 
 
@@ -142,7 +141,7 @@ def freshly_divided_state(scene: Scene, threads: int | None = None) -> State:
         start[daughters] += sign * offset
     motion = select_cells(rest.motion, source, radius)
     state = replace(rest, motion=motion, start=start, kind="divided")
-    return complete_state(_with_contacts(state), usual_step(scene))
+    return complete_state(_with_contacts(state), scene.coupling_step)
 
 
 def snapping_state(scene: Scene, threads: int | None = None) -> State:
@@ -166,7 +165,7 @@ def snapping_state(scene: Scene, threads: int | None = None) -> State:
     middle = position.mean(axis=0)
     start = middle + float((allowed / distance).min()) * (position - middle)
     state = replace(rest, start=start, kind="snap")
-    return complete_state(state, usual_step(scene), _MARGIN * SNAP * float(turning.min()))
+    return complete_state(state, scene.coupling_step, _MARGIN * SNAP * float(turning.min()))
 
 
 def complete_state(state: State, length: float, shift: float | None = None) -> State:

@@ -11,7 +11,6 @@ from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
 from multicell.report.explain.driven import drift, driven_parts
 from multicell.report.explain.items import Number, Part, hours, pair_label, part
-from multicell.scene.coupling import longest_step
 from multicell.scene.packing import collapse_notes, strongest_attraction
 from multicell.scene.pairs import daughters_stiffness, drag, pairs
 from multicell.scene.parts import Motility
@@ -101,7 +100,7 @@ def contact_notes(scene: Scene) -> Iterator[str]:
                 f"Motility of {active.force:g} nN is stronger than the weakest contact "
                 f"({weakest:.3g} nN): cells leave the tissue."
             )
-        if active.persistence < longest_step(scene):
+        if active.persistence < scene.coupling_step:
             yield (
                 "The directions of motility change at the ends of coupling steps only: take a "
                 "coupling_step below motility.persistence."

@@ -21,7 +21,6 @@ from multicell.nutrient.parameters import FieldParameters
 from multicell.report.explain.course import Course, course
 from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
-from multicell.scene.coupling import longest_step
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.reactions import group_of
 from multicell.scene.scales import MAX_NODES
@@ -72,7 +71,7 @@ def predict(scene: Scene) -> Prediction:
     """Return what a run of a scene with an output folder is expected to take."""
     found = course(scene)
     end = float(found.times[-1])
-    steps = max(1.0, end / longest_step(scene))
+    steps = max(1.0, end / scene.coupling_step)
     frames = min(math.ceil(end / scene.output.every), steps) + 1.0
     cells = _mean(found, found.cells)
     seconds, memory, file = _fields(scene, found, steps, frames)
@@ -110,7 +109,7 @@ def evaluations(scene: Scene) -> float:
     more where the tolerance is tight (their order is two); where that is many, stabilised and
     implicit ones take over. Fixed steps are counted.
     """
-    options, step = scene.integrator, longest_step(scene)
+    options, step = scene.integrator, scene.coupling_step
     fixed = {m.info.name: m for m in runge_kutta.METHODS if m.info.control == "step"}
     if options.method in fixed:
         return len(fixed[options.method].tableau.b) * step / options.step

@@ -9,7 +9,6 @@ from multicell.cells import SPHERE
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
-from multicell.scene.coupling import fixed_step, usual_step
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.reactions import Reaction, group_of
 from multicell.scene.responses import effects
@@ -168,7 +167,7 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     numbers = [
         Number(
             f"{name}: diffusion time", found.time, "s",
-            f"to settle over {found.length:.3g} um; {_step_words(scene)}",
+            f"to settle over {found.length:.3g} um; a coupling step is {scene.coupling_step:g} s",
         )
     ]  # fmt: skip
     if nutrient.finite_medium is not None and nutrient.takes_up:
@@ -196,14 +195,6 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     ]  # fmt: skip
 
 
-def _step_words(scene: Scene) -> str:
-    """Say how long a coupling step is, or what a field is compared with where they vary."""
-    step = fixed_step(scene)
-    if step is not None:
-        return f"a coupling step is {step:g} s"
-    return f"regime = 'auto' takes {usual_step(scene):g} s as coupling step"
-
-
 def nutrient_notes(scene: Scene) -> list[str]:
     """Return remarks on settings of fields that are allowed but may not be meant."""
     notes = []
@@ -226,7 +217,7 @@ def nutrient_notes(scene: Scene) -> list[str]:
             notes.append(
                 f"Changes of the medium of {name} from {hours(late[0])} on come after the end."
             )
-        if nutrient.regime == "steady" and scales.scales(scene, name).time > usual_step(scene):
+        if nutrient.regime == "steady" and scales.scales(scene, name).time > scene.coupling_step:
             notes.append(
                 f"{name} settles in {hours(scales.scales(scene, name).time)}, later than a "
                 "coupling step, but is solved as steady: regime = 'auto' would make it transient."

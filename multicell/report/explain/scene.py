@@ -17,7 +17,6 @@ from multicell.report.explain.cost import cost_notes, cost_numbers, predict
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.report.explain.responses import response_parts
-from multicell.scene.coupling import fixed_step, longest_step, shortest_step, tolerance
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.parts import PHASES
@@ -236,27 +235,16 @@ def _integrator_words(scene: Scene) -> str:
 
 def _run(scene: Scene) -> list[Number]:
     """Return the numbers of coupling steps and frames."""
-    step = fixed_step(scene)
-    steps = math.ceil(scene.duration / longest_step(scene) * (1.0 - 1e-12))
-    words = f"of {step:g} s each" if step is not None else _chosen_words(scene)
+    steps = math.ceil(scene.duration / scene.coupling_step * (1.0 - 1e-12))
+    words = f"of {scene.coupling_step:g} s each"
     # frames are saved between coupling steps, so that there are no more than those and one
     frames = math.floor(scene.duration / scene.output.every * (1.0 + 1e-12)) + 1
-    most = math.ceil(scene.duration / shortest_step(scene) * (1.0 - 1e-12))
-    frames = min(frames, most + 1)
+    frames = min(frames, steps + 1)
     return [
         Number("duration", scene.duration, "s", f"simulated time: {hours(scene.duration)}"),
         Number("coupling steps", steps, "", words),
         Number("frames", frames, "", "saved in a full run, the first and the last included"),
     ]
-
-
-def _chosen_words(scene: Scene) -> str:
-    """Say between which bounds, and by what, a run chooses its coupling steps."""
-    return (
-        f"or more: the run chooses steps from {shortest_step(scene):.4g} to "
-        f"{longest_step(scene):.4g} s that get at most {100.0 * tolerance(scene):.3g} % of growth "
-        "wrong"
-    )
 
 
 def _growth(scene: Scene) -> list[Number]:
@@ -269,13 +257,6 @@ def _growth(scene: Scene) -> list[Number]:
         Number("cycle time", cycle, "s", f"{hours(cycle)} where nothing limits growth"),
         Number("generations", generations, "", "in the whole run where nothing limits growth"),
     ]
-    step = fixed_step(scene)
-    if step is not None and not scene.growth.phases:
-        late = 25.0 * step / cycle
-        numbers.append(
-            Number("late divisions", late, "%", "less free growth: divisions wait for the "
-                   "ends of coupling steps")
-        )  # fmt: skip
     if generations < 60.0:
         most = scene.initial.count * math.exp(malthusian_rate(scene.growth) * scene.duration)
         numbers.append(Number("cells at most", most, "", "if nothing limited growth"))
@@ -294,8 +275,7 @@ def _notes(scene: Scene) -> list[str]:
             "they will part in the first minutes, as just divided ones do. Check radii and units."
         )
     notes += contact_notes(scene)
-    step = fixed_step(scene)
-    if scene.growth is not None and (step or 0.0) > 0.05 * scene.growth.mean_cycle:
+    if scene.growth is not None and scene.coupling_step > 0.05 * scene.growth.mean_cycle:
         notes.append(
             "The coupling step is above a twentieth of the cycle time: divisions come late. "
             "Take a smaller coupling_step."
