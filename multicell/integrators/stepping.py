@@ -57,7 +57,7 @@ _BLOCK = 1024  # numbers of an array that are worked on at a time
 class Source(NamedTuple):
     """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
 
-    ``forces_at`` and ``rebuild_at`` are the addresses of the kernels, for one thread or for all,
+    ``forces_at`` and ``update_at`` are the addresses of the kernels, for one thread or for all,
     ``evaluation_at`` that of the function that calls them. ``foresee_at`` and ``assess_at`` are
     those of :mod:`.fused`, for loops that use it.
     """
@@ -70,7 +70,7 @@ class Source(NamedTuple):
     rows: FloatArray
     counts: NDArray[np.int64]
     forces_at: int = 0
-    rebuild_at: int = 0
+    update_at: int = 0
     evaluation_at: int = 0
     foresee_at: int = 0
     assess_at: int = 0
@@ -176,18 +176,13 @@ def _evaluation(source, pairs, elapsed, position, out):
     ):  # fmt: skip
         if not _is_finite(position):
             return NOT_FINITE, pairs
-        source.counts[LIST_BUILDS] += 1
-        reach = margins.widened(
-            position, cells.reference, source.reach, source.least_margin, cells.margin
-        )
-        crowded, first, second, start, inner_end, outer_end = _rebuild_at(
-            source.rebuild_at, position, reach, 0.0, cells.chunk, pairs.first, pairs.second
-        )
-        if crowded:
-            # the old list is overwritten, and does not fit the new margins: the next state builds
-            cells.reference[:] = np.nan
+        outcome, first, second, start, inner_end, outer_end = _update_at(
+            source.update_at, position, cells.reference, source.reach, source.least_margin,
+            cells.margin, cells.chunk, *pairs[:5],
+        )  # fmt: skip
+        source.counts[LIST_BUILDS] += np.int64(outcome != neighbours.REPAIRED)
+        if outcome == neighbours.CROWDED:
             return REJECTED, pairs
-        copy(position, cells.reference)
         pairs = forces.PairData(
             first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
         )
@@ -203,11 +198,16 @@ def _forces_at(context, address, cells, pairs, offsets, law, position, elapsed, 
 
 
 @intrinsic
-def _rebuild_at(context, address, position, radius, skin, chunk, first, second):
-    """Call ``neighbours.rebuild``, or what shares its loops, at an address."""
-    index, end = types.int32[::1], types.int64[::1]
-    listed = types.Tuple((types.boolean, index, index, end, end, end))
-    return call_at(listed, address, position, radius, skin, chunk, first, second)
+def _update_at(
+    context, address, position, reference, reach, least, margin, chunk, first, second, start,
+    inner_end, outer_end,
+):  # fmt: skip
+    """Call ``neighbours.update``, or what shares its loops, at an address."""
+    listed = types.Tuple((types.int64, first, second, start, inner_end, outer_end))
+    return call_at(
+        listed, address, position, reference, reach, least, margin, chunk, first, second, start,
+        inner_end, outer_end,
+    )  # fmt: skip
 
 
 def with_addresses(
@@ -231,22 +231,23 @@ def _addresses(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, Any]:
     """Return the addresses of the kernels by their names in :class:`Source`."""
-    place, found = np.empty((0, 3)), (True, *pairs[:5])
-    run, build = forces.forces, neighbours.rebuild
+    place, cells = np.empty((0, 3)), source.cells
+    run, update = forces.forces, neighbours.update
     if shared:
-        run, build = forces.forces_parallel, neighbours.rebuild_parallel
+        run, update = forces.forces_parallel, neighbours.update_parallel
     known = {
         "forces_at": address_of(
-            run, True, source.cells, pairs, source.offsets, source.law, place, 0.0, True,
+            run, True, cells, pairs, source.offsets, source.law, place, 0.0, True,
             source.rows, place,
         ),
-        "rebuild_at": address_of(
-            build, found, place, source.reach, 0.0, source.cells.chunk, *pairs[:2]
+        "update_at": address_of(
+            update, (0, *pairs[:5]), place, cells.reference, source.reach, 0.0, cells.margin,
+            cells.chunk, *pairs[:5],
         ),
         "evaluation_at": address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }  # fmt: skip
     if passes:
-        known |= fused.addresses(source.cells.radius, shared=shared)
+        known |= fused.addresses(cells.radius, shared=shared)
     return known
 
 
