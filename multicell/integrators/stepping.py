@@ -57,8 +57,9 @@ _BLOCK = 1024  # numbers of an array that are worked on at a time
 class Source(NamedTuple):
     """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
 
-    ``forces_at`` and ``update_at`` are the addresses of the kernels, for one thread or for all,
-    ``evaluation_at`` that of the function that calls them. ``foresee_at`` and ``assess_at`` are
+    ``forces_at``, ``rebuild_at`` and ``repair_at`` are the addresses of the kernels, for one thread
+    or for all, ``evaluation_at`` that of the function that calls them; there may be none for
+    repairs. ``foresee_at`` and ``assess_at`` are
     those of :mod:`.fused`, for loops that use it.
     """
 
@@ -70,7 +71,8 @@ class Source(NamedTuple):
     rows: FloatArray
     counts: NDArray[np.int64]
     forces_at: int = 0
-    update_at: int = 0
+    rebuild_at: int = 0
+    repair_at: int = 0
     evaluation_at: int = 0
     foresee_at: int = 0
     assess_at: int = 0
@@ -176,13 +178,21 @@ def _evaluation(source, pairs, elapsed, position, out):
     ):  # fmt: skip
         if not _is_finite(position):
             return NOT_FINITE, pairs
-        outcome, first, second, start, inner_end, outer_end = _update_at(
-            source.update_at, position, cells.reference, source.reach, source.least_margin,
-            cells.margin, cells.chunk, *pairs[:5],
-        )  # fmt: skip
-        source.counts[LIST_BUILDS] += np.int64(outcome != neighbours.REPAIRED)
-        if outcome == neighbours.CROWDED:
-            return REJECTED, pairs
+        first, second, start, inner_end, outer_end = pairs[:5]
+        repaired = False
+        if source.repair_at != 0:
+            repaired, inner_end, outer_end = _repair_at(
+                source.repair_at, position, cells.reference, source.reach, source.least_margin,
+                cells.margin, cells.chunk, first, second, start, inner_end, outer_end,
+            )  # fmt: skip
+        if not repaired:
+            source.counts[LIST_BUILDS] += 1
+            crowded, first, second, start, inner_end, outer_end = _rebuild_at(
+                source.rebuild_at, position, cells.reference, source.reach, source.least_margin,
+                cells.margin, cells.chunk, first, second,
+            )  # fmt: skip
+            if crowded:
+                return REJECTED, pairs
         pairs = forces.PairData(
             first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
         )
@@ -198,15 +208,22 @@ def _forces_at(context, address, cells, pairs, offsets, law, position, elapsed, 
 
 
 @intrinsic
-def _update_at(
+def _rebuild_at(context, address, position, reference, reach, least, margin, chunk, first, second):
+    """Call ``neighbours.rebuild``, or what shares its loops, at an address."""
+    end = types.int64[::1]
+    listed = types.Tuple((types.boolean, first, second, end, end, end))
+    return call_at(listed, address, position, reference, reach, least, margin, chunk, first, second)
+
+
+@intrinsic
+def _repair_at(
     context, address, position, reference, reach, least, margin, chunk, first, second, start,
     inner_end, outer_end,
 ):  # fmt: skip
-    """Call ``neighbours.update``, or what shares its loops, at an address."""
-    listed = types.Tuple((types.int64, first, second, start, inner_end, outer_end))
+    """Call ``neighbours.repair``, or what shares its loops, at an address."""
     return call_at(
-        listed, address, position, reference, reach, least, margin, chunk, first, second, start,
-        inner_end, outer_end,
+        types.Tuple((types.boolean, inner_end, outer_end)), address, position, reference, reach,
+        least, margin, chunk, first, second, start, inner_end, outer_end,
     )  # fmt: skip
 
 
@@ -218,9 +235,10 @@ def with_addresses(
     - ``shared``: whether threads share them
     - ``passes``: whether the loop uses :mod:`.fused`
     """
-    key = kind_of((source, pairs)), shared, passes
+    repaired = len(source.reach) >= neighbours.REPAIR_CELLS
+    key = kind_of((source, pairs)), shared, passes, repaired
     if key not in _PLACES:
-        _PLACES[key] = _addresses(source, pairs, shared=shared, passes=passes)
+        _PLACES[key] = _addresses(source, pairs, shared=shared, passes=passes, repaired=repaired)
     return source._replace(**_PLACES[key])
 
 
@@ -228,24 +246,27 @@ _PLACES: dict[Any, dict[str, Any]] = {}
 
 
 def _addresses(
-    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
+    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool, repaired: bool
 ) -> dict[str, Any]:
     """Return the addresses of the kernels by their names in :class:`Source`."""
     place, cells = np.empty((0, 3)), source.cells
-    run, update = forces.forces, neighbours.update
+    run, rebuild = forces.forces, neighbours.rebuild
     if shared:
-        run, update = forces.forces_parallel, neighbours.update_parallel
+        run, rebuild = forces.forces_parallel, neighbours.rebuild_parallel
+    common = (
+        place, cells.reference, source.reach, 0.0, cells.margin, cells.chunk, *pairs[:2],
+    )  # fmt: skip
     known = {
         "forces_at": address_of(
             run, True, cells, pairs, source.offsets, source.law, place, 0.0, True,
             source.rows, place,
         ),
-        "update_at": address_of(
-            update, (0, *pairs[:5]), place, cells.reference, source.reach, 0.0, cells.margin,
-            cells.chunk, *pairs[:5],
-        ),
+        "rebuild_at": address_of(rebuild, (True, *pairs[:5]), *common),
         "evaluation_at": address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }  # fmt: skip
+    if repaired:
+        repair = neighbours.repair_parallel if shared else neighbours.repair
+        known["repair_at"] = address_of(repair, (True, *pairs[3:5]), *common, *pairs[2:5])
     if passes:
         known |= fused.addresses(cells.radius, shared=shared)
     return known

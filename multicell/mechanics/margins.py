@@ -14,7 +14,9 @@ from numba import njit
 from multicell.compiling import INLINED
 
 _WIDEST = 8.0  # largest margin of a cell over the least
-_FORESIGHT = 3.0  # how many times as far as since the last list a cell may move until the next one
+FORESIGHT, REPAIR_FORESIGHT = 6.0, 3.0
+"""How many times as far as since the last list a cell may move until the next one: where that is
+built, and where it is repaired, which costs less."""
 
 
 @njit(**INLINED)
@@ -27,12 +29,13 @@ def square_drift(position, reference, i):
 
 
 @njit(**INLINED)
-def widened(margin, square, least):
-    """Return the margin of a cell for the next list, µm, with the least one and its drift.
+def widened(margin, foresight, square, least):
+    """Return the margin of a cell for the next list, µm.
 
-    ``square`` is that of :func:`square_drift`, not a number where there was no list.
+    ``least`` is the smallest one, ``square`` that of :func:`square_drift`, not a number where there
+    was no list.
     """
-    wanted = _FORESIGHT * math.sqrt(square)
+    wanted = foresight * math.sqrt(square)
     if wanted == wanted:
         return max(least, min(max(wanted, 0.5 * margin), _WIDEST * least))
     return margin

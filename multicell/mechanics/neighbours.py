@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER
 from multicell.compiling.threads import two_drivers
-from multicell.mechanics.margins import square_drift, widened
+from multicell.mechanics.margins import FORESIGHT, REPAIR_FORESIGHT, square_drift, widened
 
 IndexArray = NDArray[np.int32]
 OffsetArray = NDArray[np.int64]
@@ -44,7 +44,9 @@ _SLICES = 4  # bins along x for each along y and z
 _WORN = 0.7  # part of its margin from which on a cell's pairs are searched anew in a repair
 _FEW = 5  # a list is repaired for at most one cell in so many
 
-CROWDED, BUILT, REPAIRED = range(3)  # what has become of a list
+REPAIR_CELLS = 1000
+"""Number of cells from which on lists are repaired: with fewer a new one costs little, and code for
+repairs is not compiled."""
 
 
 class TooManyPairsError(Exception):
@@ -116,12 +118,12 @@ def build(
     n = len(position)
     if n < 2:
         return PairList(*no_list(n, chunk), chunk, n)
-    run = update_parallel if threads > 1 and n > chunk else update
-    outcome, *arrays = run(
+    run = rebuild_parallel if threads > 1 and n > chunk else rebuild
+    crowded, *arrays = run(
         position, np.full((n, 3), np.nan), radius + 0.5 * skin, 0.0, np.zeros(n), chunk,
-        *no_list(n, chunk),
+        *no_list(n, chunk)[:2],
     )  # fmt: skip
-    if outcome == CROWDED:
+    if crowded:
         raise TooManyPairsError(n)
     return PairList(*arrays, chunk, n)
 
@@ -167,35 +169,29 @@ class Bins(NamedTuple):
 
 
 @njit(**INNER)
-def _wear_chunk(c, chunk, position, reference, margin, worn, count):
-    """Mark the cells of one chunk that have used up much of their margin, and count them."""
-    count[c] = 0
-    for i in range(c * chunk, min((c + 1) * chunk, position.shape[0])):
-        limit = _WORN * margin[i]
-        worn[i] = not (square_drift(position, reference, i) <= limit * limit)
-        count[c] += worn[i]
+def _measure_chunk(c, chunk, reference, reach, margin, wide, bounds):
+    """Write the radii of search of one chunk's cells, µm, and what holds for all of them.
 
-
-@njit(**INNER)
-def _renew_chunk(c, chunk, few, worn, position, reference, reach, least, margin, wide, bounds):
-    """Renew reference and margin of one chunk's cells, where ``few`` are worn of these alone.
-
-    ``wide`` is given their radii of search, µm, ``bounds[c]`` the lowest and the highest
-    coordinates of the reference and the largest of these radii.
+    ``bounds[c]`` are the lowest and the highest coordinates and the largest radius of search.
     """
-    begin = c * chunk
+    for a in range(3):
+        bounds[c, a], bounds[c, 3 + a] = np.inf, -np.inf
     bounds[c, 6] = 0.0
-    for i in range(begin, min(begin + chunk, position.shape[0])):
-        if worn[i] or not few:
-            margin[i] = widened(margin[i], square_drift(position, reference, i), least)
-            for a in range(3):
-                reference[i, a] = position[i, a]
+    for i in range(c * chunk, min((c + 1) * chunk, reference.shape[0])):
         wide[i] = reach[i] + margin[i]
         bounds[c, 6] = max(bounds[c, 6], wide[i])
         for a in range(3):
-            x = reference[i, a]
-            bounds[c, a] = x if i == begin else min(bounds[c, a], x)
-            bounds[c, 3 + a] = x if i == begin else max(bounds[c, 3 + a], x)
+            bounds[c, a] = min(bounds[c, a], reference[i, a])
+            bounds[c, 3 + a] = max(bounds[c, 3 + a], reference[i, a])
+
+
+@njit(**INNER)
+def _renew_chunk(c, chunk, position, reference, least, margin):
+    """Make the present positions of one chunk's cells the reference; adapt their margins."""
+    for i in range(c * chunk, min((c + 1) * chunk, position.shape[0])):
+        margin[i] = widened(margin[i], FORESIGHT, square_drift(position, reference, i), least)
+        for a in range(3):
+            reference[i, a] = position[i, a]
 
 
 @njit(**INNER)
@@ -501,34 +497,132 @@ def _mirror(chunk, base, room, found, first, second, end):
     return True
 
 
+def _rebuild(position, reference, reach, least, margin, chunk, first, second):
+    """Build a neighbour list.
+
+    One function, and loops in place of array expressions: so it compiles many times faster.
+
+    - ``position``, ``reference``, (n, 3), µm: now, and at the last list, not a number where there
+      was none; becomes the present one
+    - ``reach``, (n,), µm: half of the distance within which a pair matters
+    - ``least``, float, µm: smallest margin
+    - ``margin``, (n,), µm: how far each cell may drift; changed in place
+    - ``first``, ``second``, (m,) int32: of a list that nobody needs any more, or empty: written to
+      where they are long enough. With many cells the system takes longer to find new memory than
+      the search to fill it.
+
+    Returns crowded, bool: whether there are too many pairs; the list is then of no use; first,
+    second, start, inner_end, outer_end: as in :class:`PairList`.
+    """
+    n = position.shape[0]
+    chunks = (n + chunk - 1) // chunk
+    wide, bounds = np.empty(n), np.empty((chunks, 7))
+    for c in prange(chunks):
+        _renew_chunk(c, chunk, position, reference, least, margin)
+        _measure_chunk(c, chunk, reference, reach, margin, wide, bounds)
+    low, shape, size, largest = _grid_of(bounds, _SLICES, n)
+    order, place, row = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 2), np.int32)
+    bin_of, first_place = np.empty(n, np.int32), np.empty(size + 2, np.int32)
+    ranges = np.empty((n if size == 0 else 0, 5, 2), np.int64)
+    if size > 0:
+        for c in prange(chunks):
+            _row_chunk(c, chunk, reference, low, shape, 0.5 / largest, row, bin_of)
+        _count_out(bin_of, first_place, order, place)
+    else:
+        _sparse_bins(reference, largest, order, place, ranges)
+    cells = np.empty((n, 4))
+    for c in prange(chunks):
+        _copy_chunk(c, chunk, reference, wide, place, cells)
+    bins = Bins(order, place, cells, largest, low, shape, row, first_place, ranges)
+    start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
+    outer_end = np.empty(chunks, np.int64)
+    base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
+    room, counts = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
+    for c in range(chunks):
+        # what packed tissue needs
+        room[c, 0] = room[c, 1] = 9 * min(n, chunk) + 64
+    while True:
+        base[0] = 0
+        for c in range(chunks):
+            base[c + 1] = base[c] + room[c, 0] + room[c, 1]
+        if min(first.size, second.size) < base[chunks]:
+            first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
+        for c in prange(chunks):
+            _search_chunk(c, chunk, bins, base, room, limit, first, second, counts)
+        total, enough = 0, True
+        for c in range(chunks):
+            for side in range(2):
+                total += counts[c, side]
+                enough &= counts[c, side] <= room[c, side]
+                room[c, side] = max(room[c, side], counts[c, side])
+        if total > limit:
+            break
+        if enough and _mirror(chunk, base, room, counts, first, second, outer_end):
+            break
+    for c in range(chunks):
+        start[c], inner_end[c] = base[c], base[c] + counts[c, 0]
+    if total > limit:
+        # no cell is close to a place that is not a number: the next state builds
+        for i in range(n):
+            reference[i, 0] = np.nan
+    return total > limit, first, second, start, inner_end, outer_end
+
+
+rebuild, rebuild_parallel = two_drivers(_rebuild)
+
+
 @njit(**INNER)
-def _sort_worn(worn, total, reference, wide, low, shape, scale, bins):
+def _wear_chunk(c, chunk, position, reference, margin, worn, count):
+    """Mark the cells of one chunk that have used up much of their margin, and count them."""
+    count[c] = 0
+    for i in range(c * chunk, min((c + 1) * chunk, position.shape[0])):
+        limit = _WORN * margin[i]
+        worn[i] = not (square_drift(position, reference, i) <= limit * limit)
+        count[c] += worn[i]
+
+
+@njit(**INNER)
+def _renew_worn(worn, total, position, reference, least, margin):
+    """Do for the worn cells what :func:`_renew_chunk` does; return them."""
+    cell = np.empty(total, np.int32)
+    k = 0
+    for i in range(worn.size):
+        if worn[i]:
+            cell[k] = i
+            k += 1
+            square = square_drift(position, reference, i)
+            margin[i] = widened(margin[i], REPAIR_FORESIGHT, square, least)
+            for a in range(3):
+                reference[i, a] = position[i, a]
+    return cell
+
+
+@njit(**INNER)
+def _sort_worn(worn, reference, wide, low, shape, scale, bins):
     """Sort the worn cells into bins; return cells, centres with radii, first places, neighbourhood.
 
     The last says of each bin whether a worn cell is in it or next to it.
     """
-    cell, bin_of = np.empty(total, np.int32), np.empty(total, np.int32)
+    total = worn.size
+    bin_of, cell = np.empty(total, np.int32), np.empty(total, np.int32)
     order, place = np.empty(total, np.int32), np.empty(total, np.int32)
     start, near = np.empty(bins + 2, np.int32), np.zeros(bins, np.bool_)
-    k = 0
-    for i in range(worn.size):
-        if worn[i]:
-            ix, iy, iz = _bin_of(reference, i, low, shape, scale, 1)
-            cell[k], bin_of[k] = i, (iz * shape[1] + iy) * shape[0] + ix
-            k += 1
-            for w in range(max(iz - 1, 0), min(iz + 2, shape[2])):
-                for v in range(max(iy - 1, 0), min(iy + 2, shape[1])):
-                    for u in range(max(ix - 1, 0), min(ix + 2, shape[0])):
-                        near[(w * shape[1] + v) * shape[0] + u] = True
+    for k in range(total):
+        ix, iy, iz = _bin_of(reference, worn[k], low, shape, scale, 1)
+        bin_of[k] = (iz * shape[1] + iy) * shape[0] + ix
+        for w in range(max(iz - 1, 0), min(iz + 2, shape[2])):
+            for v in range(max(iy - 1, 0), min(iy + 2, shape[1])):
+                for u in range(max(ix - 1, 0), min(ix + 2, shape[0])):
+                    near[(w * shape[1] + v) * shape[0] + u] = True
     _count_out(bin_of, start, order, place)
     centre = np.empty((total, 4))
     for k in range(total):
-        # place is not needed any more
-        place[k] = i = cell[order[k]]
+        i = worn[order[k]]
+        cell[k] = i
         for a in range(3):
             centre[k, a] = reference[i, a]
         centre[k, 3] = wide[i]
-    return place, centre, start, near
+    return cell, centre, start, near
 
 
 @njit(**INNER)
@@ -592,100 +686,43 @@ def _mirror_new(chunk, worn, first, second, start, kept, found, inner_end, outer
     return True
 
 
-def _update(
-    position, reference, reach, least, margin, chunk, first, second, begin, inner, outer
+def _repair(
+    position, reference, reach, least, margin, chunk, first, second, start, inner_end, outer_end
 ):  # fmt: skip
-    """Bring a neighbour list up to date: repair it where few cells have drifted, else build it.
+    """Search anew the pairs of cells that have drifted, where these are few.
 
-    One function, and loops in place of array expressions: so it compiles many times faster.
+    The arguments are those of :func:`_rebuild`; ``first``, ``second``, ``start``, ``inner_end``
+    and ``outer_end`` are the last list, whose pairs are written over.
 
-    - ``position``, ``reference``, (n, 3), µm: now, and at the last list, not a number where there
-      was none; becomes the present one of the cells whose pairs are searched
-    - ``reach``, (n,), µm: half of the distance within which a pair matters
-    - ``least``, float, µm: smallest margin
-    - ``margin``, (n,), µm: how far each cell may drift; changed in place
-    - ``first``, ``second``, ``begin``, ``inner``, ``outer``: arrays of the last list, which nobody
-      needs any more: written to where they are long enough. With many cells the system takes
-      longer to find new memory than the search to fill it.
-
-    Returns CROWDED (too many pairs, the list is of no use), BUILT or REPAIRED; first, second,
-    start, inner_end, outer_end: as in :class:`PairList`.
+    Returns repaired, bool: if not, the list must be built; inner_end, outer_end.
     """
-    n = position.shape[0]
-    chunks = (n + chunk - 1) // chunk
-    start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
-    outer_end = np.empty(chunks, np.int64)
+    n, chunks = position.shape[0], start.size
+    ends, kept = np.empty((2, chunks), np.int64), np.empty((chunks, 2), np.int64)
     worn, count = np.empty(n, np.bool_), np.empty(chunks, np.int64)
     for c in prange(chunks):
         _wear_chunk(c, chunk, position, reference, margin, worn, count)
     total = 0
     for c in range(chunks):
         total += count[c]
-    few = total <= n // _FEW
+    if total > n // _FEW:
+        return False, ends[0], ends[1]
+    worn_cells = _renew_worn(worn, total, position, reference, least, margin)
     wide, bounds = np.empty(n), np.empty((chunks, 7))
     for c in prange(chunks):
-        _renew_chunk(c, chunk, few, worn, position, reference, reach, least, margin, wide, bounds)
-    if few:
-        low, shape, bins, largest = _grid_of(bounds, 1, n)
-        if bins > 0:
-            cell, centre, place, near = _sort_worn(
-                worn, total, reference, wide, low, shape, 0.5 / largest, bins
-            )
-            kept = np.empty((chunks, 2), np.int64)
-            for c in prange(chunks):
-                _repair_chunk(
-                    c, chunk, reference, wide, worn, cell, centre, place, near, low, shape,
-                    0.5 / largest, first, second, begin, inner, outer, kept, count,
-                )  # fmt: skip
-            for c in range(chunks):
-                start[c] = begin[c]
-            if _mirror_new(chunk, worn, first, second, start, kept, count, inner_end, outer_end):
-                return REPAIRED, first, second, start, inner_end, outer_end
-    low, shape, size, largest = _grid_of(bounds, _SLICES, n)
-    order, place, row = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 2), np.int32)
-    bin_of, first_place = np.empty(n, np.int32), np.empty(size + 2, np.int32)
-    ranges = np.empty((n if size == 0 else 0, 5, 2), np.int64)
-    if size > 0:
-        for c in prange(chunks):
-            _row_chunk(c, chunk, reference, low, shape, 0.5 / largest, row, bin_of)
-        _count_out(bin_of, first_place, order, place)
-    else:
-        _sparse_bins(reference, largest, order, place, ranges)
-    cells = np.empty((n, 4))
+        _measure_chunk(c, chunk, reference, reach, margin, wide, bounds)
+    low, shape, bins, largest = _grid_of(bounds, 1, n)
+    if bins == 0:
+        return False, ends[0], ends[1]
+    cell, centre, place, near = _sort_worn(
+        worn_cells, reference, wide, low, shape, 0.5 / largest, bins
+    )
     for c in prange(chunks):
-        _copy_chunk(c, chunk, reference, wide, place, cells)
-    bins = Bins(order, place, cells, largest, low, shape, row, first_place, ranges)
-    base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
-    room, counts = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
-    for c in range(chunks):
-        # what packed tissue needs
-        room[c, 0] = room[c, 1] = 9 * min(n, chunk) + 64
-    while True:
-        base[0] = 0
-        for c in range(chunks):
-            base[c + 1] = base[c] + room[c, 0] + room[c, 1]
-        if min(first.size, second.size) < base[chunks]:
-            first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
-        for c in prange(chunks):
-            _search_chunk(c, chunk, bins, base, room, limit, first, second, counts)
-        total, enough = 0, True
-        for c in range(chunks):
-            for side in range(2):
-                total += counts[c, side]
-                enough &= counts[c, side] <= room[c, side]
-                room[c, side] = max(room[c, side], counts[c, side])
-        if total > limit:
-            break
-        if enough and _mirror(chunk, base, room, counts, first, second, outer_end):
-            break
-    for c in range(chunks):
-        start[c], inner_end[c] = base[c], base[c] + counts[c, 0]
-    if total > limit:
-        for i in range(n):
-            # no cell is close to a place that is not a number: the next state builds
-            reference[i, 0] = np.nan
-        return CROWDED, first, second, start, inner_end, outer_end
-    return BUILT, first, second, start, inner_end, outer_end
+        _repair_chunk(
+            c, chunk, reference, wide, worn, cell, centre, place, near, low, shape, 0.5 / largest,
+            first, second, start, inner_end, outer_end, kept, count,
+        )  # fmt: skip
+    done = _mirror_new(chunk, worn, first, second, start, kept, count, ends[0], ends[1])
+    return done, ends[0], ends[1]
 
 
-update, update_parallel = two_drivers(_update)
+repair, repair_parallel = two_drivers(_repair)

@@ -436,25 +436,33 @@ class Mechanics:
         """Build the neighbour list at a state, and what the law keeps for each pair."""
         if not np.isfinite(position).all():
             raise StateRejected("a position is not a number")
-        n = len(self)
-        if self._pairs is None:
-            reference = np.full((n, 3), np.nan)
-            arrays: Any = neighbours.no_list(n, self.chunk)
-        else:
-            # what was linearised may still need the last list
-            reference, arrays = self._cells.reference, tuple(map(np.copy, self._pair_data[:5]))
-        update = neighbours.update_parallel if self._list_threads() > 1 else neighbours.update
-        outcome, *arrays = update(
-            np.array(position), reference, self._list_radius, self._least_margin, self._margin,
-            self.chunk, *arrays,
+        position, n = np.array(position), len(self)
+        known = self._pairs is not None
+        reference = self._cells.reference if known else np.full((n, 3), np.nan)
+        # what was linearised may still need the last list
+        arrays: Any = (
+            map(np.copy, self._pair_data[:5]) if known else neighbours.no_list(n, self.chunk)
+        )
+        first, second, start, inner_end, outer_end = arrays
+        shared, crowded = self._list_threads() > 1, False
+        common = (
+            position, reference, self._list_radius, self._least_margin, self._margin, self.chunk,
+            first, second,
         )  # fmt: skip
-        self.work.list_builds += outcome != neighbours.REPAIRED
-        if outcome == neighbours.CROWDED:
+        repaired = False
+        if known and n >= neighbours.REPAIR_CELLS:
+            repair = neighbours.repair_parallel if shared else neighbours.repair
+            repaired, inner_end, outer_end = repair(*common, start, inner_end, outer_end)
+        if not repaired:
+            self.work.list_builds += 1
+            rebuild = neighbours.rebuild_parallel if shared else neighbours.rebuild
+            crowded, first, second, start, inner_end, outer_end = rebuild(*common)
+        if crowded:
             # the old list does not fit the new margins
             self._pairs = None
             error = neighbours.TooManyPairsError(n)
             raise StateRejected(f"cells lie on top of each other ({error})") from error
-        pairs = neighbours.PairList(*arrays, self.chunk, n)
+        pairs = neighbours.PairList(first, second, start, inner_end, outer_end, self.chunk, n)
         motion = self.motion
         self._cells = forces.CellData(
             self.chunk,
