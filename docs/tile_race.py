@@ -39,7 +39,7 @@ _GIVEN_UP = 2  # solves that are stopped before an implicit method is given up: 
 _WATCHED = 0.3  # s of CPU time from which on a solve goes to a process that can be stopped
 _PER_CELL = 1.2e-7  # s: two evaluations for a cell, which an explicit method needs for λΔt = 1
 _SHORT = 0.05  # s of CPU time below which a solve is timed at least three times
-_ALIKE, _LEAST_TIMES, _MOST_TIMES = 1.1, 5, 15
+_ALIKE, _LEAST_TIMES, _MOST_TIMES = 1.1, 9, 25
 """Ratio of the two shortest times of a solve above which it is timed again; how often at least and
 at most."""
 

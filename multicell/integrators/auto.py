@@ -4,9 +4,9 @@ A step is judged by z = λΔt, λ being the largest decay rate. Its order of mag
 without any evaluation; where that is small, or z as measured, the step is mild:
 
 - ``ab2-adaptive`` takes mild steps, with one evaluation for each of its own. Beyond
-  :data:`MILD_TO` stability holds its steps down, and modes at the edge of stability carry errors
-  as large as the tolerance;
-- ``rk4-adaptive`` takes mild steps at tight tolerances, where order pays, up to :data:`EXACT_TO`;
+  :data:`MILD_TO` stability limits its steps, and modes at the edge of stability carry errors as
+  large as the tolerance;
+- ``rk4-adaptive`` takes steps up to :data:`EXACT_TO` at tight tolerances, where order pays;
 - ``rkc2`` takes what is stiffer: its stages grow as √z;
 - ``rosenbrock``, or ``cvode`` where friction between cells rules it out, takes what is stiffer
   than :func:`implicit_from`. With m steps RKC2 needs √(1.54 m z) evaluations and an implicit method
@@ -43,13 +43,15 @@ if TYPE_CHECKING:
 
 _ITERATIONS = 6
 PATIENCE = 300  # evaluations that Adams-Bashforth may expect to take, by many cells
-_CHOICE = 5.0e3  # evaluations times cells that a choice by the measured decay rate costs
+_CHOICE = 2.0e3  # evaluations times cells that calls of Python cost when λ is measured
 _SUSPECT = 60.0  # λΔt, by the order of magnitude of λ, from which on λ is measured
 MILD_TO = 200.0
 """λΔt up to which Adams-Bashforth costs less than RKC2."""
-EXACT_TO = 60.0
+EXACT_TO = 500.0
 """λΔt up to which a method of order 4 costs less than RKC2 at tight tolerances."""
-_TIGHT = 0.015  # µm, up to which tolerances are tight
+_TIGHT, _VERY_TIGHT = 0.015, 0.0015
+"""Tolerances in µm up to which a method of order 4 is taken: where stability limits the steps of
+Adams-Bashforth, so that it costs little more, and where it does not."""
 _QUIET, _SHAKEN = 1e-3, 0.3
 """The way that fast modes carry the fastest cell, its speed over λ in tolerances: up to which there
 are no fast modes to follow, and from which on there are."""
@@ -116,8 +118,9 @@ class Auto(ErrorControl):
 
         scale = stiffness_scale(system) * (system.motion.end - system.motion.begin)
         able = candidates(system)
-        if scale <= _SUSPECT and MILD in able and _tolerance(system, self.rtol, self.atol) > _TIGHT:
-            return Choice(scale, _first(MILD, able))
+        mild = EXACT if _tolerance(system, self.rtol, self.atol) <= _VERY_TIGHT else MILD
+        if scale <= _SUSPECT + _CHOICE / max(len(system), 1) and mild in able:
+            return Choice(scale, _first(mild, able))
         return choose(system, position, self.rtol, self.atol, able=able)
 
     def method(self, name: str, finer: float = 1.0, cells: int = 1) -> Integrator:
@@ -184,7 +187,7 @@ def choose(
     tolerance = _tolerance(system, rtol, atol)
     rate = decay_rate(system, position)
     z = rate * (system.motion.end - system.motion.begin)
-    if tolerance <= _TIGHT and z <= EXACT_TO:
+    if z <= EXACT_TO and tolerance <= (_TIGHT if z > _SUSPECT else _VERY_TIGHT):
         return Choice(z, _first(EXACT, able))
     if z <= MILD_TO:
         return Choice(z, _first(MILD, able))

@@ -69,7 +69,32 @@ KNOWN: dict[str, tuple[str, dict[str, Any]]] = {
         "initial.jitter": 0.02, "duration": "24 h"}),
 }  # fmt: skip
 """Name -> scene that it starts from, and what is changed of it."""
-INVENTED: dict[str, tuple[str, dict[str, Any]]] = {}
+INVENTED: dict[str, tuple[str, dict[str, Any]]] = {
+    "five springs in water": ("settle", {
+        "initial.count": 5, "contact": {"law": "cubic"}, "drag.viscosity": 0.02}),
+    "exact JKR in syrup": ("grow-2000", {
+        "initial.count": 120, "contact": {"law": "exact-jkr", "surface_energy": 0.1},
+        "drag.viscosity": 50.0, "duration": "1 d"}),
+    "plane at 0.1": ("grow-2000", {
+        "initial.count": 150, "dimensions": 2, "initial.jitter": 0.0, "drag.viscosity": 0.1,
+        "duration": "12 h"}),
+    "friction at 0.2": ("grow-2000", {
+        "initial.count": 80, "friction": {"normal": 0.1, "tangential": 0.05},
+        "drag.viscosity": 0.2, "duration": "6 h"}),
+    "box at 0.5": ("growth", {
+        "initial.count": 100, "initial.stage": "uniform", "drag.viscosity": 0.5,
+        "domain": {axis: ["-21 um", "21 um"] for axis in "xyz"}, "duration": "8 h"}),
+    "pulled pair at 0.05": ("doublet", {
+        "drag.viscosity": 0.05, "coupling_step": "2 min", "duration": "1 h"}),
+    "driven, Hertz": ("compression", {
+        "initial.count": 400, "contact": {"law": "hertz"}, "drag.viscosity": 1.0}),
+    "motile at 0.05": ("settle", {
+        "initial.count": 300, "motility": {"force": "0.3 nN", "persistence": "10 min"},
+        "drag.viscosity": 0.05, "coupling_step": "5 min"}),
+    "sorting at 5": ("sorting", {"drag.viscosity": 5.0, "initial.count": 250}),
+    "5,000 growing at 0.3": ("grow-2000", {
+        "initial.count": 5_000, "stop_cells": None, "drag.viscosity": 0.3, "duration": "1 h"}),
+}  # fmt: skip
 
 
 def scene_of(name: str) -> mc.Scene:
