@@ -45,7 +45,7 @@ _ITERATIONS = 6
 PATIENCE = 300  # evaluations that Adams-Bashforth may expect to take, by many cells
 _CHOICE = 2.0e3  # evaluations times cells that calls of Python cost when λ is measured
 _SUSPECT = 60.0  # λΔt, by the order of magnitude of λ, from which on λ is measured
-MILD_TO = 200.0
+MILD_TO = 150.0
 """λΔt up to which Adams-Bashforth costs less than RKC2."""
 EXACT_TO = 500.0
 """λΔt up to which a method of order 4 costs less than RKC2 at tight tolerances."""

@@ -43,7 +43,7 @@ from multicell.integrators.registry import from_options
 from multicell.mechanics.growth_rate import largest_decay_rate
 
 GOALS = (0.01, 0.001)
-SECONDS, MOST_STEPS = 4.0, 200
+SECONDS, MOST_STEPS = 3.0, 200
 """CPU time and coupling steps for which a scene is run."""
 BAD, NEAR = 1.3, 1.2
 
