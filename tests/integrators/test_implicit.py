@@ -387,7 +387,7 @@ def test_auto_chooses_by_stiffness_and_tolerance():
     some = mechanics(radius, young, duration=6e3)
     chosen = [choose(system, position, 1e-6, 0.1) for system in (soft, some, stiff)]
     assert [choice.method for choice in chosen] == ["ab2-adaptive", "rkc2", "rosenbrock"]
-    assert choose(soft, position, 1e-6, 1e-2).method == "rk4-adaptive"
+    assert choose(soft, position, 1e-6, 1e-3).method == "rk4-adaptive"
     exact = np.abs(np.linalg.eigvals(sparse_jacobian(soft).toarray())).max() * 60.0
     assert 0.7 * exact < chosen[0].stiffness <= exact * (1 + 1e-12)
     assert choose(soft, position, 1e-6, 0.1) == chosen[0]
@@ -399,7 +399,7 @@ def test_auto_counts_the_steps_of_each_method():
     Auto(atol=0.1).integrate(system, position)
     assert system.work.steps_ab2_adaptive == system.work.steps > 0
     assert system.work.jacobian_products == 0
-    Auto(atol=0.01).integrate(system, position)
+    Auto(atol=0.001).integrate(system, position)
     assert system.work.steps_rk4_adaptive > 0
 
 
@@ -426,7 +426,8 @@ def test_a_step_that_is_not_as_mild_as_it_seems_is_begun_again(monkeypatch):
     assert 0 < system.work.steps_ab2_adaptive < system.work.steps
     fresh = mechanics(radius, young, duration=6e4)
     alone = Rkc2(atol=0.1).integrate(fresh, position)
-    assert outcome.position.tobytes() == alone.position.tobytes()
+    # neighbours are listed in another order
+    np.testing.assert_allclose(outcome.position, alone.position, rtol=0.0, atol=1e-9)
 
 
 def test_decay_rate_is_the_end_of_the_spectrum():
