@@ -22,7 +22,7 @@ SCENES = {
     "sorting-signal": {"duration": "30 min", "initial.count": 40},
 }
 NUMBERS = {
-    3: {
+    4: {
         "growth": {"cells": 4, "volume": 1413.2421188721287, "distance": 8.122308148673962},
         "spheroid": {
             "cells": 70,
@@ -33,8 +33,8 @@ NUMBERS = {
         "sorting-signal": {
             "cells": 40,
             "volume": 16491.355589038554,
-            "distance": 90.06522234690537,
-            "factor": 2.539471399835316e-07,
+            "distance": 88.64434962584555,
+            "factor": 2.5350961380452616e-07,
         },
     }
 }
