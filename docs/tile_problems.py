@@ -29,7 +29,7 @@ import multicell as mc
 from multicell.cells import Cells, FloatArray
 from multicell.comparison.cache import cache_folder
 from multicell.comparison.conditioning import shift_starts
-from multicell.comparison.ladders import find_method
+from multicell.comparison.ladders import capable_methods, find_method
 from multicell.comparison.null_methods import MotionScale
 from multicell.comparison.replay import Problem, Step, Trajectory, replay
 from multicell.mechanics.growth_rate import largest_decay_rate
@@ -83,7 +83,9 @@ class Solved:
         Of the state: ``n``, ``lambda_dt`` (λΔt at the beginning), ``divided`` (part of the cells
         that divided just before), ``since_h`` (hours since its division, of the cell in the
         hundred that divided last), ``viscosity_kPa_s``, ``moved_um`` and ``residual_um`` (root
-        mean square), ``reference_s``.
+        square), ``reference_s``.
+    goals : tuple of float
+        Errors that are asked for.
     """
 
     tile: Tile
@@ -93,6 +95,7 @@ class Solved:
     uncertainty: float
     conditioning: tuple[float, ...]
     facts: dict[str, float]
+    goals: tuple[float, ...] = GOALS
 
     def errors(self, end: FloatArray) -> tuple[float, float]:
         """Return the errors of an end: of all cells, and of the worst (:class:`MotionScale`)."""
@@ -187,7 +190,7 @@ def solved(tile: Tile, folder: Path | None = None) -> Solved:
     same = hashlib.sha256(b"".join(a.tobytes() for a in (problem.start, motion.end_radius)))
     path = _path(folder, "reference", [*vars(tile).values(), same.hexdigest()])
     if not path.exists():
-        _store(path, _reference(problem, tile.stiffness))
+        _store(path, reference(problem, tile.stiffness))
     held = _load(path)
     scale = MotionScale.of(problem.start, held["end"], problem.mean_radius)
     facts |= {
@@ -203,13 +206,17 @@ def solved(tile: Tile, folder: Path | None = None) -> Solved:
     return Solved(tile, problem, held["end"], scale, uncertainty, conditioning, facts)
 
 
-def _reference(problem: Problem, stiffness: float) -> dict[str, Any]:
+def reference(
+    problem: Problem, stiffness: float, goals: tuple[float, ...] = GOALS
+) -> dict[str, Any]:
     """Return the end of a step, and those of a check by another method and of shifted beginnings.
 
     Both are tightened, a decade at a time, until they agree to a fifth of what the finest goal
     allows, or three times at most.
     """
     (method, atol), (checking, other) = _MILD if stiffness <= _MILD_TO else _STIFF
+    if checking not in capable_methods(problem.scene):
+        checking = "cvode"
 
     def run(by: str, tolerance: float, start: Problem = problem) -> Trajectory:
         solver = find_method(by, problem.scene, problem.mean_radius)
@@ -221,10 +228,10 @@ def _reference(problem: Problem, stiffness: float) -> dict[str, Any]:
     for _ in range(3):
         end, check = run(method, atol), run(checking, other)
         scale = MotionScale.of(problem.start, end.positions[0], problem.mean_radius)
-        if scale.errors(check.positions[0], end.positions[0])[0] <= 0.2 * GOALS[-1]:
+        if scale.errors(check.positions[0], end.positions[0])[0] <= 0.2 * goals[-1]:
             break
         atol, other = 0.1 * atol, 0.1 * other
-    shifts = [shift_starts(problem, PART * goal * scale.rms / np.sqrt(3.0)) for goal in GOALS]
+    shifts = [shift_starts(problem, PART * goal * scale.rms / np.sqrt(3.0)) for goal in goals]
     shifted = [run(method, 10.0 * atol, start).positions[0] for start in shifts]
     return {"end": end.positions[0], "check": check.positions[0], "shifted": np.array(shifted),
             "cost": end.cpu}  # fmt: skip

@@ -14,10 +14,9 @@ import pickle
 import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from statistics import median
 from typing import Any, Final, NamedTuple, final
 
-from tile_problems import GOALS, Solved
+from tile_problems import Solved
 
 from multicell.cells import FloatArray
 from multicell.comparison.ladders import Method
@@ -39,7 +38,10 @@ _GIVEN_UP = 2  # solves that are stopped before an implicit method is given up: 
 # may be what takes long; with an explicit one it is stability, and finer ones cost more
 _WATCHED = 0.3  # s of CPU time from which on a solve goes to a process that can be stopped
 _PER_CELL = 1.2e-7  # s: two evaluations for a cell, which an explicit method needs for λΔt = 1
-_SHORT = 0.05  # s of CPU time below which a solve is timed three times
+_SHORT = 0.05  # s of CPU time below which a solve is timed at least three times
+_ALIKE, _LEAST_TIMES, _MOST_TIMES = 1.1, 9, 25
+"""Ratio of the two shortest times of a solve above which it is timed again; how often at least and
+at most."""
 
 
 class Rung(NamedTuple):
@@ -59,6 +61,7 @@ class Climber:
 
     method: Method
     ladder: list[float]
+    goals: tuple[float, ...]
     rungs: list[Rung] = field(default_factory=list)
     at: int = 0
     stopped: int = 0
@@ -72,7 +75,7 @@ class Climber:
     @property
     def missing(self) -> list[float]:
         """The goals that are not reached yet."""
-        return [goal for goal in GOALS if self.best(goal) is None]
+        return [goal for goal in self.goals if self.best(goal) is None]
 
     @property
     def over(self) -> bool:
@@ -107,7 +110,9 @@ def race(
     """
     turn %= max(len(methods), 1)
     climbers = [
-        Climber(method, ladder(method, step, (loosest or {}).get(method.name, math.inf)))
+        Climber(
+            method, ladder(method, step, (loosest or {}).get(method.name, math.inf)), step.goals
+        )
         for method in [*methods[turn:], *methods[:turn]]
     ]
     least: dict[float, float] = {}
@@ -117,14 +122,14 @@ def race(
                 limit = max(_LEAST, *(_limit(goal, step, least) for goal in one.missing))
                 one.at += 1
                 _climb(one, one.ladder[one.at - 1], limit, step)
-                for goal in GOALS:
+                for goal in step.goals:
                     best = one.best(goal)
                     # a null method is no measure of what a solve may cost
                     if best is not None and one.method.control != "none":
                         least[goal] = min(best.cost, least.get(goal, math.inf))
     for one in climbers:
         if one.method.control == "tolerance" and _at_default(one) is None:
-            limit = max(_LEAST, *(_limit(goal, step, least) for goal in GOALS))
+            limit = max(_LEAST, *(_limit(goal, step, least) for goal in step.goals))
             _climb(one, one.method.info.atol, limit, step)
     _time_again(climbers, step)
     return [row for one in climbers for row in _rows(one, least)]
@@ -132,7 +137,7 @@ def race(
 
 def _climb(one: Climber, setting: float, limit: float, step: Solved) -> None:
     """Solve at a setting within a limit of CPU time in s."""
-    foreseen = _PER_CELL * len(step.problem.start) * step.tile.stiffness
+    foreseen = _PER_CELL * len(step.problem.start) * step.facts["lambda_dt"]
     if one.rungs and not one.stopped:
         foreseen = 3.0 * one.rungs[-1].cost
     end, cost, effort = solve(step, one.method, setting, limit, foreseen)
@@ -201,31 +206,33 @@ def _at_default(one: Climber) -> Rung | None:
 
 
 def _time_again(climbers: Sequence[Climber], step: Solved) -> None:
-    """Time the short solves that rows are made of again, in turns, and keep the medians."""
+    """Time the short solves that rows are made of again, in turns, and keep the shortest times."""
     chosen = {}
     for one in climbers:
-        for rung in {*map(one.best, GOALS), _at_default(one)} - {None}:
+        for rung in {*map(one.best, one.goals), _at_default(one)} - {None}:
             if rung is not None and rung.cost < _SHORT:
                 chosen[one.method.name, rung.setting] = (one, rung, [rung.cost])
-    for _ in range(2):
+    for turn in range(1, _MOST_TIMES):
         for one, rung, times in chosen.values():
-            times.append(solve(step, one.method, rung.setting, math.inf, 0.0)[1])
+            first, second, *_ = [*sorted(times), math.inf]
+            if turn < _LEAST_TIMES or second > _ALIKE * first:
+                times.append(solve(step, one.method, rung.setting, math.inf, 0.0)[1])
     for one, rung, times in chosen.values():
-        one.rungs[one.rungs.index(rung)] = rung._replace(cost=median(times))
+        one.rungs[one.rungs.index(rung)] = rung._replace(cost=min(times))
 
 
 def _rows(one: Climber, least: dict[float, float]) -> list[Row]:
     """Return the rows of a method; one that missed a goal has the cost that it was given."""
     common = {"method": one.method.name, "implicit": int(one.method.info.implicit)}
     found: list[Row] = []
-    for goal in (*GOALS, *((DEFAULT,) if one.method.control == "tolerance" else ())):
+    for goal in (*one.goals, *((DEFAULT,) if one.method.control == "tolerance" else ())):
         rung = _at_default(one) if goal == DEFAULT else one.best(goal)
         status = REACHED if rung is not None else SLOW if one.stopped else MISSED
         if rung is None and one.method.control == "none":
             rung = one.rungs[0]
         if rung is None:
             spent = max((r.cost for r in one.rungs), default=0.0)
-            bound = max(one.bound, spent, BUDGET * least.get(goal or GOALS[0], 0.0))
+            bound = max(one.bound, spent, BUDGET * least.get(goal or one.goals[0], 0.0))
             rung = Rung(math.nan, bound, 0, math.nan, math.nan)
         found.append({**common, "goal": goal, "status": status, **rung._asdict()})
     return found

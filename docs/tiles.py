@@ -51,7 +51,7 @@ PILOTS, NEAR, FAR = 3, 2.0, 5.0
 seeds, and with more cells."""
 OTHERS = 1000
 """Seeds from here on are those of --again."""
-WORDS = ("state", "method", "status")
+WORDS = ("state", "method", "status", "scene", "step")
 KEY = ("state", "cells", "stiffness", "seed")
 
 

@@ -33,7 +33,7 @@ class Work:
     linear_iterations: int = 0
     factorisations: int = 0
     steps_ab2_adaptive: int = 0
-    steps_dopri5: int = 0
+    steps_rk4_adaptive: int = 0
     steps_rkc2: int = 0
     steps_rosenbrock: int = 0
     steps_cvode: int = 0

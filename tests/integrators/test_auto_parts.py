@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.integrators.auto import CANDIDATES, MILD, Auto, at_a_glance, candidates, choose
+from multicell.integrators.auto import CANDIDATES, MILD, Auto, candidates
 from multicell.integrators.base import refusal
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
@@ -66,12 +66,11 @@ def test_a_candidate_that_does_not_refuse_a_part_can_do_it(name, part):
 
 
 @pytest.mark.parametrize("part", sorted(PARTS))
-def test_every_way_to_choose_knows_only_candidates(part):
+@pytest.mark.parametrize("atol", [0.1, 0.001])
+def test_a_choice_knows_candidates_and_all_of_them(part, atol):
     system, position = begun(part)
-    able = set(candidates(system))
-    glance = at_a_glance(system, position, 1e-6, 0.1, able)
-    measured = choose(system, position, 1e-6, 0.1, 50.0)
-    assert set(glance.costs) | set(measured.costs) <= able
+    choice = Auto(atol=atol).choose(system, position)
+    assert sorted(choice.order) == sorted(candidates(system))
 
 
 @pytest.mark.parametrize("left_out", sorted(CANDIDATES))
@@ -85,10 +84,10 @@ def test_no_branch_of_auto_takes_a_method_that_refuses_the_scene(
     monkeypatch.setattr(kind, "info", replace(kind.info, most_cells=1))
     simulation = Simulation(scene_of(viscosity, initial={"count": count}), threads=1)
     system = simulation.prepared()
-    outcome, choice = Auto(atol=0.1).begin(system, simulation.cells.position)
-    order = [] if choice is None else choice.order
-    assert outcome.done == (not order)
-    assert left_out not in order
+    choice = Auto(atol=0.1).choose(system, simulation.cells.position)
+    assert left_out not in choice.order
+    outcome = Auto(atol=0.1).integrate(system, simulation.cells.position)
+    assert outcome.done
     if left_out == MILD:
         assert system.work.steps_ab2_adaptive == 0
 
