@@ -44,7 +44,7 @@ from multicell.mechanics.system import Mechanics
 
 STATES = (
     ("typical", 1e2), ("fresh", 1e2), ("typical", 1e3), ("fresh", 1e3), ("fresh", 1e4),
-    ("quiet", 1e4), ("quiet", 1e6),
+    ("quiet", 1e4),
 )  # fmt: skip
 TOLERANCES = tuple(10.0 ** (-0.5 * k) for k in range(9))  # µm
 STEPS = tuple(0.5**k for k in range(3, 11))  # of the coupling step
