@@ -7,7 +7,7 @@ Error     root mean square over the cells of the distance from the reference, ov
 Question  the cost of reaching a goal, in passes over all cells (Work.effort, in evaluations) and
           in CPU time. Methods of the package are compiled, those that were tried are not.
 Methods   ROCK4, proximal BDF2, IMEX (stiff pairs implicit), multirate RKC (mRKC)
-Cost      printed at the end: four minutes of CPU, one thread
+Cost      printed at the end: about four minutes of CPU, one thread
 Command   python docs/tried.py     (--goals, --cells, --methods, --cache)
 
 Tolerances and steps are tried from coarse to fine; the cheapest solve that reaches a goal counts.
@@ -164,7 +164,7 @@ def chebyshev_step(
 class Multirate(Rock4):
     """mRKC of order one: the force of stiff cells is an average over a short time of its own.
 
-    Abdulle, Grote & Rosilho de Souza, Math. Comp. 91 (2022), https://doi.org/10.1090/mcom/3753
+    Abdulle, Grote & Rosilho de Souza, Math. Comp. 91 (2022)
     """
 
     exponent = 2.0

@@ -15,7 +15,6 @@ from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL
-from multicell.integrators.cvode_compiled import Session, suits
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
@@ -23,7 +22,6 @@ from multicell.mechanics.preconditioners import preconditioner
 
 if TYPE_CHECKING:
     from multicell.integrators.cvode import Cvode
-    from multicell.mechanics.system import Linearisation
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(**KERNEL))
@@ -72,13 +70,6 @@ class Light:
         self._small = _INCREMENT * float(run.system.motion.radius.mean())
         self._moved = np.empty(3 * len(run.position))
         self._probed: list[tuple[float, FloatArray, float]] = []
-        self._session: Session | None = None
-        if suits(method, run):
-            self._session = Session(
-                method, run, linearise=None, krylov=_LIGHT_KRYLOV, first=_FIRST * run.left,
-                ceiling=0.0, small=self._small, far=0.0,
-            )  # fmt: skip
-            return
         self._predictor = Predictor(run)
         self.solver = CVODE(
             self._predictor.velocity,
@@ -134,10 +125,6 @@ class Light:
         _divide(jv, yp, share)
 
     def _advance(self) -> tuple[float, FloatArray, float]:
-        if self._session is not None:
-            time, position, off, direct = self._session.advance()
-            self._count(direct)
-            return time, position, off / 2.0
         result = one_step(self.solver, self.run.left)
         self._count(result.nfev)
         error = self._predictor.error(result.t, result.y)
@@ -175,13 +162,6 @@ class Krylov:
         self._gamma, self._rate = np.inf, 1.0
         self._used, self._reached = np.inf, 0.0
         self._far = method.far * float(run.system.motion.radius.mean())
-        self._session: Session | None = None
-        if suits(method, run):
-            self._session = Session(
-                method, run, linearise=self._jacobian, krylov=method.krylov_dim, first=0.0,
-                ceiling=ceiling, small=0.0, far=self._far,
-            )  # fmt: skip
-            return
         options: dict[str, Any] = {}
         if method.preconditioner != "none":
             self._preconditioner = preconditioner(method.preconditioner, run.system)
@@ -204,10 +184,6 @@ class Krylov:
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""
-        if self._session is not None:
-            time, position, off, _ = self._session.advance()
-            step, self._reached, self._used = time - self._reached, time, self._session.used
-            return time, position, off / (self._order(step) + 1.0)
         result = one_step(self.solver, self.run.left)
         step, self._reached = float(result.t) - self._reached, float(result.t)
         error = self._predictor.error(result.t, result.y, self._order(step))
@@ -231,15 +207,11 @@ class Krylov:
             self._stale |= refresh == "solve"
 
     def _take_jacobian(self, t: float, y: FloatArray) -> None:
-        self._linear, self._rate = self._jacobian(t, y.reshape(-1, 3))
+        self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
+        self._linear, stiffest = limited(self.system, self.method.softening)
         self._reference = np.array(y)
-
-    def _jacobian(self, t: float, position: FloatArray) -> tuple[Linearisation, float]:
-        """Return J with bounded softening, and the order of magnitude of its largest rate, 1/s."""
-        self.system.linearise(self.run.clock(t), position)
-        linear, stiffest = limited(self.system, self.method.softening)
         drag = self.system.drag * float(self.system.motion.radius.mean())
-        return linear, _CONTACTS * stiffest / drag
+        self._rate = _CONTACTS * stiffest / drag
 
     def _moved(self, y: FloatArray) -> bool:
         """Return whether some cell has moved too far for the last Jacobian.
