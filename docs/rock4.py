@@ -24,7 +24,7 @@ _EXACT = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
 
 
 def rock4_length(stages: int) -> float:
-    """Return the stable λΔt, that of the published method within four per cent (table 2.1 there)."""
+    """Return the stable λΔt, within four per cent of that in table 2.1 there."""
     return 0.35 * stages**2 - 2.95
 
 

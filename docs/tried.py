@@ -11,8 +11,8 @@ Cost      printed at the end: about four minutes of CPU, one thread
 Command   python docs/tried.py     (--goals, --cells, --methods, --cache)
 
 Tolerances and steps are tried from coarse to fine; the cheapest solve that reaches a goal counts.
-For IMEX and multirate the best of three definitions of "stiff" counts, and a pass over the cells
-with stiff pairs costs their share of a pass, which no implementation quite reaches.
+For IMEX and mRKC the best of three definitions of "stiff" counts, and a pass over the cells with
+stiff pairs costs their share of a pass.
 """
 
 from __future__ import annotations
@@ -252,13 +252,12 @@ class Imex(Rosenbrock):
 class Bdf2(EqualSteps):
     """BDF2 with equal steps: minima of ½ |x - (4 x_n - x_(n-1)) / 3|² 3 / (2 Δt) + U(x).
 
-    Minima are found as ``backward-euler`` does, whose extrapolated steps begin.
+    Minima are found as in ``backward-euler``, whose extrapolated steps begin.
     """
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step."""
-        begin, euler = system.motion.begin, backward_euler.BackwardEuler(self.step)
-        h = self.step
+        begin, h, euler = system.motion.begin, self.step, backward_euler.BackwardEuler(self.step)
 
         def minimum(base: FloatArray, guess: FloatArray, end: float, step: float) -> FloatArray:
             implicit = backward_euler._Step(euler, system, base, end, step)
@@ -307,8 +306,7 @@ def cheapest(name: str, problem: Problem, end: FloatArray, goals: list[float]) -
     """Return for each goal effort and CPU time of the cheapest solve that reaches it."""
     radius, motion = problem.mean_radius, problem.steps[0].motion
     settings, variants = TOLERANCES, TRIED.get(name, list)()
-    scale = MotionScale.of(problem.start, end, radius)
-    best = dict.fromkeys(goals, (math.inf, 0.0))
+    scale, best = MotionScale.of(problem.start, end, radius), dict.fromkeys(goals, (math.inf, 0.0))
     if name in PACKAGE:
         method = find_method(name, problem.scene, radius)
         unit = radius if method.control == "tolerance" else 1.0
@@ -323,9 +321,8 @@ def cheapest(name: str, problem: Problem, end: FloatArray, goals: list[float]) -
             found = replay(problem, make(setting), limit=30.0)
             slow += found.cpu > LIMIT
             error = scale.errors(found.positions[0], end)[0] if found.done else math.inf
-            for goal in goals:
-                if error <= goal:
-                    best[goal] = min(best[goal], (float(found.work.effort), found.cpu))
+            for goal in (goal for goal in goals if error <= goal):
+                best[goal] = min(best[goal], (float(found.work.effort), found.cpu))
             if error <= min(goals) or slow == PATIENCE:
                 break
     return [f"{n:.0f} ({1e3 * s:.0f} ms)" if n < math.inf else "–" for n, s in best.values()]
@@ -339,8 +336,7 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", default=[*PACKAGE, *TRIED])
     parser.add_argument("--cache", type=Path, help="folder of recorded states and references")
     given = parser.parse_args()
-    for degree in DEGREES:
-        rock4(degree)  # a second or two, which belong to no solve
+    [rock4(degree) for degree in DEGREES]  # five seconds, which belong to no solve
     print("| coupling step | goal | " + " | ".join(given.methods) + " |")
     print("|---" * (2 + len(given.methods)) + "|", flush=True)
     for name, problem, end in cases(given.cells, given.cache):
