@@ -267,12 +267,12 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
 
 def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
     """Print the key figures of a run as a short table."""
-    from multicell.report.wording import measures
+    from multicell.report.wording import diagnostics, measures
 
     table = bare_table(show_header=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
-    for name, value in measures(summary):
+    for name, value in (*measures(summary), *diagnostics(summary)):
         table.add_row(plain(name), plain(value))
     states = ", ".join(f"{n:,} {name}" for name, n in summary.get("states", {}).items() if n)
     table.add_row(plain("states"), plain(states))

@@ -59,6 +59,10 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if summary.get(name) is not None:
             unit = unit_of(name).replace("um", "µm")
             yield title_of(name), f"{summary[name]:.4g} {unit}".strip()
+
+
+def diagnostics(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield name and value in words of what a summary has on accuracy and cost."""
     splitting = summary.get("splitting") or {}
     amiss = splitting.get("relative_volume_error")
     if amiss is not None:
