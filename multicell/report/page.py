@@ -42,7 +42,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         pictures=dict(_drawings(result)),
         viewer=view(result),
         summary=summary,
-        diagnostics=dict(diagnostics(summary)),
+        diagnostics=dict(diagnostics(summary, result.scene)),
         **_phases(summary),
         **_accounts(summary),
     )

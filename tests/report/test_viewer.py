@@ -8,7 +8,6 @@ import io
 import json
 import re
 import shutil
-from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -84,9 +83,7 @@ def test_what_is_packed_is_the_run_within_its_rounding():
             np.testing.assert_allclose(columns[axis], cells.position[:, k], atol=0.6 * 500 / 16383)
         np.testing.assert_allclose(columns["radius"], cells.radius, atol=0.6 * 3 / 255)
         spread_ = np.ptp(np.concatenate([f.cells.pressure for f in frames]))
-        np.testing.assert_allclose(
-            columns["pressure"], cells.pressure, atol=0.6 * spread_ / 255
-        )
+        np.testing.assert_allclose(columns["pressure"], cells.pressure, atol=0.6 * spread_ / 255)
     assert view.note == ""
     assert [entry["cells"] for entry in view.about["frames"]] == [40, 101]
 

@@ -17,8 +17,8 @@ from multicell.errors import OutputError
 from multicell.report.viewer.pack import MAX_BYTES, MAX_CELLS, pack_frames
 
 if TYPE_CHECKING:
-    from multicell.report.tables import Frames
     from multicell.report.result import Result
+    from multicell.report.tables import Frames
 
 _SCRIPTS: Final = ("three.min.js", "viewer.js")
 _PAGE_CELLS: Final = 100_000
