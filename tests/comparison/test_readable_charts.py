@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from two_cells import EXACT, Planted, compared, ladders, result_of, step_method
+from two_cells import EXACT, PAIR, Planted, compared, ladders, result_of, step_method
 
 from multicell.comparison.measure import TimedPoint, time_again
 from multicell.comparison.replay import Trajectory
