@@ -1,5 +1,6 @@
 """Tutorials as notebooks: all programs of the page, no word that only Sphinx understands."""
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -32,7 +33,9 @@ def test_a_notebook_holds_the_programs_and_the_words_of_its_page(page):
 
 
 @pytest.mark.slow
-def test_a_notebook_runs_in_an_empty_folder(tmp_path):
+def test_a_notebook_runs_in_an_empty_folder(tmp_path, monkeypatch):
+    programs = Path(sys.executable).parent  # on the path of an environment that is active
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
     client = pytest.importorskip("nbclient")
     book = notebooks.notebook(DOCS / "tutorials" / "own-force-law.md")
     client.execute(book, cwd=tmp_path, timeout=600)
