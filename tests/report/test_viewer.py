@@ -318,6 +318,48 @@ def check_pointer(page, cells):
     page.mouse.move(0, 0)
 
 
+def check_play(page, count):
+    """Space plays to the last frame, a click into a curve goes to its time, the bar is true."""
+    page.locator('[data-part="time"]').focus()
+    page.keyboard.press("Home")
+    page.select_option('[data-part="speed"]', "30")
+    page.locator('[data-part="canvas"]').focus()
+    page.keyboard.press(" ")
+    page.wait_for_function(
+        f"document.querySelector('[data-part=\"time\"]').value === '{count - 1}'", timeout=60_000
+    )
+    page.wait_for_function("document.querySelector('[data-part=\"play\"]').textContent === 'Play'")
+    box = page.locator(".curves svg").first.bounding_box()
+    page.mouse.click(box["x"] + 0.03 * box["width"], box["y"] + 0.5 * box["height"])
+    assert page.locator('[data-part="time"]').input_value() == "0"
+    page.click('[data-part="home"]')
+    colours(page)
+    bar = page.locator('[data-part="bar"]').bounding_box()["width"]
+    wide = page.locator('[data-part="canvas"]').bounding_box()["width"]
+    length = float(page.locator('[data-part="bar"]').inner_text().split()[0])
+    across = page.evaluate("multicellViewer.across()")
+    assert bar / wide == pytest.approx(length / across, rel=0.02)
+
+
+def check_still(page):
+    """The picture has cells, is saved under the time, and is what the page prints."""
+    with page.expect_download() as saved:
+        page.click('[data-part="picture"]')
+    assert saved.value.suggested_filename == "cells 0 h.png"
+    from PIL import Image
+
+    picture = np.asarray(Image.open(saved.value.path()).convert("RGB")).astype(int)
+    assert (picture[:5, :5] == 255).all()
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
+    page.emulate_media(media="print")
+    page.wait_for_timeout(300)
+    still = page.locator('[data-part="still"]')
+    assert still.bounding_box()["height"] > 100
+    assert still.evaluate("sheet => sheet.width") == picture.shape[1]
+    assert page.locator('[data-part="canvas"]').bounding_box() is None
+    page.emulate_media(media="screen")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("opened", [(390, "dark"), (1280, "light")], indirect=True)
 def test_the_page_shows_cells_and_its_controls_work(opened, run):
@@ -354,6 +396,8 @@ def test_the_page_shows_cells_and_its_controls_work(opened, run):
     opened.select_option('[data-part="axis"]', "x")
     colours(opened)
     assert 0 < opened.evaluate("window.multicellViewer.visible()") < before
+    check_play(opened, len(run.frames))
+    check_still(opened)
     opened.set_viewport_size({"width": 800, "height": 900})
     check_layout(opened)
 

@@ -586,7 +586,7 @@ if (!about.flat) find("axis").value = "y";  // cut open towards the eye
 show(frames.length - 1);
 home();
 window.multicellViewer = {  // for tests
-  show, home, orbit, pick, frames, canvas, play, picture, draws: () => drawn, visible: () => drawnCells, sharpness: () => sharpness,
+  show, home, orbit, pick, frames, canvas, play, across: () => (camera.right - camera.left) / camera.zoom, draws: () => drawn, visible: () => drawnCells, sharpness: () => sharpness,
   all: (yes) => { everything = yes; draw(); },
 };
 })();
