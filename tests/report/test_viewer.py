@@ -320,15 +320,15 @@ def check_pointer(page, cells):
 
 def check_play(page, count):
     """Space plays to the last frame, a click into a curve goes to its time, the bar is true."""
+    from playwright.sync_api import expect
+
     page.locator('[data-part="time"]').focus()
     page.keyboard.press("Home")
     page.select_option('[data-part="speed"]', "30")
     page.locator('[data-part="canvas"]').focus()
     page.keyboard.press(" ")
-    page.wait_for_function(
-        f"document.querySelector('[data-part=\"time\"]').value === '{count - 1}'", timeout=60_000
-    )
-    page.wait_for_function("document.querySelector('[data-part=\"play\"]').textContent === 'Play'")
+    expect(page.locator('[data-part="time"]')).to_have_value(str(count - 1), timeout=60_000)
+    expect(page.locator('[data-part="play"]')).to_have_text("Play", timeout=60_000)
     box = page.locator(".curves svg").first.bounding_box()
     page.mouse.click(box["x"] + 0.03 * box["width"], box["y"] + 0.5 * box["height"])
     assert page.locator('[data-part="time"]').input_value() == "0"
@@ -364,6 +364,8 @@ def check_still(page):
 @pytest.mark.parametrize("opened", [(390, "dark"), (1280, "light")], indirect=True)
 def test_the_page_shows_cells_and_its_controls_work(opened, run):
     """One page opened for all, as drawing in software takes most of the time."""
+    assert opened.locator('[data-part="axis"]').input_value() == "y"  # cut open
+    opened.select_option('[data-part="axis"]', "none")
     last = colours(opened)
     assert len(np.unique(last.reshape(-1, 3), axis=0)) > 100
     count = len(run.frames[-1].cells)
@@ -390,8 +392,6 @@ def test_the_page_shows_cells_and_its_controls_work(opened, run):
     assert "mM" in opened.locator('[data-part="legend"]').inner_text()
     assert np.abs(colours(opened) - turned).max() > 50
     opened.click('[data-part="home"]')
-    opened.select_option('[data-part="axis"]', "none")
-    colours(opened)
     before = opened.evaluate("window.multicellViewer.visible()")
     opened.select_option('[data-part="axis"]', "x")
     colours(opened)
