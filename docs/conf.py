@@ -45,11 +45,14 @@ extensions = [
     "sphinxcontrib.bibtex",
     "gallery",
     "kernel",
+    "notebooks",
     "offline",
     "public_names",
     "scene_keys",
 ]
-exclude_patterns = ["extensions", "paper", "gallery/*.ipynb", "gallery/*.md5", "jupyter_execute"]
+exclude_patterns = [
+    "extensions", "notebooks", "paper", "gallery/*.ipynb", "gallery/*.md5", "jupyter_execute",
+]  # fmt: skip
 
 bibtex_bibfiles = ["references.bib"]
 bibtex_reference_style = "author_year"

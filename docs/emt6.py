@@ -38,13 +38,13 @@ from emt6_fit import (
 from matplotlib.figure import Figure
 
 import multicell as mc
+from multicell.report.plots.style import BLUE, INK, QUIET, RED, save, styled
 
 HERE = Path(__file__).parent
 PACKING = 0.76
 """Part of tissue that cells fill: amounts of tissue and of cells differ by this factor."""
 FACTORS = np.array([0.25, 0.5, 0.7, 0.85, 1.18, 1.4, 2.0, 4.0])
 SEEDS = 4
-RED, BLUE, GREY = "#b5432f", "#2f6fb0", "#888888"
 
 
 def main() -> None:
@@ -64,9 +64,9 @@ def main() -> None:
     if "growth" in only:
         growth(data, known)
     if {"runs", "pictures"} & set(only):
-        draw_rest(data, known, runs(data), HERE / "figures" / "emt6-rims.png")
-    draw_growth(data, known, HERE / "figures" / "emt6.png")
-    draw_profiles(HERE / "figures" / "emt6-profiles.png")
+        save(draw_rest(data, known, runs(data)), HERE / "figures" / "emt6-rims.png")
+    save(draw_growth(data, known), HERE / "figures" / "emt6.png")
+    save(draw_profiles(), HERE / "figures" / "emt6-profiles.png")
 
 
 def tell(name: str, tissue: Tissue, data: Measured, squares: float | None = None) -> None:
@@ -204,9 +204,10 @@ def table(name: str) -> dict[str, list[str]]:
     return {key: [row[key] for row in rows] for key in rows[0]}
 
 
-def draw_rest(data: Measured, known: Tissue, found: dict[str, Array], path: Path) -> None:
+@styled
+def draw_rest(data: Measured, known: Tissue, found: dict[str, Array]) -> Figure:
     """Draw rims and consumption over glucose, and oxygen over depth: measured and computed."""
-    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    figure = Figure(figsize=(13, 4.8), layout="constrained")
     glucose, several = np.array([g for _, g in data.media[:4]]), np.geomspace(0.6, 20.0, 40)
     first, second, third = figure.subplots(1, 3)
     for k, colour in enumerate((RED, BLUE)):
@@ -238,14 +239,13 @@ def draw_rest(data: Measured, known: Tissue, found: dict[str, Array], path: Path
         axes.set_xticks(glucose, [f"{g:g}" for g in glucose])
         axes.minorticks_off()
     third.set(xlabel="depth below the surface (µm)", ylabel="oxygen (mmHg)", ylim=(0, 155))
-    first.legend(loc="upper left", fontsize=9)
-    third.legend(fontsize=9)
-    for axes in (first, second, third):
-        axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
+    first.legend(loc="upper left", fontsize=10)
+    third.legend(fontsize=10)
+    return figure
 
 
-def draw_growth(data: Measured, known: Tissue, path: Path) -> None:
+@styled
+def draw_growth(data: Measured, known: Tissue) -> Figure:
     """Draw cells and diameter over time, measured and computed."""
     grown = {key: np.array(x, dtype=float) for key, x in table("emt6-run.csv").items()}
     times, living, diameters, _ = course(known, float(data.hours[-1]) - data.start)
@@ -256,46 +256,47 @@ def draw_growth(data: Measured, known: Tissue, path: Path) -> None:
     for name, there in (("proliferating", data.cells), ("diameter / um", data.diameters)):
         off = np.log(np.interp(data.hours, grown["time / h"], grown[name]) / there)[used]
         print(f"growth in the run: {name} off by {np.round(off, 2).tolist()}, rms {rms(off):.2f}")
-    figure = Figure(figsize=(10, 4.4), layout="constrained")
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     start = np.array([data.start])
     left.plot(np.append(start, data.hours), np.append(600.0, data.cells), "o", color=RED, ms=7,
               label="measured, EMT6/Ro")  # fmt: skip
     left.plot(grown["time / h"], grown["proliferating"], color=BLUE, lw=2, label="living, run")
     left.plot(grown["time / h"], grown["cells"], "--", color=BLUE, lw=1, label="with the dead, run")
-    left.plot(data.start + times, living, ":", color="black", lw=1.2, label="along the radius")
+    left.plot(data.start + times, living, ":", color=INK, lw=1.6, label="along the radius")
     right.plot(np.append(start, data.hours), np.append(154.0, data.diameters), "o", color=RED, ms=7)
     right.plot(grown["time / h"], grown["diameter / um"], color=BLUE, lw=2)
-    right.plot(data.start + times, diameters, ":", color="black", lw=1.2)
+    right.plot(data.start + times, diameters, ":", color=INK, lw=1.6)
     for axes in (left, right):
         axes.set(xlabel="age of the culture (h)", xlim=(90, 575))
-        axes.grid(alpha=0.3)
     left.set(ylabel="cells", yscale="log", title="Cells")
     right.set(ylabel="diameter (µm)", ylim=(0, 1400), title="Diameter")
     left.legend(loc="lower right")
-    figure.savefig(path, dpi=110)
+    return figure
 
 
-def draw_profiles(path: Path) -> None:
+@styled
+def draw_profiles() -> Figure:
     """Draw the least sum of squares over each parameter."""
     found = table("emt6-profiles.csv")
     names, values = np.array(found["parameter"]), np.array(found["value"], dtype=float)
     above = np.array(found["squares above the least"], dtype=float)
-    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    figure = Figure(figsize=(12, 5.2), layout="constrained")
     for axes, name in zip(figure.subplots(2, 5, sharey=True).flat, LABELS, strict=True):
         rows = np.flatnonzero(names == name)
         rows = rows[np.argsort(values[rows])]
         axes.plot(values[rows], above[rows], "o-", color=BLUE, ms=4)
         for level in (1.0, 3.84):
-            axes.axhline(level, color=GREY, lw=0.8, ls="--")
+            axes.axhline(level, color=QUIET, lw=0.8, ls="--")
         axes.set(xscale="log", ylim=(-0.3, 12))
-        axes.set_title(LABELS[name], fontsize=10)
+        axes.set_title(LABELS[name], fontsize=11)
         ticks = np.geomspace(values[rows].min(), values[rows].max(), 3)
         axes.set_xticks(ticks, [f"{tick:.2g}" if tick < 100.0 else f"{tick:.0f}" for tick in ticks])
         axes.minorticks_off()
-        axes.grid(alpha=0.3)
+        for label, side in zip(axes.get_xticklabels(), ("left", "center", "right"), strict=True):
+            label.set(ha=side, fontsize=10)
     figure.supylabel("χ² above the least")
-    figure.savefig(path, dpi=110)
+    return figure
 
 
 LABELS = {

@@ -14,7 +14,10 @@ import tomllib
 from collections import Counter
 from pathlib import Path
 
-import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from multicell.report.plots.style import BLUE, INK, blank, save, styled
 
 HERE = Path(__file__).parent
 PACKAGE = HERE.parent / "multicell"
@@ -85,9 +88,11 @@ def shown(counts: Counter[tuple[str, str]]) -> dict[tuple[str, str], int]:
     return {pair: count for pair, count in counts.items() if not implied(*pair)}
 
 
-def draw() -> plt.Figure:
+@styled
+def draw() -> Figure:
     """Return the picture."""
-    figure, axes = plt.subplots(figsize=(9.5, 9.5), layout="constrained")
+    figure = blank("Rooms of multicell", "imports go down only; number of files", (10.0, 10.4))
+    axes = figure.add_axes((0.01, 0.01, 0.98, 0.91))
     levels = floors()
     places: dict[str, tuple[float, float, float]] = {}
     for level, floor in enumerate(levels):
@@ -101,28 +106,27 @@ def draw() -> plt.Figure:
         axes.annotate(
             "", (u, v + 0.3), (x, y - 0.3),
             arrowprops={
-                "arrowstyle": "-|>", "color": "#3b6ea5", "alpha": min(0.35 + 0.06 * count, 0.9),
+                "arrowstyle": "-|>", "color": BLUE, "alpha": min(0.35 + 0.06 * count, 0.9),
                 "lw": 1.1, "shrinkA": 0, "shrinkB": 0,
             },
             zorder=1,
         )  # fmt: skip
     for room, (x, y, width) in places.items():
         axes.add_patch(
-            plt.Rectangle(
-                (x - 0.5 * width, y - 0.3), width, 0.6, facecolor="#f4f1ea", edgecolor="#333333",
+            Rectangle(
+                (x - 0.5 * width, y - 0.3), width, 0.6, facecolor="#f4f6f8", edgecolor=INK,
                 lw=0.8, zorder=2,
             )
         )  # fmt: skip
         number = len(files(room))
         name = f"{room}/ ({number})" if number > 1 else room
-        axes.text(x, y + 0.09, name, ha="center", va="center", fontsize=9, weight="bold", zorder=3)
-        axes.text(x, y - 0.14, WHAT[room], ha="center", va="center", fontsize=6.8, zorder=3)
+        axes.text(x, y + 0.1, name, ha="center", va="center", fontsize=10, weight="bold", zorder=3)
+        axes.text(x, y - 0.15, WHAT[room], ha="center", va="center", fontsize=8, zorder=3)
     half = max(abs(x) + 0.5 * width for x, _, width in places.values()) + 0.1
     axes.set(xlim=(-half, half), ylim=(-len(levels) + 0.4, 0.6))
-    axes.set_title("Rooms of multicell: imports go down only (number of files)", fontsize=11)
     axes.axis("off")
     return figure
 
 
 if __name__ == "__main__":
-    draw().savefig(HERE / "figures" / "rooms.png", dpi=150)
+    save(draw(), HERE / "figures" / "rooms.png")

@@ -11,6 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.patheffects import withStroke
 from tile_problems import STATES
 from tile_race import Row
 from tile_tables import Point, points, power
@@ -73,12 +74,16 @@ def _panel(axes: Any, found: Sequence[Point], xs: Sequence[int], ys: Sequence[fl
         if p.ill > 0.5:
             axes.add_patch(Rectangle((i, j), 1, 1, fill=False, hatch="////", edgecolor=_HATCH,
                                      linewidth=0))  # fmt: skip
-        _words(axes, p, i + 0.5, j + 0.5, np.dot(to_rgb(colour), [0.299, 0.587, 0.114]) < 0.5)
+        _words(axes, p, i + 0.5, j + 0.5, colour)
 
 
-def _words(axes: Any, p: Point, x: float, y: float, dark: bool) -> None:
+def _words(axes: Any, p: Point, x: float, y: float, ground: Any) -> None:
     """Write the best method, its lead over the other kind and what null methods leave."""
-    style: dict[str, Any] = {"ha": "center", "color": "white" if dark else INK}
+    dark = np.dot(to_rgb(ground), [0.299, 0.587, 0.114]) < 0.5
+    style: dict[str, Any] = {
+        "ha": "center", "color": "white" if dark else INK,
+        "path_effects": [withStroke(linewidth=3, foreground=ground)],  # no hatch through letters
+    }  # fmt: skip
     name = p.best.replace("-adaptive", "*").replace("multirate", "multi") or "none"
     if p.nullity:
         name = "null"
@@ -88,9 +93,7 @@ def _words(axes: Any, p: Point, x: float, y: float, dark: bool) -> None:
     axes.text(x, y + 0.14, name, va="center", fontsize=size, weight=weight, **style)
     lead = "" if p.nullity else p.lead if p.sure or p.lead == "even" else f"{p.lead} ?"
     axes.text(x, y - 0.11, lead, va="center", fontsize=9, **style)
-    axes.text(
-        x, y - 0.35, f"null {_percent(p.null)}", va="center", fontsize=7.2, alpha=0.8, **style
-    )
+    axes.text(x, y - 0.35, f"null {_percent(p.null)}", va="center", fontsize=7.5, **style)
 
 
 def _percent(error: float) -> str:

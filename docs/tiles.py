@@ -38,6 +38,7 @@ from multicell.comparison.ladders import find_method
 from multicell.comparison.null_methods import NULL_METHODS
 from multicell.comparison.replay import replay
 from multicell.integrators.registry import METHODS
+from multicell.report.plots.style import save
 from multicell.tables.text import table_text
 
 HERE = Path(__file__).parent
@@ -313,7 +314,7 @@ def show(given: argparse.Namespace) -> None:
     given.figures.mkdir(parents=True, exist_ok=True)
     for goal in GOALS:
         end = "" if goal == GOALS[0] else "-fine"
-        draw(*first, goal).savefig(given.figures / f"tiles{end}.png", dpi=150)
+        save(draw(*first, goal), given.figures / f"tiles{end}.png")
     if given.page is not None:
         page = given.page.read_text(encoding="utf-8")
         for name, text in pages.items():

@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import multicell as mc
+from multicell.report.plots.style import BLUE, QUIET, RED, save, styled
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,6 @@ FITTED = 5000
 COARSE = 2
 SEEDS = (1, 2)
 NAMES = ("radius", "inhibited_ratio", "necrotic_ratio")
-RED, BLUE, GREY = "#b5432f", "#2f6fb0", "#666666"
 DAYS = np.array([3.0, 4.0, 5.0, 7.0, 10.0, 12.0, 14.0, 16.0, 18.0, 21.0])
 CELL, FLOOR = 9.5, 0.03
 """Radius of a cell in um, and over R: the deviation of what is 0 in all spheroids of a day."""
@@ -202,7 +202,7 @@ def pictures() -> None:
             parts = " ".join(f"{rms(part):6.2f}" for part in (*off.T, off))
             print(f"{seeding:6d} cells, {name:12s} {parts}   ", end="")
             print(f"{covered(single, radii(bands[seeding]), sd):.0%}" if name == "wm983b" else "")
-    draw(bands, rivals, HERE / "figures" / "wm983b.png")
+    save(draw(bands, rivals), HERE / "figures" / "wm983b.png")
 
 
 def rms(off: Array) -> float:
@@ -220,21 +220,22 @@ def covered(single: Array, band: Array, sd: Array) -> float:
     return float((np.abs(single[:, 1:] - band.mean(axis=0)[rows]) <= 1.96 * spread).mean())
 
 
-def draw(bands: dict[int, Array], rivals: dict[int, Array], path: Path) -> None:
+@styled
+def draw(bands: dict[int, Array], rivals: dict[int, Array]) -> Figure:
     """Draw R, phi and eta over days for all seedings."""
-    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    figure = Figure(figsize=(11.0, 8.4), layout="constrained")
     axes = figure.subplots(3, len(SEEDINGS), sharex=True, sharey="row")
     titles = ("radius R / µm", "inhibited radius / R", "necrotic radius / R")
     for column, seeding in enumerate(SEEDINGS):
         predicted = "" if seeding == FITTED else ", predicted"
-        axes[0, column].set_title(f"{seeding:,} cells seeded{predicted}", fontsize=10)
+        axes[0, column].set_title(f"{seeding:,} cells seeded{predicted}", fontsize=12)
         axes[2, column].set_xlabel("day")
         for row, title in enumerate(titles):
             ax, values = axes[row, column], bands[seeding][:, :, row]
             low, high = np.quantile(values, [0.025, 0.975], axis=0)
             ax.fill_between(DAYS, low, high, color=BLUE, alpha=0.25, lw=0)
             ax.plot(DAYS, values.mean(axis=0), color=BLUE, label="multicell, 95 % of the fit")
-            ax.plot(DAYS, rivals[seeding][:, row], "--", color=GREY, label="Greenspan 1972")
+            ax.plot(DAYS, rivals[seeding][:, row], "--", color=QUIET, label="Greenspan 1972")
             single = specimens(seeding)
             ax.plot(
                 single[:, 0], single[:, 1 + row], "o", ms=2.5, color=RED, alpha=0.6,
@@ -242,9 +243,8 @@ def draw(bands: dict[int, Array], rivals: dict[int, Array], path: Path) -> None:
             )  # fmt: skip
             if column == 0:
                 ax.set_ylabel(title)
-            ax.grid(alpha=0.3)
-    axes[0, 0].legend(fontsize=8, loc="lower right")
-    figure.savefig(path, dpi=150)
+    axes[0, 0].legend(fontsize=9.5, loc="lower right")
+    return figure
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import numpy as np
 from multicell.compiling.threads import thread_count
 from multicell.errors import OutputError, SceneError
 from multicell.host.interrupts import STEP
-from multicell.host.memory import Returns
+from multicell.host.memory import Returns, peak
 from multicell.integrators.base import info_of
 from multicell.integrators.own import own_integrator
 from multicell.precompile import Precompilation
@@ -286,6 +286,7 @@ class Recorder:
                 self._store.settle()
         self._summary = simulation.summary()
         self._summary["wall"] = self._account(simulation)
+        self._summary["peak_memory"] = peak()
         self._summary["units"] = units_of(self._summary)
         if interrupted:
             self._summary["interrupted"] = True

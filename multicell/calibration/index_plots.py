@@ -116,14 +116,17 @@ def _plane(axes: Axes, rows: list[Row]) -> None:
         axes.plot(star[sure == clear], sigma[sure == clear], "o", color=colour, ms=7)
     ends = [v for v in (*(star + half), *sigma) if np.isfinite(v)]
     top = 1.12 * max(ends, default=1.0) or 1.0
-    for row, x, y in zip(rows[:_MAX_LINES], star, sigma, strict=False):
+    named: list[tuple[float, float]] = []
+    for row, x, y in sorted(zip(rows[:_MAX_LINES], star, sigma, strict=False), key=lambda e: e[1]):
         if not max(x, y) > _NEAR_ORIGIN * top:
             continue  # names of what has no effect would lie on each other
         side: dict[str, Any] = {"ha": "right" if x > 0.55 * top else "left"}
+        near = sum(abs(x - u) < 0.45 * top and abs(y - v) < 0.06 * top for u, v in named)
+        named.append((x, y))
         axes.annotate(
             _shown(row),
             (x, y),
-            (-6 if x > 0.55 * top else 6, 5),
+            (-6 if x > 0.55 * top else 6, 5 + 12 * near),
             textcoords="offset points",
             fontsize=8.5,
             **side,

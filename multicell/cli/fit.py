@@ -187,7 +187,7 @@ def _reporter(*, show: bool) -> Iterator[Callable[[str, int, int], None] | None]
         yield None
         return
     words = "starting"
-    with display(lambda: words, refresh=2, lines=_LINES) as update:
+    with display(lambda: [words], refresh=2, lines=_LINES) as update:
 
         def note(what: str, done: int, wanted: int) -> None:
             nonlocal words

@@ -216,7 +216,7 @@ def _simulate(
     if as_json:
         print_json(result.summary())
     elif not quiet:
-        _print_summary(shared.console(), result.summary(), output)
+        _print_summary(shared.console(), result.summary(), result.scene, output)
 
 
 def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: bool) -> None:
@@ -265,14 +265,14 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
         console.print(plain(f"\nNote: {note}"), style="yellow")
 
 
-def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
+def _print_summary(console: Console, summary: dict[str, Any], scene: Scene, output: Path) -> None:
     """Print the key figures of a run as a short table."""
-    from multicell.report.wording import measures
+    from multicell.report.wording import diagnostics, measures
 
     table = bare_table(show_header=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
-    for name, value in measures(summary):
+    for name, value in (*measures(summary), *diagnostics(summary, scene)):
         table.add_row(plain(name), plain(value))
     states = ", ".join(f"{n:,} {name}" for name, n in summary.get("states", {}).items() if n)
     table.add_row(plain("states"), plain(states))

@@ -5,10 +5,11 @@ All of it goes to stderr; stdout belongs to results.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, Final, cast, final
 
@@ -32,7 +33,7 @@ def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
         yield None
         return
     clock = _Clock(scene)
-    with display(lambda: clock.words, refresh=5, lines=10) as update:
+    with display(clock.words, refresh=5, lines=10) as update:
 
         def advance(simulation: Any) -> None:
             clock.note(simulation)
@@ -43,11 +44,12 @@ def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
 
 @contextmanager
 def display(
-    words: Callable[[], str], *, refresh: float, lines: int
+    words: Callable[[], Sequence[str]], *, refresh: float, lines: int
 ) -> Iterator[Callable[[float], None]]:
     """Yield what is called with the part that is done.
 
-    - ``words``: returns what stands beside the bar, or in a line
+    - ``words``: returns what stands beside the bar, or in a line: what matters most comes first,
+      and what finds no room in a line of the terminal is left out
     - ``refresh``: how often a terminal is drawn anew, 1/s
     - ``lines``: how many lines are printed in all where there is no terminal
     """
@@ -60,29 +62,44 @@ def display(
             part = int(lines * done * (1.0 + 1e-12))
             if part != printed:  # it falls where another stage begins
                 printed = part
-                console.print(
-                    f"{100 * part // lines:3d} %  {words()}", markup=False, soft_wrap=True
-                )
+                text = f"{100 * part // lines:3d} %  {' · '.join(words())}"
+                console.print(text, markup=False, soft_wrap=True)
 
         yield show
         return
     from rich import progress as rich_progress
     from rich.text import Text
 
+    begin, width = time.perf_counter(), 24 if console.width >= 80 else 8
+
+    @final
+    class Percent(rich_progress.ProgressColumn):
+        def render(self, task: Any) -> Text:
+            return Text("" if task.total is None else f"{100.0 * task.completed:3.0f} %")
+
     @final
     class Words(rich_progress.ProgressColumn):
         def render(self, task: Any) -> Text:
-            return Text(words())
+            parts = words()
+            if task.total is None:  # nothing is done yet
+                parts = ["preparing", time_text(time.perf_counter() - begin, 2)]
+            return Text(fitting(parts, console.width - width - len("100 %") - 2))
 
-    columns = (
-        rich_progress.BarColumn(bar_width=24),
-        rich_progress.TaskProgressColumn(),
-        Words(),
-        rich_progress.TimeElapsedColumn(),
-    )
+    columns = Percent(), rich_progress.BarColumn(bar_width=width), Words()
     with rich_progress.Progress(*columns, console=console, refresh_per_second=refresh) as bar:
-        task = bar.add_task("", total=1.0)
-        yield lambda done: bar.update(task, completed=done)
+        task = bar.add_task("", total=None)
+        yield lambda done: bar.update(task, completed=done, total=1.0)
+
+
+def fitting(parts: Sequence[str], width: int) -> str:
+    """Return as many parts as have room in a width, joined."""
+    shown = ""
+    for part in parts:
+        longer = f"{shown} · {part}" if shown else part
+        if len(longer) > width:
+            break
+        shown = longer
+    return shown
 
 
 def on_stderr() -> Console:
@@ -116,21 +133,24 @@ def count_progress(what: str, *, show: bool = True) -> Iterator[Callable[[int, i
         yield lambda done, of: bar.update(task, completed=done, total=of)
 
 
-def status(simulation: Any, wall: float, left: float | None = None) -> str:
-    """Return time, cells, step, speed and time left in words, ``wall`` s after the start."""
+def status(simulation: Any, wall: float, left: float | None = None) -> list[str]:
+    """Return time, time left, cells, speed and step in words, ``wall`` s after the start."""
     speed = simulation.time / 3600.0 / wall if wall > 0.0 else 0.0
     n = len(simulation.cells)
     unit, size = time_unit(simulation.scene.duration)
-    ahead = "" if left is None else f" · about {time_text(left, 2)} left"
-    return (
-        f"{simulation.time / size:.2f} of {simulation.scene.duration / size:.2f} {unit} · "
-        f"{n:,} cell{'' if n == 1 else 's'} · step {simulation.step_index:,} · "
-        f"{speed:.3g} h simulated per s{ahead}"
-    )
+    return [
+        f"{simulation.time / size:.2f} of {simulation.scene.duration / size:.4g} {unit}",
+        *([] if left is None else [f"{time_text(left, 2)} left"]),
+        f"{n:,} cell{'' if n == 1 else 's'}",
+        f"{speed:.3g} h simulated per s",
+        f"step {simulation.step_index:,}",
+    ]
 
 
 _UPDATE_EVERY: Final = 0.5  # wall time between two predictions, s
 _FORECAST_AFTER: Final = 10.0  # wall time of a run after which its end is predicted, s
+_MEASURED: Final = 3.0  # wall time of steps, s, that are measured before anything is predicted
+_SETTLES: Final = 15.0  # wall time in which a prediction follows a new one, s
 
 
 @final
@@ -142,21 +162,41 @@ class _Clock:
         self._start = self._predicted = time.perf_counter()
         self._forecast: Forecast | None = None
         self._since = 0.0, 0.0
-        self._left: float | None = None
-        self.words = "starting"
+        self._end: float | None = None
+        self._simulation: Any = None
+
+    def words(self) -> list[str]:
+        """Return where the run stands in words."""
+        if self._simulation is None:
+            return ["preparing"]
+        now = time.perf_counter()
+        left = None if self._end is None else max(0.0, self._end - now)
+        return status(self._simulation, now - self._start, left)
 
     def note(self, simulation: Any) -> None:
         """Note a step."""
         from multicell.compiling import COMPILATION  # loaded by then
 
-        now = time.perf_counter()
+        self._simulation, now = simulation, time.perf_counter()
         worked = now - COMPILATION.seconds
         if self._forecast is None:
             if now - self._start > _FORECAST_AFTER:
                 self._forecast = Forecast.of(self._scene)
                 self._since = simulation.time, time.perf_counter() - COMPILATION.seconds
-        elif now - self._predicted > _UPDATE_EVERY:
+        elif now - self._predicted > _UPDATE_EVERY and worked - self._since[1] > _MEASURED:
             begin, before = self._since
+            left = self._forecast.left(begin, simulation.time, worked - before)
+            self._end = settled(self._end, left, now, now - self._predicted)
             self._predicted = now
-            self._left = self._forecast.left(begin, simulation.time, worked - before)
-        self.words = status(simulation, now - self._start, self._left)
+
+
+def settled(end: float | None, left: float | None, now: float, passed: float) -> float | None:
+    """Return when a run is expected to end: a new prediction moves the old one step by step.
+
+    - ``end``, ``now``: of the clock, s; None: nothing was predicted before
+    - ``left``: what is left by the new prediction, s; None where there is none
+    - ``passed``: since the last one, s
+    """
+    if end is None or left is None:
+        return end if left is None else now + left
+    return end + (now + left - end) * (1.0 - math.exp(-passed / _SETTLES))

@@ -71,12 +71,14 @@ class Pace:
         time = max(sum(rest) / self._cores, max(rest, default=0.0))
         return max(0.0, factor * time - (now - self._last))
 
-    def words(self, now: float) -> str:
+    def words(self, now: float) -> list[str]:
         """Return how the study stands in words."""
         left = self.remaining(now)
-        ahead = "" if left is None or not self.left else f" · about {time_text(left, 2)} left"
-        failed = f" · {self.failed:,} failed" if self.failed else ""
-        return f"{self.done:,} of {self.total:,} runs{failed}{ahead}"
+        return [
+            f"{self.done:,} of {self.total:,} runs",
+            *([f"{self.failed:,} failed"] if self.failed else []),
+            *([] if left is None or not self.left else [f"about {time_text(left, 2)} left"]),
+        ]
 
 
 @contextmanager

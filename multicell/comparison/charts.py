@@ -33,7 +33,7 @@ _LABELS: Final = {
 _NOTE: Final[dict[str, Any]] = {"fontsize": 9, "color": QUIET, "ha": "center", "va": "center"}
 _NARROW: Final = 0.9  # inches of a panel below which labels of all decades overlap
 _SLIMMEST: Final = 0.42  # width of a panel over its height at least
-_LEFT, _GAP, _LEGEND, _BOTTOM, _STRIP = 0.95, 0.4, 2.1, 0.75, 0.5  # inches
+_LEFT, _GAP, _LEGEND, _BOTTOM, _STRIP = 0.95, 0.4, 2.1, 0.95, 0.5  # inches
 _WIDTH, _TALLEST, _DECADE = 10.0, 6.2, 1.7  # inches: figure, tallest panel, longest decade
 
 

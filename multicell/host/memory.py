@@ -32,6 +32,16 @@ class Returns:
         self._last = clock.monotonic()
 
 
+def peak() -> float | None:
+    """Return the most memory that this process has held so far, MB; None where nobody counts it."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    most = float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    return most / (1e6 if sys.platform == "darwin" else 1e6 / 1024.0)  # bytes there, KiB elsewhere
+
+
 def _trim() -> Any:
     """Return the function of glibc that gives back all free pages, None in other systems."""
     if not sys.platform.startswith("linux"):

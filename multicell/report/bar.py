@@ -36,7 +36,8 @@ def shown(scene: Scene, progress: Progress | bool | None) -> Iterator[Progress |
     words = (
         f"{{percentage:3.0f}} %|{{bar}}| {{n:.2f}} of {total:g} {unit.name}{{postfix}}, {{elapsed}}"
     )
-    with tqdm(total=total, unit=unit.name, bar_format=words) as bar:
+    with tqdm(total=total, unit=unit.name, bar_format=words, dynamic_ncols=True) as bar:
+        bar.set_postfix_str("preparing")
 
         def advance(simulation: Simulation) -> None:
             bar.set_postfix_str(cell_count(len(simulation.cells)), refresh=False)

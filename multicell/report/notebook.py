@@ -110,10 +110,7 @@ def shown(result: Result) -> str:
 
 
 def _view(result: Result) -> str | None:
-    from multicell.report.html import rendered
-    from multicell.report.viewer.embed import view
+    from multicell.report.viewer.embed import view_page
 
-    found = view(result)
-    if found is None or len(found["data"]) > _MOST_VIEW:
-        return None
-    return rendered("view.html", title="", subtitle="", tiles={}, scene="", viewer=found)
+    found = view_page(result)
+    return None if found is None or len(found) > _MOST_VIEW else found

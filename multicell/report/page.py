@@ -11,7 +11,7 @@ import numpy as np
 from multicell.errors import OutputError
 from multicell.report.html import write_page
 from multicell.report.plots.run import PICTURES
-from multicell.report.wording import cell_count, measures, percent
+from multicell.report.wording import cell_count, diagnostics, measures, percent
 from multicell.results.quantities import title_of
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         pictures=dict(_drawings(result)),
         viewer=view(result),
         summary=summary,
+        diagnostics=dict(diagnostics(summary, result.scene)),
         **_phases(summary),
         **_accounts(summary),
     )

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from multicell.results.measures import OBSERVABLES
 from multicell.results.quantities import entry, title_of, unit_of
 from multicell.scene.parts import own_names
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
 
 
 class TimeUnit(NamedTuple):
@@ -59,6 +62,10 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if summary.get(name) is not None:
             unit = unit_of(name).replace("um", "µm")
             yield title_of(name), f"{summary[name]:.4g} {unit}".strip()
+
+
+def diagnostics(summary: Mapping[str, Any], scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield name and value in words of what a summary has on accuracy and cost."""
     amiss = (summary.get("splitting") or {}).get("relative_volume_error")
     if amiss is not None:
         yield "volume changed by coupling steps", f"about {100.0 * amiss:+.2g} %"
@@ -68,6 +75,11 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     total = (summary.get("wall") or {}).get("total")
     if total is not None:
         yield "wall time", clock(total)
+    if summary.get("peak_memory") is not None:
+        from multicell.report.explain.cost import predict
+
+        expected = predict(scene).memory / 1e6
+        yield "peak memory", f"{summary['peak_memory']:,.0f} MB (expected {expected:,.0f} MB)"
     balance = (summary.get("ledger") or {}).get("relative_remainder")
     if balance is not None:
         yield "nutrient unaccounted for", f"{balance:.1e}"

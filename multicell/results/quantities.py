@@ -46,6 +46,7 @@ UNITS: Final[Mapping[str, str]] = {
     "fields.*.spacing": "um",
     "fields.*.layer": "um",
     "wall.*": "s",
+    "peak_memory": "MB",
     **{f"ledger.*.{name}": "amol" for name in _AMOUNTS},
     "fields.*.medium": "mM",
     "fields.*.discretisation_error": "mM",

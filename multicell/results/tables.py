@@ -62,11 +62,19 @@ def cells_table(
 
 
 def data_frame(table: Mapping[str, NDArray[Any]]) -> DataFrame:
-    """Return a table as pandas' ``DataFrame``; raises MissingPackage if pandas is not installed."""
+    """Return a table as pandas' ``DataFrame``; raises MissingPackage if pandas is not installed.
+
+    States, phases and types are categories, so that tables by group have all of them in order.
+    """
     needs("pandas")
     import pandas
 
-    return pandas.DataFrame(dict(table))
+    frame = pandas.DataFrame(dict(table))
+    for name in {*NAMED, "kind"} & set(frame):
+        if frame[name].dtype.kind == "O":
+            words = NAMED.get(name, list(dict.fromkeys(frame[name])))
+            frame[name] = pandas.Categorical(frame[name], words)
+    return frame
 
 
 def _axes(width: int) -> Sequence[str]:

@@ -2,8 +2,10 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
+import time
 from types import SimpleNamespace
 
 import click
@@ -333,7 +335,12 @@ def moment(time, cells=120, step=3):
 
 def test_status_tells_time_cells_step_and_speed():
     text = progress.status(moment(7200.0, cells=1204), wall=4.0)
-    assert text == "2.00 of 10.00 h · 1,204 cells · step 3 · 0.5 h simulated per s"
+    assert text == ["2.00 of 10 h", "1,204 cells", "0.5 h simulated per s", "step 3"]
+    text = progress.status(moment(7200.0, cells=1204), wall=4.0, left=192.0)
+    assert text[1] == "3.2 min left"
+    assert progress.fitting(text, 80) == " · ".join(text)
+    assert progress.fitting(text, 27) == "2.00 of 10 h · 3.2 min left"
+    assert progress.fitting(text, 5) == ""
 
 
 def test_log_has_a_line_for_every_tenth(capsys):
@@ -348,15 +355,39 @@ def test_log_has_a_line_for_every_tenth(capsys):
     assert "120 cells" in lines[0]
 
 
-def test_bar_in_a_terminal_shows_the_status(capsys, monkeypatch):
+@pytest.mark.parametrize("columns", [40, 80, 120])
+def test_bar_in_a_terminal_shows_the_status(capsys, monkeypatch, columns):
     monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("COLUMNS", str(columns))
     scene = SimpleNamespace(duration=36000.0, stop_cells=None, growth=None)
     with progress.reporter(scene) as report:
+        time.sleep(0.3)
         report(moment(18000.0))
     shown = capsys.readouterr()
     assert shown.out == ""
-    assert "50%" in shown.err
+    plain = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.err)
+    lines = [line.strip() for line in re.split(r"[\r\n]", plain)]
+    assert max(map(len, lines)) <= columns
+    assert any("preparing · 0." in line for line in lines)
+    assert not any("0 %" in line and "preparing" in line for line in lines)
+    last = [line for line in lines if line][-1]
+    assert last.startswith("50 %")
+    assert "5.00 of 10 h" in last
+    assert ("step 3" in last) == (columns > 80)
+
+
+def test_the_predicted_end_moves_slowly():
+    """Predictions that jump by a factor of two move what is shown by a part of that each time."""
+    end, shown = None, []
+    for k in range(200):
+        now, true = 0.5 * k, 1000.0 - 0.5 * k
+        end = progress.settled(end, true * (2.0 if k % 2 else 0.5), now, 0.5)
+        shown.append(end - now)
+    left = np.array(shown[60:])
+    true = 1000.0 - 0.5 * np.arange(60, 200)
+    assert np.abs(np.diff(left)).max() < 0.04 * left.max()
+    np.testing.assert_allclose(left, 1.25 * true, rtol=0.2)
+    assert progress.settled(None, None, 3.0, 0.5) is None
 
 
 def test_quiet_run_reports_nothing(capsys):

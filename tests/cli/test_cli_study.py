@@ -256,11 +256,11 @@ def test_the_time_left_is_corrected_by_what_was_measured():
     assert pace.share == 0.25
     pace.note(Outcome("b", "done", reused=True), 40.0)
     pace.note(Outcome("c", "failed", "lost"), 41.0)
-    assert "3 of 4 runs · 1 failed" in pace.words(41.0)
+    assert pace.words(41.0)[:2] == ["3 of 4 runs", "1 failed"]
     assert pace.remaining(41.0) == pytest.approx(25.0)
     pace.note(Outcome("d", "done", wall=10.0), 60.0)
     assert (pace.share, pace.remaining(99.0)) == (1.0, 0.0)
-    assert pace.words(99.0) == "4 of 4 runs · 1 failed"
+    assert pace.words(99.0) == ["4 of 4 runs", "1 failed"]
     assert Pace(runs, None, 0.0).remaining(0.0) is None
     assert Pace([], 2, 0.0).share == 1.0
 

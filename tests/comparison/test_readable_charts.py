@@ -7,12 +7,10 @@ import re
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from two_cells import EXACT, PAIR, Planted, compared, step_method
+from two_cells import EXACT, PAIR, Planted, compared, ladders, result_of, step_method
 
 from multicell.comparison.measure import TimedPoint, time_again
-from multicell.comparison.norms import NORMS, WORST_CELL
 from multicell.comparison.replay import Trajectory
-from multicell.comparison.result import WorkPrecision
 from multicell.comparison.styles import (
     MAX_COLOURED,
     Point,
@@ -30,42 +28,6 @@ from multicell.report.plots.colour_vision import (
     distance,
     distinguishable_colours,
 )
-
-
-def result_of(solves, failed=(), *, named=(), uncertainty=1e-9, scene=PAIR):
-    """Return a comparison with solves (method, wall, error) and failures (method, spent)."""
-    errors = (f"error_{norm}" for norm in NORMS)
-    unknown = dict.fromkeys((*errors, *WORST_CELL.values(), "cpu", "cost"), math.nan)
-    counts = dict.fromkeys(
-        ("evaluations", "linearisations", "jacobian_products", "steps"), math.nan
-    )
-    start = {"control": "tolerance", "words": "", "mode": "whole run", **unknown, **counts}
-    table = [
-        {"method": method, **start, "setting": 1.0, "status": "done", "wall": wall, "spent": wall}
-        | {"cpu": wall, "cost": 1e3 * wall, **dict.fromkeys(counts, 1)}
-        | {f"error_{norm}": error for norm in NORMS}
-        for method, wall, error in solves
-    ]
-    table += [
-        {"method": method, **start, "setting": 2.0, "status": "failed", "wall": math.nan}
-        | {"spent": spent, "words": "planted"}
-        for method, spent in failed
-    ]
-    facts = {
-        "cells": [2, 2], "time": 300.0, "looks": {}, "named": list(named), "coupling_steps": 5,
-        "steps_with_events": 0, "reference": "planted", "threads": 1, "largest_decay_rate": 1.0,
-        "versions": {}, "mode": "whole run", "stepwise": 0,
-    }  # fmt: skip
-    return WorkPrecision(scene, table, dict.fromkeys(NORMS, uncertainty), facts)
-
-
-def ladders(names):
-    """Return three solves of each method, the first ones on the front."""
-    return [
-        (name, (k + 1.0) * 10.0**level, 0.3 * (k + 1.0) * 0.01**level)
-        for k, name in enumerate(names)
-        for level in range(3)
-    ]
 
 
 def crowd(count):

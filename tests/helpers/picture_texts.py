@@ -7,6 +7,9 @@ from itertools import combinations
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+SMALLEST = 7.0
+"""Letters of any picture at least, pt."""
+
 
 def rendered(figure):
     """Draw a figure and return its renderer."""
@@ -25,7 +28,7 @@ def hidden_labels(axes):
 
 
 def check_texts(figure):
-    """Check that no text leaves the picture, covers another or is an undrawn formula."""
+    """Check that no text leaves the picture, covers another, is tiny or an undrawn formula."""
     drawn = rendered(figure)
     box, (wide, high) = figure.get_tightbbox(), figure.get_size_inches()
     assert box.x0 >= 0
@@ -33,12 +36,14 @@ def check_texts(figure):
     assert box.x1 <= wide
     assert box.y1 <= high
     hidden = {id(label) for axes in figure.axes for label in hidden_labels(axes)}
-    boxes = [
-        (text.get_text(), text.get_window_extent(drawn))
+    written = [
+        text
         for text in figure.findobj(mpl.text.Text)
-        if text.get_text() and text.get_visible() and id(text) not in hidden
+        if text.get_text().strip() and text.get_visible() and id(text) not in hidden
     ]
-    assert len(boxes) > 10
+    boxes = [(text.get_text(), text.get_window_extent(drawn)) for text in written]
+    assert {text.get_text() for text in written if text.get_fontsize() < SMALLEST} == set()
+    assert len(boxes) > 4
     plain = [text for text in figure.findobj(mpl.text.Text) if not text.get_parse_math()]
     assert [text for text in plain if "$\\mathdefault" in text.get_text()] == []
     for (text, first), (other, second) in combinations(boxes, 2):

@@ -41,7 +41,7 @@ def written(tmp_path, **changed):
     given = {
         "scene": BARE, "title": "A title", "subtitle": "a subtitle", "tiles": {"cells": "12"},
         "pictures": {}, "summary": {}, "phases": {}, "longest": 1.0, "accounts": {}, "entries": [],
-        "viewer": None,
+        "viewer": None, "diagnostics": {},
     }  # fmt: skip
     return write_page(tmp_path / "page.html", "run.html", **(given | changed)).read_text("utf-8")
 

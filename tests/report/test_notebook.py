@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import multicell as mc
+from multicell.cells import State
 from multicell.results.frame import Frame
 from multicell.results.named import Named
 
@@ -105,6 +106,17 @@ def test_wrong_names_are_answered_with_near_ones(result):
     assert again == {"a": 1}
     with pytest.raises(KeyError, match="no thing 'b'"):
         again["b"]
+
+
+def test_states_are_categories_in_their_order(result):
+    table = result.to_pandas("cells")
+    assert table["state"].dtype == "category"
+    counts = table.groupby("state", observed=False).size()
+    assert list(counts.index) == [state.name.lower() for state in State]
+    assert counts["proliferating"] == sum(len(frame.cells) for frame in result.frames)
+    frame = result.frames[-1]
+    again = mc.run(SMALL.with_changes({"duration": "30 min"}), cells=frame.to_pandas())
+    np.testing.assert_array_equal(again.frames[0].cells.position, frame.cells.position)
 
 
 def test_a_bar_goes_to_the_end(capsys):

@@ -8,7 +8,6 @@ import io
 import json
 import re
 import shutil
-from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -47,20 +46,29 @@ def result_of(*frames):
 
 def unpacked(view):
     """Return the columns of each frame, as the page's script reads them."""
-    body = gzip.decompress(base64.b64decode(view.data))
-    found = []
+    body = np.frombuffer(gzip.decompress(base64.b64decode(view.data)), "u1")
+    at, found, levels = 0, [], []
     for frame in view.about["frames"]:
-        at, columns = frame["offset"], {}
+        count, columns, raw = frame["shown"], {}, {}
         for column in view.about["columns"]:
-            kind = np.dtype(column["kind"])
-            at += -at % kind.itemsize
-            values = np.frombuffer(body, kind, frame["shown"], at)
-            at += values.nbytes
-            top = np.iinfo(kind).max
-            if column["name"] != "id" and "words" not in column:
-                values = column["low"] + (column["high"] - column["low"]) * values / top
-            columns[column["name"]] = values
+            name, size = column["name"], np.dtype(column["kind"]).itemsize
+            planes = body[at : at + size * count].reshape(size, count).astype(np.int64)
+            at += size * count
+            folded = sum(plane << (8 * k) for k, plane in enumerate(planes))
+            change = (folded >> 1) ^ -(folded & 1)
+            if name == "id":
+                values = np.cumsum(change)
+            else:
+                before = dict(zip(levels[-1]["id"], levels[-1][name], strict=True)) if found else {}
+                values = change + np.array([before.get(i, 0) for i in raw["id"]], dtype=np.int64)
+                values %= 2 ** (8 * size)
+            raw[name] = values
+            if name != "id" and "words" not in column:
+                values = column["low"] + (column["high"] - column["low"]) * values / column["top"]
+            columns[name] = values
+        levels.append(raw)
         found.append(columns)
+    assert at == len(body)
     return found
 
 
@@ -72,12 +80,10 @@ def test_what_is_packed_is_the_run_within_its_rounding():
         np.testing.assert_array_equal(columns["id"], cells.id)
         np.testing.assert_array_equal(columns["state"], cells.state)
         for k, axis in enumerate("xyz"):
-            np.testing.assert_allclose(columns[axis], cells.position[:, k], atol=0.6 * 500 / 65535)
+            np.testing.assert_allclose(columns[axis], cells.position[:, k], atol=0.6 * 500 / 16383)
         np.testing.assert_allclose(columns["radius"], cells.radius, atol=0.6 * 3 / 255)
         spread_ = np.ptp(np.concatenate([f.cells.pressure for f in frames]))
-        np.testing.assert_allclose(
-            columns["pressure"], 1e3 * cells.pressure, atol=0.6 * 1e3 * spread_ / 255
-        )
+        np.testing.assert_allclose(columns["pressure"], cells.pressure, atol=0.6 * spread_ / 255)
     assert view.note == ""
     assert [entry["cells"] for entry in view.about["frames"]] == [40, 101]
 
@@ -149,14 +155,35 @@ def test_a_run_without_cells_has_nothing_to_see():
     assert pack.pack_frames(result_of(Frame(0.0, 0, Cells.empty()))) is None
 
 
-@pytest.mark.slow
-def test_ten_thousand_cells_in_fifty_frames_are_a_page_of_less_than_8_mb(tmp_path):
-    frames = [spread(10_000, 3600.0 * k, seed=k) for k in range(10)]  # a fifth of them
-    view = pack.pack_frames(result_of(*frames))
-    assert all(entry["shown"] == 10_000 for entry in view.about["frames"])
-    scripts = sum((files("multicell.report.viewer") / n).stat().st_size
-                  for n in ("three.min.js", "viewer.js"))  # fmt: skip
-    assert 5 * (len(view.data) + len(json.dumps(view.about))) + scripts < 8e6
+def test_cells_that_move_little_are_packed_in_few_bytes_and_unpacked_as_they_were():
+    """Some die and some are born between frames, so that rows change."""
+    rng, first = np.random.default_rng(3), spread(5000)
+    moved = first.cells.take(np.sort(rng.choice(5000, 4900, replace=False)))
+    moved.position += rng.normal(0.0, 0.5, moved.position.shape)
+    born = spread(100, seed=9).cells
+    born.id += 100_000
+    rows = {name: np.concatenate([getattr(moved, name), getattr(born, name)])
+            for name in ("id", "parent", "position", "radius", "young", "poisson", "state", "age",
+                         "cycle_time", "pressure")}  # fmt: skip
+    second = Frame(3600.0, 1, Cells(**rows))
+    alone = len(base64.b64decode(pack.pack_frames(result_of(first)).data))
+    view = pack.pack_frames(result_of(first, second))
+    assert len(base64.b64decode(view.data)) < 1.6 * alone
+    _, columns = unpacked(view)
+    np.testing.assert_array_equal(columns["id"], second.cells.id)
+    np.testing.assert_array_equal(columns["state"], second.cells.state)
+    wide = np.ptp(second.cells.position) + 10.0
+    np.testing.assert_allclose(columns["x"], second.cells.position[:, 0], atol=0.6 * wide / 16383)
+
+
+def test_a_view_is_exported_as_a_page_of_its_own(run, tmp_path):
+    (path,) = mc.export(run, tmp_path, format="page")
+    page = path.read_text("utf-8")
+    assert path.name == "view.html"
+    assert "default-src 'none'" in page
+    assert 'id="viewer-data"' in page
+    with pytest.raises(mc.OutputError, match="nothing to show"):
+        mc.export(result_of(Frame(0.0, 0, Cells.empty())), tmp_path / "none", format="page")
 
 
 @pytest.fixture(scope="module")
@@ -291,10 +318,54 @@ def check_pointer(page, cells):
     page.mouse.move(0, 0)
 
 
+def check_play(page, count):
+    """Space plays to the last frame, a click into a curve goes to its time, the bar is true."""
+    from playwright.sync_api import expect
+
+    page.locator('[data-part="time"]').focus()
+    page.keyboard.press("Home")
+    page.select_option('[data-part="speed"]', "30")
+    page.locator('[data-part="canvas"]').focus()
+    page.keyboard.press(" ")
+    expect(page.locator('[data-part="time"]')).to_have_value(str(count - 1), timeout=60_000)
+    expect(page.locator('[data-part="play"]')).to_have_text("Play", timeout=60_000)
+    box = page.locator(".curves svg").first.bounding_box()
+    page.mouse.click(box["x"] + 0.03 * box["width"], box["y"] + 0.5 * box["height"])
+    assert page.locator('[data-part="time"]').input_value() == "0"
+    page.click('[data-part="home"]')
+    colours(page)
+    bar = page.locator('[data-part="bar"]').bounding_box()["width"]
+    wide = page.locator('[data-part="canvas"]').bounding_box()["width"]
+    length = float(page.locator('[data-part="bar"]').inner_text().split()[0])
+    across = page.evaluate("multicellViewer.across()")
+    assert bar / wide == pytest.approx(length / across, rel=0.02)
+
+
+def check_still(page):
+    """The picture has cells, is saved under the time, and is what the page prints."""
+    with page.expect_download() as saved:
+        page.click('[data-part="picture"]')
+    assert saved.value.suggested_filename == "cells 0 h.png"
+    from PIL import Image
+
+    picture = np.asarray(Image.open(saved.value.path()).convert("RGB")).astype(int)
+    assert (picture[:5, :5] == 255).all()
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
+    page.emulate_media(media="print")
+    page.wait_for_timeout(300)
+    still = page.locator('[data-part="still"]')
+    assert still.bounding_box()["height"] > 100
+    assert still.evaluate("sheet => sheet.width") == picture.shape[1]
+    assert page.locator('[data-part="canvas"]').bounding_box() is None
+    page.emulate_media(media="screen")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("opened", [(390, "dark"), (1280, "light")], indirect=True)
 def test_the_page_shows_cells_and_its_controls_work(opened, run):
     """One page opened for all, as drawing in software takes most of the time."""
+    assert opened.locator('[data-part="axis"]').input_value() == "y"  # cut open
+    opened.select_option('[data-part="axis"]', "none")
     last = colours(opened)
     assert len(np.unique(last.reshape(-1, 3), axis=0)) > 100
     count = len(run.frames[-1].cells)
@@ -325,6 +396,8 @@ def test_the_page_shows_cells_and_its_controls_work(opened, run):
     opened.select_option('[data-part="axis"]', "x")
     colours(opened)
     assert 0 < opened.evaluate("window.multicellViewer.visible()") < before
+    check_play(opened, len(run.frames))
+    check_still(opened)
     opened.set_viewport_size({"width": 800, "height": 900})
     check_layout(opened)
 

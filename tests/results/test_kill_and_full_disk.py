@@ -30,7 +30,11 @@ SETTINGS = [part for key, value in CHANGES.items() for part in ("--set", f"{key}
 
 def summary(folder):
     table = mc.load_result(folder).summary()
-    return {name: entry for name, entry in table.items() if name not in ("wall", "threads")}
+    return {
+        name: entry
+        for name, entry in table.items()
+        if name not in ("wall", "threads", "peak_memory")
+    }
 
 
 def command(verb, folder, *more):

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 class Format:
     """A format of exported files.
 
-    - ``function``: ``module.name`` in this room: called as ``write(run, frames, folder, tables)``
+    - ``function``: ``module.name`` in the room ``report``: called as
+      ``write(run, frames, folder, tables)``
       it writes into a folder and returns the names; ``frames()`` gives the chosen frames with their
       numbers
     - ``files``: names of the files that are written in any case, ``{table}`` stands for each table
@@ -48,19 +49,22 @@ class Format:
     def writer(self) -> Callable[..., Any]:
         """Load what writes it; raises MissingPackage if a package is not installed."""
         needs(*self.packages)
-        module, _, name = self.function.partition(".")
-        loaded = import_module(f"multicell.report.exports.{module}")
+        module, _, name = self.function.rpartition(".")
+        loaded = import_module(f"multicell.report.{module}")
         return getattr(loaded, name)  # type: ignore[no-any-return]
 
 
 FORMATS: Final = {
-    "csv": Format("table_files.write_csv", ["{table}.csv"], tables=True),
-    "parquet": Format("table_files.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
-    "vtk": Format("vtk.write", ["run.pvd"], ["pyvista"]),
-    "anndata": Format("annotated.write", ["cells.h5ad"], ["anndata"]),
-    "netcdf": Format("netcdf.write", ["history.nc"], ["xarray", "h5netcdf"]),
-    "simularium": Format("simularium.write", ["run.simularium"]),
-    "openvt": Format("openvt.write", ["openvt.csv"]),
+    "csv": Format("exports.table_files.write_csv", ["{table}.csv"], tables=True),
+    "parquet": Format(
+        "exports.table_files.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True
+    ),
+    "vtk": Format("exports.vtk.write", ["run.pvd"], ["pyvista"]),
+    "anndata": Format("exports.annotated.write", ["cells.h5ad"], ["anndata"]),
+    "netcdf": Format("exports.netcdf.write", ["history.nc"], ["xarray", "h5netcdf"]),
+    "simularium": Format("exports.simularium.write", ["run.simularium"]),
+    "openvt": Format("exports.openvt.write", ["openvt.csv"]),
+    "page": Format("viewer.embed.write", ["view.html"]),
 }
 """Formats by name."""
 
@@ -98,6 +102,9 @@ def export(
     ``"openvt"`` has the tables that OpenVT's frameworks exchange: ``openvt.csv`` with a row for
     each cell in each frame, lengths in diameters of a newborn cell and time in h; and where cells
     grow ``data000000.csv`` for each frame, in newborn radii, with the cycles in ``timeline.txt``.
+
+    ``"page"`` is for any browser: ``view.html`` shows the cells in space and time, up to 100,000 in
+    a frame, 50 frames, and needs nothing else. It holds less than 25 MB.
 
     Parameters
     ----------

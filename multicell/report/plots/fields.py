@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from multicell.cells import FloatArray, State
 from multicell.report.plots import style
@@ -44,7 +45,8 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
         -(-(len(shown) + 1) // columns), columns,
         left=0.04, right=0.93, top=0.81, bottom=0.06, wspace=0.34, hspace=0.26,
     )  # fmt: skip
-    titles = ["Cells by state", *(f"{style.type_label(name).capitalize()} (mM)" for name in shown)]
+    words = [style.type_label(name.replace("_", " "), 15).capitalize() for name in shown]
+    titles = ["Cells by state", *(f"{name} (mM)" for name in words)]
     windows = [figure.add_subplot(grid[k]) for k in range(len(titles))]
     for axes, title in zip(windows, titles, strict=True):
         axes.set_title(title)
@@ -60,6 +62,8 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
             draw_necrotic(axes, cells, cells.position, float(middle[2]))
         bar = figure.colorbar(shades, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)))
         bar.outline.set_visible(False)
+        bar.locator = MaxNLocator(5)
+        bar.formatter = ScalarFormatter(useOffset=False)
         bar.ax.tick_params(labelsize=9)
         bar.ax.grid(False)
     return figure

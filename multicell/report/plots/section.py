@@ -29,6 +29,7 @@ from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
 
 _MIN_LEVEL = 1e-9  # part of the highest concentration of a field below which it is not drawn
+_LEAST_RANGE: Final = 1e-3  # of the shades of a field, as a part of its highest concentration
 _DEPTH_DIAMETERS: Final = 3.0  # mean diameters behind a plane within which cells are drawn
 _WATER: Final = LinearSegmentedColormap.from_list("water", ["#ffffff", "#8fbce0"])
 """Shades of a field behind cells: white to a light blue, against which cells stand out."""
@@ -253,13 +254,15 @@ def draw_field(
     low = min(float(plane.min()), medium) if low is None else low
     top = max(float(plane.max()), medium)
     top = top if top > low else low + 1.0
+    low = min(low, top - _LEAST_RANGE * abs(top))
     axes.set_facecolor(colours((medium - low) / (top - low)))
     window = axes.axis()
     half = 0.5 * (x[1] - x[0])
     extent = (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
     shades = axes.imshow(
-        plane, extent=extent, origin="lower", cmap=colours, vmin=low, vmax=top, zorder=0
-    )
+        plane, extent=extent, origin="lower", cmap=colours, vmin=low, vmax=top, zorder=0,
+        interpolation="bilinear",
+    )  # fmt: skip
     axes.axis(window)
     resting = nutrient.quiescence
     if resting is None or not plane.min() < resting < plane.max():

@@ -196,9 +196,9 @@ def type_colours(names: Iterable[str]) -> dict[str, str]:
     return {name: to_hex(scale(place)) for name, place in zip(names, places, strict=True)}
 
 
-def type_label(name: str) -> str:
-    """Return a type's name as a legend shows it: short, and never taken for a hidden label."""
-    short = name if len(name) <= 22 else name[:21] + "…"
+def type_label(name: str, most: int = 22) -> str:
+    """Return a name as a legend shows it: of few letters, and never taken for a hidden label."""
+    short = name if len(name) <= most else name[: most - 1] + "…"
     return f"\u200b{short}" if short.startswith("_") else short
 
 

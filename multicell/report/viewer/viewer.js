@@ -8,26 +8,39 @@ const canvas = find("canvas"), status = find("status");
 const say = (text) => { status.textContent = text; };
 const about = JSON.parse(document.getElementById("viewer-about").textContent);
 
-// ---- data: columns of each frame, one after the other
+// ---- data: columns of each frame, as differences from the frame before; see pack.py
 async function unpacked(text) {
-  const bytes = Uint8Array.from(atob(text.trim()), (c) => c.charCodeAt(0));
+  const coded = atob(text.trim()), bytes = new Uint8Array(coded.length);
+  for (let i = 0; i < bytes.length; i++) bytes[i] = coded.charCodeAt(i);
   const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return new Response(plain).arrayBuffer();
+  return new Uint8Array(await new Response(plain).arrayBuffer());
 }
 const KINDS = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
-function frameColumns(buffer, frame) {
-  const columns = {};
-  let at = frame.offset;
-  for (const column of about.columns) {
-    const kind = KINDS[column.kind];
-    at = Math.ceil(at / kind.BYTES_PER_ELEMENT) * kind.BYTES_PER_ELEMENT;
-    columns[column.name] = new kind(buffer, at, frame.shown);
-    at += frame.shown * kind.BYTES_PER_ELEMENT;
-  }
-  return columns;
+function allColumns(bytes) {
+  let at = 0, before = null;
+  return about.frames.map(({ shown: count }) => {
+    const columns = {}, from = new Int32Array(count).fill(-1);  // the row of each cell in the frame before
+    for (const { name, kind } of about.columns) {
+      const values = new KINDS[kind](count), size = values.BYTES_PER_ELEMENT;
+      for (let i = 0; i < count; i++) {
+        let folded = 0;
+        for (let k = 0; k < size; k++) folded |= bytes[at + k * count + i] << (8 * k);
+        const change = (folded >>> 1) ^ -(folded & 1);
+        if (name === "id") values[i] = change + (i ? values[i - 1] : 0);
+        else values[i] = change + (from[i] < 0 ? 0 : before[name][from[i]]);
+      }
+      at += size * count;
+      columns[name] = values;
+      if (name !== "id" || !before) continue;
+      for (let i = 0, j = 0; i < count; i++) {
+        while (j < before.id.length && before.id[j] < values[i]) j++;
+        if (before.id[j] === values[i]) from[i] = j;
+      }
+    }
+    return (before = columns);
+  });
 }
-const levels = (column) => (column.kind === "u1" ? 255 : 65535);
-const scaled = (column, level) => column.low + (column.high - column.low) * level / levels(column);
+const scaled = (column, level) => column.low + (column.high - column.low) * level / column.top;
 const columnOf = Object.fromEntries(about.columns.map((column) => [column.name, column]));
 
 // ---- drawing: each cell is a square that faces the eye, on which a sphere is drawn point by point
@@ -86,23 +99,24 @@ try {
   root.classList.add("flat");
   return;
 }
-const buffer = await unpacked(document.getElementById("viewer-data").textContent);
-const frames = about.frames.map((frame) => ({ ...frame, columns: null }));
-const columnsAt = (k) => (frames[k].columns ??= frameColumns(buffer, frames[k]));
+const frames = about.frames, table = allColumns(await unpacked(document.getElementById("viewer-data").textContent));
+const columnsAt = (k) => table[k];
 const most = Math.max(1, ...about.frames.map((frame) => frame.shown));
 
-// four corners of each cell of the frame; the index names those that are not hidden behind others
+// four corners of each cell that is not hidden behind others, and the two triangles of its square
 const geometry = new THREE.BufferGeometry();
 const spheres = new THREE.BufferAttribute(new Float32Array(16 * most), 4);
 const colours = new THREE.BufferAttribute(new Uint8Array(16 * most), 4, true);
-const corners = new THREE.BufferAttribute(new Uint32Array(6 * most), 1);
-corners.setUsage(THREE.StreamDrawUsage);
+const tints = new Uint32Array(colours.array.buffer);  // a colour as one number
+const corners = new Uint32Array(6 * most);
+for (let n = 0; n < most; n++) corners.set([0, 1, 2, 0, 2, 3].map((k) => 4 * n + k), 6 * n);
+for (const attribute of [spheres, colours]) attribute.setUsage(THREE.StreamDrawUsage);
 geometry.setAttribute("position", spheres);
 geometry.setAttribute("colour", colours);
-geometry.setIndex(corners);
+geometry.setIndex(new THREE.BufferAttribute(corners, 1));
 let drawnCells = 0;
-const place = new Float32Array(3 * most), extent = new Float32Array(most);
-const seen = new Float32Array(3 * most);  // places as the eye sees them
+const place = new Float32Array(3 * most), extent = new Float32Array(most), tint = new Uint32Array(most);
+const seen = new Float32Array(3 * most), away = new Float32Array(most);  // places as the eye sees them; beyond the cut
 const uniforms = { plane: { value: [0, 0, 1, 0] }, cutting: { value: false }, range: { value: [0, 1] } };
 const material = new THREE.RawShaderMaterial({
   glslVersion: THREE.GLSL3, vertexShader: VERTEX, fragmentShader: FRAGMENT, uniforms,
@@ -136,46 +150,38 @@ const turned = (rgb) => TURN.map((row) => {
   const value = 1.2 * row.reduce((sum, share, k) => sum + share * (1 - rgb[k]), 0);
   return Math.min(1, Math.max(0, value));
 });
-const paletteOf = (entry) => (night.matches && columnOf[entry.name].words ? entry.palette.map(turned) : entry.palette);
+let onPaper = false;  // which is white at night too
+const paletteOf = (entry) => (night.matches && !onPaper && columnOf[entry.name].words ? entry.palette.map(turned) : entry.palette);
 night.addEventListener("change", () => show(shown));
 let shown = 0, colouring = about.colourings[0].name, pending = false;
 function fillColours() {
   const column = columnOf[colouring], values = columnsAt(shown)[colouring];
   const about_ = about.colourings.find((entry) => entry.name === colouring);
   const palette = paletteOf(about_).map((rgb) => rgb.map((c) => Math.round(255 * c)));
-  const paint = (i, rgb) => { for (let k = 0; k < 4; k++) colours.array.set(rgb, 16 * i + 4 * k); };
-  colours.needsUpdate = true;
+  const codes = palette.map(([r, g, b]) => r | (g << 8) | (b << 16));
   if (column.words) {
-    for (let i = 0; i < values.length; i++) paint(i, palette[values[i] % palette.length]);
+    for (let i = 0; i < values.length; i++) tint[i] = codes[values[i] % codes.length];
   } else {
-    const low = about_.low, wide = about_.high - about_.low, last = palette.length - 1;
-    for (let i = 0; i < values.length; i++) {
-      const share = (scaled(column, values[i]) - low) / wide;
-      paint(i, palette[Math.round(last * Math.min(1, Math.max(0, share)))]);
-    }
+    const of = Array.from({ length: column.top + 1 }, (_, level) => {
+      const share = (scaled(column, level) - about_.low) / (about_.high - about_.low);
+      return codes[Math.round((codes.length - 1) * Math.min(1, Math.max(0, share)))];
+    });
+    for (let i = 0; i < values.length; i++) tint[i] = of[values[i]];
   }
 }
 function fillPlaces() {
   const columns = columnsAt(shown), count = frames[shown].shown;
-  ["x", "y", "z"].forEach((axis, k) => {
-    const column = columnOf[axis], values = columns[axis];
-    for (let i = 0; i < count; i++) place[3 * i + k] = scaled(column, values[i]);
-  });
-  const column = columnOf.radius, values = columns.radius;
-  for (let i = 0; i < count; i++) extent[i] = scaled(column, values[i]);
-  for (let i = 0; i < count; i++) {
-    for (let at = 16 * i; at < 16 * i + 16; at += 4) {
-      for (let k = 0; k < 3; k++) spheres.array[at + k] = place[3 * i + k];
-      spheres.array[at + 3] = extent[i];
-    }
-  }
-  spheres.needsUpdate = true;
+  const unscale = (name, into, k, every) => {
+    const values = columns[name], { low } = columnOf[name], step = scaled(columnOf[name], 1) - low;
+    for (let i = 0; i < count; i++) into[every * i + k] = low + step * values[i];
+  };
+  ["x", "y", "z"].forEach((axis, k) => unscale(axis, place, k, 3));
+  unscale("radius", extent, 0, 1);
 }
 
 // ---- what is hidden behind other cells is not drawn: of a dense ball that is all but its surface.
 // Each cell covers the squares of a grid that its disc contains, at the depth of its centre (at that
 // of its far end where it is cut); a cell is hidden where something covers every square that it meets.
-const SQUARE = [0, 1, 2, 0, 2, 3];
 let cover = new Float32Array(0), everything = false;
 function fillVisible() {
   const count = frames[shown].shown, m = camera.matrixWorldInverse.elements;
@@ -190,6 +196,7 @@ function fillVisible() {
     low0 = Math.min(low0, u - r); high0 = Math.max(high0, u + r);
     low1 = Math.min(low1, v - r); high1 = Math.max(high1, v + r);
     back = Math.min(back, seen[3 * i + 2]); front = Math.max(front, seen[3 * i + 2]);
+    away[i] = cutting ? a * u + b * v + c * seen[3 * i + 2] + d : -Infinity;
     mean += r / count;
   }
   uniforms.range.value = [0.5 * (back + front), Math.max(front, back + 1e-6)];
@@ -198,13 +205,12 @@ function fillVisible() {
   if (cover.length < wide * high) cover = new Float32Array(wide * high);
   cover.fill(-Infinity, 0, wide * high);
   const whole = step * Math.SQRT1_2;
-  const gone = (i) => cutting && a * seen[3 * i] + b * seen[3 * i + 1] + c * seen[3 * i + 2] + d > extent[i];
   for (let i = 0; i < count; i++) {
-    if (gone(i)) continue;
+    if (away[i] > extent[i]) continue;
     const u = seen[3 * i], v = seen[3 * i + 1], inner = extent[i] - whole;
     if (inner <= 0) continue;
     let depth = seen[3 * i + 2];
-    if (cutting && a * u + b * v + c * depth + d > -extent[i]) depth -= extent[i];
+    if (away[i] > -extent[i]) depth -= extent[i];
     const first = Math.max(0, Math.floor((v - inner - low1) / step)), last = Math.floor((v + inner - low1) / step);
     for (let row = first; row <= last; row++) {
       const dy = low1 + (row + 0.5) * step - v, left2 = inner * inner - dy * dy;
@@ -215,9 +221,9 @@ function fillVisible() {
     }
   }
   let n = 0;
-  const list = corners.array;
+  const list = spheres.array;
   for (let i = 0; i < count; i++) {
-    if (gone(i)) continue;
+    if (away[i] > extent[i]) continue;
     const r = extent[i], near = seen[3 * i + 2] + r;
     const row0 = Math.floor((seen[3 * i + 1] - r - low1) / step), row1 = Math.floor((seen[3 * i + 1] + r - low1) / step);
     const from = Math.floor((seen[3 * i] - r - low0) / step), to = Math.floor((seen[3 * i] + r - low0) / step);
@@ -225,12 +231,18 @@ function fillVisible() {
     for (let row = row0; hidden && row <= row1; row++)
       for (let at = row * wide + from; at <= row * wide + to; at++) if (cover[at] < near) { hidden = false; break; }
     if (hidden && !everything) continue;
-    for (let k = 0; k < 6; k++) list[6 * n + k] = 4 * i + SQUARE[k];
+    for (let k = 4 * n; k < 4 * n + 4; k++) {
+      tints[k] = tint[i];
+      list[4 * k] = place[3 * i]; list[4 * k + 1] = place[3 * i + 1]; list[4 * k + 2] = place[3 * i + 2];
+      list[4 * k + 3] = r;
+    }
     n++;
   }
-  corners.clearUpdateRanges();
-  corners.addUpdateRange(0, 6 * n);
-  corners.needsUpdate = true;
+  for (const attribute of [spheres, colours]) {
+    attribute.clearUpdateRanges();
+    attribute.addUpdateRange(0, 16 * n);
+    attribute.needsUpdate = true;
+  }
   geometry.setDrawRange(0, 6 * n);
   drawnCells = n;
 }
@@ -300,15 +312,72 @@ function planeInView() {
   const p = turn(place).map((x, r) => x + m[12 + r]);
   uniforms.plane.value = [...n, -(n[0] * p[0] + n[1] * p[1] + n[2] * p[2])];
 }
+let size = { wide: 1, high: 1 };  // of the canvas where it was last seen, in px
 function resize() {
   const wide = canvas.clientWidth, high = canvas.clientHeight;
   if (!wide || !high) return;
+  size = { wide, high };
   renderer.setSize(wide, high, false);
   const half = 1.08 * reach, ratio = wide / high;
   camera.left = -half * Math.max(1, ratio); camera.right = -camera.left;
   camera.top = half * Math.max(1, 1 / ratio); camera.bottom = -camera.top;
   camera.updateProjectionMatrix();
   draw();
+}
+// ---- a bar of a round length in the lower left corner, and where x, y and z point in the lower right
+const SVG = "http://www.w3.org/2000/svg";
+function part(parent, kind, attributes, text) {
+  const made = document.createElementNS(SVG, kind);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  if (text !== undefined) made.textContent = text;
+  parent.append(made);
+  return made;
+}
+const axes = ["x", "y", "z"].map((name) => ({
+  line: part(find("axes"), "line", { x1: 0, y1: 0 }), name: part(find("axes"), "text", {}, name),
+}));
+function barLength() {  // a third of the width at most: its length in µm and as a part of the width
+  const wide = (camera.right - camera.left) / camera.zoom, ten = 10 ** Math.floor(Math.log10(wide / 3));
+  const length = ten * [5, 2, 1].find((n) => n * ten <= wide / 3);
+  return { length, part: length / wide };
+}
+function marks() {
+  const bar = barLength(), m = camera.matrixWorldInverse.elements;
+  find("bar").style.width = `${100 * bar.part}%`;
+  find("bar").textContent = `${bar.length} µm`;
+  axes.forEach(({ line, name }, k) => {
+    const right = m[4 * k], down = -m[4 * k + 1], far = Math.hypot(right, down) < 0.05;
+    line.setAttribute("x2", 26 * right); line.setAttribute("y2", 26 * down);
+    name.setAttribute("x", 36 * right); name.setAttribute("y", 36 * down);
+    for (const mark of [line, name]) mark.style.display = far ? "none" : "";
+  });
+}
+function picture() {  // the cells with their time, bar and colours, for files and for paper
+  onPaper = true; fillColours(); legend();
+  const sheet = find("still"), ink = sheet.getContext("2d"), scale = 2 * screen(), { wide, high: low } = size;
+  const entries = [...find("legend").children], aside = (wide - 28) / 3;
+  sheet.width = scale * wide; sheet.height = scale * (low + 30 + 24 * Math.ceil(entries.length / 3));
+  renderer.setPixelRatio(scale);
+  planeInView(); fillVisible();
+  renderer.render(scene, camera);
+  ink.fillStyle = "#fff"; ink.fillRect(0, 0, sheet.width, sheet.height);
+  ink.drawImage(canvas, 0, 0);
+  ink.scale(scale, scale);
+  ink.font = "15px system-ui, sans-serif"; ink.fillStyle = "#22303c";
+  const bar = barLength();
+  ink.fillRect(14, low - 16, bar.part * wide, 4);
+  ink.fillText(`${bar.length} µm`, 14, low - 23);
+  ink.fillText(status.textContent, 14, low + 18);
+  entries.forEach((entry, k) => {
+    const x = 14 + (k % 3) * aside, y = low + 42 + 24 * Math.floor(k / 3);
+    if (entry.querySelector("i")) {
+      ink.fillStyle = entry.querySelector("i").style.background;
+      ink.beginPath(); ink.arc(x + 6, y - 5, 6, 0, 7); ink.fill();
+    }
+    ink.fillStyle = "#22303c"; ink.fillText(entry.textContent, x + 18, y, aside - 24);
+  });
+  onPaper = false; fillColours(); legend();
+  return sheet;
 }
 function draw() {
   if (pending) return;
@@ -323,6 +392,7 @@ function draw() {
     planeInView();
     fillVisible();
     renderer.render(scene, camera);
+    marks();
     drawn += 1;
     const now = performance.now();
     settle(now - before);  // a call may return long before its picture is there: pictures are counted
@@ -400,7 +470,7 @@ canvas.addEventListener("pointerleave", () => { tip.hidden = true; });
 
 // ---- curves that follow the time
 const charts = about.curves.map((curve) => {
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const svg = document.createElementNS(SVG, "svg");
   const wide = 320, high = 130, left = 6, top = 22, bottom = 18;
   svg.setAttribute("viewBox", `0 0 ${wide} ${high}`);
   svg.setAttribute("role", "img");
@@ -414,13 +484,7 @@ const charts = about.curves.map((curve) => {
     path += `${open ? "L" : "M"}${px(about.times[k]).toFixed(1)},${py(v).toFixed(1)}`;
     open = true;
   });
-  const make = (kind, attributes, text) => {
-    const part = document.createElementNS("http://www.w3.org/2000/svg", kind);
-    for (const [name, value] of Object.entries(attributes)) part.setAttribute(name, value);
-    if (text !== undefined) part.textContent = text;
-    svg.append(part);
-    return part;
-  };
+  const make = (kind, attributes, text) => part(svg, kind, attributes, text);
   make("line", { x1: left, x2: wide - left, y1: high - bottom, y2: high - bottom, class: "axis" });
   make("path", { d: path, class: "curve" });
   const line = make("line", { y1: top - 4, y2: high - bottom, class: "now" });
@@ -429,15 +493,20 @@ const charts = about.curves.map((curve) => {
   make("text", { x: left, y: high - 4, class: "small" }, "0");
   make("text", { x: wide - left, y: high - 4, "text-anchor": "end", class: "small" }, about.end_label);
   find("curves").append(svg);
+  svg.addEventListener("click", (event) => {  // to the frame next to the place
+    const box = svg.getBoundingClientRect(), t = last * ((event.clientX - box.left) / box.width * wide - left) / (wide - 2 * left);
+    const off = (frame) => Math.abs(frame.time - t);
+    stop(); show(frames.reduce((best, frame, k) => (off(frame) < off(frames[best]) ? k : best), 0));
+  });
   return { curve, line, value, px };
 });
-const exact = (value) => Number.isInteger(value) ? value : Number(value.toPrecision(4));
+const exact = new Intl.NumberFormat("en", { maximumSignificantDigits: 4 });
 function follow() {
   const { time, point } = frames[shown];
   for (const { curve, line, value, px } of charts) {
     line.setAttribute("x1", px(time)); line.setAttribute("x2", px(time));
     const now = point === null ? null : curve.values[point];
-    value.textContent = now === null ? "none" : `${exact(now).toLocaleString("en")} ${curve.unit}`;
+    value.textContent = now === null ? "none" : Number.isInteger(now) ? `${now.toLocaleString("en")} ${curve.unit}` : `${exact.format(now)} ${curve.unit}`;
   }
 }
 
@@ -448,22 +517,48 @@ for (const entry of about.colourings) {
   find("colour").append(option);
 }
 find("time").max = frames.length - 1;
-find("time").addEventListener("input", (event) => show(Number(event.target.value)));
+find("time").addEventListener("input", (event) => { stop(); show(Number(event.target.value)); });
 find("colour").addEventListener("change", (event) => { colouring = event.target.value; show(shown); });
 find("axis").addEventListener("change", () => { setPlane(); draw(); });
 find("cut").addEventListener("input", () => { setPlane(); draw(); });
 find("home").addEventListener("click", home);
-let timer = null;
-find("play").addEventListener("click", () => {
-  const button = find("play");
-  if (timer) { clearInterval(timer); timer = null; button.textContent = "Play"; return; }
+let playing = false, due = 0;
+function stop() { playing = false; find("play").textContent = "Play"; }
+function play() {
+  if (playing) { stop(); return; }
   if (shown === frames.length - 1) show(0);
-  button.textContent = "Pause";
-  timer = setInterval(() => {
-    if (shown < frames.length - 1) return show(shown + 1);
-    clearInterval(timer); timer = null; button.textContent = "Play";
-  }, 150);
+  playing = true; due = performance.now(); find("play").textContent = "Pause";
+  requestAnimationFrame(advance);
+}
+function advance(now) {  // where a frame takes longer than it is due, the next one waits for it
+  if (!playing) return;
+  const every = 1000 / Number(find("speed").value);
+  if (now >= due + every) {
+    due = Math.max(due + every, now - every);
+    show(shown + 1);
+    if (shown === frames.length - 1) { stop(); return; }
+  }
+  requestAnimationFrame(advance);
+}
+find("play").addEventListener("click", play);
+document.addEventListener("keydown", (event) => {  // in fields and buttons space has a meaning of its own
+  if (event.key !== " " || event.target.closest("button, select, summary, a, input:not([type=range])")) return;
+  event.preventDefault();
+  play();
 });
+find("picture").addEventListener("click", () => picture().toBlob((blob) => {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = `cells ${frames[shown].label}.png`;
+  link.click();
+  URL.revokeObjectURL(link.href);
+  draw();
+}));
+find("full").hidden = !document.fullscreenEnabled;
+find("full").addEventListener("click", () => (document.fullscreenElement ? document.exitFullscreen() : root.requestFullscreen()));
+// where it is printed the page shows a still: the canvas itself would be empty
+const paper = window.matchMedia("print");
+paper.addEventListener("change", () => { if (paper.matches) picture(); else draw(); });
 function orbit(right, up) {
   const { x, y, z } = camera.position.clone().sub(controls.target);
   const cos = Math.cos(right), sin = Math.sin(right);
@@ -487,10 +582,11 @@ canvas.addEventListener("keydown", (event) => {
 new ResizeObserver(resize).observe(canvas);
 root.classList.add("ready");
 resize();
+if (!about.flat) find("axis").value = "y";  // cut open towards the eye
 show(frames.length - 1);
 home();
 window.multicellViewer = {  // for tests
-  show, home, orbit, pick, frames, canvas, draws: () => drawn, visible: () => drawnCells, sharpness: () => sharpness,
+  show, home, orbit, pick, frames, canvas, play, across: () => (camera.right - camera.left) / camera.zoom, draws: () => drawn, visible: () => drawnCells, sharpness: () => sharpness,
   all: (yes) => { everything = yes; draw(); },
 };
 })();

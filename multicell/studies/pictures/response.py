@@ -29,8 +29,8 @@ def response(table: xr.Dataset, title: str, name: str) -> Figure:
         raise ValueError("nothing is varied: there are no axes to draw over")
     table = of.compact(table)
     values, names = of.at_end(table, name), of.axes_of(table)
-    columns = min(_IN_A_ROW, len(names))
-    rows = -(-len(names) // columns)
+    rows = -(-len(names) // _IN_A_ROW)
+    columns = -(-len(names) // rows)  # rows of one length have no holes
     height = SIZE[1] if rows == 1 else 0.9 + 3.6 * rows
     figure, grid = panels(title, _subtitle(table, name), len(names), columns, height, sharey=True)
     for place, (axes, axis) in enumerate(zip(grid, names, strict=True)):
