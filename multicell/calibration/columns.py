@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -23,6 +24,8 @@ from multicell.units import to_base
 
 _ERRORS: Final = ("sd", "sem")
 _NO_CONDITIONS: Final = ("title", "seed")
+_TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
+"""Units of times by titles without one."""
 
 
 @final
@@ -86,7 +89,9 @@ class Column:
 
 def columns_of(table: Table, scene: Scene) -> list[Column]:
     """Return what the columns of a table hold."""
-    columns = [_column(title, scene, table.name) for title in table.titles]
+    columns: list[Column] = []
+    for title in table.titles:
+        columns.append(_column(title, scene, table.name, columns))
     seen: dict[tuple[str, str], str] = {}
     for column in columns:
         key = column.kind, column.name
@@ -105,8 +110,8 @@ def columns_of(table: Table, scene: Scene) -> list[Column]:
     return columns
 
 
-def _column(title: str, scene: Scene, table: str) -> Column:
-    """Return what one column holds."""
+def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> Column:
+    """Return what one column holds; ``before``: those to its left."""
     place = f"{table}, '{title}'"
     name, unit = split_title(title)
     if title.startswith("#"):
@@ -117,13 +122,18 @@ def _column(title: str, scene: Scene, table: str) -> Column:
         raise DataError(place, "has a '/' and no unit after it")
     if name in ("time", "start", "depth"):
         return _with_unit(name, name, unit, "um" if name == "depth" else "s", title, place)
-    if title == "day":
-        return Column("time", "time", "d", "s", title)
+    if title.lower() in _TIMES:
+        return Column("time", "time", _TIMES[title.lower()], "s", title)
     if name in ("label", "specimen"):
         return _with_unit(name, name, unit, "", title, place)
     if name.startswith("at "):
         name = name.removeprefix("at ").strip()
         return _with_unit("at", name, unit, _unit_in(name, in_history(scene), place), title, place)
+    if name in (*_ERRORS, "n") and before and before[-1].kind in ("value", *_ERRORS, "n"):
+        # of the values to its left, in their unit
+        last = before[-1]
+        name = f"{last.name} {name}"
+        unit = unit or ("" if name.endswith(" n") else last.unit)
     stem, _, kind = name.rpartition(" ")
     if stem and kind in (*_ERRORS, "n"):
         base = "" if kind == "n" else _unit_of(stem, scene, place)

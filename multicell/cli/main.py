@@ -23,6 +23,7 @@ from multicell.cli.dose_response import dose_response
 from multicell.cli.fit import fit
 from multicell.cli.importing import importing
 from multicell.cli.movie import movie
+from multicell.cli.play import play
 from multicell.cli.plot import plot
 from multicell.cli.process import Commands, complain, print_json
 from multicell.cli.scenes import coarsen, init, scenes, schema
@@ -50,7 +51,7 @@ def main() -> None:
 
 
 @main.command()
-@click.argument("scene")
+@click.argument("scene", type=shared.SCENE)
 @shared.law_option
 @shared.changes_option
 @shared.as_json_option
@@ -79,7 +80,7 @@ _run_options = shared.grouped(
 
 
 @main.command()
-@click.argument("scene")
+@click.argument("scene", type=shared.SCENE)
 @shared.output_option("Folder for the results; it must be empty or new.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of the random numbers.")
 @click.option(
@@ -142,14 +143,23 @@ def resume(
     _simulate(go_on, scene, output or folder, **options)
 
 
+def _formats(_: click.Context) -> list[str]:
+    """Return the names of the formats of exports."""
+    from multicell.report.exports import FORMATS
+
+    return list(FORMATS)
+
+
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.output_option("Folder for the files.")
 @click.option(
     "--format",
+    type=shared.Names("format", _formats, strict=True),
+    metavar="NAME",
     default="csv",
     show_default=True,
-    help="Of the files: csv or parquet tables, vtk for ParaView, anndata for scverse, netcdf, "
+    help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, netcdf, "
     "simularium for its viewer, openvt.",
 )
 @click.option(
@@ -184,7 +194,7 @@ def export(
 
 
 for added in (
-    scenes, init, coarsen, schema, plot, view, movie, compare, stability, study, sensitivity,
+    scenes, init, coarsen, schema, plot, view, play, movie, compare, stability, study, sensitivity,
     doctor, dose_response, fit,
 ):  # fmt: skip
     main.add_command(added)

@@ -69,6 +69,10 @@ def _check_steps(scene: Scene) -> None:
     # a cell divides once in a coupling step at most: a shorter cycle would only make it larger
     cycle = quickest_cycle(scene)
     if min(step, scene.duration) > cycle:
+        if cycle < 1000.0:
+            problem = f"is {cycle:g} s, shorter than a coupling step of {step:g} s"
+            hint = f"A number without a unit is in seconds: write '{cycle:g} h' for hours."
+            raise SceneError("growth.cycle_time", problem, hint)
         problem = f"is {step:g} s, must be at most a cycle of the cells, {cycle:g} s"
         hint = "Cells divide between coupling steps; take about a twentieth of the cycle."
         raise SceneError("coupling_step", problem, hint)

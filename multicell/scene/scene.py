@@ -58,6 +58,7 @@ from multicell.scene.reactions import Reaction
 from multicell.scene.responses import Response, Signal, check_responses
 from multicell.scene.shown import as_html, in_a_line
 from multicell.schema import (
+    SYNONYMS,
     Tables,
     build,
     count,
@@ -406,6 +407,10 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         node["parameters"], value = plain(value), value.scene_name()
     if spec is not None and is_dataclass(value):
         value = spec.plain(value)
+    if last in SYNONYMS:  # the new value takes the place of the old one
+        node.pop(SYNONYMS[last][0], None)
+        if value is None:
+            return
     if value is None and last in node:
         del node[last]
     else:

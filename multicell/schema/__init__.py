@@ -40,6 +40,7 @@ from multicell.schema.declarations import (
     whole_numbers,
 )
 from multicell.schema.part import (
+    SYNONYMS,
     Parameter,
     Tables,
     build,
