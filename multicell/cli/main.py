@@ -159,8 +159,8 @@ def _formats(_: click.Context) -> list[str]:
     metavar="NAME",
     default="csv",
     show_default=True,
-    help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, netcdf, "
-    "simularium for its viewer, openvt.",
+    help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
+    "netcdf, simularium for its viewer, openvt.",
 )
 @click.option(
     "--tables",

@@ -34,7 +34,7 @@ def grouped(*options: Option) -> Option:
 
 
 @final
-class Names(click.ParamType):
+class Names(click.ParamType):  # type: ignore[type-arg]
     """Words that a shell completes; they are looked up when they are needed.
 
     - ``names``: returns them, given the context of the command
@@ -46,9 +46,7 @@ class Names(click.ParamType):
     ) -> None:
         self.name, self._names, self._strict = name, names, strict
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Any:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the value; refuse one that is none of the words, if ``strict``."""
         if self._strict and ctx is not None and value not in (known := list(self._names(ctx))):
             from multicell.schema import near_miss

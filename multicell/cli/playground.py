@@ -307,7 +307,10 @@ def serve(playground: Playground, port: int, ready: Callable[[str], None]) -> No
         known = {"playground": playground, "secret": secret, "hosts": hosts}
         routes = {"/": _Page, "/view": _View, "/curves": _Curves, "/run": _Run}
         server = HTTPServer(
-            Application([(path, handler, known) for path, handler in routes.items()]),
+            Application(
+                [(path, handler, known) for path, handler in routes.items()],
+                log_function=lambda _: None,  # a log of requests would hold the secret
+            ),
             max_body_size=10_000,
         )
         server.add_sockets(sockets)

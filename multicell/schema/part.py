@@ -140,9 +140,7 @@ def _translated(
         if entries.get(key) is not None:
             raise SceneError(_join(path, name), f"is another name of '{key}', which is given too")
         value = entries.pop(name)
-        entries[key] = (
-            value if factor == 1.0 else factor * to_base(value, unit, _join(path, name))
-        )
+        entries[key] = value if factor == 1.0 else factor * to_base(value, unit, _join(path, name))
     return entries
 
 

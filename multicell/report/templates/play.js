@@ -51,6 +51,7 @@ async function draw() {
       frame.ariaHidden = off ? "true" : null;
       frame.tabIndex = off ? -1 : 0;
     }
+    next.parentElement.style.height = `${next.contentDocument.documentElement.scrollHeight}px`;
     old.onload = null;
     old.src = "about:blank";
     loading = false;
