@@ -86,7 +86,7 @@ _run_options = shared.grouped(
 @click.option(
     "--cells",
     metavar="FILE",
-    help="Cells to start with, a CSV or Parquet table (--set initial.cells=FILE).",
+    help="Cells to start with: a CSV or Parquet table, or .h5ad (--set initial.cells=FILE).",
 )
 @shared.law_option
 @_run_options
@@ -160,7 +160,7 @@ def _formats(_: click.Context) -> list[str]:
     default="csv",
     show_default=True,
     help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
-    "netcdf, simularium for its viewer, openvt.",
+    "netcdf, simularium for its viewer, openvt, ro-crate for repositories.",
 )
 @click.option(
     "--tables",

@@ -61,6 +61,7 @@ FORMATS: Final = {
     "netcdf": Format("netcdf.write", ["history.nc"], ["xarray", "h5netcdf"]),
     "simularium": Format("simularium.write", ["run.simularium"]),
     "openvt": Format("openvt.write", ["openvt.csv"]),
+    "ro-crate": Format("ro_crate.write", ["ro-crate-metadata.json"]),
 }
 """Formats by name."""
 
@@ -98,6 +99,9 @@ def export(
     ``"openvt"`` has the tables that OpenVT's frameworks exchange: ``openvt.csv`` with a row for
     each cell in each frame, lengths in diameters of a newborn cell and time in h; and where cells
     grow ``data000000.csv`` for each frame, in newborn radii, with the cycles in ``timeline.txt``.
+
+    ``"ro-crate"`` is for repositories: the files of the folder, and ``ro-crate-metadata.json``,
+    which states in the form of RO-Crate 1.1 what they are and what made them of which scene.
 
     Parameters
     ----------
