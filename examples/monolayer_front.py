@@ -3,14 +3,14 @@
 
 Problem
     One cell grows to a monolayer of 2,000 (the scene ``openvt-monolayer``) whose cells grow the
-    more slowly the higher their pressure. Early, the radius grows with half the rate of an
-    unlimited population, which follows from the cycle times (Euler-Lotka equation, 0.729 over the
-    mean cycle). Later only the edge grows. Then the balance of area gives the speed of the front
-    from what single cells report::
+    more slowly the higher their pressure. Early, their number follows an unlimited population,
+    whose rate k follows from the cycle times (Euler-Lotka equation: 0.729 over the mean cycle).
+    Later only the edge grows. Then the balance of area gives the speed of the front from the
+    pressures p of single cells::
 
         2 pi R dR/dt = sum of k (1 - p / p_c) A over all cells
 
-    with the areas A that share the monolayer, k as above and no negative growth.
+    with the areas A that share the monolayer, and no negative growth.
 Scaling
     The speed goes with the width of the growing edge, which goes with the critical pressure.
 Cost
@@ -56,7 +56,7 @@ def main(output: str | Path, **changes: Any) -> dict[str, float]:
     run = mc.run(setup(**changes))
     hours = run.history["time"] / 3600.0
     radius, cells = run.history["radius"], run.history["cells"]
-    early, late = (cells > 16) & (cells < 100), hours > hours[-1] - 30.0
+    early, late = (cells > 16) & (cells < 64), hours > hours[-1] - 30.0
     speed = np.polyfit(hours[late], radius[late], 1)[0]
     rate = np.polyfit(hours[early], np.log(cells[early]), 1)[0]
     balance = []

@@ -3,7 +3,7 @@
 
 Problem
     400 cells of two types in a plane (the scene ``openvt-sorting``), mixed at random, with random
-    motion. Like cells adhere four times as strongly as unlike ones, or all of them alike.
+    motion. Like cells adhere four times as strongly as unlike ones, or all of them as weakly.
     The part of contacts between unlike cells is compared with that of a
     random mixture of n cells of each type, n / (2n - 1).
 Scaling
@@ -33,13 +33,13 @@ LIKE, UNLIKE = "0.2 nN/um", "0.05 nN/um"
 COLOURS = ("#0072b2", "#e69f00")
 
 
-def setup(unlike: str, **changes: Any) -> mc.Scene:
-    """Return the scene with a surface energy of unlike cells; arguments are further changes."""
+def setup(like: str, **changes: Any) -> mc.Scene:
+    """Return the scene with a surface energy of like cells; arguments are further changes."""
     return mc.load_scene("openvt-sorting").with_changes(
         {
             "duration": "20 h",
-            "types.A.surface_energy": {"A": LIKE, "B": unlike},
-            "types.B.surface_energy": {"A": unlike, "B": LIKE},
+            "types.A.surface_energy": {"A": like, "B": UNLIKE},
+            "types.B.surface_energy": {"A": UNLIKE, "B": like},
             **changes,
         }
     )
@@ -48,15 +48,15 @@ def setup(unlike: str, **changes: Any) -> mc.Scene:
 def main(output: str | Path, **changes: Any) -> dict[str, float]:
     """Run, draw, and return the parts of contacts that are unlike at the end."""
     runs = {
-        "like cells stick more": mc.run(setup(UNLIKE, **changes)),
-        "all stick alike": mc.run(setup(LIKE, **changes)),
+        "like cells stick more": mc.run(setup(LIKE, **changes)),
+        "all stick alike": mc.run(setup(UNLIKE, **changes)),
     }
     figure = Figure(figsize=(11.0, 3.8), layout="constrained")
     curve, *pictures = figure.subplots(1, 3)
-    found = {}
+    found, colours = {}, iter(("#0072b2", "#e69f00"))
     for (name, run), axes in zip(runs.items(), pictures, strict=True):
         part = run.history["heterotypic_fraction"]
-        curve.plot(run.history["time"] / 3600.0, part, label=name)
+        curve.plot(run.history["time"] / 3600.0, part, label=name, color=next(colours))
         found[name] = float(part[-1])
         cells = run.frames[-1].cells
         wide = 2.0 * cells.radius

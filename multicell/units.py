@@ -191,6 +191,9 @@ def _factor(unit_text: str, unit: str, text: str, path: str) -> float:
         return COMMON.get(unit, {}).get(unit_text, 1.0)
     import pint
 
+    if re.match(r",\d", unit_text):
+        hint = "Use '.' as decimal separator."
+        raise SceneError(path, f"is {shown(text)}, its unit cannot be read", hint)
     if not _UNIT_TEXT.fullmatch(unit_text) or _RUNAWAY.search(unit_text):
         raise SceneError(path, f"is {shown(text)}, its unit cannot be read", _example(unit))
     try:

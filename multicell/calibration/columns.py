@@ -91,7 +91,13 @@ def columns_of(table: Table, scene: Scene) -> list[Column]:
     """Return what the columns of a table hold."""
     columns: list[Column] = []
     for title in table.titles:
-        columns.append(_column(title, scene, table.name, columns))
+        try:
+            columns.append(_column(title, scene, table.name, columns))
+        except DataError as error:
+            if columns or "no observable" not in error.problem:
+                raise
+            hint = f"A column of times is titled 'day' or 'time / h'. {error.hint}"
+            raise DataError(error.place, error.problem, hint) from None
     seen: dict[tuple[str, str], str] = {}
     for column in columns:
         key = column.kind, column.name
@@ -129,9 +135,10 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> C
     if name.startswith("at "):
         name = name.removeprefix("at ").strip()
         return _with_unit("at", name, unit, _unit_in(name, in_history(scene), place), title, place)
-    if name in (*_ERRORS, "n") and before and before[-1].kind in ("value", *_ERRORS, "n"):
-        # of the values to its left, in their unit
-        last = before[-1]
+    if name in (*_ERRORS, "n"):  # of the values to its left, in their unit
+        last = before[-1] if before else None
+        if last is None or last.kind not in ("value", *_ERRORS, "n"):
+            raise DataError(place, "has no column of values to its left")
         name = f"{last.name} {name}"
         unit = unit or ("" if name.endswith(" n") else last.unit)
     stem, _, kind = name.rpartition(" ")
@@ -208,7 +215,7 @@ def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: st
     """Return a column of numbers once its unit has been checked."""
     stem = split_title(title)[0]
     if base and not unit:
-        raise DataError(place, "has no unit", f"Write '{stem} / {base}'.")
+        raise DataError(place, "has no unit", f"Write '{stem} / {'h' if base == 's' else base}'.")
     if unit and not base:
         raise DataError(place, f"has the unit '{unit}', must have none", f"Write '{stem}'.")
     if base:

@@ -138,6 +138,8 @@ def resume(
     from multicell.runner import resume as resumed
     from multicell.scene.scene import load_scene
 
+    if not (folder / "scene.toml").exists():
+        raise OutputError(f"there are no results in '{folder}': scene.toml is missing")
     scene = load_scene(folder / "scene.toml").with_changes(parsed)
     go_on = partial(resumed, folder, frame, output=output, changes=parsed, integrator=integrator)
     _simulate(go_on, scene, output or folder, **options)

@@ -78,7 +78,9 @@ def _keys(context: click.Context) -> list[str]:
     from multicell.scene.scene import load_scene
     from multicell.studies.keys import all_keys
 
-    return [f"{key}=" for key in all_keys(load_scene(context.params.get("scene") or "spheroid"))]
+    # arguments are not named yet where an option still lacks its value
+    scene = context.params.get("scene") or next(iter(context.args), "spheroid")
+    return [f"{key}=" for key in all_keys(load_scene(scene))]
 
 
 SCENE = Names("scene", _scenes)

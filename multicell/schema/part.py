@@ -118,7 +118,8 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
     entries = _translated(mapping(value, path), known, path)
     for key in entries:
         if key not in known:
-            hint = near_miss(key, [*also, *known])
+            others = [name for name, (other, *_) in SYNONYMS.items() if other in known]
+            hint = near_miss(key, [*also, *known, *others])
             raise SceneError(_join(path, key or "''"), "is not a known key here", hint)
     for spec in fields(part):  # type: ignore[arg-type]
         needed = spec.default is MISSING and spec.default_factory is MISSING
@@ -189,7 +190,9 @@ def chosen(
 def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
     """Return ``"Did you mean 'viscosity'?"`` if a name is near, and the list of all names."""
     names = {option.lower(): option for option in options}
-    near = difflib.get_close_matches(str(name).lower(), names, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(str(name).lower(), names, n=1, cutoff=0.6) or [
+        option for option in names if str(name).lower() in option.split("_")
+    ]
     parts = [f"Did you mean '{names[near[0]]}'?"] if near else []
     if listed:
         parts.append(f"Allowed: {_listed(list(names.values()))}")
