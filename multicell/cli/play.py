@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     "--key",
     "keys",
     multiple=True,
+    required=True,
     type=shared.KEYS,
     callback=shared.with_values,
     metavar="KEY=LOW:HIGH",
     help="A slider, as nutrients.oxygen.boundary='1:21 %' or drag.viscosity='log 0.1:10 kPa s'. "
-    "May be given several times; by default the boundaries of fields, or the cycle time.",
+    "May be given several times.",
 )
 @click.option(
     "--coarse",
@@ -63,7 +64,7 @@ def play(
     from multicell.cli.playground import Playground, serve
     from multicell.studies.axes import parse_ranges
 
-    ranges = parse_ranges(key_values(keys, "--key") or _usual(described), described)
+    ranges = parse_ranges(key_values(keys, "--key"), described)
     factor, note = _factor(described, coarse)
     with Playground(described, ranges, factor, note, quantity, law) as playground:
 
@@ -73,21 +74,6 @@ def play(
                 complain("There is no browser to open it.")
 
         serve(playground, port, ready)
-
-
-def _usual(scene: Scene) -> dict[str, str]:
-    """Return the keys that have a slider where none is named, with their ranges."""
-    found = {
-        f"nutrients.{name}.boundary": f"{0.2 * field.boundary:.3g}:{4 * field.boundary:.3g} mM"
-        for name, field in scene.nutrients.items()
-        if field.boundary > 0.0
-    }
-    if not found and scene.growth is not None:
-        hours = scene.growth.cycle_time / 3600.0
-        found["growth.cycle_time"] = f"{0.5 * hours:.3g}:{2 * hours:.3g} h"
-    if not found:
-        raise SceneError("", "has neither fields nor growth", "Name keys with --key.")
-    return found
 
 
 def _factor(scene: Scene, wanted: float | None) -> tuple[float, str]:

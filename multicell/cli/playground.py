@@ -10,6 +10,7 @@ import asyncio
 import base64
 import hashlib
 import hmac
+import io
 import json
 import os
 import secrets
@@ -49,10 +50,7 @@ KEPT: Final = 5
 class Playground:
     """The runs of a page, one at a time, in a folder that goes with it.
 
-    - ``scene``: what the sliders change
-    - ``ranges``: of the sliders
-    - ``factor``: by which cells are wider
-    - ``note``: on that, for the page
+    - ``factor``: by which cells are wider than those of the scene; ``note`` is on that
     - ``quantity``: column of the history whose curves are compared
     - ``law``: FILE:NAME of a law of the user's own that the scene needs
     """
@@ -128,10 +126,11 @@ class Playground:
             shutil.rmtree(self._folder / str(old), ignore_errors=True)
         file, log = self._folder / "scene.toml", self._folder / "log"
         file.write_text(scene.to_toml(), "utf-8")
-        command = ["run", str(file), "-o", str(self._place(self.number)), "--no-report", "--quiet"]
+        place = str(self._folder / str(self.number))
         with log.open("wb") as said:
             self._worker = subprocess.Popen(
-                [sys.executable, "-m", "multicell", *command, *self._law],
+                [sys.executable, "-m", "multicell", "run", str(file), "-o", place, *self._law,
+                 "--no-report", "--quiet"],
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said,
                 start_new_session=True,
             )  # fmt: skip
@@ -155,7 +154,7 @@ class Playground:
     def result(self, number: int | None = None) -> Result | None:
         """Return a run as far as it is, by default the newest; None before its first frame."""
         try:
-            found = load_result(self._place(number or self.number))
+            found = load_result(self._folder / str(number or self.number))
         except OutputError:
             return None
         return found if len(found.frames) else None
@@ -181,16 +180,14 @@ class Playground:
 
     def curves(self) -> bytes:
         """Return the curves of all kept runs as a PNG."""
-        import io
-
         from multicell.report.plots.overlay import overlay
 
         found = {label: self.result(number) for number, label in self._labels.items()}
-        figure = overlay(
-            {label: run.history for label, run in found.items() if run is not None}, self._quantity
-        )
+        shown = {label: run.history for label, run in found.items() if run is not None}
+        if not shown:
+            raise OutputError("there is no run yet")
         picture = io.BytesIO()
-        figure.savefig(picture, dpi=130)
+        overlay(shown, self._quantity).savefig(picture, dpi=130)
         return picture.getvalue()
 
     def page(self) -> str:
@@ -198,17 +195,13 @@ class Playground:
         from importlib.resources import files
 
         script = (files("multicell.report") / "templates" / "play.js").read_text("utf-8")
+        policy = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+        sliders = self.sliders()
         return rendered(
-            "play.html",
-            title=self.scene.title or "Untitled scene",
-            subtitle=self.note,
-            tiles={},
-            scene="",
-            sliders=self.sliders(),
-            about=Markup(json.dumps(self.sliders()).replace("<", "\\u003c")),
-            script=Markup(script),
-            policy=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
-        )
+            "play.html", title=self.scene.title or "Untitled scene", subtitle=self.note, tiles={},
+            scene="", sliders=sliders, script=Markup(script), policy=policy,
+            about=Markup(json.dumps(sliders).replace("<", "\\u003c")),
+        )  # fmt: skip
 
     def view(self) -> str:
         """Return the view of the newest run."""
@@ -217,85 +210,53 @@ class Playground:
         result = self.result()
         viewer = None if result is None else view(result)
         if viewer is None:
-            raise HTTPError(404)
+            raise OutputError("there is no frame yet")
         return rendered("view.html", title="", subtitle="", tiles={}, scene="", viewer=viewer)
 
-    def _place(self, number: int) -> Path:
-        return self._folder / str(number)
 
-
+@final
 class _Handler(RequestHandler):
     """Answer those who know the secret."""
 
     def initialize(self, playground: Playground, secret: str, hosts: Sequence[str]) -> None:
         self.playground, self._secret, self._hosts = playground, secret, hosts
 
-    def set_default_headers(self) -> None:
-        """Let nothing be kept, framed by others or guessed."""
+    def prepare(self) -> None:
+        """Refuse who does not know the secret, or calls this machine by another name."""
         self.set_header("Cache-Control", "no-store")
         self.set_header("Content-Security-Policy", "frame-ancestors 'self'")
         self.set_header("Referrer-Policy", "no-referrer")
-        self.set_header("X-Content-Type-Options", "nosniff")
-
-    def prepare(self) -> None:
-        """Refuse who does not know the secret, or calls this machine by another name."""
         given = self.get_query_argument("token", "")
         known = hmac.compare_digest(given.encode(), self._secret.encode())
         if not known or self.request.host not in self._hosts:
             raise HTTPError(403)
 
-
-@final
-class _Page(_Handler):
-    def get(self) -> None:
-        self.finish(self.playground.page())
-
-
-@final
-class _View(_Handler):
-    def get(self) -> None:
-        self.finish(self.playground.view())
-
-
-@final
-class _Curves(_Handler):
-    def get(self) -> None:
-        self.set_header("Content-Type", "image/png")
+    def get(self, what: str) -> None:
+        if what == "curves":
+            self.set_header("Content-Type", "image/png")
+        answers = {"": "page", "view": "view", "curves": "curves", "run": "status"}
         try:
-            self.finish(self.playground.curves())
-        except OutputError as error:
-            self.set_status(404)
-            self.set_header("Content-Type", "text/plain")
-            self.finish(str(error))
+            answer = getattr(self.playground, answers[what])()
+        except OutputError:  # there is nothing to see yet
+            raise HTTPError(404) from None
+        self.finish(answer)
 
-
-@final
-class _Run(_Handler):
-    def get(self) -> None:
-        self.finish(self.playground.status())
-
-    def post(self) -> None:
+    def post(self, _: str) -> None:
         try:
-            number = self.playground.start(json.loads(self.request.body)["places"])
+            self.finish({"number": self.playground.start(json.loads(self.request.body)["places"])})
         except (ValueError, TypeError, KeyError):
             raise HTTPError(400) from None
         except MulticellError as error:
             self.set_status(422)
             self.finish({"text": str(error)})
-        else:
-            self.finish({"number": number})
 
-    def delete(self) -> None:
+    def delete(self, _: str) -> None:
         self.playground.stop()
         self.finish(self.playground.status())
 
 
 def serve(playground: Playground, port: int, ready: Callable[[str], None]) -> None:
-    """Serve a playground until Ctrl-C or a signal to end.
-
-    - ``port``: 0 for a free one
-    - ``ready``: called with the address
-    """
+    """Serve a playground until Ctrl-C or a signal to end; ``ready`` is called with the address."""
 
     async def serving() -> None:
         try:
@@ -305,14 +266,9 @@ def serve(playground: Playground, port: int, ready: Callable[[str], None]) -> No
         number, secret = sockets[0].getsockname()[1], secrets.token_urlsafe(24)
         hosts = [f"{name}:{number}" for name in (HOST, "localhost")]
         known = {"playground": playground, "secret": secret, "hosts": hosts}
-        routes = {"/": _Page, "/view": _View, "/curves": _Curves, "/run": _Run}
-        server = HTTPServer(
-            Application(
-                [(path, handler, known) for path, handler in routes.items()],
-                log_function=lambda _: None,  # a log of requests would hold the secret
-            ),
-            max_body_size=10_000,
-        )
+        routes = [("/(|view|curves|run)", _Handler, known)]
+        quiet = Application(routes, log_function=lambda _: None)  # a log would hold the secret
+        server = HTTPServer(quiet, max_body_size=10_000)
         server.add_sockets(sockets)
         ready(f"http://{HOST}:{number}/?token={secret}")
         await asyncio.Event().wait()

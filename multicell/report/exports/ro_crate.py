@@ -64,51 +64,32 @@ def _described(run: Result, files: Sequence[Path]) -> dict[str, Any]:
     ]
     title = run.scene.title or "Untitled run"
     parts = [{"@id": path.name} for path in files]
-    return {
-        "@context": "https://w3id.org/ro/crate/1.1/context",
-        "@graph": [
-            {
-                "@id": NAME,
-                "@type": "CreativeWork",
-                "about": {"@id": "./"},
-                "conformsTo": {"@id": "https://w3id.org/ro/crate/1.1"},
-            },
-            {
-                "@id": "./",
-                "@type": "Dataset",
-                "name": title,
-                "description": f"Cell-based simulation of tissue with multicell: {title}",
-                "datePublished": when,
-                "license": "No licence is stated; ask the authors of the run.",
-                "hasPart": parts,
-                "mentions": {"@id": "#run"},
-                "variableMeasured": [{"@id": entry["@id"]} for entry in figures],
-            },
-            {
-                "@id": "#run",
-                "@type": "CreateAction",
-                "name": f"Run of the scene with seed {run.scene.seed}",
-                "endTime": when,
-                "instrument": [{"@id": entry["@id"]} for entry in software],
-                "object": {"@id": _SCENE},
-                "result": [part for part in parts if part["@id"] != _SCENE],
-            },
-            *map(_file, files),
-            *software,
-            *figures,
-        ],
-    }
+    described = {
+        "@id": NAME, "@type": "CreativeWork", "about": {"@id": "./"},
+        "conformsTo": {"@id": "https://w3id.org/ro/crate/1.1"},
+    }  # fmt: skip
+    root = {
+        "@id": "./", "@type": "Dataset", "name": title, "datePublished": when,
+        "description": f"Cell-based simulation of tissue with multicell: {title}",
+        "license": "No licence is stated; ask the authors of the run.",
+        "hasPart": parts, "mentions": {"@id": "#run"},
+        "variableMeasured": [{"@id": entry["@id"]} for entry in figures],
+    }  # fmt: skip
+    action = {
+        "@id": "#run", "@type": "CreateAction", "endTime": when,
+        "name": f"Run of the scene with seed {run.scene.seed}",
+        "instrument": [{"@id": entry["@id"]} for entry in software],
+        "object": {"@id": _SCENE}, "result": [part for part in parts if part["@id"] != _SCENE],
+    }  # fmt: skip
+    graph = [described, root, action, *map(_file, files), *software, *figures]
+    return {"@context": "https://w3id.org/ro/crate/1.1/context", "@graph": graph}
 
 
 def _file(path: Path) -> dict[str, Any]:
     kind, words = _KINDS[path.suffix]
     content = path.read_bytes()
     return {
-        "@id": path.name,
-        "@type": "File",
-        "name": path.name,
-        "description": words,
-        "encodingFormat": kind,
-        "contentSize": str(len(content)),
+        "@id": path.name, "@type": "File", "name": path.name, "description": words,
+        "encodingFormat": kind, "contentSize": str(len(content)),
         "sha256": hashlib.sha256(content).hexdigest(),
-    }
+    }  # fmt: skip
