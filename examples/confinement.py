@@ -70,7 +70,9 @@ def main(output: str | Path, **changes: Any) -> dict[float, tuple[float, float]]
     left, right = figure.subplots(1, 2)
     found = {}
     for stiffness, colour in ((30.0, "#0072b2"), (100.0, "#e69f00")):
-        scene = mc.load_scene("confined").with_changes({"duration": "2.5 d", "coupling_step": "1 h"})
+        scene = mc.load_scene("confined").with_changes(
+            {"duration": "2.5 d", "coupling_step": "1 h"}
+        )
         run = mc.run(scene.with_changes({"domain.stiffness": stiffness, **changes}))
         time, radius = run.history["time"], run.history["domain_radius"]
         start = 4.0 / 3.0 * np.pi * float((run.frames[0].cells.radius ** 3).sum())

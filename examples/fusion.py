@@ -1,11 +1,12 @@
-"""Fusion of two spheroids: as fast as a liquid at first, then held by the cells' contacts
-=======================================================================================
+"""Fusion of two spheroids: like drops of a liquid at first, then held by the cells' contacts
+==========================================================================================
 
 Problem
     Two balls of 150 cells touch. The tension of their surface pulls them together, cells move at
     random. How long they are over their width (square roots of second moments) is compared with
     two drops of a viscous liquid (Frenkel's problem, equation of Pokluda, Bellehumeur and
-    Vlachopoulos 1997), of which one time scale is fitted to the first half of the way.
+    Vlachopoulos 1997), from when they are as long as balls that touch. One time scale is fitted
+    to the first half of the way.
 Scaling
     A liquid ends as a ball, with a ratio of 1. Tissue of elastic cells has a yield stress: it
     stops earlier, the later the more its cells move.
@@ -94,18 +95,21 @@ def main(output: str | Path, **changes: Any) -> dict[str, float]:
     run = mc.run(setup(**changes), cells=pair())
     hours = np.array([frame.time for frame in run.frames]) / 3600.0
     long = np.array([aspect(frame) for frame in run.frames])
-    first = long > 0.5 * (long[0] + long.min())
-    first[: int(np.argmin(first)) + 1] = True  # up to the first frame beyond half of the way
+    touching, half = np.sqrt(1.2 / 0.2), 0.5 * (long[0] + long.min())
+    k = int(np.argmax(long < touching))  # the first frame in which they are one body
+    begin = np.interp(-touching, -long[k - 1 : k + 1], hours[k - 1 : k + 1])
+    since = np.append(0.0, hours[k:] - begin)
+    first = np.arange(1, 2 + int(np.argmax(long[k:] < half)))  # to beyond half of the way
 
     def amiss(scale: float) -> float:
-        return float(((drops(hours / np.exp(scale))[first] - long[first]) ** 2).sum())
+        return float(((drops(since / np.exp(scale))[first] - long[k - 1 + first]) ** 2).sum())
 
     scale = float(np.exp(minimize_scalar(amiss, bounds=(-4.0, 3.0), method="bounded").x))
-    liquid = drops(hours / scale)
+    liquid = drops(since / scale)
     figure = Figure(figsize=(10.0, 3.8), layout="constrained")
     curve, *pictures = figure.subplots(1, 3)
     curve.plot(hours, long, "o", markersize=3, color="#0072b2", label="tissue")
-    curve.plot(hours, liquid, color="#e69f00", label="two drops of a liquid")
+    curve.plot(since + begin, liquid, color="#e69f00", label="two drops of a liquid")
     curve.set(xlabel="time (h)", ylabel="length / width", ylim=(0.8, None))
     curve.legend(frameon=False)
     for axes, frame in zip(pictures, (run.frames[0], run.frames[-1]), strict=True):
