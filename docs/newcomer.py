@@ -52,8 +52,8 @@ FILES = {
     "plate.csv": """dose / uM, response, replicate
 """
     + "".join(
-        f"{dose}, {response * factor:.0f}, {plate}\n"
-        for plate, factor in (("A", 1.0), ("B", 1.06), ("C", 0.95))
+        f"{dose}, {response * factor + 15 * shift * (dose > 0):.0f}, {plate}\n"
+        for plate, factor, shift in (("A", 1.0, 0), ("B", 1.06, 1), ("C", 0.95, -1))
         for dose, response in ((0, 980), (0.25, 960), (0.5, 850), (1, 640), (2, 360), (4, 200))
     ),
     "first.ipynb": json.dumps(

@@ -14,7 +14,7 @@ Problem
 Scaling
     The stiffer the gel, the earlier growth stops: a gel presses with at most 5/6 of its modulus.
 Cost
-    Half a minute on one core; it is not run in the documentation, which is to be built quickly.
+    Forty seconds on one core. It is not run in the documentation, which is to be built quickly.
 Command
     .. code-block:: sh
 
