@@ -85,8 +85,9 @@ class Playground:
         found = []
         for item in self.ranges:
             value = given.get(item.key)
-            known = isinstance(value, int | float) and item.low <= value <= item.high
-            place = round(1000.0 * item.share(value)) if known else 500
+            place = 500
+            if isinstance(value, int | float) and item.low <= value <= item.high:
+                place = round(1000.0 * item.share(value))
             other = ""
             if item.key == f"nutrients.{OXYGEN}.boundary":
                 kpa = 1.0 / oxygen_solubility(self.scene.nutrients[OXYGEN].temperature)
