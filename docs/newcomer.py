@@ -1,7 +1,9 @@
 """What a newcomer waits for: from a checkout to a fitted figure, in a new virtual environment.
 
-Problem   Install; a first spheroid with its page; a scene of one's own; a fit to a growth curve; a
-          figure for a paper. The commands are those of the first two tutorials.
+Problem   Install; a first spheroid with its page; a cell line of one's own at three levels of
+          oxygen; a fit to a growth curve and an IC50, both of tables that are typed here; a
+          notebook; exports and a figure for a paper. Nothing but the installation reads the
+          checkout, and no step needs a source file of the package.
 Scaling   Installing depends on the network and pip's cache, the first run on how fast the machine
           compiles; everything after that is computation.
 Cost      A few minutes, most of it to install and to compile.
@@ -12,6 +14,7 @@ Command   python docs/newcomer.py            prints what each step takes
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import shutil
@@ -31,10 +34,53 @@ SMALL = [
 CHANGES = {
     "count = 1": 'count = 100\nstage = "asynchronous"',
     'duration = "12 d"': 'duration = "3 d"',
-    'cycle_time = "15 h"': 'cycle_time = "20 h"',
+    'cycle_time = "15 h"': 'doubling_time = "20 h"',
+    'division_radius = "5 um"': 'diameter = "9 um"',
 }
+LEVELS = [
+    *("--vary", "nutrients.oxygen.boundary=3 %, 5 %, 21 %", "--seeds", "3"),
+    *("--set", "duration=2 d"),
+]
+FILES = {
+    "growth.csv": """day, cells, sd, n, diameter / um, sd
+0.5, 13, 1.0, 6, 28.0, 1.0
+1.0, 22, 1.5, 6, 32.9, 1.0
+1.5, 34, 2.0, 6, 37.0, 1.0
+2.0, 56, 3.0, 6, 43.8, 1.0
+2.5, 108, 6.0, 6, 50.9, 1.0
+""",
+    "plate.csv": """dose / uM, response, replicate
+"""
+    + "".join(
+        f"{dose}, {response * factor + 15 * shift * (dose > 0):.0f}, {plate}\n"
+        for plate, factor, shift in (("A", 1.0, 0), ("B", 1.06, 1), ("C", 0.95, -1))
+        for dose, response in ((0, 980), (0.25, 960), (0.5, 850), (1, 640), (2, 360), (4, 200))
+    ),
+    "first.ipynb": json.dumps(
+        {
+            "cells": [
+                {
+                    "cell_type": "code", "execution_count": None, "metadata": {}, "outputs": [],
+                    "id": f"cell-{k}", "source": source,
+                }
+                for k, source in enumerate(
+                    [
+                        "import multicell as mc",
+                        "result = mc.load_result('rich')\nresult",
+                        "result.at('2 d').plot(colour='oxygen')",
+                        "mc.run(result.scene.with_changes({'duration': '6 h'}), progress=True)",
+                    ]
+                )
+            ],
+            "metadata": {"kernelspec": {"display_name": "Python 3", "name": "python3"}},
+            "nbformat": 4,
+            "nbformat_minor": 5,
+        }
+    ),
+}  # fmt: skip
+"""What a newcomer types or has: tables of measurements, and a notebook."""
 FIT = [
-    *("--data", str(TOP / "examples" / "growth.csv"), "--budget", "60"),
+    *("--data", "growth.csv", "--budget", "60"),
     *("--set", "duration=60 h", "--set", "initial.count=8", "--set", "coupling_step=20 min"),
     *("--set", "initial.stage=asynchronous"),
     *("--free", "growth.cycle_time=10:30 h", "--free", "cells.division_radius=4:10 um"),
@@ -75,8 +121,34 @@ def steps(venv: Path) -> list[Step]:
         ),
         Step('`pip install ".[study]"`', [[pip, "install", "--quiet", f"{TOP}[study]"]]),
         Step(
+            "your cell line at three levels of oxygen, three seeds each, with bands",
+            [
+                [multicell, "study", "new", "mine.toml", *LEVELS, "-o", "levels"],
+                [multicell, "study", "run", "levels", "--quiet"],
+                [multicell, "study", "report", "levels"],
+            ],
+        ),
+        Step(
             "fit of two parameters to a growth curve, 60 runs",
             [[multicell, "fit", "growth", *FIT, "-o", "fit", "--quiet"]],
+        ),
+        Step(
+            "IC50 of a measured plate",
+            [[multicell, "dose-response", "--data", "plate.csv", "-o", "ic50"]],
+        ),
+        Step(
+            "a notebook (`pip install nbclient ipykernel`, three cells)",
+            [
+                [pip, "install", "--quiet", "nbclient", "ipykernel"],
+                [str(venv / "bin" / "jupyter"), "execute", "--inplace", "first.ipynb"],
+            ],
+        ),
+        Step(
+            "exports: tables, a crate for a repository",
+            [
+                [multicell, "export", "rich", "-o", "tables"],
+                [multicell, "export", "rich", "-o", "crate", "--format", "ro-crate"],
+            ],
         ),
         Step(
             "figures as PDF",
@@ -155,6 +227,8 @@ def main(arguments: list[str] | None = None) -> dict[str, Times]:
     given = parser.parse_args(arguments)
     folder = given.keep or Path(tempfile.mkdtemp(prefix="newcomer-"))
     folder.mkdir(parents=True, exist_ok=True)
+    for name, text in FILES.items():
+        (folder / name).write_text(text, "utf-8")
     times: dict[str, Times] = {}
     try:
         for step in steps(folder.resolve() / "venv"):

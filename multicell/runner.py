@@ -33,7 +33,7 @@ from multicell.results.frame import Frame
 from multicell.results.measures import check_observables
 from multicell.results.quantities import units_of
 from multicell.results.records import resume_obstacle
-from multicell.scene.scene import load_scene
+from multicell.scene.scene import Scene, load_scene
 from multicell.simulation import Simulation
 from multicell.units import shown
 
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from multicell.results.lineage import Lineage
     from multicell.results.reader import Contents
     from multicell.results.writer import Store
-    from multicell.scene.scene import Scene
 
 
 @final
@@ -96,9 +95,9 @@ def run(
         those of the scene. The folder does not hold them: to resume the run needs them again.
     cells
         Cells to start with, in place of those of the scene: :class:`multicell.Cells` (of a frame),
-        a pandas ``DataFrame``, columns by title, or the path of a CSV or Parquet file, with columns
-        as an export has them (``position_x_um``). The folder holds them as ``initial.cells`` of its
-        scene, so that the run can be repeated.
+        a pandas ``DataFrame``, columns by title, or the path of a CSV, Parquet or AnnData file,
+        with columns as an export has them (``position_x_um``). The folder holds them as
+        ``initial.cells`` of its scene, so that the run can be repeated.
 
     Returns
     -------
@@ -119,6 +118,8 @@ def run(
     """
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
+    if not isinstance(scene, Scene):
+        raise SceneError("", f"the scene is {shown(scene)}, must be a Scene, a name or a path")
     options = RunOptions(
         output=output, integrator=integrator, overwrite=overwrite, threads=threads,
         progress=progress, reactions=reactions,

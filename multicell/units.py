@@ -169,7 +169,9 @@ def _from_text(text: str, unit: str, path: str) -> float:
         raise SceneError(path, f"is {shown(text)}, must be a number and a unit", _example(unit))
     digits, unit_text = match[1], match[2].strip()
     if not unit_text:
-        raise SceneError(path, f"is {shown(text)}, a string without a unit", _example(unit))
+        like = _UNITS[unit][3].partition(" ")[2] if unit in _UNITS else unit
+        hint = f"Write for example '{digits} {like}'." if like else _example(unit)
+        raise SceneError(path, f"is {shown(text)}, a string without a unit", hint)
     factor = _factor(unit_text, unit, text, path)
     number = finite(float(digits), path, "a number")
     if number == 0.0 and not Decimal(digits).is_zero():
@@ -189,6 +191,9 @@ def _factor(unit_text: str, unit: str, text: str, path: str) -> float:
         return COMMON.get(unit, {}).get(unit_text, 1.0)
     import pint
 
+    if re.match(r",\d", unit_text):
+        hint = "Use '.' as decimal separator."
+        raise SceneError(path, f"is {shown(text)}, its unit cannot be read", hint)
     if not _UNIT_TEXT.fullmatch(unit_text) or _RUNAWAY.search(unit_text):
         raise SceneError(path, f"is {shown(text)}, its unit cannot be read", _example(unit))
     try:

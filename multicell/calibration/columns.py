@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -23,6 +24,8 @@ from multicell.units import to_base
 
 _ERRORS: Final = ("sd", "sem")
 _NO_CONDITIONS: Final = ("title", "seed")
+_TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
+"""Units of times by titles without one."""
 
 
 @final
@@ -86,7 +89,15 @@ class Column:
 
 def columns_of(table: Table, scene: Scene) -> list[Column]:
     """Return what the columns of a table hold."""
-    columns = [_column(title, scene, table.name) for title in table.titles]
+    columns: list[Column] = []
+    for title in table.titles:
+        try:
+            columns.append(_column(title, scene, table.name, columns))
+        except DataError as error:
+            if columns or "no observable" not in error.problem:
+                raise
+            hint = f"A column of times is titled 'day' or 'time / h'. {error.hint}"
+            raise DataError(error.place, error.problem, hint) from None
     seen: dict[tuple[str, str], str] = {}
     for column in columns:
         key = column.kind, column.name
@@ -105,8 +116,8 @@ def columns_of(table: Table, scene: Scene) -> list[Column]:
     return columns
 
 
-def _column(title: str, scene: Scene, table: str) -> Column:
-    """Return what one column holds."""
+def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> Column:
+    """Return what one column holds; ``before``: those to its left."""
     place = f"{table}, '{title}'"
     name, unit = split_title(title)
     if title.startswith("#"):
@@ -117,13 +128,19 @@ def _column(title: str, scene: Scene, table: str) -> Column:
         raise DataError(place, "has a '/' and no unit after it")
     if name in ("time", "start", "depth"):
         return _with_unit(name, name, unit, "um" if name == "depth" else "s", title, place)
-    if title == "day":
-        return Column("time", "time", "d", "s", title)
+    if title.lower() in _TIMES:
+        return Column("time", "time", _TIMES[title.lower()], "s", title)
     if name in ("label", "specimen"):
         return _with_unit(name, name, unit, "", title, place)
     if name.startswith("at "):
         name = name.removeprefix("at ").strip()
         return _with_unit("at", name, unit, _unit_in(name, in_history(scene), place), title, place)
+    if name in (*_ERRORS, "n"):  # of the values to its left, in their unit
+        last = before[-1] if before else None
+        if last is None or last.kind not in ("value", *_ERRORS, "n"):
+            raise DataError(place, "has no column of values to its left")
+        name = f"{last.name} {name}"
+        unit = unit or ("" if name.endswith(" n") else last.unit)
     stem, _, kind = name.rpartition(" ")
     if stem and kind in (*_ERRORS, "n"):
         base = "" if kind == "n" else _unit_of(stem, scene, place)
@@ -198,7 +215,7 @@ def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: st
     """Return a column of numbers once its unit has been checked."""
     stem = split_title(title)[0]
     if base and not unit:
-        raise DataError(place, "has no unit", f"Write '{stem} / {base}'.")
+        raise DataError(place, "has no unit", f"Write '{stem} / {'h' if base == 's' else base}'.")
     if unit and not base:
         raise DataError(place, f"has the unit '{unit}', must have none", f"Write '{stem}'.")
     if base:

@@ -8,7 +8,8 @@ by its title, ``NAME / UNIT`` (or ``NAME [UNIT]``)::
     96,       370,           19,               4409,  0.2
 
 =====================  ===========================================================================
-``time / h``           when it was measured; empty: at the end of the run. ``day`` is ``time / d``
+``time / h``           when it was measured; empty: at the end of the run. ``day`` is ``time / d``,
+                       ``hours`` is ``time / h``
 ``start / h``          age of the culture, on the clock of ``time``, at which the run begins
 ``at diameter / um``   instead of a time: when this observable first has this value
 an observable          any number of a run's history; of its summary for rows without a time.
@@ -21,6 +22,7 @@ a field                concentration at a depth, mean over the shell there; oxyg
                        over the seeds of runs count as 1/n
 ``diameter sem / um``  in place of both: the standard error of the mean over tissues, which holds
                        their scatter; ``/ %`` of the value
+``sd``, ``n``          of the values to their left, in the same unit; ``sem`` likewise
 a key of the scene     the conditions of the row
 ``label``              name of the row's condition, for pictures
 =====================  ===========================================================================

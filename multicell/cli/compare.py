@@ -38,7 +38,7 @@ def _seconds(name: str, help: str, default: float | None = None) -> Callable[[An
 
 
 _comparing = shared.grouped(
-    click.argument("scene"),
+    click.argument("scene", type=shared.SCENE),
     shared.output_option("Folder for the results; it must be empty or new."),
     shared.law_option,
     shared.changes_option,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from multicell.cli.options import (
+    SCENE,
     as_json_option,
     changes_option,
     console,
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @click.command(name="dose-response")
-@click.argument("scene", required=False)
+@click.argument("scene", required=False, type=SCENE)
 @output_option("Folder of the analysis; its runs are kept there.")
 @click.option(
     "--dose",

@@ -31,7 +31,7 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
 
 
 @click.command()
-@click.argument("scene")
+@click.argument("scene", type=shared.SCENE)
 @click.option(
     "--data",
     required=True,

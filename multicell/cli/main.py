@@ -23,6 +23,7 @@ from multicell.cli.dose_response import dose_response
 from multicell.cli.fit import fit
 from multicell.cli.importing import importing
 from multicell.cli.movie import movie
+from multicell.cli.play import play
 from multicell.cli.plot import plot
 from multicell.cli.process import Commands, complain, print_json
 from multicell.cli.scenes import coarsen, init, scenes, schema
@@ -50,7 +51,7 @@ def main() -> None:
 
 
 @main.command()
-@click.argument("scene")
+@click.argument("scene", type=shared.SCENE)
 @shared.law_option
 @shared.changes_option
 @shared.as_json_option
@@ -79,13 +80,13 @@ _run_options = shared.grouped(
 
 
 @main.command()
-@click.argument("scene")
+@click.argument("scene", type=shared.SCENE)
 @shared.output_option("Folder for the results; it must be empty or new.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of the random numbers.")
 @click.option(
     "--cells",
     metavar="FILE",
-    help="Cells to start with, a CSV or Parquet table (--set initial.cells=FILE).",
+    help="Cells to start with: a CSV or Parquet table, or .h5ad (--set initial.cells=FILE).",
 )
 @shared.law_option
 @_run_options
@@ -137,9 +138,18 @@ def resume(
     from multicell.runner import resume as resumed
     from multicell.scene.scene import load_scene
 
+    if not (folder / "scene.toml").exists():
+        raise OutputError(f"there are no results in '{folder}': scene.toml is missing")
     scene = load_scene(folder / "scene.toml").with_changes(parsed)
     go_on = partial(resumed, folder, frame, output=output, changes=parsed, integrator=integrator)
     _simulate(go_on, scene, output or folder, **options)
+
+
+def _formats(_: click.Context) -> list[str]:
+    """Return the names of the formats of exports."""
+    from multicell.report.exports import FORMATS
+
+    return list(FORMATS)
 
 
 @main.command()
@@ -147,10 +157,12 @@ def resume(
 @shared.output_option("Folder for the files.")
 @click.option(
     "--format",
+    type=shared.Names("format", _formats, strict=True),
+    metavar="NAME",
     default="csv",
     show_default=True,
-    help="Of the files: csv or parquet tables, vtk for ParaView, anndata for scverse, netcdf, "
-    "simularium for its viewer, openvt.",
+    help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
+    "netcdf, simularium for its viewer, openvt, ro-crate for repositories.",
 )
 @click.option(
     "--tables",
@@ -184,7 +196,7 @@ def export(
 
 
 for added in (
-    scenes, init, coarsen, schema, plot, view, movie, compare, stability, study, sensitivity,
+    scenes, init, coarsen, schema, plot, view, play, movie, compare, stability, study, sensitivity,
     doctor, dose_response, fit,
 ):  # fmt: skip
     main.add_command(added)

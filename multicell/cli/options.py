@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import click
+from click.shell_completion import CompletionItem
 
-from multicell.errors import OutputError, SceneError
+from multicell.errors import MulticellError, OutputError, SceneError
 from multicell.host.files import parse_toml
 from multicell.units import shown
 
@@ -32,6 +33,59 @@ def grouped(*options: Option) -> Option:
     return add
 
 
+@final
+class Names(click.ParamType):  # type: ignore[type-arg]
+    """Words that a shell completes; they are looked up when they are needed.
+
+    - ``names``: returns them, given the context of the command
+    - ``strict``: whether other words are refused; else files are completed where no word fits
+    """
+
+    def __init__(
+        self, name: str, names: Callable[[click.Context], Iterable[str]], *, strict: bool = False
+    ) -> None:
+        self.name, self._names, self._strict = name, names, strict
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the value; refuse one that is none of the words, if ``strict``."""
+        if self._strict and ctx is not None and value not in (known := list(self._names(ctx))):
+            from multicell.schema import near_miss
+
+            self.fail(f"{value!r} is no {self.name}. {near_miss(value, known)}", param, ctx)
+        return value
+
+    def shell_complete(
+        self, ctx: click.Context, _: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the words that begin so."""
+        try:
+            fitting = [name for name in self._names(ctx) if name.startswith(incomplete)]
+        except MulticellError:  # there is no such scene: a shell has no place for errors
+            fitting = []
+        if fitting or self._strict:
+            return [CompletionItem(name) for name in fitting]
+        return [CompletionItem(incomplete, type="file")]
+
+
+def _scenes(_: click.Context) -> list[str]:
+    from multicell.scene.scene import scene_names
+
+    return scene_names()
+
+
+def _keys(context: click.Context) -> list[str]:
+    """Return the keys of the scene that the command names, each with its equals sign."""
+    from multicell.scene.scene import load_scene
+    from multicell.studies.keys import all_keys
+
+    # arguments are not named yet where an option still lacks its value
+    scene = context.params.get("scene") or next(iter(context.args), "spheroid")
+    return [f"{key}=" for key in all_keys(load_scene(scene))]
+
+
+SCENE = Names("scene", _scenes)
+KEYS = Names("text", _keys)
+_SHORT = 500.0  # s; a time of a scene that is shorter is likely meant in hours
 _MAX_DEPTH = 20  # tables and lists of a scene stand at most five deep
 
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
@@ -53,6 +107,7 @@ changes_option = click.option(
     "--set",
     "changes",
     multiple=True,
+    type=KEYS,
     callback=with_values,
     metavar="KEY=VALUE",
     help="Change one value of the scene, for example --set duration='8 d' or "
@@ -154,7 +209,33 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
         if given.get(part, {}).get(what) != name:
             parsed = {key: name, **parsed}
     own = click.get_current_context().meta.get(_OBSERVABLES, ())
-    return scene.with_changes(parsed).with_observables(*own)
+    described = scene.with_changes(parsed).with_observables(*own)
+    _note_short_times(source, parsed, described)
+    return described
+
+
+def _note_short_times(source: str, changes: Mapping[str, Any], scene: Scene) -> None:
+    """Note numbers without a unit that are a few seconds where hours are likely meant."""
+    from multicell.cli.process import complain
+    from multicell.scene.scene import scene_text
+    from multicell.schema import leaves
+
+    given = dict(changes)
+    written = parse_toml(scene_text(source)).get("duration")
+    if isinstance(written, int):  # what multicell writes has a decimal point
+        given = {"duration": written, **given}
+    for path, _, spec in leaves(scene):
+        key = ".".join(path)
+        value = given.get(key)
+        if (
+            spec.unit == "s" and path[0] not in ("coupling_step", "integrator")
+            and isinstance(value, int | float) and 0.0 < value < _SHORT
+            and not click.get_current_context().params.get("quiet")
+        ):  # fmt: skip
+            complain(
+                f"Note: {key} is {value:g} s: a number without a unit is in seconds. "
+                f"Write '{value:g} h' for hours."
+            )
 
 
 def name_law(spec: str) -> dict[str, str]:

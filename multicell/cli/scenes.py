@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("name", required=False, type=shared.SCENE)
 @click.option("--show", is_flag=True, help="Print the scene NAME as TOML, with units and remarks.")
 @click.option("--full", is_flag=True, help="Print it with every key that it could have left out.")
 @shared.as_json_option
@@ -56,7 +56,7 @@ def _print_scene(name: str, full: bool, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("name")
+@click.argument("name", type=shared.SCENE)
 @shared.output_option("File to write, by default NAME.toml here.", required=False)
 @click.option("--full", is_flag=True, help="Write every key, also those that could be left out.")
 @shared.overwrite_option("Replace the file.")
@@ -79,7 +79,7 @@ def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: b
 
 
 @click.command()
-@click.argument("scene")
+@click.argument("scene", type=shared.SCENE)
 @shared.output_option("File to write.")
 @click.option("--factor", type=float, default=2.0, show_default=True, help="Of the cells' widths.")
 @shared.changes_option

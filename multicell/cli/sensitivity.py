@@ -14,7 +14,7 @@ from multicell.cli.process import complain, print_json
 
 
 @click.command()
-@click.argument("scene")
+@click.argument("scene", type=shared.SCENE)
 @shared.output_option("Folder of the analysis; its runs are kept there.")
 @studies.free_option
 @click.option(

@@ -36,6 +36,7 @@ scheduler_option = click.option(
 free_option = click.option(
     "--free",
     multiple=True,
+    type=shared.KEYS,
     callback=shared.with_values,
     metavar="KEY=LOW:HIGH",
     help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
@@ -52,11 +53,12 @@ def study() -> None:
 
 
 @study.command()
-@click.argument("scene")
+@click.argument("scene", type=shared.SCENE)
 @shared.output_option("Folder of the study.")
 @click.option(
     "--vary",
     multiple=True,
+    type=shared.KEYS,
     callback=shared.with_values,
     metavar="KEY=VALUES",
     help="Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "

@@ -12,6 +12,7 @@ from multicell.errors import MissingPackage
 EXTRAS: Final = {
     "export": ("anndata", "h5netcdf", "pandas", "pyarrow", "pyvista", "xarray"),
     "movie": ("imageio_ffmpeg",),
+    "play": ("tornado",),
 }
 """What some of the optional sets of packages bring; all others are those of studies."""
 

@@ -13,7 +13,7 @@ from dataclasses import MISSING, Field, fields
 from typing import Any, Final
 
 from multicell.scene.scene import Scene
-from multicell.schema import Bounds, Parameter, specs
+from multicell.schema import SYNONYMS, Bounds, Parameter, specs
 
 Schema = dict[str, Any]
 
@@ -54,6 +54,11 @@ def _table(part: type, parts: dict[str, Schema], also: Schema | None = None) -> 
         "properties": {
             **(also or {}),
             **{name: _describe(spec, parts) for name, spec in known.items()},
+            **{
+                name: _describe(known[key], parts) | {"description": f"another name of '{key}'"}
+                for name, (key, _, factor) in SYNONYMS.items()
+                if key in known and name not in known
+            },
         },
         "additionalProperties": False,
     }

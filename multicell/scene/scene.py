@@ -57,6 +57,7 @@ from multicell.scene.reactions import Reaction
 from multicell.scene.responses import Response, Signal, check_responses
 from multicell.scene.shown import as_html, in_a_line
 from multicell.schema import (
+    SYNONYMS,
     Tables,
     build,
     count,
@@ -330,8 +331,14 @@ def load_scene(source: str | Path) -> Scene:
     try:
         entries = parse_toml(content)
     except ValueError as error:  # also integers of thousands of digits
-        raise SceneError("", f"{str(source)!r} is not valid TOML: {error}") from None
+        bare = _BARE.search(content)
+        hint = f"A value with a unit stands in quotes: '{bare[1]}'." if bare else ""
+        raise SceneError("", f"{str(source)!r} is not valid TOML: {error}", hint) from None
     return Scene.from_dict(beside(entries, source))
+
+
+_BARE = re.compile(r"^[ \t]*[\w.]+[ \t]*=[ \t]*([\d.]+ *[A-Za-zµ%][^\s#]*)", re.MULTILINE)
+"""A quantity without quotes in a scene file."""
 
 
 def beside(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
@@ -381,6 +388,8 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
     if spec is not None and spec.shorthand and isinstance(value, str):
         key = f"{key}.{spec.shorthand}"
     *parents, last = key.split(".")
+    if key.partition(".")[0] not in specs(Scene):
+        _refuse_unknown(entries, key)
     node = entries
     for depth, name in enumerate(parents, start=1):
         if value is None and name not in node:
@@ -394,6 +403,13 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         node["parameters"], value = plain(value), value.scene_name()
     if spec is not None and is_dataclass(value):
         value = spec.plain(value)
+    if isinstance(value, str) and isinstance(node.get(last), dict) and spec is None:
+        names = ", ".join(list(node[last])[:8])
+        raise SceneError(key, f"is a table, not {shown(value)}", f"Name one of its keys: {names}.")
+    if last in SYNONYMS:  # the new value takes the place of the old one
+        node.pop(SYNONYMS[last][0], None)
+        if value is None:
+            return
     if value is None and last in node:
         del node[last]
     else:
@@ -409,6 +425,16 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
     if key == "contact.law" and isinstance(value, str) and value in LAWS:
         allowed = {"law", *specs(LAWS[value])}
         entries["contact"] = {k: v for k, v in node.items() if k in allowed}
+
+
+def _refuse_unknown(entries: Mapping[str, Any], key: str) -> None:
+    """Refuse a key that stands in one of a scene's tables under the same name."""
+    first = SYNONYMS.get(key, (key.partition(".")[0],))[0]
+    for name, inside in entries.items():
+        if isinstance(inside, dict) and first in inside:
+            inner = ".boundary" if name == "nutrients" and "." not in key else ""
+            hint = f"Did you mean '{name}.{key}{inner}'?"
+            raise SceneError(key, "is not a key at the top of a scene", hint)
 
 
 _KEY = re.compile(r'("(?:[^"\\]|\\.)*"|[\w-]+) = ')

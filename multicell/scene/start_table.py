@@ -21,8 +21,9 @@ from multicell.cells import Cells, Phase, State
 from multicell.errors import DataError, SceneError
 from multicell.schema import count, file_path, near_miss, parameters, text
 from multicell.tables.columns import PARQUET, Columns, from_bytes, from_object, parsed
+from multicell.tables.h5ad import HDF5, h5ad_columns
 from multicell.tables.text import read_bytes
-from multicell.tables.titles import read_title, titled, unknown_title
+from multicell.tables.titles import Title, read_title, titled, unknown_title
 from multicell.units import RANGES
 
 if TYPE_CHECKING:
@@ -194,6 +195,10 @@ class StartTable:
         except DataError as error:
             hint = "Relative paths count from the folder of the scene file."
             raise SceneError("file", f"'{self.file}' {error.problem}", hint) from None
+        if content.startswith(HDF5):  # from here on it is the table that is in it
+            path = Path(self.file)
+            known = h5ad_columns(path, lambda title: _title(title, path.name) is not None)
+            content = normalise(from_object(known, path.name)).content()
         if self.sha256 not in (None, hashlib.sha256(content).hexdigest()):
             problem = f"'{self.file}' is not the table that the scene was made with"
             raise SceneError("file", problem, "Leave sha256 and rows out to take it as it is now.")
@@ -256,19 +261,24 @@ def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]
     return {titled(name, START_COLUMNS[name]): found[name] for name in START_COLUMNS}
 
 
-def normalise(source: Columns) -> Given:
-    """Return what a table says, in base units and under the names of :data:`START_COLUMNS`."""
-    titles: dict[str, str] = {}
-    factors: dict[str, float] = {}
+def _title(title: str, place: str) -> Title | None:
+    """Return what the title of a column says, or None if nothing is known of it."""
     known = {
         **START_COLUMNS,
         **{alias: START_COLUMNS[name] for alias, name in ALIASES.items()},
         **IGNORED_COLUMNS,
     }
+    return read_title(title, known, place)
+
+
+def normalise(source: Columns) -> Given:
+    """Return what a table says, in base units and under the names of :data:`START_COLUMNS`."""
+    titles: dict[str, str] = {}
+    factors: dict[str, float] = {}
     for title in source.columns:
         if title.startswith(CONCENTRATION_PREFIX):
             continue
-        read = read_title(title, known, source.name)
+        read = _title(title, source.name)
         if read is None:
             raise unknown_title(title, START_COLUMNS, source.name)
         name = ALIASES.get(read.name, read.name)

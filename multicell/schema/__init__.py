@@ -40,6 +40,7 @@ from multicell.schema.declarations import (
     whole_numbers,
 )
 from multicell.schema.part import (
+    SYNONYMS,
     Parameter,
     Tables,
     build,
@@ -51,6 +52,7 @@ from multicell.schema.part import (
 )
 
 __all__ = [
+    "SYNONYMS",
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
     "flag", "interval", "leaves", "measure", "measure_points", "measures", "moments", "names",
     "near_miss", "number", "parameters", "plain",

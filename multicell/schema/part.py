@@ -5,16 +5,26 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from typing import Any, TypeVar, final
+from typing import Any, Final, TypeVar, final
 
 from multicell.errors import SceneError
 from multicell.schema.bounds import Bounds
-from multicell.units import shown
+from multicell.units import shown, to_base
 
 T = TypeVar("T")
 
 _LISTED = 220
 """Letters of all names together that an error lists."""
+
+SYNONYMS: Final[Mapping[str, tuple[str, str, float]]] = {
+    "doubling_time": ("cycle_time", "s", 1.0),
+    "diameter": ("division_radius", "um", 1.0 / (1.0 + 0.5 ** (1.0 / 3.0))),
+}
+"""Other names of keys, where a part has those: key, base unit, and its value over the given one.
+
+Without losses a population doubles in a mean cycle. A diameter is that of a cell half-way between
+birth, with half of the volume at division, and division.
+"""
 
 
 V = TypeVar("V")
@@ -104,11 +114,12 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
     - ``path``: where the table stands, as dotted keys
     - ``also``: keys that the caller has taken out already, for the list of allowed keys
     """
-    entries = mapping(value, path)
     known = specs(part)
+    entries = _translated(mapping(value, path), known, path)
     for key in entries:
         if key not in known:
-            hint = near_miss(key, [*also, *known])
+            others = [name for name, (other, *_) in SYNONYMS.items() if other in known]
+            hint = near_miss(key, [*also, *known, *others])
             raise SceneError(_join(path, key or "''"), "is not a known key here", hint)
     for spec in fields(part):  # type: ignore[arg-type]
         needed = spec.default is MISSING and spec.default_factory is MISSING
@@ -118,6 +129,20 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
         return part(**entries)
     except SceneError as error:
         raise SceneError(_join(path, error.path), error.problem, error.hint) from None
+
+
+def _translated(
+    entries: dict[str, Any], known: Mapping[str, Parameter], path: str
+) -> dict[str, Any]:
+    """Return the entries of a table with :data:`SYNONYMS` under the names of its keys."""
+    for name, (key, unit, factor) in SYNONYMS.items():
+        if name not in entries or name in known or key not in known:
+            continue
+        if entries.get(key) is not None:
+            raise SceneError(_join(path, name), f"is another name of '{key}', which is given too")
+        value = entries.pop(name)
+        entries[key] = value if factor == 1.0 else factor * to_base(value, unit, _join(path, name))
+    return entries
 
 
 def leaves(
@@ -165,7 +190,9 @@ def chosen(
 def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
     """Return ``"Did you mean 'viscosity'?"`` if a name is near, and the list of all names."""
     names = {option.lower(): option for option in options}
-    near = difflib.get_close_matches(str(name).lower(), names, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(str(name).lower(), names, n=1, cutoff=0.6) or [
+        option for option in names if str(name).lower() in option.split("_")
+    ]
     parts = [f"Did you mean '{names[near[0]]}'?"] if near else []
     if listed:
         parts.append(f"Allowed: {_listed(list(names.values()))}")

@@ -34,9 +34,9 @@ def is_picture(path: Path) -> bool:
 def test_every_example_states_problem_cost_and_command() -> None:
     files = sorted(EXAMPLES.glob("*.py"))
     assert [f.stem for f in files] == [
-        "exact_jkr", "figure_3_3", "fit_growth", "jkr_curves", "own_growth_law",
-        "own_integrator", "own_law", "own_observable", "slurm_study", "small_spheroid", "study",
-        "table_3_2",
+        "confinement", "exact_jkr", "figure_3_3", "fit_growth", "fusion", "hypoxia_switched",
+        "jkr_curves", "monolayer_front", "own_growth_law", "own_integrator", "own_law",
+        "own_observable", "slurm_study", "small_spheroid", "sorting_types", "study", "table_3_2",
         "two_cells",
     ]  # fmt: skip
     for file in files:
@@ -138,3 +138,82 @@ def test_own_laws_bring_cells_to_rest_as_ours_do() -> None:
     np.testing.assert_allclose(ends["Sticky"], ours.position, atol=1e-6)
     # a law that only repels spreads them further
     assert ends["Square"].std() > 1.1 * ends["Sticky"].std()
+
+
+@pytest.mark.slow
+def test_the_hypoxic_core_has_the_radius_of_the_closed_form(tmp_path: Path) -> None:
+    radii = load("hypoxia_switched").main(tmp_path)
+    assert radii["hypoxic"] == pytest.approx(radii["closed form"], rel=0.02)
+    assert radii["hypoxic"] > 30.0
+    assert radii["otherwise"] == 0.0
+    assert is_picture(tmp_path / "hypoxia_switched.png")
+
+
+def test_the_closed_form_of_the_core_solves_the_equation_of_diffusion() -> None:
+    """Found again by integrating c'' + 2 c'/r = q/D from the centre outwards."""
+    from scipy.integrate import solve_ivp
+
+    example = load("hypoxia_switched")
+    radius, cells = 60.0, 1400.0
+    q = cells * example.UPTAKE / (4 / 3 * np.pi * radius**3)
+    core = float(example.closed_form(np.array(radius), np.array(cells), np.array(0.028)))
+    at = example.THRESHOLD - q * core**2 / (6 * example.DIFFUSION)  # at the centre
+
+    def slopes(r: float, y: np.ndarray) -> list[float]:
+        return [y[1], (q / example.DIFFUSION if r < radius else 0.0) - 2 * y[1] / r]
+
+    ends = (1e-6, radius), (radius, radius + example.LAYER)
+    inner = solve_ivp(slopes, ends[0], [at, 0.0], rtol=1e-10, atol=1e-14).y[:, -1]
+    outer = solve_ivp(slopes, ends[1], inner, rtol=1e-10, atol=1e-14).y[0, -1]
+    assert 0.0 < core < radius
+    assert outer == pytest.approx(0.028, rel=1e-6)
+
+
+def test_the_pressure_of_a_gel_is_the_integral_of_its_stresses() -> None:
+    from scipy.integrate import quad
+
+    pressure = load("confinement").pressure
+    for stretch in (1.01, 1.3, 3.0):
+        exact = quad(lambda x: 2 * 10.0 * (1 + x**3) / x**5, 1.0, stretch)[0]
+        assert pressure(np.array(12.0 * stretch), 30.0) == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_gel_stops_growth_as_the_equation_for_the_volume_says(tmp_path: Path) -> None:
+    example = load("confinement")
+    short = {"duration": "1.25 d"}
+    for ours, line in example.main(tmp_path, **short).values():
+        assert ours > 12.5
+        assert ours == pytest.approx(line, rel=0.08)
+    assert is_picture(tmp_path / "confinement.png")
+
+
+@pytest.mark.slow
+def test_only_cells_that_prefer_their_like_sort(tmp_path: Path) -> None:
+    parts = load("sorting_types").main(tmp_path, duration="5 h")
+    assert parts["random mixture"] == pytest.approx(0.5, abs=0.01)
+    assert parts["all stick alike"] == pytest.approx(parts["random mixture"], abs=0.06)
+    assert parts["like cells stick more"] < 0.4
+    assert is_picture(tmp_path / "sorting_types.png")
+
+
+@pytest.mark.slow
+def test_the_front_of_a_monolayer_moves_as_its_edge_grows(tmp_path: Path) -> None:
+    found = load("monolayer_front").main(tmp_path, stop_cells=700)
+    assert found["speed"] == pytest.approx(found["balance"], rel=0.15)
+    assert 0.6 * found["unlimited"] < found["rate"] < 1.1 * found["unlimited"]
+    assert is_picture(tmp_path / "monolayer_front.png")
+
+
+def test_two_drops_become_one_ball() -> None:
+    ratio = load("fusion").drops(np.array([0.0, 0.1, 1.0, 200.0]))
+    assert ratio[0] == pytest.approx(np.sqrt(1.2 / 0.2), rel=0.01)  # two balls that touch
+    assert (np.diff(ratio) < 0.0).all()
+    assert ratio[-1] == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.slow
+def test_two_spheroids_fuse_and_stop_before_they_are_a_ball(tmp_path: Path) -> None:
+    found = load("fusion").main(tmp_path, duration="6 h")
+    assert 1.0 < found["liquid"] < found["tissue"] < 1.6
+    assert is_picture(tmp_path / "fusion.png")

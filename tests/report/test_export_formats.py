@@ -1,5 +1,6 @@
 """Exports read back by the programs that they are for, and held against the store bit by bit."""
 
+import hashlib
 import json
 import sys
 import weakref
@@ -274,3 +275,58 @@ def test_command(run, tmp_path, format):
     wrong = CliRunner().invoke(main, [*given, "--json"])
     assert wrong.exit_code == 2
     assert "exists already" in wrong.output
+
+
+def test_a_crate_describes_all_files_of_the_run(run, tmp_path):
+    from rocrate.rocrate import ROCrate
+
+    paths = mc.export(run.folder, tmp_path / "crate", format="ro-crate")
+    crate = ROCrate(tmp_path / "crate")
+    assert crate.version == "1.1"
+    files = {entity.id: entity for entity in crate.get_by_type("File")}
+    assert {path.name for path in paths} == {*files, "ro-crate-metadata.json"}
+    assert {"scene.toml", "frames.h5", "summary.json"} <= set(files)
+    for name, entity in files.items():
+        content = (tmp_path / "crate" / name).read_bytes()
+        assert content == (run.folder / name).read_bytes()
+        assert entity["sha256"] == hashlib.sha256(content).hexdigest()
+    (action,) = crate.get_by_type("CreateAction")
+    assert action["object"].id == "scene.toml"
+    assert {entity.id for entity in action["result"]} == set(files) - {"scene.toml"}
+    made = {entity["name"]: entity["softwareVersion"] for entity in action["instrument"]}
+    assert made["multicell"] == mc.__version__
+    figures = {entity["name"]: entity["value"] for entity in crate.root_dataset["variableMeasured"]}
+    assert figures["cells"] == f"{run.summary()['cells']:,}"
+    # what is in a crate is a run like any other
+    assert len(mc.load_result(tmp_path / "crate").frames) == len(run.frames)
+
+
+def test_a_crate_needs_files_of_a_run_that_is_done(tmp_path):
+    with pytest.raises(mc.OutputError, match="no output folder"):
+        mc.export(mc.run("doublet-settle"), tmp_path, format="ro-crate")
+
+
+def test_a_run_starts_with_the_cells_of_an_anndata_file(run, tmp_path):
+    mc.export(run.folder, tmp_path, format="anndata", frame=-1)
+    data = anndata.read_h5ad(tmp_path / "cells.h5ad")
+    data.obs["leiden"] = "1"  # of another program
+    data.write_h5ad(tmp_path / "cells.h5ad")
+    scene = run.scene.with_changes({"duration": "10 min"})
+    mine = mc.run(scene, cells=tmp_path / "cells.h5ad", output=tmp_path / "mine", report=False)
+    same = mc.run(scene, cells=run.frames[-1].cells)
+    for name in ("position", "radius", "state", "kind", "age", "cycle_time"):
+        ours, theirs = (getattr(r.frames[-1].cells, name) for r in (mine, same))
+        np.testing.assert_array_equal(ours, theirs)
+    again = mc.run(tmp_path / "mine" / "scene.toml")  # the folder holds the table
+    np.testing.assert_array_equal(again.frames[-1].cells.position, mine.frames[-1].cells.position)
+
+
+@pytest.mark.parametrize("content", ["nothing", "places"])
+def test_an_anndata_file_without_cells_is_refused(content, tmp_path):
+    path = tmp_path / "cells.h5ad"
+    if content == "nothing":
+        path.write_bytes(b"\x89HDF\r\n\x1a\n")
+    else:
+        anndata.AnnData(np.ones((3, 2))).write_h5ad(path)
+    with pytest.raises(mc.MulticellError, match=r"is no AnnData file|holds no rows|no column"):
+        mc.run("growth", cells=path)

@@ -65,6 +65,7 @@ FORMATS: Final = {
     "simularium": Format("exports.simularium.write", ["run.simularium"]),
     "openvt": Format("exports.openvt.write", ["openvt.csv"]),
     "page": Format("viewer.embed.write", ["view.html"]),
+    "ro-crate": Format("exports.ro_crate.write", ["ro-crate-metadata.json"]),
 }
 """Formats by name."""
 
@@ -105,6 +106,9 @@ def export(
 
     ``"page"`` is for any browser: ``view.html`` shows the cells in space and time, up to 100,000 in
     a frame, 50 frames, and needs nothing else. It holds less than 25 MB.
+
+    ``"ro-crate"`` is for repositories: the files of the folder, and ``ro-crate-metadata.json``,
+    which states in the form of RO-Crate 1.1 what they are and what made them of which scene.
 
     Parameters
     ----------

@@ -1,0 +1,91 @@
+"""The command ``multicell play``: a page with sliders, and a run for where they stand."""
+
+from __future__ import annotations
+
+import webbrowser
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+from multicell.cli import options as shared
+from multicell.cli.process import complain
+from multicell.cli.study import key_values
+from multicell.errors import SceneError
+from multicell.host.extras import needs
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+@click.command()
+@click.argument("scene", type=shared.SCENE)
+@click.option(
+    "--key",
+    "keys",
+    multiple=True,
+    required=True,
+    type=shared.KEYS,
+    callback=shared.with_values,
+    metavar="KEY=LOW:HIGH",
+    help="A slider, as nutrients.oxygen.boundary='1:21 %' or drag.viscosity='log 0.1:10 kPa s'. "
+    "May be given several times.",
+)
+@click.option(
+    "--coarse",
+    type=float,
+    metavar="FACTOR",
+    help="Run with cells so many times as wide; 1: as they are.  [default: 2 where possible]",
+)
+@click.option(
+    "--quantity", default="diameter", show_default=True, help="Column of the history to draw."
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="By default a free one.")
+@click.option("--no-browser", is_flag=True, help="Print the address, and do not open it.")
+@shared.law_option
+@shared.changes_option
+def play(
+    scene: str,
+    keys: Sequence[str],
+    coarse: float | None,
+    quantity: str,
+    port: int,
+    no_browser: bool,
+    law: str | None,
+    changes: Sequence[str],
+) -> None:
+    """Open a page with sliders for keys of a SCENE, and the view of a run beside them.
+
+    Each move of a slider begins another run in the background. The page is served to this machine
+    alone, at an address with a secret; Ctrl-C ends all of it.
+    """
+    needs("tornado")
+    described = shared.scene_of(scene, changes, law)
+    from multicell.cli.playground import Playground, serve
+    from multicell.studies.axes import parse_ranges
+
+    ranges = parse_ranges(key_values(keys, "--key"), described)
+    factor, note = _factor(described, coarse)
+    with Playground(described, ranges, factor, note, quantity, law) as playground:
+
+        def ready(address: str) -> None:
+            click.echo(f"{address}\nCtrl-C ends it.")
+            if not no_browser and not webbrowser.open(address):
+                complain("There is no browser to open it.")
+
+        serve(playground, port, ready)
+
+
+def _factor(scene: Scene, wanted: float | None) -> tuple[float, str]:
+    """Return how much wider cells are, and why they are not where that is not possible."""
+    from multicell.scene.coarsening import coarsen
+
+    if wanted == 1.0:
+        return 1.0, ""
+    try:
+        made = coarsen(scene, wanted or 2.0)
+    except SceneError as error:
+        if wanted is not None:
+            raise
+        return 1.0, f"Cells are as the scene has them ({error.path}: {error.problem})."
+    return wanted or 2.0, f"Each cell stands for {made.cells.represents:g}."

@@ -1,0 +1,284 @@
+"""What ``multicell play`` serves: one page, the run for its sliders, and the view of that run.
+
+The server listens on the loopback device. Each request needs the secret of the address, and the
+name of this machine as its host, so that no page of another origin reaches it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hashlib
+import hmac
+import io
+import json
+import os
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Self, final
+
+from markupsafe import Markup
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+from tornado.web import Application, HTTPError, RequestHandler
+
+from multicell.errors import MulticellError, OutputError
+from multicell.report.html import rendered
+from multicell.report.result import Result, load_result
+from multicell.report.wording import cell_count, time_unit
+from multicell.scene.coarsening import coarsen
+from multicell.scene.oxygen import NAME as OXYGEN
+from multicell.schema import leaves
+from multicell.units import COMMON, oxygen_solubility
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+    from multicell.studies.axes import Range
+
+HOST: Final = "127.0.0.1"
+KEPT: Final = 5
+"""Runs that are kept, to compare their curves."""
+
+
+@final
+class Playground:
+    """The runs of a page, one at a time, in a folder that goes with it.
+
+    - ``factor``: by which cells are wider than those of the scene; ``note`` is on that
+    - ``quantity``: column of the history whose curves are compared
+    - ``law``: FILE:NAME of a law of the user's own that the scene needs
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        ranges: Sequence[Range],
+        factor: float,
+        note: str,
+        quantity: str,
+        law: str | None = None,
+    ) -> None:
+        self.scene, self.ranges, self.factor, self.note = scene, ranges, factor, note
+        self._quantity, self._law = quantity, [] if law is None else ["--law", law]
+        self._folder = Path(tempfile.mkdtemp(prefix="multicell-play-"))
+        self._worker: subprocess.Popen[bytes] | None = None
+        self._labels: dict[int, str] = {}
+        self._duration = scene.duration
+        self.number = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def sliders(self) -> list[dict[str, Any]]:
+        """Return what the page needs of each slider; places are from 0 to 1000."""
+        given = {".".join(path): value for path, value, _ in leaves(self.scene)}
+        found = []
+        for item in self.ranges:
+            value = given.get(item.key)
+            place = 500
+            if isinstance(value, int | float) and item.low <= value <= item.high:
+                place = round(1000.0 * item.share(value))
+            other = ""
+            if item.key == f"nutrients.{OXYGEN}.boundary":
+                kpa = 1.0 / oxygen_solubility(self.scene.nutrients[OXYGEN].temperature)
+                other = f"{kpa / COMMON['kPa']['mmHg']:.6g}"
+            unit, factor = (item.unit, 1.0) if item.unit != "s" else ("h", 3600.0)
+            found.append(
+                {
+                    "key": item.key, "low": item.low / factor, "high": item.high / factor,
+                    "log": item.log, "whole": item.whole, "unit": unit, "place": place,
+                    "mmHg": other,
+                }
+            )  # fmt: skip
+        return found
+
+    def start(self, places: Sequence[float]) -> int:
+        """Begin a run where the sliders stand; return its number.
+
+        Raises SceneError for values that do not go together.
+        """
+        shares = [float(place) / 1000.0 for place in places]
+        if len(shares) != len(self.ranges) or not all(0.0 <= share <= 1.0 for share in shares):
+            raise OutputError("the page and its server do not belong together: load it anew")
+        values = [item.value(share) for item, share in zip(self.ranges, shares, strict=True)]
+        changes = {x.key: x.setting(v) for x, v in zip(self.ranges, values, strict=True)}
+        scene = self.scene.with_changes(changes)
+        if self.factor != 1.0:
+            scene = coarsen(scene, self.factor)
+        self.stop()
+        self.number += 1
+        self._duration = scene.duration
+        self._labels[self.number] = f"{self.number}: " + ", ".join(
+            f"{v / 3600.0:.3g} h" if x.unit == "s" else f"{v:.3g} {x.unit}".strip()
+            for x, v in zip(self.ranges, values, strict=True)
+        )
+        for old in [number for number in self._labels if number <= self.number - KEPT]:
+            del self._labels[old]
+            shutil.rmtree(self._folder / str(old), ignore_errors=True)
+        file, log = self._folder / "scene.toml", self._folder / "log"
+        file.write_text(scene.to_toml(), "utf-8")
+        place = str(self._folder / str(self.number))
+        with log.open("wb") as said:
+            self._worker = subprocess.Popen(
+                [sys.executable, "-m", "multicell", "run", str(file), "-o", place, *self._law,
+                 "--no-report", "--quiet"],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said,
+                start_new_session=True,
+            )  # fmt: skip
+        return self.number
+
+    def stop(self) -> None:
+        """End the run that is going on, with the processes that it has started."""
+        worker, self._worker = self._worker, None
+        if worker is None or worker.poll() is not None:
+            return
+        if os.name == "posix":
+            os.killpg(worker.pid, signal.SIGTERM)
+        else:
+            worker.terminate()
+        try:
+            worker.wait(10.0)
+        except subprocess.TimeoutExpired:
+            worker.kill()
+            worker.wait()
+
+    def result(self, number: int | None = None) -> Result | None:
+        """Return a run as far as it is, by default the newest; None before its first frame."""
+        try:
+            found = load_result(self._folder / str(number or self.number))
+        except OutputError:
+            return None
+        return found if len(found.frames) else None
+
+    def status(self) -> dict[str, Any]:
+        """Return how far the newest run is."""
+        code = None if self._worker is None else self._worker.poll()
+        going = self._worker is not None and code is None
+        result = self.result()
+        known = {"number": self.number, "going": going, "frames": 0, "part": 0.0, "text": ""}
+        if self._worker is not None and code:
+            said = (self._folder / "log").read_text("utf-8", "replace").strip().splitlines()
+            return {**known, "text": said[-1] if said else f"The run ended with code {code}."}
+        if result is None:
+            return {**known, "text": "The run begins ..." if going else ""}
+        last = result.frames[-1]
+        unit = time_unit(self._duration)
+        words = [unit.text(last.time), cell_count(round(result.history["cells"][-1]))]
+        if not going:
+            words.append("done" if code == 0 else "stopped")
+        part = last.time / self._duration
+        return {**known, "frames": len(result.frames), "part": part, "text": " · ".join(words)}
+
+    def curves(self) -> bytes:
+        """Return the curves of all kept runs as a PNG."""
+        from multicell.report.plots.overlay import overlay
+
+        found = {label: self.result(number) for number, label in self._labels.items()}
+        shown = {label: run.history for label, run in found.items() if run is not None}
+        if not shown:
+            raise OutputError("there is no run yet")
+        picture = io.BytesIO()
+        overlay(shown, self._quantity).savefig(picture, dpi=130)
+        return picture.getvalue()
+
+    def page(self) -> str:
+        """Return the page."""
+        from importlib.resources import files
+
+        script = (files("multicell.report") / "templates" / "play.js").read_text("utf-8")
+        policy = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+        sliders = self.sliders()
+        return rendered(
+            "play.html", title=self.scene.title or "Untitled scene", subtitle=self.note, tiles={},
+            scene="", sliders=sliders, script=Markup(script), policy=policy,
+            about=Markup(json.dumps(sliders).replace("<", "\\u003c")),
+        )  # fmt: skip
+
+    def view(self) -> str:
+        """Return the view of the newest run."""
+        from multicell.report.viewer.embed import view
+
+        result = self.result()
+        viewer = None if result is None else view(result)
+        if viewer is None:
+            raise OutputError("there is no frame yet")
+        return rendered("view.html", title="", subtitle="", tiles={}, scene="", viewer=viewer)
+
+
+@final
+class _Handler(RequestHandler):
+    """Answer those who know the secret."""
+
+    def initialize(self, playground: Playground, secret: str, hosts: Sequence[str]) -> None:
+        self.playground, self._secret, self._hosts = playground, secret, hosts
+
+    def prepare(self) -> None:
+        """Refuse who does not know the secret, or calls this machine by another name."""
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("Content-Security-Policy", "frame-ancestors 'self'")
+        self.set_header("Referrer-Policy", "no-referrer")
+        given = self.get_query_argument("token", "")
+        known = hmac.compare_digest(given.encode(), self._secret.encode())
+        if not known or self.request.host not in self._hosts:
+            raise HTTPError(403)
+
+    def get(self, what: str) -> None:
+        if what == "curves":
+            self.set_header("Content-Type", "image/png")
+        answers = {"": "page", "view": "view", "curves": "curves", "run": "status"}
+        try:
+            answer = getattr(self.playground, answers[what])()
+        except OutputError:  # there is nothing to see yet
+            raise HTTPError(404) from None
+        self.finish(answer)
+
+    def post(self, _: str) -> None:
+        try:
+            self.finish({"number": self.playground.start(json.loads(self.request.body)["places"])})
+        except (ValueError, TypeError, KeyError):
+            raise HTTPError(400) from None
+        except MulticellError as error:
+            self.set_status(422)
+            self.finish({"text": str(error)})
+
+    def delete(self, _: str) -> None:
+        self.playground.stop()
+        self.finish(self.playground.status())
+
+
+def serve(playground: Playground, port: int, ready: Callable[[str], None]) -> None:
+    """Serve a playground until Ctrl-C or a signal to end; ``ready`` is called with the address."""
+
+    async def serving() -> None:
+        try:
+            sockets = bind_sockets(port, HOST)
+        except OSError as error:
+            raise OutputError(f"port {port} cannot be used: {error.strerror}") from None
+        number, secret = sockets[0].getsockname()[1], secrets.token_urlsafe(24)
+        hosts = [f"{name}:{number}" for name in (HOST, "localhost")]
+        known = {"playground": playground, "secret": secret, "hosts": hosts}
+        routes = [("/(|view|curves|run)", _Handler, known)]
+        quiet = Application(routes, log_function=lambda _: None)  # a log would hold the secret
+        server = HTTPServer(quiet, max_body_size=10_000)
+        server.add_sockets(sockets)
+        ready(f"http://{HOST}:{number}/?token={secret}")
+        await asyncio.Event().wait()
+
+    def ended(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, ended)
+    try:
+        asyncio.run(serving())
+    except KeyboardInterrupt:
+        playground.stop()

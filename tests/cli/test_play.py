@@ -1,0 +1,156 @@
+"""The page with sliders: the real server on loopback, its runs, and who it answers."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from click.testing import CliRunner
+
+import multicell as mc
+from multicell.cli.main import main
+from multicell.cli.playground import Playground
+from multicell.studies.axes import parse_ranges
+
+KEY = "nutrients.oxygen.boundary"
+SMALL = [
+    *("--set", "initial.count=16", "--set", "duration=2 h", "--set", "output.every=20 min"),
+    *("--key", f"{KEY}=1:21 %", "--no-browser"),
+]
+
+
+def asked(address, path="/", method="GET", body=None, **headers):
+    """Return status and text of an answer; the address has the secret."""
+    parts = urlsplit(address)
+    url = f"http://{parts.netloc}{path}?{parts.query}"
+    data = None if body is None else json.dumps(body).encode()
+    request = urllib.request.Request(url, data, headers, method=method)
+    try:
+        with urllib.request.urlopen(request, timeout=60) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    """Return the process of the command, its address, and its folder for temporary files."""
+    place = tmp_path_factory.mktemp("play")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "multicell", "play", "treatment", *SMALL],
+        env={**os.environ, "TMPDIR": str(place)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    address = process.stdout.readline().strip()
+    assert address.startswith("http://127.0.0.1:"), process.stderr.read()
+    yield process, address, place
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+def wait_for(address, condition, seconds=240.0):
+    """Return the status of the newest run once a condition holds for it."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        status = json.loads(asked(address, "/run")[1])
+        if condition(status):
+            return status
+        time.sleep(0.3)
+    raise AssertionError(status)
+
+
+def test_only_those_who_know_the_secret_are_answered(server):
+    _, address, _ = server
+    assert asked(address)[0] == 200
+    bare = address.partition("?")[0]
+    for path in ("/", "/run", "/view", "/curves"):
+        assert asked(f"{bare}?token=guessed", path)[0] == 403
+    assert asked(f"{bare}?", "/run", "POST", {"places": [0]})[0] == 403
+    assert asked(address, Host="evil.example")[0] == 403  # a name that leads to this machine
+
+
+@pytest.mark.slow
+def test_a_slider_begins_a_run_that_can_be_seen(server):
+    _, address, _ = server
+    page = asked(address)[1].decode()
+    slider = json.loads(re.search(r'id="about">(.*?)</script>', page, re.S)[1])[0]
+    assert slider["key"] == KEY
+    assert slider["low"] == pytest.approx(0.0100, rel=0.01)  # 1 % of oxygen at 37 °C
+    assert float(slider["mmHg"]) * slider["low"] == pytest.approx(7.13, rel=0.01)
+    assert asked(address, "/run", "POST", {"places": [0]})[0] == 200
+    status = wait_for(address, lambda s: not s["going"])
+    assert (status["part"], status["frames"]) == (1.0, 7)
+    assert "done" in status["text"]
+    code, view = asked(address, "/view")
+    assert code == 200
+    assert b'id="viewer-data"' in view
+    assert asked(address, "/curves")[1][:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    "body", [{"places": []}, {"places": [-1]}, {"places": ["x"]}, {"places": None}, {}, [], "x"]
+)
+def test_what_is_no_place_of_a_slider_is_refused(server, body):
+    _, address, _ = server
+    assert asked(address, "/run", "POST", body)[0] in (400, 422)
+
+
+@pytest.mark.slow
+def test_an_interrupt_ends_the_server_with_its_run(server):
+    process, address, place = server
+    number = json.loads(asked(address, "/run", "POST", {"places": [500]})[1])["number"]
+    status = json.loads(asked(address, "/run")[1])
+    assert (status["number"], status["going"]) == (number, True)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 0
+    assert process.stderr.read() == ""
+    assert list(place.glob("multicell-play-*")) == []
+    if Path("/proc").is_dir():
+        running = [p.read_bytes() for p in Path("/proc").glob("[0-9]*/cmdline") if _there(p)]
+        assert not [line for line in running if str(place).encode() in line]
+
+
+def _there(file):
+    try:
+        return bool(file.read_bytes())
+    except OSError:
+        return False
+
+
+def test_older_runs_go_and_another_run_ends_the_one_before(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    scene = mc.load_scene("treatment")
+    with Playground(scene, parse_ranges({KEY: "1:21 %"}, scene), 1.0, "", "diameter") as ground:
+        ground.start([0])
+        first = ground._worker
+        ground.start([1000])
+        assert first.returncode == -signal.SIGTERM
+        assert ground.status()["going"] is True
+        ground.stop()
+        assert ground.status()["going"] is False
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["settle"], "Missing option '--key'"),
+        (["doublet", "--key", "drag.viscosity=1:2", "--coarse", "2"], "cannot be made coarse"),
+        (["spheroid", "--key", "drag.viscosty=1:2"], "Did you mean 'drag.viscosity'"),
+        (["spheroid", "--key", "drag.viscosity"], "write the value without a space"),
+        (["spheroid", "--key", "drag.viscosity=2:1"], "must have the lower end first"),
+    ],
+)
+def test_what_cannot_be_played_is_refused(arguments, words):
+    answer = CliRunner().invoke(main, ["play", *arguments, "--no-browser"])
+    assert answer.exit_code == 2
+    assert words in " ".join(answer.output.split())

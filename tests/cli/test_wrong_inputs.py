@@ -1,0 +1,185 @@
+"""What is wrong is answered with what to write, whatever a newcomer tries; nothing is written."""
+
+import pytest
+from click.testing import CliRunner
+
+import multicell as mc
+from multicell.cli.main import main
+
+FILES = {
+    "semicolons.csv": "day;diameter\n1;30\n",
+    "comma.csv": "day, diameter / um\n1, 30,5\n",
+    "no-unit.csv": "day, diameter\n1, 30\n",
+    "dates.csv": "date, diameter / um\n2026-01-01, 30\n",
+    "german.csv": "Tag, diameter / um\n1, 30\n",
+    "words.csv": "day, diameter / um\n1, small\n",
+    "sd.csv": "day, sd\n1, 3\n",
+    "empty.csv": "",
+    "time.csv": "time, diameter / um\n1, 30\n",
+    "broken.toml": "duration = 3 d\n",
+    "comma.toml": 'duration = "3,5 d"\n',
+    "misspelt.toml": "duration = '3 d'\n[growht]\ncycle_time='18 h'\n",
+    "no-duration.toml": "title = 'x'\n",
+    "cells.csv": "x,y,z\n0,0,0\n",
+    "pixels.csv": "x_px,y_px\n0,0\n",
+    "twice.csv": "x_um,y_um,z_um\n0,0,0\n0,0,0\n",
+    "negative.csv": "x_um,y_um,z_um,radius_um\n0,0,0,-3\n9,0,0,3\n",
+    "mine.py": "def law(x):\n    return x\n",
+    "dose.csv": "conc,response\n1,2\n",
+}
+SET = {
+    "duration=3,5 d": "Use '.' as decimal separator",
+    "duration=-3 d": "must be above 0",
+    "duration=3 D": "must be a time, which 'D' is not",
+    "oxygen=5 %": "Did you mean 'nutrients.oxygen.boundary'",
+    "oxygen.boundary=5 %": "Did you mean 'nutrients.oxygen.boundary'",
+    "nutrients.oxygen=5 %": "Name one of its keys: diffusion, boundary",
+    "nutrients.oxygen.boundary=120 %": "at most 100 %",
+    "nutrients.oxygen.boundary=5 ppm": "must be a concentration, which 'ppm' is not",
+    "nutrients.oxygen.boundary=-1 mM": "at least 0 mM",
+    "nutrients.glucose.boundary=25 %": "Only of the field named 'oxygen'",
+    "nutrients.oxygen.uptake=1 fmol/h/cell": "unknown unit 'fmol/h/cell'",
+    "cells.radius=5 um": "Did you mean 'division_radius'",
+    "cells.diameter=12 h": "cells.diameter: is '12 h', must be a length",
+    "growth.doubling=18 h": "Did you mean 'doubling_time'",
+    "doubling_time=18 h": "Did you mean 'growth.doubling_time'",
+    "cycle_time=18 h": "Did you mean 'growth.cycle_time'",
+    "growth.cycle_time=18": "write '18 h' for hours",
+    'growth.cycle_time="18"': "Write for example '18 h'",
+    "initial.count=many": "must be a whole number",
+    "initial.count=0": "at least 1",
+    "initial.cells=cells.csv": "Title it 'x_um'",
+    "integrator=implicit": "'backward-euler'",
+    "contact.law=jrk": "Did you mean 'jkr'",
+    "duration": "write the value without a space",
+}
+FIT = ["-o", "out", "--free", "growth.cycle_time=8:25 h", "--data"]
+COMMANDS = {
+    "run spheroid": "Missing option '-o'",
+    "run sphreoid -o out": "Did you mean 'spheroid'",
+    "run broken.toml -o out": "A value with a unit stands in quotes: '3 d'",
+    "run comma.toml -o out": "Use '.' as decimal separator",
+    "run misspelt.toml -o out": "Did you mean 'growth'",
+    "run no-duration.toml -o out": "duration: is missing",
+    "run none.toml -o out": "does not exist",
+    "run spheroid -o out --cells pixels.csv": "Title it 'position_z_um'",
+    "run spheroid -o out --cells twice.csv": "One cell has one row",
+    "run spheroid -o out --cells negative.csv": "line 2, 'radius_um': is -3",
+    "run spheroid -o out --law mine.py:law": "by the decorator multicell.pair_law",
+    "run spheroid -o out --law none.py:law": "there is no file 'none.py'",
+    "run spheroid -o out --threads 0": "not in the range",
+    "resume nothing": "there are no results in 'nothing'",
+    "view spheroid": "there is no such folder",
+    "export nothing -o out --format excel": "'excel' is no format. Allowed: csv",
+    "export nothing -o out": "there is no such folder",
+    "study run nothing": "multicell study new SCENE",
+    "study new spheroid -o out --vary drag.viscosty=1,2": "Did you mean 'drag.viscosity'",
+    "study new spheroid -o out --vary cells.diameter=8,9": "Vary cells.division_radius",
+    "dose-response --data dose.csv -o out": "Allowed: dose, response, replicate",
+    "compare spheroid -o out --methods euler,rk5": "Did you mean 'rk4'",
+    "runn spheroid": "Did you mean 'run'",
+    "init sphere": "Did you mean 'spheroid'",
+}
+DATA = {
+    "semicolons.csv": "Columns are separated by commas",
+    "comma.csv": "Use '.' as decimal separator",
+    "no-unit.csv": "Write 'diameter / um'",
+    "dates.csv": "A column of times is titled 'day' or 'time / h'",
+    "german.csv": "A column of times is titled 'day' or 'time / h'",
+    "words.csv": "line 2, 'diameter / um': is 'small', must be a number",
+    "sd.csv": "has no column of values to its left",
+    "empty.csv": "holds no data",
+    "time.csv": "Write 'time / h'",
+    "none.csv": "does not exist",
+}
+PYTHON = {
+    "a number": (lambda: mc.run(5), "5"),
+    "misspelt": (lambda: mc.load_scene("growht"), "Did you mean 'growth'"),
+    "key": (lambda: mc.load_scene("growth").with_changes({"growth.cycletime": 1}), "'cycle_time'"),
+    "both names": (
+        lambda: mc.Scene.from_dict(
+            {"duration": 1, "growth": {"cycle_time": 10**5, "doubling_time": 10**5}}
+        ),
+        "growth.doubling_time: is another name of 'cycle_time'",
+    ),
+    "format": (lambda: mc.export("nothing", "out", format="exel"), "Allowed: csv"),
+    "folder": (lambda: mc.load_result("nothing"), "there is no such folder"),
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, "utf-8")
+    return tmp_path
+
+
+def refused(folder, arguments, words):
+    answer = CliRunner().invoke(main, arguments)
+    said = " ".join(answer.output.split())
+    assert answer.exit_code == 2, said
+    assert words in said
+    assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+
+
+@pytest.mark.parametrize("change", SET)
+def test_a_wrong_value_is_answered(change, folder):
+    refused(folder, ["run", "spheroid", "-o", "out", "--set", change], SET[change])
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_wrong_command_is_answered(command, folder):
+    refused(folder, command.split(), COMMANDS[command])
+
+
+@pytest.mark.parametrize("name", DATA)
+def test_a_wrong_table_is_answered(name, folder):
+    refused(folder, ["fit", "growth", *FIT, name], DATA[name])
+
+
+@pytest.mark.parametrize("case", PYTHON)
+def test_wrong_calls_are_answered(case, folder):
+    call, words = PYTHON[case]
+    with pytest.raises((mc.MulticellError, TypeError), match=words):
+        call()
+
+
+def test_a_short_time_is_run_with_a_note(folder):
+    answer = CliRunner().invoke(main, ["explain", "growth", "--set", "duration=18"])
+    assert answer.exit_code == 0
+    assert "Note: duration is 18 s" in answer.output
+    assert "Write '18 h' for hours" in answer.output
+    quiet = CliRunner().invoke(main, ["explain", "growth", "--set", "duration=18 s"])
+    assert "Note: duration" not in quiet.output
+
+
+def test_other_names_of_keys_take_the_place_of_the_key():
+    scene = mc.load_scene("growth").with_changes(
+        {"growth.doubling_time": "20 h", "cells.diameter": "9 um"}
+    )
+    assert scene.growth.cycle_time == 72000.0
+    birth, division = 0.5 ** (1 / 3) * scene.cells.division_radius, scene.cells.division_radius
+    assert birth + division == pytest.approx(9.0)  # twice the radius half-way between
+    assert scene.with_changes({"growth.doubling_time": None}).growth.cycle_time == 54000.0
+    assert "doubling_time" not in scene.to_toml()
+
+
+@pytest.mark.parametrize(
+    ("words", "place", "wanted"),
+    [
+        ("run sphe", 2, "plain,spheroid\n"),
+        ("run spheroid --set growth.cycle_t", 4, "plain,growth.cycle_time=\n"),
+        ("study new spheroid --vary drag.", 5, "plain,drag.viscosity=\n"),
+        ("export out --format ro", 4, "plain,ro-crate\n"),
+        ("run none --set growth.", 4, "file,growth.\n"),
+    ],
+)
+def test_shells_complete(words, place, wanted):
+    given = {
+        "_MULTICELL_COMPLETE": "bash_complete",
+        "COMP_WORDS": f"multicell {words}",
+        "COMP_CWORD": str(place),
+    }
+    answer = CliRunner().invoke(main, [], prog_name="multicell", env=given)
+    assert answer.output == wanted
