@@ -165,7 +165,7 @@ def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
         return {}
     volume, living = cells.volume, ~cells.dead
     rate = scene.growth.growth_law.rate(volume, birth_volume(scene)) / cells.cycle_time
-    excess = -rate * cells.lag
+    excess = np.where(living, -rate * cells.lag, 0.0)
     total, error = float(volume.sum()), float(excess.sum())
     return {
         "volume_error": error,
