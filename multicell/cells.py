@@ -104,7 +104,7 @@ class Cells:
         Part of the damage that kills the cell; a dead one keeps it, daughters have the mother's.
     lag : (n,) float64, s
         Time of unlimited growth that the cell has yet to make good, because coupling steps hold
-        rates of growth fixed; negative: too much. Of one that has just died: time since then.
+        rates of growth fixed; negative: too much.
     """
 
     id: IntArray = _column(np.int64, "")

@@ -210,11 +210,10 @@ class Simulation(RunState):
         with self.phase("biology"):
             self._decide(end - begin)
             self._irradiate(begin)
-            # a jump changes nothing of the step that it ends
-            spent = 0.0 if end in self.timeline.plan.jumps else end - begin
-            if plan.growth is not None or plan.death is not None:
+            if plan.growth is not None and end not in self.timeline.plan.jumps:
+                # a jump changes nothing of the step that it ends
                 now = self._growth_factor()
-                self.cells.lag = lag_after(plan, began, factor, self.cells, now, spent)
+                self.cells.lag = lag_after(plan, began, factor, self.cells, now, end - begin)
 
     def _growth_factor(self) -> FloatArray:
         """Return how fast cells would grow where they are now, (n,)."""

@@ -92,18 +92,17 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
             share = np.where(living, dt * factor / cells.cycle_time, 0.0)
             volume = np.where(living, law.volume_after(volume, share, birth), volume)
     if plan.death is not None and cells.dead.any():
-        necrotic, apoptotic = cells.state == State.NECROTIC, cells.state == State.APOPTOTIC
-        spent = dt + cells.lag  # since death, where that was in the step before
-        volume[necrotic] *= _necrotic_factor(plan.death, cells.age[necrotic], spent[necrotic])
-        volume[apoptotic] *= np.exp(-spent[apoptotic] / plan.death.apoptosis_time)
+        necrotic = cells.state == State.NECROTIC
+        volume[necrotic] *= _necrotic_factor(plan.death, cells.age[necrotic], dt)
+        volume[cells.state == State.APOPTOTIC] *= np.exp(-dt / plan.death.apoptosis_time)
     return volume
 
 
-def _necrotic_factor(death: Death, since: FloatArray, dt: FloatArray) -> FloatArray:
+def _necrotic_factor(death: Death, since: FloatArray, dt: float) -> FloatArray:
     """Return the volume of necrotic cells after ``dt`` over that now, a time ``since`` death."""
     lysis_time = np.inf if death.core == "fluid" else death.lysis_time
     if death.swelling == 1.0:
-        return np.exp(-dt / lysis_time)
+        return np.full_like(since, np.exp(-dt / lysis_time))
     swelling = np.clip(death.swelling_time - since, 0.0, dt)
     rate = np.log(death.swelling) / death.swelling_time
     return np.asarray(np.exp(rate * swelling - (dt - swelling) / lysis_time))

@@ -7,9 +7,6 @@ makes half of what it has noted good in each of the next steps. All of it at onc
 method of Adams and Bashforth, which is stable for half of the steps that Euler's is; half of it is
 stable for three quarters of them (z-transform: for |λ| Δt < 3/2), and only the lag is larger.
 
-Cells that die within a step are noticed at its end: in the step that follows they lose volume for
-half of that step more, the mean of what they are late.
-
 Growth stays between none and twice that of the rates at the beginning of its step: what a cell
 that hardly grows has grown too much stays noted. Decisions to rest fall on the end of the step
 that is nearest to their time (:func:`multicell.biology.states.deciding`), and are not counted.
@@ -51,17 +48,14 @@ def lag_after(
 ) -> FloatArray:
     """Return for how long each cell has yet to grow after a step, (n,) s of unlimited growth.
 
-    Cells that died in it have to lose volume for that time instead.
-
     - ``began``, ``before``: the cells of the step's beginning, and their factors
     - ``cells``, ``now``: those of its end, whose lag lacks this step, and their factors
-    - ``dt``: its length, s; 0 where it has rightly used what was there before
+    - ``dt``: its length, s
     """
-    row = rows_before(began, cells)
-    grew = np.where(_grows(plan, began), before, np.nan)[row]
+    grew = np.where(_grows(plan, began), before, np.nan)[rows_before(began, cells)]
     change = np.where(_grows(plan, cells), now - grew, 0.0)
     lag = cells.lag + 0.5 * dt * np.nan_to_num(change)
-    return np.where(cells.dead, np.where(began.dead[row], 0.0, 0.5 * dt), lag)
+    return np.where(cells.dead, 0.0, lag)
 
 
 def _grows(plan: BiologyPlan, cells: Cells) -> NDArray[np.bool_]:

@@ -68,8 +68,6 @@ def grow(
     """
     own, factor = factor, corrected_factor(plan, cells, factor, dt)
     lag = cells.lag if factor is own else cells.lag - dt * (factor - own)
-    if cells.dead.any():
-        lag = np.where(cells.dead, 0.0, lag)  # the volumes of the dead catch up at once
     volume = volumes_after(plan, cells, factor, dt)
     cycling = None
     if plan.order:
@@ -88,8 +86,6 @@ def age_cells(
     after = cells.shared()
     after.radius, after.lag = grown.radius, grown.lag
     after.age = after.age + (end - begin)
-    if cells.dead.any():
-        after.age = np.where(cells.dead, after.age + cells.lag, after.age)
     if grown.cycling is not None:
         for name in ("state", "phase", "progress", "phase_length"):
             setattr(after, name, getattr(grown.cycling, name))
