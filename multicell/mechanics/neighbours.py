@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numba import njit, prange
@@ -119,16 +119,16 @@ def build(
     if n < 2:
         return PairList(*no_list(n, chunk), chunk, n)
     run = rebuild_parallel if threads > 1 and n > chunk else rebuild
-    crowded, *arrays = run(
+    crowded, first, second, start, inner_end, outer_end = run(
         position, np.full((n, 3), np.nan), radius + 0.5 * skin, 0.0, np.zeros(n), chunk,
         *no_list(n, chunk)[:2],
     )  # fmt: skip
     if crowded:
         raise TooManyPairsError(n)
-    return PairList(*arrays, chunk, n)
+    return PairList(first, second, start, inner_end, outer_end, chunk, n)
 
 
-def no_list(n: int, chunk: int) -> tuple[IndexArray, IndexArray, *tuple[OffsetArray, ...]]:
+def no_list(n: int, chunk: int) -> tuple[Any, Any, Any, Any, Any]:
     """Return the arrays of a list of ``n`` cells without pairs or room."""
     none, ends = np.empty(0, dtype=np.int32), np.zeros(-(-n // chunk), dtype=np.int64)
     return none, none, ends, ends, ends
