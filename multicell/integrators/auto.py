@@ -10,7 +10,7 @@ without any evaluation; where that is small, or z as measured, the step is mild:
 - ``rkc2`` takes what is stiffer: its stages grow as √z;
 - ``rosenbrock``, or ``cvode`` where friction between cells rules it out, takes what is stiffer
   than :func:`implicit_from`. With m steps RKC2 needs √(1.54 m z) evaluations and an implicit method
-  some products for each, so that the limit grows with m: where fresh daughters move it is fourteen
+  some products for each, so that the limit grows with m: where fresh daughters move it is forty
   times that of quiet tissue. Implicit methods get a tenth of the tolerances there, at which they
   are about as exact as RKC2, and the whole in quiet tissue.
 
@@ -55,7 +55,7 @@ Adams-Bashforth, so that it costs little more, and where it does not."""
 _QUIET, _SHAKEN = 1e-3, 0.3
 """The way that fast modes carry the fastest cell, its speed over λ in tolerances: up to which there
 are no fast modes to follow, and from which on there are."""
-_IMPLICIT_FROM, _MOVING = 5e3, 14.0
+_IMPLICIT_FROM, _MOVING = 5e3, 40.0
 """λΔt from which on an implicit method costs less than RKC2 in quiet tissue of a hundred cells, and
 by how much more where there are fast modes to follow."""
 _AS_EXACT = 0.1

@@ -383,7 +383,7 @@ def test_an_interval_that_becomes_stiff_goes_over_to_the_full_method(monkeypatch
 def test_auto_chooses_by_stiffness_and_tolerance():
     position, radius, young = cluster(400, 2, spacing=0.9)
     soft = mechanics(radius, young, duration=60.0)
-    stiff = mechanics(radius, young, duration=6e4, viscosity=0.05)
+    stiff = mechanics(radius, young, duration=6e5, viscosity=0.05)
     some = mechanics(radius, young, duration=6e3)
     chosen = [choose(system, position, 1e-6, 0.1) for system in (soft, some, stiff)]
     assert [choice.method for choice in chosen] == ["ab2-adaptive", "rkc2", "rosenbrock"]
