@@ -329,8 +329,9 @@ def check_play(page, count):
     page.keyboard.press(" ")
     expect(page.locator('[data-part="time"]')).to_have_value(str(count - 1), timeout=60_000)
     expect(page.locator('[data-part="play"]')).to_have_text("Play", timeout=60_000)
-    box = page.locator(".curves svg").first.bounding_box()
-    page.mouse.click(box["x"] + 0.03 * box["width"], box["y"] + 0.5 * box["height"])
+    chart = page.locator(".curves svg").first
+    box = chart.bounding_box()
+    chart.click(position={"x": 0.03 * box["width"], "y": 0.5 * box["height"]})
     assert page.locator('[data-part="time"]').input_value() == "0"
     page.click('[data-part="home"]')
     colours(page)
