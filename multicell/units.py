@@ -169,8 +169,7 @@ def _from_text(text: str, unit: str, path: str) -> float:
         raise SceneError(path, f"is {shown(text)}, must be a number and a unit", _example(unit))
     digits, unit_text = match[1], match[2].strip()
     if not unit_text:
-        like = _UNITS[unit][3].partition(" ")[2] if unit in _UNITS else unit
-        hint = f"Write for example '{digits} {like}'." if like else _example(unit)
+        hint = f"Write for example '{digits} h'." if unit == "s" else _example(unit)
         raise SceneError(path, f"is {shown(text)}, a string without a unit", hint)
     factor = _factor(unit_text, unit, text, path)
     number = finite(float(digits), path, "a number")

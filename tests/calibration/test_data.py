@@ -106,7 +106,7 @@ def test_logarithms_are_compared_where_the_deviation_of_a_count_is_relative(tmp_
 
 
 REFUSED = {
-    "time, cells\n5, 7\n": "growth.csv, 'time': has no unit. Write 'time / s'.",
+    "time, cells\n5, 7\n": "growth.csv, 'time': has no unit. Write 'time / h'.",
     "time / h, diameter\n5, 7\n": "growth.csv, 'diameter': has no unit. Write 'diameter / um'.",
     "time / h, diameter /\n5, 7\n": "'diameter /': has a '/' and no unit after it",
     "time / h, diameter / h\n5, 7\n": "'diameter / h': is '1 h', must be a length, which 'h' is not",
