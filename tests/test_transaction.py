@@ -89,7 +89,7 @@ WHERE = {
     "second field": (FieldGroup, "advance"),
     "sampling": (NutrientField, "sample"),
     "states": (biology, "update_states"),
-    "estimate": (simulation_module, "step_error"),
+    "estimate": (simulation_module, "lag_after"),
 }
 ERRORS = [NutrientFailed("it cannot be solved", "Try again"), MemoryError(), KeyboardInterrupt()]
 
