@@ -123,6 +123,7 @@ class Mechanics:
         # room for a list: that of the last coupling step
         self.spare = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int32)
         self._cells: forces.CellData
+        self._pair_data: forces.PairData
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
         self.prescribed: Prescribed | None = None
@@ -441,7 +442,9 @@ class Mechanics:
         reference = self._cells.reference if known else np.full((n, 3), np.nan)
         # what was linearised may still need the last list
         arrays: Any = (
-            map(np.copy, self._pair_data[:5]) if known else neighbours.no_list(n, self.chunk)
+            tuple(array.copy() for array in self._pair_data[:5])
+            if known
+            else neighbours.no_list(n, self.chunk)
         )
         first, second, start, inner_end, outer_end = arrays
         shared, crowded = self._list_threads() > 1, False
