@@ -44,11 +44,13 @@ if TYPE_CHECKING:
 _ITERATIONS = 6
 PATIENCE = 300  # evaluations that Adams-Bashforth may expect to take, by many cells
 _CHOICE = 2.0e3  # evaluations times cells that calls of Python cost when λ is measured
-_SUSPECT = 60.0  # λΔt, by the order of magnitude of λ, from which on λ is measured
-MILD_TO = 150.0
-"""λΔt up to which Adams-Bashforth costs less than RKC2."""
-EXACT_TO = 500.0
-"""λΔt up to which a method of order 4 costs less than RKC2 at tight tolerances."""
+_SUSPECT = 25.0  # λΔt, by the order of magnitude of λ, from which on λ is measured
+MILD_TO, _STILL = 150.0, 0.3
+"""λΔt up to which Adams-Bashforth costs less than RKC2, and the part of it up to which it does in
+tissue at rest, which RKC2 goes through in a few steps."""
+EXACT_FROM, EXACT_TO = 60.0, 500.0
+"""λΔt from which on stability limits the steps of Adams-Bashforth at tight tolerances, and up to
+which a method of order 4 costs less than RKC2 there."""
 _TIGHT, _VERY_TIGHT = 0.015, 0.0015
 """Tolerances in µm up to which a method of order 4 is taken: where stability limits the steps of
 Adams-Bashforth, so that it costs little more, and where it does not."""
@@ -187,15 +189,15 @@ def choose(
     tolerance = _tolerance(system, rtol, atol)
     rate = decay_rate(system, position)
     z = rate * (system.motion.end - system.motion.begin)
-    if z <= EXACT_TO and tolerance <= (_TIGHT if z > _SUSPECT else _VERY_TIGHT):
+    if z <= EXACT_TO and tolerance <= (_TIGHT if z > EXACT_FROM else _VERY_TIGHT):
         return Choice(z, _first(EXACT, able))
-    if z <= MILD_TO:
-        return Choice(z, _first(MILD, able))
     shaken = 1.0
-    if z > 0.1 * _IMPLICIT_FROM:
+    if z > _STILL * MILD_TO:
         span = math.log(_SHAKEN / _QUIET)
         fast = max(_fastest(system, position) / rate / tolerance, _QUIET)
         shaken = min(math.log(fast / _QUIET) / span, 1.0)
+    if z <= MILD_TO * _STILL ** (1.0 - shaken):
+        return Choice(z, _first(MILD, able))
     implicit = z > implicit_from(len(system), shaken, python=needs_python(system))
     stable = [name for name in _STABLE if name in able and CANDIDATES[name].info.implicit]
     name = stable[0] if implicit and stable else Rkc2.info.name

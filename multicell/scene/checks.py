@@ -30,6 +30,7 @@ def check_names(names: Iterable[str] | None, known: Iterable[str], path: str, wh
 
 
 FIELD = "a field of this scene"
+_TIGHTEST = 1e9  # µm: resistance over 1/D of a side up to which its inverse is a valid rate
 
 
 def check_types(scene: Scene) -> None:
@@ -177,6 +178,12 @@ def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
         if flat and (face.startswith("z") or face == "r+"):
             problem = "does not exist in a scene of 2 dimensions"
             raise SceneError(f"{path}.sides.{face}", problem, "Use 'x-' to 'y+' or '*'.")
+    layer = None if nutrient.finite_medium is None else nutrient.finite_medium.unstirred
+    for face, side in nutrient.sides.items():
+        if layer is not None and side.rate is not None and 1.0 / side.rate + layer > _TIGHTEST:
+            problem = f"is {side.rate:g} 1/um, too little for an unstirred layer beside it"
+            hint = "So little passes that type = 'derivative', an impermeable side, serves."
+            raise SceneError(f"{path}.sides.{face}.rate", problem, hint)
     if not level_fixed(nutrient, scene.dimensions):
         if nutrient.regime == "steady":
             hint = "Give one side a value, or a perfusion, or let the field be 'transient'."

@@ -63,9 +63,10 @@ def _check_steps(scene: Scene) -> None:
     quickest = min((kind.cycle_scale for kind in scene.types.values()), default=1.0)
     cycle = quickest * scene.growth.mean_cycle
     if min(step, scene.duration) > cycle:
-        if cycle < 1000.0:
-            problem = f"is {cycle:g} s, shorter than a coupling step of {step:g} s"
-            hint = f"A number without a unit is in seconds: write '{cycle:g} h' for hours."
+        mean = scene.growth.mean_cycle
+        if mean < 1000.0:
+            problem = f"is {mean:g} s, shorter than a coupling step of {step:g} s"
+            hint = f"A number without a unit is in seconds: write '{mean:g} h' for hours."
             raise SceneError("growth.cycle_time", problem, hint)
         problem = f"is {step:g} s, must be at most a cycle of the cells, {cycle:g} s"
         hint = "Cells divide between coupling steps; take about a twentieth of the cycle."

@@ -403,8 +403,14 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         node["parameters"], value = plain(value), value.scene_name()
     if spec is not None and is_dataclass(value):
         value = spec.plain(value)
-    if isinstance(value, str) and isinstance(node.get(last), dict) and spec is None:
-        names = ", ".join(list(node[last])[:8])
+    inside = node.get(last)
+    if (
+        isinstance(value, str)
+        and isinstance(inside, dict)
+        and spec is None
+        and key != "initial.cells"
+    ):
+        names = ", ".join(list(inside)[:8])
         raise SceneError(key, f"is a table, not {shown(value)}", f"Name one of its keys: {names}.")
     if last in SYNONYMS:  # the new value takes the place of the old one
         node.pop(SYNONYMS[last][0], None)

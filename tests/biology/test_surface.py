@@ -146,8 +146,8 @@ def test_a_core_that_is_lost_closes(rested):
 
 def test_a_fluid_core_stays_and_holds_up_the_rim(rested):
     run = _at_rest(_with_core(rested), 48, core="fluid")
-    assert run.released == 0.0
-    np.testing.assert_array_equal(np.sort(run.cells.radius), np.sort(rested.radius))
+    assert run.released == pytest.approx(0.0, abs=1e-8)  # volumes are made of radii and back
+    np.testing.assert_allclose(np.sort(run.cells.radius), np.sort(rested.radius), rtol=1e-13)
     radius = Extent(run.cells, 3).radius()
     assert radius == pytest.approx(Extent(rested, 3).radius(), rel=0.01)
     row = run.history_row()

@@ -111,7 +111,7 @@ def test_an_interrupt_ends_the_server_with_its_run(server):
     status = json.loads(asked(address, "/run")[1])
     assert (status["number"], status["going"]) == (number, True)
     process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 0
+    assert process.wait(180) == 0
     assert process.stderr.read() == ""
     assert list(place.glob("multicell-play-*")) == []
     if Path("/proc").is_dir():

@@ -169,10 +169,10 @@ def test_a_run_without_replays_tells_none():
 
 
 def test_the_page_and_the_closing_lines_give_the_effect(tmp_path):
-    from multicell.report.wording import measures
+    from multicell.report.wording import diagnostics
 
     result = mc.run(scene_of(), output=tmp_path / "out")
-    figures = dict(measures(result.summary()))
+    figures = dict(diagnostics(result.summary(), result.scene))
     assert "µm in a step" in figures["effect of a shift of 0.01 µm"]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "farthest that a shift of 0.01 µm moved the end of a cell" in page

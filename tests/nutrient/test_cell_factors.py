@@ -50,11 +50,14 @@ def test_each_factor_has_its_effect_on_one_of_the_two():
 def test_a_run_accounts_for_what_its_cells_give():
     nutrient = {"uptake": 0.0, "regime": "transient"}
     simulation = mc.Simulation(scene(nutrient, {"x": {"secretion_scale": 0.5}}))
-    given = 0.0
+    lived = 0.0
     while not simulation.finished:
+        known, free = len(simulation.cells), simulation.next_id
         simulation.step()
-        # a field sees the cells before they decide anew: without thresholds none changes
-        given += 600.0 * 3.0 * 0.5 * len(simulation.cells)
+        # two daughters give where their mother gave until they were born, an age ago
+        born = simulation.cells.id >= free
+        lived += 600.0 * known + 0.5 * simulation.cells.age[born].sum()
+    given = 3.0 * 0.5 * lived
     ledger = simulation.ledger["a"]
     assert ledger.secreted == pytest.approx(given, rel=1e-12)
     assert ledger.relative_remainder <= 1e-8

@@ -19,7 +19,7 @@ from multicell.report.wording import clock
 NAMES = (
     "base.html", "parts.html", "run.html", "compare.html", "stability.html",
     "style.css", "viewer.html", "study.html", "sensitivity.html", "fit.html",
-    "dose_response.html", "view.html", "notebook.html",
+    "dose_response.html", "view.html", "notebook.html", "play.html", "play.js",
 )  # fmt: skip
 
 

@@ -90,7 +90,7 @@ def test_growth_marks_the_switch_of_the_medium(result):
 
 def test_report_has_one_ledger_with_a_column_for_each_field(result, tmp_path):
     page = result.report(tmp_path).read_text(encoding="utf-8")
-    assert "<th></th><th>oxygen</th><th>glucose</th><th>lactate</th>" in page
+    assert "<td></td><th>oxygen</th><th>glucose</th><th>lactate</th>" in page
     ledger = result.summary()["ledger"].values()
     for entry in ("inflow", "uptake", "secreted", "decayed", "relaid", "stored", "remainder"):
         told = any(account[entry] != 0.0 for account in ledger if isinstance(account, dict))

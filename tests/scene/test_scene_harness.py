@@ -121,7 +121,7 @@ def specs_of_laws():
         ({"integrator": {"max_steps": 10**18}}, "integrator.max_steps"),
         ({"duration": 1e6, "coupling_step": 1e-6}, "coupling_step"),
         ({"integrator": {"method": "euler", "step": 1e-6}}, "integrator.step"),
-        ({"growth": {"cycle_time": 500.0}}, "coupling_step"),
+        ({"growth": {"cycle_time": 500.0}}, "growth.cycle_time"),
         (
             {"growth": {"cycle_time": 6000.0}, "types": {"a": {"cycle_scale": 0.05}}},
             "coupling_step",

@@ -62,7 +62,7 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
             draw_necrotic(axes, cells, cells.position, float(middle[2]))
         bar = figure.colorbar(shades, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)))
         bar.outline.set_visible(False)
-        bar.locator = MaxNLocator(5)
+        bar.locator = MaxNLocator(5, prune="both")  # two bars may stand one above the other
         bar.formatter = ScalarFormatter(useOffset=False)
         bar.ax.tick_params(labelsize=9)
         bar.ax.grid(False)
