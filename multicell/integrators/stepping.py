@@ -57,9 +57,8 @@ _BLOCK = 1024  # numbers of an array that are worked on at a time
 class Source(NamedTuple):
     """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
 
-    ``forces_at``, ``rebuild_at`` and ``repair_at`` are the addresses of the kernels, for one thread
-    or for all, ``evaluation_at`` that of the function that calls them; there may be none for
-    repairs. ``foresee_at`` and ``assess_at`` are
+    ``forces_at`` and ``rebuild_at`` are the addresses of the kernels, for one thread or for all,
+    ``evaluation_at`` that of the function that calls them. ``foresee_at`` and ``assess_at`` are
     those of :mod:`.fused`, for loops that use it.
     """
 
@@ -72,7 +71,6 @@ class Source(NamedTuple):
     counts: NDArray[np.int64]
     forces_at: int = 0
     rebuild_at: int = 0
-    repair_at: int = 0
     evaluation_at: int = 0
     foresee_at: int = 0
     assess_at: int = 0
@@ -178,21 +176,18 @@ def _evaluation(source, pairs, elapsed, position, out):
     ):  # fmt: skip
         if not _is_finite(position):
             return NOT_FINITE, pairs
-        first, second, start, inner_end, outer_end = pairs[:5]
-        repaired = False
-        if source.repair_at != 0:
-            repaired, inner_end, outer_end = _repair_at(
-                source.repair_at, position, cells.reference, source.reach, source.least_margin,
-                cells.margin, cells.chunk, first, second, start, inner_end, outer_end,
-            )  # fmt: skip
-        if not repaired:
-            source.counts[LIST_BUILDS] += 1
-            crowded, first, second, start, inner_end, outer_end = _rebuild_at(
-                source.rebuild_at, position, cells.reference, source.reach, source.least_margin,
-                cells.margin, cells.chunk, first, second,
-            )  # fmt: skip
-            if crowded:
-                return REJECTED, pairs
+        source.counts[LIST_BUILDS] += 1
+        reach = margins.widened(
+            position, cells.reference, source.reach, source.least_margin, cells.margin
+        )
+        crowded, first, second, start, inner_end, outer_end = _rebuild_at(
+            source.rebuild_at, position, reach, 0.0, cells.chunk, pairs.first, pairs.second
+        )
+        if crowded:
+            # the old list is overwritten, and does not fit the new margins: the next state builds
+            cells.reference[:] = np.nan
+            return REJECTED, pairs
+        copy(position, cells.reference)
         pairs = forces.PairData(
             first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
         )
@@ -208,23 +203,11 @@ def _forces_at(context, address, cells, pairs, offsets, law, position, elapsed, 
 
 
 @intrinsic
-def _rebuild_at(context, address, position, reference, reach, least, margin, chunk, first, second):
+def _rebuild_at(context, address, position, radius, skin, chunk, first, second):
     """Call ``neighbours.rebuild``, or what shares its loops, at an address."""
-    end = types.int64[::1]
-    listed = types.Tuple((types.boolean, first, second, end, end, end))
-    return call_at(listed, address, position, reference, reach, least, margin, chunk, first, second)
-
-
-@intrinsic
-def _repair_at(
-    context, address, position, reference, reach, least, margin, chunk, first, second, start,
-    inner_end, outer_end,
-):  # fmt: skip
-    """Call ``neighbours.repair``, or what shares its loops, at an address."""
-    return call_at(
-        types.Tuple((types.boolean, inner_end, outer_end)), address, position, reference, reach,
-        least, margin, chunk, first, second, start, inner_end, outer_end,
-    )  # fmt: skip
+    index, end = types.int32[::1], types.int64[::1]
+    listed = types.Tuple((types.boolean, index, index, end, end, end))
+    return call_at(listed, address, position, radius, skin, chunk, first, second)
 
 
 def with_addresses(
@@ -235,10 +218,9 @@ def with_addresses(
     - ``shared``: whether threads share them
     - ``passes``: whether the loop uses :mod:`.fused`
     """
-    repaired = len(source.reach) >= neighbours.REPAIR_CELLS
-    key = kind_of((source, pairs)), shared, passes, repaired
+    key = kind_of((source, pairs)), shared, passes
     if key not in _PLACES:
-        _PLACES[key] = _addresses(source, pairs, shared=shared, passes=passes, repaired=repaired)
+        _PLACES[key] = _addresses(source, pairs, shared=shared, passes=passes)
     return source._replace(**_PLACES[key])
 
 
@@ -246,29 +228,25 @@ _PLACES: dict[Any, dict[str, Any]] = {}
 
 
 def _addresses(
-    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool, repaired: bool
+    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, Any]:
     """Return the addresses of the kernels by their names in :class:`Source`."""
-    place, cells = np.empty((0, 3)), source.cells
-    run, rebuild = forces.forces, neighbours.rebuild
+    place, found = np.empty((0, 3)), (True, *pairs[:5])
+    run, build = forces.forces, neighbours.rebuild
     if shared:
-        run, rebuild = forces.forces_parallel, neighbours.rebuild_parallel
-    common = (
-        place, cells.reference, source.reach, 0.0, cells.margin, cells.chunk, *pairs[:2],
-    )  # fmt: skip
+        run, build = forces.forces_parallel, neighbours.rebuild_parallel
     known = {
         "forces_at": address_of(
-            run, True, cells, pairs, source.offsets, source.law, place, 0.0, True,
+            run, True, source.cells, pairs, source.offsets, source.law, place, 0.0, True,
             source.rows, place,
         ),
-        "rebuild_at": address_of(rebuild, (True, *pairs[:5]), *common),
+        "rebuild_at": address_of(
+            build, found, place, source.reach, 0.0, source.cells.chunk, *pairs[:2]
+        ),
         "evaluation_at": address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }  # fmt: skip
-    if repaired:
-        repair = neighbours.repair_parallel if shared else neighbours.repair
-        known["repair_at"] = address_of(repair, (True, *pairs[3:5]), *common, *pairs[2:5])
     if passes:
-        known |= fused.addresses(cells.radius, shared=shared)
+        known |= fused.addresses(source.cells.radius, shared=shared)
     return known
 
 

@@ -1,41 +1,42 @@
-"""How much room the neighbour list leaves round each cell.
-
-A list lasts until some cell has drifted by its margin. Where few cells move it is they for whom it
-must be mended again and again, and room round them costs little: each cell's margin is a multiple
-of its drift since the last list, but not below half of what it was.
-"""
+"""How much room the neighbour list leaves round each cell."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
-from multicell.compiling import INLINED
+from multicell.compiling import KERNEL
 
 _WIDEST = 8.0  # largest margin of a cell over the least
-FORESIGHT, REPAIR_FORESIGHT = 6.0, 3.0
-"""How many times as far as since the last list a cell may move until the next one: where that is
-built, and where it is repaired, which costs less."""
+_FORESIGHT = 6.0  # how many times as far as since the last list a cell may move until the next one
 
 
-@njit(**INLINED)
-def square_drift(position, reference, i):
-    """Return the square of how far cell i is from where it was at the last list, µm²."""
-    x = position[i, 0] - reference[i, 0]
-    y = position[i, 1] - reference[i, 1]
-    z = position[i, 2] - reference[i, 2]
-    return x * x + y * y + z * z
+@njit(**KERNEL)
+def widened(position, reference, reach, least, margin):
+    """Adapt the margins of the cells to how they move; return the radii to build a list with.
 
+    A list lasts until some cell has drifted by its margin. Where few cells move it is they for
+    whom it is built again and again, and room round them costs little: each cell's margin is a
+    multiple of its drift since the last list, but not below half of what it was.
 
-@njit(**INLINED)
-def widened(margin, foresight, square, least):
-    """Return the margin of a cell for the next list, µm.
+    - ``position``, ``reference``, (n, 3), µm: now, and at the last list; not a number where there
+      was none
+    - ``reach``, (n,), µm: half of the distance within which a pair matters
+    - ``least``, float, µm: smallest margin
+    - ``margin``, (n,), µm: how far each cell may drift; changed in place
 
-    ``least`` is the smallest one, ``square`` that of :func:`square_drift`, not a number where there
-    was no list.
+    Returns (n,), µm: ``reach`` + ``margin``.
     """
-    wanted = foresight * math.sqrt(square)
-    if wanted == wanted:
-        return max(least, min(max(wanted, 0.5 * margin), _WIDEST * least))
-    return margin
+    wide = np.empty_like(reach)
+    for i in range(reach.size):
+        square = 0.0
+        for a in range(3):
+            square += (position[i, a] - reference[i, a]) ** 2
+        # not a number where there was no list: the margin stays
+        wanted = _FORESIGHT * math.sqrt(square)
+        if wanted == wanted:
+            margin[i] = max(least, min(max(wanted, 0.5 * margin[i]), _WIDEST * least))
+        wide[i] = reach[i] + margin[i]
+    return wide

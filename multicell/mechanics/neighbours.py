@@ -10,17 +10,13 @@ bits whatever the number of threads.
 Trial states of an implicit integrator are arbitrary. Any finite input is handled: where the
 cells are so far apart that a dense grid would be larger than a few bins per cell, bins are
 made from the sorted coordinates instead, and memory stays proportional to cells and pairs.
-
-A list names all pairs that are close at the cells' reference positions, for which each cell may
-drift by its margin. Where few cells have drifted far, the list is repaired: their pairs are taken
-out and searched anew, and stand as outer pairs even where both cells are in one chunk.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 from numba import njit, prange
@@ -29,7 +25,6 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER
 from multicell.compiling.threads import two_drivers
-from multicell.mechanics.margins import FORESIGHT, REPAIR_FORESIGHT, square_drift, widened
 
 IndexArray = NDArray[np.int32]
 OffsetArray = NDArray[np.int64]
@@ -41,19 +36,10 @@ _SPARE_BINS = 4096
 _SPARE_PAIRS = 4_000_000
 _BLOCK = 512  # candidates that are tested in one go
 _SLICES = 4  # bins along x for each along y and z
-_WORN = 0.7  # part of its margin from which on a cell's pairs are searched anew in a repair
-_FEW = 5  # a list is repaired for at most one cell in so many
-
-REPAIR_CELLS = 1000
-"""Number of cells from which on lists are repaired: with fewer a new one costs little, and code for
-repairs is not compiled."""
 
 
 class TooManyPairsError(Exception):
     """So many cells lie on top of each other that the list of pairs would not fit."""
-
-    def __init__(self, n: int) -> None:
-        super().__init__(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
 
 
 @final
@@ -117,21 +103,17 @@ def build(
     """
     n = len(position)
     if n < 2:
-        return PairList(*no_list(n, chunk), chunk, n)
+        empty = np.zeros(-(-n // chunk), dtype=np.int64)
+        none = np.empty(0, dtype=np.int32)
+        return PairList(none, none, empty, empty.copy(), empty.copy(), chunk, n)
     run = rebuild_parallel if threads > 1 and n > chunk else rebuild
+    none = np.empty(0, dtype=np.int32)
     crowded, first, second, start, inner_end, outer_end = run(
-        position, np.full((n, 3), np.nan), radius + 0.5 * skin, 0.0, np.zeros(n), chunk,
-        *no_list(n, chunk)[:2],
-    )  # fmt: skip
+        position, radius, skin, chunk, none, none
+    )
     if crowded:
-        raise TooManyPairsError(n)
+        raise TooManyPairsError(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
     return PairList(first, second, start, inner_end, outer_end, chunk, n)
-
-
-def no_list(n: int, chunk: int) -> tuple[Any, Any, Any, Any, Any]:
-    """Return the arrays of a list of ``n`` cells without pairs or room."""
-    none, ends = np.empty(0, dtype=np.int32), np.zeros(-(-n // chunk), dtype=np.int64)
-    return none, none, ends, ends, ends
 
 
 class Bins(NamedTuple):
@@ -148,7 +130,8 @@ class Bins(NamedTuple):
       reads them in a stream
     - ``largest``, float, µm: the largest of these radii
     - ``low``, (3,), µm: dense: the corner of the grid
-    - ``shape``, (3,) int64: the number of bins along x, y and z; no bins where they are sparse
+    - ``shape``, (3,) int64: dense: the number of bins along x, y and z; zeros where the bins are
+      sparse
     - ``row``, (n, 2) int32: dense: the row of each cell along y and z
     - ``start``, (bins + 2,) int32: dense: the first place of each bin, x running fastest, and the
       end
@@ -169,97 +152,55 @@ class Bins(NamedTuple):
 
 
 @njit(**INNER)
-def _measure_chunk(c, chunk, reference, reach, margin, wide, bounds):
-    """Write the radii of search of one chunk's cells, µm, and what holds for all of them.
+def _dense_bins(position, radius, skin):
+    """Sort by counting into a dense grid.
 
-    ``bounds[c]`` are the lowest and the highest coordinates and the largest radius of search.
+    ``shape`` is zero, and no cell is sorted, where the grid would have too many bins.
     """
+    n = position.shape[0]
+    largest = radius[0]
+    for i in range(n):
+        largest = max(largest, radius[i])
+    largest += 0.5 * skin
+    inverse = 0.5 / largest
+    low, shape = np.empty(3), np.empty(3, np.int64)
+    total = 1.0
     for a in range(3):
-        bounds[c, a], bounds[c, 3 + a] = np.inf, -np.inf
-    bounds[c, 6] = 0.0
-    for i in range(c * chunk, min((c + 1) * chunk, reference.shape[0])):
-        wide[i] = reach[i] + margin[i]
-        bounds[c, 6] = max(bounds[c, 6], wide[i])
-        for a in range(3):
-            bounds[c, a] = min(bounds[c, a], reference[i, a])
-            bounds[c, 3 + a] = max(bounds[c, 3 + a], reference[i, a])
-
-
-@njit(**INNER)
-def _renew_chunk(c, chunk, position, reference, least, margin):
-    """Make the present positions of one chunk's cells the reference; adapt their margins."""
-    for i in range(c * chunk, min((c + 1) * chunk, position.shape[0])):
-        margin[i] = widened(margin[i], FORESIGHT, square_drift(position, reference, i), least)
-        for a in range(3):
-            reference[i, a] = position[i, a]
-
-
-@njit(**INNER)
-def _grid_of(bounds, slices, n):
-    """Return corner, shape, number of bins and largest radius of a dense grid of ``n`` cells.
-
-    Bins are as wide as the largest distance of a pair, along x a part of that. There are none where
-    they would be too many.
-    """
-    low, shape = np.empty(3), np.zeros(3, np.int64)
-    largest = 0.0
-    for c in range(bounds.shape[0]):
-        largest = max(largest, bounds[c, 6])
-    inverse, total = 0.5 / largest, 1.0
-    for a in range(3):
-        low[a], high = np.inf, -np.inf
-        for c in range(bounds.shape[0]):
-            low[a], high = min(low[a], bounds[c, a]), max(high, bounds[c, 3 + a])
+        low[a], high = position[0, a], position[0, a]
+        for i in range(n):
+            low[a], high = min(low[a], position[i, a]), max(high, position[i, a])
         # math.floor makes an integer, which is undefined for what no integer holds
-        count = np.floor((high - low[a]) * inverse * (slices if a == 0 else 1)) + 1.0
+        count = np.floor((high - low[a]) * inverse * (_SLICES if a == 0 else 1)) + 1.0
         total *= count
         shape[a] = np.int64(count) if total <= _BINS_PER_CELL * n + _SPARE_BINS else 0
-    return low, shape, shape[0] * shape[1] * shape[2], largest
-
-
-@njit(**INLINED)
-def _bin_of(position, i, low, shape, scale, slices):
-    """Return the bin of cell i along x, y and z; ``scale`` is one over their width, 1/µm."""
-    ix = min(np.int64((position[i, 0] - low[0]) * scale * slices), shape[0] - 1)
-    iy = min(np.int64((position[i, 1] - low[1]) * scale), shape[1] - 1)
-    iz = min(np.int64((position[i, 2] - low[2]) * scale), shape[2] - 1)
-    return ix, iy, iz
-
-
-@njit(**INNER)
-def _row_chunk(c, chunk, position, low, shape, scale, row, bin_of):
-    """Write the bins of one chunk's cells."""
-    for i in range(c * chunk, min((c + 1) * chunk, position.shape[0])):
-        ix, iy, iz = _bin_of(position, i, low, shape, scale, _SLICES)
-        row[i, 0], row[i, 1] = iy, iz
-        bin_of[i] = (iz * shape[1] + iy) * shape[0] + ix
-
-
-@njit(**INNER)
-def _count_out(bin_of, start, order, place):
-    """Sort the cells by counting; ``start`` is given the first place of each bin."""
-    for b in range(start.size):
+    bins = shape[0] * shape[1] * shape[2]
+    if bins == 0:
+        shape[0], n = 0, 0
+    order, place, row = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 2), np.int32)
+    cells, start, bin_of = np.empty((n, 4)), np.empty(bins + 2, np.int32), np.empty(n, np.int32)
+    for b in range(bins + 2):
         start[b] = 0
-    for i in range(bin_of.size):
-        start[bin_of[i] + 2] += 1
-    for b in range(2, start.size):
-        start[b] += start[b - 1]
-    for i in range(bin_of.size):
+    for i in range(n):
+        ix = min(np.int64((position[i, 0] - low[0]) * inverse * _SLICES), shape[0] - 1)
+        iy = min(np.int64((position[i, 1] - low[1]) * inverse), shape[1] - 1)
+        iz = min(np.int64((position[i, 2] - low[2]) * inverse), shape[2] - 1)
+        row[i, 0], row[i, 1] = iy, iz
+        b = (iz * shape[1] + iy) * shape[0] + ix
+        bin_of[i] = b
+        start[b + 2] += 1
+    for b in range(1, bins + 1):
+        start[b + 1] += start[b]
+    for i in range(n):
         # start[b + 1] runs through bin b, and ends as the first place of the next one
         b = bin_of[i]
         p = start[b + 1]
         start[b + 1] = p + 1
         order[p], place[i] = i, p
-
-
-@njit(**INNER)
-def _copy_chunk(c, chunk, reference, wide, place, cells):
-    """Copy centres and radii of search of one chunk's cells to their places in bins."""
-    for i in range(c * chunk, min((c + 1) * chunk, reference.shape[0])):
-        p = place[i]
         for a in range(3):
-            cells[p, a] = reference[i, a]
-        cells[p, 3] = wide[i]
+            cells[p, a] = position[i, a]
+        cells[p, 3] = radius[i] + 0.5 * skin
+    none = np.empty((0, 5, 2), np.int64)
+    return Bins(order, place, cells, largest, low, shape, row, start, none)
 
 
 @njit(**INNER)
@@ -300,8 +241,8 @@ def _first_not_below(key, count, wanted):
 
 
 @njit(**INNER)
-def _sparse_bins(position, largest, order, place, ranges):
-    """Bin far-flung cells by sorted coordinates; write their order, their places and ``ranges``.
+def _sparse_bins(position, radius, skin, none):
+    """Bin far-flung cells by sorted coordinates; the rest of ``none``, unfilled bins, is kept.
 
     Along each axis bins are numbered one after the other, and close cells differ by at most one:
     memory does not depend on the distances. Compiled with what calls it: an exception that Python
@@ -309,9 +250,12 @@ def _sparse_bins(position, largest, order, place, ranges):
     are whole numbers that a float holds exactly for less than 9e7 cells.
     """
     n = position.shape[0]
-    width = 2.0 * largest
+    width = 0.0
+    for i in range(n):
+        width = max(width, radius[i] + 0.5 * skin)
+    width *= 2.0
     number, key, edge = np.empty((4, n)), np.empty(n), np.empty(n)
-    sorted_cells, stride, count = np.empty(0, np.int32), n + 2.0, 0
+    order, stride, count = np.empty(0, np.int32), n + 2.0, 0
     # along x, y and z, rows along x, and places in rows: sorted by one call, which compiles once
     for sort in range(5):
         for i in range(n):
@@ -322,25 +266,28 @@ def _sparse_bins(position, largest, order, place, ranges):
                 key[i] = number[1, i]
             else:
                 key[i] = number[3, i] * stride + number[0, i]
-        sorted_cells = _stable_order(key)
+        order = _stable_order(key)
         if sort == 4:
             break
         count, gap = 0, width if sort < 3 else 0.0
         for k in range(n):
-            i = sorted_cells[k]
+            i = order[k]
             # compared as a sum of halves, which cannot overflow
             if count == 0 or 0.5 * key[i] > 0.5 * edge[count - 1] + 0.5 * gap:
                 edge[count] = key[i]
                 count += 1
             number[sort, i] = count - 1
-    line = np.empty(n)
+    place, cells, line = np.empty(n, np.int32), np.empty((n, 4)), np.empty(n)
     for k in range(n):
-        i = sorted_cells[k]
-        order[k], place[i], line[k] = i, k, key[i]
+        i = order[k]
+        place[i], line[k] = k, key[i]
+        for a in range(3):
+            cells[k, a] = position[i, a]
+        cells[k, 3] = radius[i] + 0.5 * skin
+    ranges = np.zeros((n, 5, 2), np.int64)
     for i in range(n):
         x = number[0, i]
         for neighbour in range(5):
-            ranges[i, neighbour, 0] = ranges[i, neighbour, 1] = 0
             wanted = number[1, i] + ((neighbour + 4) // 3 - 1) * stride + ((neighbour + 4) % 3 - 1)
             found = _first_not_below(edge, count, wanted)
             if found < count and edge[found] == wanted:
@@ -348,6 +295,9 @@ def _sparse_bins(position, largest, order, place, ranges):
                 ranges[i, neighbour, 0] = _first_not_below(line, n, begin + max(x - 1.0, 0.0))
                 ranges[i, neighbour, 1] = _first_not_below(line, n, begin + min(x + 2.0, stride))
         ranges[i, 0, 0] = place[i] + 1
+    return Bins(
+        order, place, cells, none.largest, none.low, none.shape, none.row, none.start, ranges
+    )
 
 
 @njit(**INLINED)
@@ -425,11 +375,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     at[1], stop[1] = stop[0], stop[0] + room[c, 1]
     hits = np.empty(2 * _BLOCK, np.int32)
     cells, row, start, shape, low = bins.cells, bins.row, bins.start, bins.shape, bins.low
-    width, scale, dense = (
-        2.0 * bins.largest,
-        0.5 * _SLICES / bins.largest,
-        bins.ranges.shape[0] == 0,
-    )
+    width, scale, dense = 2.0 * bins.largest, 0.5 * _SLICES / bins.largest, shape[0] > 0
     for i in range(np.uint64(own[0]), np.uint64(own[1])):
         # a typed zero: a bare one would have the functions below compiled twice
         a, count = np.int64(bins.place[i]), np.int64(0)
@@ -497,16 +443,11 @@ def _mirror(chunk, base, room, found, first, second, end):
     return True
 
 
-def _rebuild(position, reference, reach, least, margin, chunk, first, second):
-    """Build a neighbour list.
+def _rebuild(position, radius, skin, chunk, first, second):
+    """Do the work of :func:`build` for one cell and more.
 
     One function, and loops in place of array expressions: so it compiles many times faster.
 
-    - ``position``, ``reference``, (n, 3), µm: now, and at the last list, not a number where there
-      was none; becomes the present one
-    - ``reach``, (n,), µm: half of the distance within which a pair matters
-    - ``least``, float, µm: smallest margin
-    - ``margin``, (n,), µm: how far each cell may drift; changed in place
     - ``first``, ``second``, (m,) int32: of a list that nobody needs any more, or empty: written to
       where they are long enough. With many cells the system takes longer to find new memory than
       the search to fill it.
@@ -514,30 +455,20 @@ def _rebuild(position, reference, reach, least, margin, chunk, first, second):
     Returns crowded, bool: whether there are too many pairs; the list is then of no use; first,
     second, start, inner_end, outer_end: as in :class:`PairList`.
     """
-    n = position.shape[0]
+    found = _dense_bins(position, radius, skin)
+    if found.shape[0] == 0:
+        found = _sparse_bins(position, radius, skin, found)
+    # parallel loops take the tuples that their own function makes
+    bins = Bins(
+        found.order, found.place, found.cells, found.largest, found.low, found.shape, found.row,
+        found.start, found.ranges,
+    )  # fmt: skip
+    n = bins.order.size
     chunks = (n + chunk - 1) // chunk
-    wide, bounds = np.empty(n), np.empty((chunks, 7))
-    for c in prange(chunks):
-        _renew_chunk(c, chunk, position, reference, least, margin)
-        _measure_chunk(c, chunk, reference, reach, margin, wide, bounds)
-    low, shape, size, largest = _grid_of(bounds, _SLICES, n)
-    order, place, row = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 2), np.int32)
-    bin_of, first_place = np.empty(n, np.int32), np.empty(size + 2, np.int32)
-    ranges = np.empty((n if size == 0 else 0, 5, 2), np.int64)
-    if size > 0:
-        for c in prange(chunks):
-            _row_chunk(c, chunk, reference, low, shape, 0.5 / largest, row, bin_of)
-        _count_out(bin_of, first_place, order, place)
-    else:
-        _sparse_bins(reference, largest, order, place, ranges)
-    cells = np.empty((n, 4))
-    for c in prange(chunks):
-        _copy_chunk(c, chunk, reference, wide, place, cells)
-    bins = Bins(order, place, cells, largest, low, shape, row, first_place, ranges)
-    start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
-    outer_end = np.empty(chunks, np.int64)
     base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
     room, counts = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
+    start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
+    outer_end = np.empty(chunks, np.int64)
     for c in range(chunks):
         # what packed tissue needs
         room[c, 0] = room[c, 1] = 9 * min(n, chunk) + 64
@@ -561,168 +492,7 @@ def _rebuild(position, reference, reach, least, margin, chunk, first, second):
             break
     for c in range(chunks):
         start[c], inner_end[c] = base[c], base[c] + counts[c, 0]
-    if total > limit:
-        # no cell is close to a place that is not a number: the next state builds
-        for i in range(n):
-            reference[i, 0] = np.nan
     return total > limit, first, second, start, inner_end, outer_end
 
 
 rebuild, rebuild_parallel = two_drivers(_rebuild)
-
-
-@njit(**INNER)
-def _wear_chunk(c, chunk, position, reference, margin, worn, count):
-    """Mark the cells of one chunk that have used up much of their margin, and count them."""
-    count[c] = 0
-    for i in range(c * chunk, min((c + 1) * chunk, position.shape[0])):
-        limit = _WORN * margin[i]
-        worn[i] = not (square_drift(position, reference, i) <= limit * limit)
-        count[c] += worn[i]
-
-
-@njit(**INNER)
-def _renew_worn(worn, total, position, reference, least, margin):
-    """Do for the worn cells what :func:`_renew_chunk` does; return them."""
-    cell = np.empty(total, np.int32)
-    k = 0
-    for i in range(worn.size):
-        if worn[i]:
-            cell[k] = i
-            k += 1
-            square = square_drift(position, reference, i)
-            margin[i] = widened(margin[i], REPAIR_FORESIGHT, square, least)
-            for a in range(3):
-                reference[i, a] = position[i, a]
-    return cell
-
-
-@njit(**INNER)
-def _sort_worn(worn, reference, wide, low, shape, scale, bins):
-    """Sort the worn cells into bins; return cells, centres with radii, first places, neighbourhood.
-
-    The last says of each bin whether a worn cell is in it or next to it.
-    """
-    total = worn.size
-    bin_of, cell = np.empty(total, np.int32), np.empty(total, np.int32)
-    order, place = np.empty(total, np.int32), np.empty(total, np.int32)
-    start, near = np.empty(bins + 2, np.int32), np.zeros(bins, np.bool_)
-    for k in range(total):
-        ix, iy, iz = _bin_of(reference, worn[k], low, shape, scale, 1)
-        bin_of[k] = (iz * shape[1] + iy) * shape[0] + ix
-        for w in range(max(iz - 1, 0), min(iz + 2, shape[2])):
-            for v in range(max(iy - 1, 0), min(iy + 2, shape[1])):
-                for u in range(max(ix - 1, 0), min(ix + 2, shape[0])):
-                    near[(w * shape[1] + v) * shape[0] + u] = True
-    _count_out(bin_of, start, order, place)
-    centre = np.empty((total, 4))
-    for k in range(total):
-        i = worn[order[k]]
-        cell[k] = i
-        for a in range(3):
-            centre[k, a] = reference[i, a]
-        centre[k, 3] = wide[i]
-    return cell, centre, start, near
-
-
-@njit(**INNER)
-def _repair_chunk(
-    c, chunk, reference, wide, worn, cell, centre, place, near, low, shape, scale, first, second,
-    start, inner_end, outer_end, kept, found,
-):  # fmt: skip
-    """Take the pairs of worn cells out of one chunk, and append those that its cells have now.
-
-    ``kept[c]`` are the ends of the inner and the outer pairs that stay, ``found[c]`` is that of
-    the new ones: where it is beyond the chunk's room, they are not all written.
-    """
-    at, stop = start[c], start[c + 1] if c + 1 < start.size else first.size
-    for side in range(2):
-        begin = start[c] if side == 0 else inner_end[c]
-        for p in range(begin, inner_end[c] if side == 0 else outer_end[c]):
-            i, j = np.uint32(first[p]), np.uint32(second[p])
-            first[at], second[at] = i, j
-            at += np.int64(not (worn[i] or worn[j]))
-        kept[c, side] = at
-    for j in range(c * chunk, min((c + 1) * chunk, reference.shape[0])):
-        ix, iy, iz = _bin_of(reference, j, low, shape, scale, 1)
-        if not near[(iz * shape[1] + iy) * shape[0] + ix]:
-            continue
-        x, y, z, r = reference[j, 0], reference[j, 1], reference[j, 2], wide[j]
-        for w in range(max(iz - 1, 0), min(iz + 2, shape[2])):
-            for v in range(max(iy - 1, 0), min(iy + 2, shape[1])):
-                line = (w * shape[1] + v) * shape[0]
-                end = place[line + min(ix + 2, shape[0])]
-                for k in range(place[line + max(ix - 1, 0)], end):
-                    dx, dy, dz = centre[k, 0] - x, centre[k, 1] - y, centre[k, 2] - z
-                    limit = centre[k, 3] + r
-                    if dx * dx + dy * dy + dz * dz <= limit * limit and cell[k] != j:
-                        if at < stop:
-                            first[at], second[at] = j, cell[k]
-                        at += 1
-    found[c] = at
-
-
-@njit(**INNER)
-def _mirror_new(chunk, worn, first, second, start, kept, found, inner_end, outer_end):
-    """Give the new pairs to the chunks of their worn cells, too, and write where lists end.
-
-    Return whether there was room for all. Two worn cells have found each other.
-    """
-    chunks = start.size
-    for c in range(chunks):
-        if found[c] > (start[c + 1] if c + 1 < chunks else first.size):
-            return False
-        inner_end[c], outer_end[c] = kept[c, 0], found[c]
-    for c in range(chunks):
-        for p in range(kept[c, 1], found[c]):
-            if worn[first[p]]:
-                continue
-            d = second[p] // chunk
-            at = outer_end[d]
-            if at == (start[d + 1] if d + 1 < chunks else first.size):
-                return False
-            first[at], second[at] = second[p], first[p]
-            outer_end[d] = at + 1
-    return True
-
-
-def _repair(
-    position, reference, reach, least, margin, chunk, first, second, start, inner_end, outer_end
-):  # fmt: skip
-    """Search anew the pairs of cells that have drifted, where these are few.
-
-    The arguments are those of :func:`_rebuild`; ``first``, ``second``, ``start``, ``inner_end``
-    and ``outer_end`` are the last list, whose pairs are written over.
-
-    Returns repaired, bool: if not, the list must be built; inner_end, outer_end.
-    """
-    n, chunks = position.shape[0], start.size
-    ends, kept = np.empty((2, chunks), np.int64), np.empty((chunks, 2), np.int64)
-    worn, count = np.empty(n, np.bool_), np.empty(chunks, np.int64)
-    for c in prange(chunks):
-        _wear_chunk(c, chunk, position, reference, margin, worn, count)
-    total = 0
-    for c in range(chunks):
-        total += count[c]
-    if total > n // _FEW:
-        return False, ends[0], ends[1]
-    worn_cells = _renew_worn(worn, total, position, reference, least, margin)
-    wide, bounds = np.empty(n), np.empty((chunks, 7))
-    for c in prange(chunks):
-        _measure_chunk(c, chunk, reference, reach, margin, wide, bounds)
-    low, shape, bins, largest = _grid_of(bounds, 1, n)
-    if bins == 0:
-        return False, ends[0], ends[1]
-    cell, centre, place, near = _sort_worn(
-        worn_cells, reference, wide, low, shape, 0.5 / largest, bins
-    )
-    for c in prange(chunks):
-        _repair_chunk(
-            c, chunk, reference, wide, worn, cell, centre, place, near, low, shape, 0.5 / largest,
-            first, second, start, inner_end, outer_end, kept, count,
-        )  # fmt: skip
-    done = _mirror_new(chunk, worn, first, second, start, kept, count, ends[0], ends[1])
-    return done, ends[0], ends[1]
-
-
-repair, repair_parallel = two_drivers(_repair)

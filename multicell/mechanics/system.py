@@ -18,7 +18,7 @@ from multicell.cells import SPHERE, FloatArray, stokes_drag
 from multicell.compiling.threads import launch
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
-from multicell.mechanics import blocks, forces, neighbours, optional
+from multicell.mechanics import blocks, forces, margins, neighbours, optional
 from multicell.mechanics.division_offset import Offsets, PairValues
 from multicell.mechanics.listed import are_listed, listed
 from multicell.mechanics.motion import Motion, StateRejected, Work
@@ -123,7 +123,6 @@ class Mechanics:
         # room for a list: that of the last coupling step
         self.spare = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int32)
         self._cells: forces.CellData
-        self._pair_data: forces.PairData
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
         self.prescribed: Prescribed | None = None
@@ -437,35 +436,18 @@ class Mechanics:
         """Build the neighbour list at a state, and what the law keeps for each pair."""
         if not np.isfinite(position).all():
             raise StateRejected("a position is not a number")
-        position, n = np.array(position), len(self)
-        known = self._pairs is not None
-        reference = self._cells.reference if known else np.full((n, 3), np.nan)
-        # what was linearised may still need the last list
-        arrays: Any = (
-            tuple(array.copy() for array in self._pair_data[:5])
-            if known
-            else neighbours.no_list(n, self.chunk)
+        self.work.list_builds += 1
+        reference = np.array(position)
+        last = self._cells.reference if self._pairs is not None else np.full((len(self), 3), np.nan)
+        reach = margins.widened(
+            reference, last, self._list_radius, self._least_margin, self._margin
         )
-        first, second, start, inner_end, outer_end = arrays
-        shared, crowded = self._list_threads() > 1, False
-        common = (
-            position, reference, self._list_radius, self._least_margin, self._margin, self.chunk,
-            first, second,
-        )  # fmt: skip
-        repaired = False
-        if known and n >= neighbours.REPAIR_CELLS:
-            repair = neighbours.repair_parallel if shared else neighbours.repair
-            repaired, inner_end, outer_end = repair(*common, start, inner_end, outer_end)
-        if not repaired:
-            self.work.list_builds += 1
-            rebuild = neighbours.rebuild_parallel if shared else neighbours.rebuild
-            crowded, first, second, start, inner_end, outer_end = rebuild(*common)
-        if crowded:
+        try:
+            pairs = neighbours.build(reference, reach, 0.0, self._list_threads(), self.chunk)
+        except neighbours.TooManyPairsError as error:
             # the old list does not fit the new margins
             self._pairs = None
-            error = neighbours.TooManyPairsError(n)
             raise StateRejected(f"cells lie on top of each other ({error})") from error
-        pairs = neighbours.PairList(first, second, start, inner_end, outer_end, self.chunk, n)
         motion = self.motion
         self._cells = forces.CellData(
             self.chunk,

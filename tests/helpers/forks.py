@@ -43,8 +43,10 @@ class Patience:
 
 def processor_time(process):
     """Return what a process and those that it has started have used, s."""
-    found = 0.0
-    for one in [process, *process.children(recursive=True)]:
+    found, family = 0.0, []
+    with contextlib.suppress(psutil.NoSuchProcess):  # any of them may end meanwhile
+        family = [process, *process.children(recursive=True)]
+    for one in family:
         with contextlib.suppress(psutil.NoSuchProcess):
             found += sum(one.cpu_times()[:4])
     return found

@@ -373,10 +373,10 @@ def test_rebuild_inside_numba_gives_the_list_of_build(scale, chunk):
     expected = neighbours.build(position, radius, 0.7, chunk=chunk)
     launch()
     for run in (neighbours.rebuild, neighbours.rebuild_parallel):
+        none = np.empty(0, dtype=np.int32)
         crowded, first, second, start, inner_end, outer_end = run(
-            position, np.full((200, 3), np.nan), radius + 0.35, 0.0, np.zeros(200), chunk,
-            *neighbours.no_list(200, chunk)[:2],
-        )  # fmt: skip
+            position, radius, 0.7, chunk, none, none
+        )
         assert not crowded
         for c in range(len(start)):
             part = slice(start[c], outer_end[c])

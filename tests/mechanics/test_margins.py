@@ -5,9 +5,8 @@ import pytest
 from strategies import cluster, mechanics
 
 from multicell.contact.hertz import Hertz
-from multicell.integrators.runge_kutta import AdaptiveEuler, Euler
+from multicell.integrators.runge_kutta import Euler
 from multicell.mechanics.motion import StateRejected
-from multicell.mechanics.neighbours import REPAIR_CELLS
 
 
 def forces_of(system, position):
@@ -88,19 +87,3 @@ def test_after_a_state_that_is_too_crowded_no_pair_is_missed(compiled):
     alone = forces_of(mechanics(radius, young, Hertz()), near)
     found = forces_of(system, near)
     np.testing.assert_allclose(found, alone, atol=1e-12 * np.abs(alone).max())
-
-
-def test_forces_with_repaired_lists_are_those_of_lists_of_their_own():
-    tissue = cluster(REPAIR_CELLS + 200, 5)
-    system = mechanics(*tissue[1:], Hertz())
-    forces_of(system, tissue[0])
-    for state in walk(tissue, 40, 0.02, np.arange(0, len(tissue[0]), 60)):
-        alone = forces_of(mechanics(*tissue[1:], Hertz()), state)
-        found = forces_of(system, state)
-        np.testing.assert_allclose(found, alone, atol=1e-12 * np.abs(alone).max())
-    assert system.work.list_builds == 1
-    assert system._margin.max() > 3.0 * system._least_margin
-    loops, plain = mechanics(*tissue[1:], Hertz()), mechanics(*tissue[1:], Hertz(), skin=2.0)
-    ends = [AdaptiveEuler(1e-6, 1e-3).integrate(each, state).position for each in (loops, plain)]
-    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
-    assert loops._margin.max() > loops._least_margin

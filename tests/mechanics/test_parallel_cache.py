@@ -16,9 +16,8 @@ Mechanics(Hertz(), 5.0, threads=2)
 """
 INNER = CELLS + "neighbours.build(place, radius, 0.5, 2, 64)"
 OUTER = CELLS + (
-    "none = 2 * [np.empty(0, np.int32)]\n"
-    "nan, zero = np.full((300, 3), np.nan), np.zeros(300)\n"
-    "print(neighbours.rebuild_parallel(place, nan, radius, 0.0, zero, 64, *none)[0])"
+    "none = np.empty(0, np.int32)\n"
+    "print(neighbours.rebuild_parallel(place, radius, 0.5, 64, none, none)[0])"
 )
 
 
