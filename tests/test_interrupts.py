@@ -269,11 +269,11 @@ def _interrupted(command, environment, moments, cwd):
         env={**os.environ, **environment}, preexec_fn=listening,
     )  # fmt: skip
     assert process.stdout.readline() == "ready\n"
+    patience = Patience(process.pid, 180.0 + sum(moments), time.monotonic())
     for moment in moments:
         time.sleep(moment)
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
-    patience = Patience(process.pid, 180.0, time.monotonic())
     while not patience.ended(time.monotonic()):
         with contextlib.suppress(subprocess.TimeoutExpired):
             output, errors = process.communicate(timeout=5)
