@@ -1,5 +1,5 @@
 """Confinement: spheroids in elastic gels compared with the growth that pressure leaves them
-==========================================================================================
+=========================================================================================
 
 Problem
     Twelve cells grow in a cavity of 12 um within a gel of 30 or 100 kPa (the scene ``confined``).

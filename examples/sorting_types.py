@@ -1,5 +1,5 @@
 """Sorting: unlike contacts fall from those of a random mixture where like cells stick more
-=========================================================================================
+========================================================================================
 
 Problem
     400 cells of two types in a plane (the scene ``openvt-sorting``), mixed at random, with random
