@@ -41,7 +41,8 @@ def test_help_lists_the_commands_and_every_command_has_help():
         assert command in answer.output
         page = call(command, "--help")
         assert page.exit_code == 0
-        assert "--json" in page.output
+        if command != "play":  # which serves a page, and prints nothing but its address
+            assert "--json" in page.output
 
 
 def test_help_loads_nothing_heavy():
