@@ -191,7 +191,7 @@ def _factor(unit_text: str, unit: str, text: str, path: str) -> float:
     import pint
 
     if re.match(r",\d", unit_text):
-        hint = "Use '.' as decimal separator."
+        hint = f"Use '.' as decimal separator. {_example(unit)}"
         raise SceneError(path, f"is {shown(text)}, its unit cannot be read", hint)
     if not _UNIT_TEXT.fullmatch(unit_text) or _RUNAWAY.search(unit_text):
         raise SceneError(path, f"is {shown(text)}, its unit cannot be read", _example(unit))

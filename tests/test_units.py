@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pint
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import constants
 
@@ -165,6 +165,7 @@ def test_any_unit_gives_a_finite_float_or_a_scene_error(unit):
 
 
 @given(text=st.text(max_size=30))
+@example("0,0")
 def test_any_text_gives_a_finite_float_or_a_scene_error(text):
     result = outcome(text, "um")
     assert math.isfinite(result) if isinstance(result, float) else "'5 um'" in result.hint

@@ -1,5 +1,6 @@
 """The page with sliders: the real server on loopback, its runs, and who it answers."""
 
+import contextlib
 import json
 import os
 import re
@@ -14,6 +15,7 @@ from urllib.parse import urlsplit
 
 import pytest
 from click.testing import CliRunner
+from signals import listening
 
 import multicell as mc
 from multicell.cli.main import main
@@ -40,21 +42,29 @@ def asked(address, path="/", method="GET", body=None, **headers):
         return error.code, error.read()
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    """Return the process of the command, its address, and its folder for temporary files."""
-    place = tmp_path_factory.mktemp("play")
+@contextlib.contextmanager
+def served(place):
+    """Return the process of the command and its address; temporary files are in ``place``."""
     process = subprocess.Popen(
         [sys.executable, "-m", "multicell", "play", "treatment", *SMALL],
-        env={**os.environ, "TMPDIR": str(place)},
+        env={**os.environ, "TMPDIR": str(place)}, preexec_fn=listening,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    address = process.stdout.readline().strip()
-    assert address.startswith("http://127.0.0.1:"), process.stderr.read()
-    yield process, address, place
-    if process.poll() is None:
-        process.kill()
-    process.communicate()
+    try:
+        address = process.stdout.readline().strip()
+        assert address.startswith("http://127.0.0.1:"), process.stderr.read()
+        yield process, address
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """Return the address of a server."""
+    with served(tmp_path_factory.mktemp("play")) as (_, found):
+        yield found
 
 
 def wait_for(address, condition, seconds=240.0):
@@ -68,8 +78,7 @@ def wait_for(address, condition, seconds=240.0):
     raise AssertionError(status)
 
 
-def test_only_those_who_know_the_secret_are_answered(server):
-    _, address, _ = server
+def test_only_those_who_know_the_secret_are_answered(address):
     assert asked(address)[0] == 200
     bare = address.partition("?")[0]
     for path in ("/", "/run", "/view", "/curves"):
@@ -79,8 +88,7 @@ def test_only_those_who_know_the_secret_are_answered(server):
 
 
 @pytest.mark.slow
-def test_a_slider_begins_a_run_that_can_be_seen(server):
-    _, address, _ = server
+def test_a_slider_begins_a_run_that_can_be_seen(address):
     page = asked(address)[1].decode()
     slider = json.loads(re.search(r'id="about">(.*?)</script>', page, re.S)[1])[0]
     assert slider["key"] == KEY
@@ -99,24 +107,23 @@ def test_a_slider_begins_a_run_that_can_be_seen(server):
 @pytest.mark.parametrize(
     "body", [{"places": []}, {"places": [-1]}, {"places": ["x"]}, {"places": None}, {}, [], "x"]
 )
-def test_what_is_no_place_of_a_slider_is_refused(server, body):
-    _, address, _ = server
+def test_what_is_no_place_of_a_slider_is_refused(address, body):
     assert asked(address, "/run", "POST", body)[0] in (400, 422)
 
 
 @pytest.mark.slow
-def test_an_interrupt_ends_the_server_with_its_run(server):
-    process, address, place = server
-    number = json.loads(asked(address, "/run", "POST", {"places": [500]})[1])["number"]
-    status = json.loads(asked(address, "/run")[1])
-    assert (status["number"], status["going"]) == (number, True)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(180) == 0
-    assert process.stderr.read() == ""
-    assert list(place.glob("multicell-play-*")) == []
+def test_an_interrupt_ends_the_server_with_its_run(tmp_path):
+    with served(tmp_path) as (process, address):
+        number = json.loads(asked(address, "/run", "POST", {"places": [500]})[1])["number"]
+        status = json.loads(asked(address, "/run")[1])
+        assert (status["number"], status["going"]) == (number, True)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+        assert process.stderr.read() == ""
+        assert list(tmp_path.glob("multicell-play-*")) == []
     if Path("/proc").is_dir():
         running = [p.read_bytes() for p in Path("/proc").glob("[0-9]*/cmdline") if _there(p)]
-        assert not [line for line in running if str(place).encode() in line]
+        assert not [line for line in running if str(tmp_path).encode() in line]
 
 
 def _there(file):
