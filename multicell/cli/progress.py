@@ -11,15 +11,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import IO, TYPE_CHECKING, Any, Final, cast, final
+from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, Self, cast, final
 
-from multicell.cli.remaining import Forecast
+import numpy as np
+
 from multicell.cli.tables import time_text
 from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
 
 
@@ -149,8 +151,41 @@ def status(simulation: Any, wall: float, left: float | None = None) -> list[str]
 
 _UPDATE_EVERY: Final = 0.5  # wall time between two predictions, s
 _FORECAST_AFTER: Final = 10.0  # wall time of a run after which its end is predicted, s
-_MEASURED: Final = 3.0  # wall time of steps, s, that are measured before anything is predicted
 _SETTLES: Final = 15.0  # wall time in which a prediction follows a new one, s
+_PRIOR: Final = 5.0  # expected wall time, s, that counts as if it had been measured as expected
+
+
+class Forecast(NamedTuple):
+    """Expected cost of a run.
+
+    - ``times``, (k,): simulated times from 0 to the end, s
+    - ``cost``, (k,): wall time that is expected up to then, without compilation, s
+    """
+
+    times: FloatArray
+    cost: FloatArray
+
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        """Return the forecast of ``explain``; it takes about half a second."""
+        from multicell.report.explain.cost import cost_of_step, predict
+
+        expected, (constant, slope) = predict(scene), cost_of_step(scene)
+        times = expected.course.times
+        rate = constant + slope * expected.course.cells
+        cost = np.cumsum(0.5 * np.diff(times, prepend=0.0) * (rate + np.roll(rate, 1)))
+        return cls(times, cost * (expected.seconds / cost[-1]))
+
+    def left(self, begin: float, now: float, wall: float) -> float:
+        """Return the wall time that is left, s.
+
+        Measured steps correct the expectation, which counts as much as some that took what was
+        expected: the first steps are few, and load code from its cache.
+
+        - ``begin``, ``now``, s: simulated times between which the wall time ``wall``, s, has passed
+        """
+        before, here = np.interp([begin, now], self.times, self.cost)
+        return float((self.cost[-1] - here) * (wall + _PRIOR) / (here - before + _PRIOR))
 
 
 @final
@@ -178,25 +213,24 @@ class _Clock:
         from multicell.compiling import COMPILATION  # loaded by then
 
         self._simulation, now = simulation, time.perf_counter()
-        worked = now - COMPILATION.seconds
         if self._forecast is None:
             if now - self._start > _FORECAST_AFTER:
                 self._forecast = Forecast.of(self._scene)
                 self._since = simulation.time, time.perf_counter() - COMPILATION.seconds
-        elif now - self._predicted > _UPDATE_EVERY and worked - self._since[1] > _MEASURED:
+        elif now - self._predicted > _UPDATE_EVERY:
             begin, before = self._since
-            left = self._forecast.left(begin, simulation.time, worked - before)
+            left = self._forecast.left(begin, simulation.time, now - COMPILATION.seconds - before)
             self._end = settled(self._end, left, now, now - self._predicted)
             self._predicted = now
 
 
-def settled(end: float | None, left: float | None, now: float, passed: float) -> float | None:
+def settled(end: float | None, left: float, now: float, passed: float) -> float:
     """Return when a run is expected to end: a new prediction moves the old one step by step.
 
     - ``end``, ``now``: of the clock, s; None: nothing was predicted before
-    - ``left``: what is left by the new prediction, s; None where there is none
+    - ``left``: what is left by the new prediction, s
     - ``passed``: since the last one, s
     """
-    if end is None or left is None:
-        return end if left is None else now + left
+    if end is None:
+        return now + left
     return end + (now + left - end) * (1.0 - math.exp(-passed / _SETTLES))

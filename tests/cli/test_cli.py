@@ -388,7 +388,6 @@ def test_the_predicted_end_moves_slowly():
     true = 1000.0 - 0.5 * np.arange(60, 200)
     assert np.abs(np.diff(left)).max() < 0.04 * left.max()
     np.testing.assert_allclose(left, 1.25 * true, rtol=0.2)
-    assert progress.settled(None, None, 3.0, 0.5) is None
 
 
 def test_quiet_run_reports_nothing(capsys):
