@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
+from multicell.coupling.wall import Phase
+
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.integrators.base import Integrator
@@ -48,7 +50,8 @@ class Precompilation:
     def watch(self, simulation: Simulation) -> None:
         """Wait for the process once the first cell has divided."""
         if self.process is not None and len(simulation.cells) > 1:
-            with suppress(subprocess.TimeoutExpired):
+            compiling = Phase(simulation.wall, "compile")
+            with compiling, suppress(subprocess.TimeoutExpired):
                 self.process.wait(MAX_WAIT)
             self.close()
 

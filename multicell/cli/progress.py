@@ -210,16 +210,15 @@ class _Clock:
 
     def note(self, simulation: Any) -> None:
         """Note a step."""
-        from multicell.compiling import COMPILATION  # loaded by then
-
-        self._simulation, now = simulation, time.perf_counter()
+        self._simulation, compiled = simulation, simulation.wall["compile"]
+        now = time.perf_counter()
         if self._forecast is None:
             if now - self._start > _FORECAST_AFTER:
                 self._forecast = Forecast.of(self._scene)
-                self._since = simulation.time, time.perf_counter() - COMPILATION.seconds
+                self._since = simulation.time, time.perf_counter() - compiled
         elif now - self._predicted > _UPDATE_EVERY:
             begin, before = self._since
-            left = self._forecast.left(begin, simulation.time, now - COMPILATION.seconds - before)
+            left = self._forecast.left(begin, simulation.time, now - compiled - before)
             self._end = settled(self._end, left, now, now - self._predicted)
             self._predicted = now
 

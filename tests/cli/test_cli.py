@@ -331,7 +331,8 @@ def test_empty_value_removes_a_part():
 
 def moment(time, cells=120, step=3):
     scene = SimpleNamespace(duration=36000.0)
-    return SimpleNamespace(time=time, scene=scene, cells=range(cells), step_index=step)
+    cells, wall = range(cells), {"compile": 0.0}
+    return SimpleNamespace(time=time, scene=scene, cells=cells, step_index=step, wall=wall)
 
 
 def test_status_tells_time_cells_step_and_speed():

@@ -109,7 +109,8 @@ assert not {"_forces", "_rebuild"} & set(names), names
 PROCESS = """
 from types import SimpleNamespace
 assert precompile.Precompilation(scene, 1).process is None
-alone, two = SimpleNamespace(cells=range(1)), SimpleNamespace(cells=range(2))
+alone = SimpleNamespace(cells=range(1))
+two = SimpleNamespace(cells=range(2), wall={"compile": 0.0, "rest": 0.0})
 ahead = precompile.Precompilation(scene, 2)
 first = ahead.process
 ahead.watch(alone)
@@ -120,6 +121,7 @@ ahead = precompile.Precompilation(scene, 2)
 ahead.process.kill()
 ahead.watch(two)
 assert ahead.process is None
+assert two.wall["compile"] > 0.0
 """
 
 
