@@ -11,6 +11,7 @@ from weakref import ref
 
 import numpy as np
 
+from multicell.cells import State
 from multicell.results import observables as of
 from multicell.results.contacts import counts_contacts
 from multicell.results.observable import Observable, TissueState, find_own
@@ -26,6 +27,10 @@ _STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
 _LEDGER: Final = (
     "inflow", "outflow", "washed", "uptake", "secreted", "decayed", "stored", "content",
 )  # fmt: skip
+
+
+def _grows(scene: Scene) -> bool:
+    return scene.growth is not None
 
 
 def _has_phases(scene: Scene) -> bool:
@@ -124,6 +129,22 @@ OBSERVABLES: Final = (
         absent="without a core, and where the dead lie outside the living",
         shown="{:.0f} µm".format,
         doc="R less the necrotic radius",
+    ),
+    Observable(
+        "proliferating_rim",
+        lambda s: of.rim(s.cells, s.dimensions, [State.QUIESCENT, State.NECROTIC], s.extent),
+        unit="um",
+        exists=_grows,
+        absent="without quiescent and necrotic cells, and where they lie outside the others",
+        shown="{:.0f} µm".format,
+        doc="R less the radius, by the same formula, of quiescent and necrotic cells",
+    ),
+    Observable(
+        "growth_fraction",
+        lambda s: of.growth_fraction(s.cells),
+        exists=_grows,
+        absent="without living cells",
+        doc="part of living cells that proliferate: in the viable rim, where there is a core",
     ),
     Observable(
         "necrotic_radius",

@@ -7,7 +7,7 @@ their own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
@@ -121,18 +121,34 @@ def viable_volume(cells: Cells) -> float:
     return volume if volume > 0.0 and not cells.dead.all() else float("nan")
 
 
-def viable_rim(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
-    """Return the thickness of the layer outside the necrotic core in µm, NaN without a core.
+def rim(
+    cells: Cells, dimensions: int, inside: Sequence[State], extent: Extent | None = None
+) -> float:
+    """Return the thickness of the layer outside the cells in some states in µm, NaN without any.
 
-    Necrotic cells that lie further out than the others on average are no core either: there is
-    no layer outside them.
+    - ``inside``: states of the cells within: necrotic ones for the viable rim, quiescent ones too
+      for the proliferating one
+
+    Cells of these states that lie further out than all on average are no core: there is no layer
+    outside them.
     """
     extent = extent or Extent(cells, dimensions)
-    core = necrotic_radius(cells, dimensions, extent)
-    rim = extent.radius() - core
+    core = extent.radius(np.isin(cells.state, inside))
+    thickness = extent.radius() - core
     # rounding must not take the rim of a population that is all core
-    lost = rim < -1e-12 * core
-    return float("nan") if core == 0.0 or lost else max(rim, 0.0)
+    lost = thickness < -1e-12 * core
+    return float("nan") if core == 0.0 or lost else max(thickness, 0.0)
+
+
+def viable_rim(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
+    """Return the thickness of the layer outside the necrotic core in µm, NaN without a core."""
+    return rim(cells, dimensions, [State.NECROTIC], extent)
+
+
+def growth_fraction(cells: Cells) -> float:
+    """Return the part of the living cells that proliferate, NaN without living cells."""
+    living = cells.state[~cells.dead]
+    return float((living == State.PROLIFERATING).mean()) if len(living) else float("nan")
 
 
 def hypoxic_radius(

@@ -69,6 +69,20 @@ def test_ball_with_core_gives_core_and_rim():
                       "apoptotic": 0}  # fmt: skip
 
 
+def test_layers_of_a_ball_give_the_rim_that_proliferates_and_its_part():
+    """A ball of radius 100 whose cells are necrotic within 60 and quiescent up to 80 µm."""
+    position = _uniform_ball(100.0)
+    states = np.array([State.NECROTIC, State.QUIESCENT, State.PROLIFERATING])
+    state = states[np.digitize(np.linalg.norm(position, axis=1), [60.0, 80.0])]
+    frame = Frame(0.0, 0, cells_at(position, radius=0.2, state=state), {})
+    row = history_row(BARE.with_changes({"growth": {}}), frame)
+    assert row["proliferating_rim"] == pytest.approx(20.0, rel=2e-2)
+    assert row["viable_rim"] == pytest.approx(40.0, rel=1e-2)
+    assert row["radius"] == pytest.approx(0.5 * row["diameter"])
+    part = (1.0 - 0.8**3) / (1.0 - 0.6**3)
+    assert row["growth_fraction"] == pytest.approx(part, abs=4 * (part / len(position)) ** 0.5)
+
+
 def test_no_cells_have_no_size_and_no_centre():
     cells = Cells.empty()
     row = history_row(BARE, Frame(600.0, 1, cells, {}))

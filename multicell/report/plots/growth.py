@@ -27,7 +27,7 @@ def growth(history: style.History, scene: Scene) -> Figure:
     _draw_count(figure.add_subplot(grid[0, 0]), time, history["cells"])
     _draw_size(figure.add_subplot(grid[1, 0]), time, history)
     if rim:
-        _draw_rim(figure.add_subplot(grid[2, 0]), time, history["viable_rim"])
+        _draw_rim(figure.add_subplot(grid[2, 0]), time, history)
     _draw_states(figure.add_subplot(grid[:, 1]), time, history)
     for axes in figure.axes:
         axes.set_xlim(*style.span(time))
@@ -110,11 +110,15 @@ def _draw_size(axes: Axes, time: FloatArray, history: style.History) -> None:
     axes.set(title="Diameter", ylabel="diameter (µm)")
 
 
-def _draw_rim(axes: Axes, time: FloatArray, rim: FloatArray) -> None:
-    """Draw the thickness of the layer outside the necrotic core, since there is one."""
-    axes.plot(time, rim, style.draw_style(time), color=style.COLOURS["proliferating"], lw=2)
-    top = 1.15 * max(float(np.nanmax(rim)), 1.0)
-    axes.set(title="Viable rim", ylabel="thickness (µm)", ylim=(0.0, top))
+def _draw_rim(axes: Axes, time: FloatArray, history: style.History) -> None:
+    """Draw the layer outside the necrotic core, since there is one, and the one that grows."""
+    for name, colour in (("viable", style.INK), ("proliferating", style.COLOURS["proliferating"])):
+        thickness = history.get(f"{name}_rim")  # older runs have no proliferating one
+        if thickness is not None and np.isfinite(thickness).any():
+            axes.plot(time, thickness, style.draw_style(time), color=colour, lw=2, label=name)
+    top = 1.15 * max(float(np.nanmax(history["viable_rim"])), 1.0)
+    axes.set(title="Rim", ylabel="thickness (µm)", ylim=(0.0, top))
+    axes.legend(loc="upper left", fontsize=9, ncols=2)
 
 
 def _draw_states(axes: Axes, time: FloatArray, history: style.History) -> None:
