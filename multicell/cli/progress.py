@@ -5,7 +5,6 @@ All of it goes to stderr; stdout belongs to results.
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import time
@@ -149,9 +148,7 @@ def status(simulation: Any, wall: float, left: float | None = None) -> list[str]
     ]
 
 
-_UPDATE_EVERY: Final = 0.5  # wall time between two predictions, s
 _FORECAST_AFTER: Final = 10.0  # wall time of a run after which its end is predicted, s
-_SETTLES: Final = 15.0  # wall time in which a prediction follows a new one, s
 _PRIOR: Final = 5.0  # expected wall time, s, that counts as if it had been measured as expected
 
 
@@ -194,42 +191,26 @@ class _Clock:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._start = self._predicted = time.perf_counter()
+        self._start = time.perf_counter()
         self._forecast: Forecast | None = None
         self._since = 0.0, 0.0
-        self._end: float | None = None
+        self._left: float | None = None
         self._simulation: Any = None
 
     def words(self) -> list[str]:
         """Return where the run stands in words."""
         if self._simulation is None:
             return ["preparing"]
-        now = time.perf_counter()
-        left = None if self._end is None else max(0.0, self._end - now)
-        return status(self._simulation, now - self._start, left)
+        return status(self._simulation, time.perf_counter() - self._start, self._left)
 
     def note(self, simulation: Any) -> None:
         """Note a step."""
         self._simulation, compiled = simulation, simulation.wall["compile"]
         now = time.perf_counter()
-        if self._forecast is None:
-            if now - self._start > _FORECAST_AFTER:
-                self._forecast = Forecast.of(self._scene)
-                self._since = simulation.time, time.perf_counter() - compiled
-        elif now - self._predicted > _UPDATE_EVERY:
+        if self._forecast is None and now - self._start > _FORECAST_AFTER:
+            self._forecast = Forecast.of(self._scene)
+            now = time.perf_counter()
+            self._since = simulation.time, now - compiled
+        if self._forecast is not None:
             begin, before = self._since
-            left = self._forecast.left(begin, simulation.time, now - compiled - before)
-            self._end = settled(self._end, left, now, now - self._predicted)
-            self._predicted = now
-
-
-def settled(end: float | None, left: float, now: float, passed: float) -> float:
-    """Return when a run is expected to end: a new prediction moves the old one step by step.
-
-    - ``end``, ``now``: of the clock, s; None: nothing was predicted before
-    - ``left``: what is left by the new prediction, s
-    - ``passed``: since the last one, s
-    """
-    if end is None:
-        return now + left
-    return end + (now + left - end) * (1.0 - math.exp(-passed / _SETTLES))
+            self._left = self._forecast.left(begin, simulation.time, now - compiled - before)

@@ -378,19 +378,6 @@ def test_bar_in_a_terminal_shows_the_status(capsys, monkeypatch, columns):
     assert ("step 3" in last) == (columns > 80)
 
 
-def test_the_predicted_end_moves_slowly():
-    """Predictions that jump by a factor of two move what is shown by a part of that each time."""
-    end, shown = None, []
-    for k in range(200):
-        now, true = 0.5 * k, 1000.0 - 0.5 * k
-        end = progress.settled(end, true * (2.0 if k % 2 else 0.5), now, 0.5)
-        shown.append(end - now)
-    left = np.array(shown[60:])
-    true = 1000.0 - 0.5 * np.arange(60, 200)
-    assert np.abs(np.diff(left)).max() < 0.04 * left.max()
-    np.testing.assert_allclose(left, 1.25 * true, rtol=0.2)
-
-
 def test_quiet_run_reports_nothing(capsys):
     with progress.reporter(load_scene("settle"), show=False) as report:
         assert report is None

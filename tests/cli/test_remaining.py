@@ -72,6 +72,14 @@ def test_a_slower_machine_is_found_in_its_steps_and_not_in_the_first_few():
     assert forecast.left(0.0, begin, 3.0) < 2.0 * forecast.cost[-1]
 
 
+def test_steps_that_take_turns_do_not_make_what_is_left_jump():
+    forecast = forecast_of(TIMES, COURSES["constant"], 0.1, 0.0)
+    wall = np.cumsum(np.diff(forecast.cost) * np.tile([0.5, 2.0], len(TIMES) // 2))
+    left = [forecast.left(0.0, t, w) for t, w in zip(TIMES[1:], wall, strict=True)]
+    assert np.abs(np.diff(left)).max() < 0.03 * left[0]
+    assert min(left[:-1]) > 0.0
+
+
 @pytest.mark.parametrize("amiss", [0.93, 1.0, 1.07])
 def test_growth_that_slows_down_is_not_continued(amiss):
     """Cells double in 15 h until only a rim grows, as in a spheroid of 12 days."""
