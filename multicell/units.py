@@ -209,7 +209,10 @@ def _of_another_kind(unit_text: str, unit: str, text: str, path: str) -> SceneEr
     """Return the error of a quantity whose dimension is not that of ``unit``."""
     kind = _UNITS[unit][2] if unit in _UNITS else f"a quantity in {unit}"
     problem = f"is {shown(text)}, must be {kind}, which '{unit_text}' is not"
-    return SceneError(path, problem, _example(unit))
+    hint = _example(unit)
+    if unit == "mM" and unit_text.startswith(("g/", "mg/", "ug/", "µg/", "ng/")):
+        hint += " Divide a mass by the molar mass: 1 g/l of glucose (180 g/mol) is 5.55 mM."
+    return SceneError(path, problem, hint)
 
 
 def _parse_errors() -> tuple[type[Exception], ...]:

@@ -95,7 +95,8 @@ class Contents:
                     f"'{beside}' does not belong to the {hdf5.NAME} beside it: one of them is from "
                     "another run"
                 )
-        lacking = f"{hdf5.NAME} is missing" if self.folder.is_dir() else "there is no such folder"
+        lacking = f"{hdf5.NAME} is missing" if self.folder.exists() else "there is no such folder"
+        lacking = "it is a file, not a folder" if self.folder.is_file() else lacking
         raise OutputError(f"there are no results in '{self.folder}': {lacking}")
 
     def _follow_file(self, file: hdf5.File) -> None:

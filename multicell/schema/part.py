@@ -13,6 +13,18 @@ from multicell.units import shown, to_base
 
 T = TypeVar("T")
 
+_MEANT: Final = {
+    "consumption": ("uptake",),
+    "dt": ("coupling_step", "step"),
+    "radius": ("count",),
+    "rate": ("cycle_time",),
+    "stiffness": ("young",),
+    "timestep": ("coupling_step", "step"),
+    "tolerance": ("rtol",),
+    "youngs_modulus": ("young",),
+}
+"""Words that others use for our keys, which is no matter of spelling."""
+
 _LISTED = 220
 """Letters of all names together that an error lists."""
 
@@ -190,9 +202,12 @@ def chosen(
 def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
     """Return ``"Did you mean 'viscosity'?"`` if a name is near, and the list of all names."""
     names = {option.lower(): option for option in options}
-    near = difflib.get_close_matches(str(name).lower(), names, n=1, cutoff=0.6) or [
-        option for option in names if str(name).lower() in option.split("_")
-    ]
+    word = str(name).lower()
+    near = (
+        [option for option in _MEANT.get(word, ()) if option in names]
+        or difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+        or [option for option in names if word in option.split("_")]
+    )
     parts = [f"Did you mean '{names[near[0]]}'?"] if near else []
     if listed:
         parts.append(f"Allowed: {_listed(list(names.values()))}")

@@ -161,7 +161,8 @@ def _below(table: str, known: Sequence[str]) -> list[str]:
 def _near(name: str, known: Sequence[str]) -> str:
     """Return the likely key in words, or nothing where none is near."""
     last = name.rpartition(".")[2]
-    same = [key for key in known if key == last or key.endswith(f".{last}")]
+    ends = f".{last}", f".{last}.boundary"
+    same = [key for key in known if key == last or key.endswith(ends)]
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.75) or (
         same if len(same) < 4 else difflib.get_close_matches(name, same, n=2, cutoff=0.0)
     )

@@ -52,6 +52,15 @@ SET = {
     "integrator=implicit": "'backward-euler'",
     "contact.law=jrk": "Did you mean 'jkr'",
     "duration": "write the value without a space",
+    "duration=twelve days": "must be a number and a unit",
+    "timestep=1": "Did you mean 'coupling_step'",
+    "integrator.dt=1 s": "Did you mean 'step'",
+    "integrator.tolerance=0": "Did you mean 'rtol'",
+    "cells.stiffness=1 kPa": "Did you mean 'young'",
+    "growth.rate=0.04 1/h": "Did you mean 'cycle_time'",
+    "initial.radius=100 um": "Did you mean 'count'",
+    "nutrients.oxygen.consumption=4 amol/s": "Did you mean 'uptake'",
+    "nutrients.glucose.boundary=4.5 g/l": "1 g/l of glucose (180 g/mol) is 5.55 mM",
 }
 FIT = ["-o", "out", "--free", "growth.cycle_time=8:25 h", "--data"]
 COMMANDS = {
@@ -70,6 +79,8 @@ COMMANDS = {
     "run spheroid -o out --threads 0": "not in the range",
     "resume nothing": "there are no results in 'nothing'",
     "view spheroid": "there is no such folder",
+    "view dose.csv": "it is a file, not a folder",
+    "play spheroid --no-browser --key oxygen=1:21": "Did you mean 'nutrients.oxygen.boundary'",
     "export nothing -o out --format excel": "'excel' is no format. Allowed: csv",
     "export nothing -o out": "there is no such folder",
     "study run nothing": "multicell study new SCENE",

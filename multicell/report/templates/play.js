@@ -51,7 +51,9 @@ async function draw() {
       frame.ariaHidden = off ? "true" : null;
       frame.tabIndex = off ? -1 : 0;
     }
-    next.parentElement.style.height = `${next.contentDocument.documentElement.scrollHeight}px`;
+    const body = next.contentDocument.body; // grows when curves and legend have been drawn
+    next.contentDocument.querySelector("footer").hidden = true;
+    new next.contentWindow.ResizeObserver(() => { next.parentElement.style.height = `${body.offsetHeight}px`; }).observe(body);
     old.onload = null;
     old.src = "about:blank";
     loading = false;
