@@ -137,7 +137,7 @@ def steps(venv: Path) -> list[Step]:
             [[multicell, "dose-response", "--data", "plate.csv", "-o", "ic50"]],
         ),
         Step(
-            "a notebook (`pip install nbclient ipykernel`, three cells)",
+            "a notebook (`pip install nbclient ipykernel`, four cells)",
             [
                 [pip, "install", "--quiet", "nbclient", "ipykernel"],
                 [str(venv / "bin" / "jupyter"), "execute", "--inplace", "first.ipynb"],

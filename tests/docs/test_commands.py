@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import shlex
-import shutil
 from pathlib import Path
 
 import matplotlib as mpl
 import page_commands
 import pytest
-from page_commands import ROOT, SHELL, blocks, pages, planned, ways_of
+from page_commands import ROOT, SHELL, blocks, pages, planned
 
 import multicell as mc
 
@@ -36,25 +35,8 @@ def test_what_a_page_says_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BROWSER", "true")
     (tmp_path / "examples").symlink_to(ROOT / "examples")
-    names: dict[str, object] = {"__name__": "page"}
     with mpl.rc_context({"backend": "agg"}):
-        for block in told(PAGES[name]):
-            ways = ways_of(block)
-            for source, *other in ways.copies:
-                shutil.copy(ROOT / source, other[0] if other else Path(source).name)
-            if ways.name:
-                Path(ways.name).write_text(block.text + "\n", "utf-8")
-            elif block.language in SHELL:
-                for command, reason in planned(block):
-                    if not reason:
-                        page_commands.run(command, tmp_path)
-            elif block.language == "python" and not ways.reason:
-                text = block.text
-                for old, new in ways.replaced:
-                    assert old in text, f"line {block.line}: the block has no {old!r}"
-                    text = text.replace(old, new)
-                lines = "\n" * block.line + text
-                exec(compile(lines, str(PAGES[name]), "exec"), names)
+        page_commands.run_page(PAGES[name], tmp_path)
 
 
 @pytest.mark.parametrize("name", PAGES)

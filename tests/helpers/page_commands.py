@@ -25,6 +25,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -216,6 +217,28 @@ def run(command: str, folder: Path) -> None:
         raise AssertionError(f"{command!r} ended with {done.returncode}: {done.stderr}")
 
 
+def run_page(page: Path, folder: Path) -> None:
+    """Run all blocks of a page, one after the other, in the current folder."""
+    names: dict[str, object] = {"__name__": "page"}
+    for block in blocks(page.read_text("utf-8")):
+        if "{" in block.language:  # for Sphinx
+            continue
+        ways, text = ways_of(block), block.text
+        for source, *other in ways.copies:
+            shutil.copy(ROOT / source, other[0] if other else Path(source).name)
+        if ways.name:
+            Path(ways.name).write_text(text + "\n", "utf-8")
+        elif block.language in SHELL:
+            for command, reason in planned(block):
+                if not reason:
+                    run(command, folder)
+        elif block.language == "python" and not ways.reason:
+            for old, new in ways.replaced:
+                assert old in text, f"line {block.line}: the block has no {old!r}"
+                text = text.replace(old, new)
+            exec(compile("\n" * block.line + text, str(page), "exec"), names)
+
+
 def _environment(folder: Path) -> dict[str, str]:
     """Return the environment of commands in which ``multicell`` and ``python`` are these here."""
     place = folder / ".bin"
@@ -227,3 +250,7 @@ def _environment(folder: Path) -> dict[str, str]:
     before = {name: os.environ.get(name, "") for name in paths}
     joined = {name: os.pathsep.join([str(paths[name]), before[name]]) for name in paths}
     return {**os.environ, **joined, "BROWSER": "true"}
+
+
+if __name__ == "__main__":  # in a plain environment, which has no pytest
+    run_page(Path(sys.argv[1]).resolve(), Path.cwd())
