@@ -205,13 +205,13 @@ class Store:
     def append_history(self, row: Mapping[str, float]) -> None:
         """Add one row to the history; the first row says which columns there are.
 
-        It is on disk with the next frame, or after a second.
+        It is on disk with the next frame, or after a second. A run that an older version began
+        keeps the columns with which it did.
         """
         if not self._columns:
             self._columns = tuple(sorted(row))  # as they come back from HDF5
-        if set(row) != set(self._columns):
-            changed = sorted(set(row) ^ set(self._columns))
-            raise ValueError(f"history columns differ from those of the first row: {changed}")
+        if lacking := set(self._columns) - set(row):
+            raise ValueError(f"history columns of the first row are missing: {sorted(lacking)}")
         self._pending.append([float(row[name]) for name in self._columns])
         # to write costs more than a small coupling step: a killed run loses one second
         if clock.monotonic() - self._written > _HISTORY_EVERY:

@@ -205,10 +205,13 @@ def test_wrong_frames_and_rows_are_refused(tmp_path):
         with pytest.raises(ValueError, match="2 values of oxygen"):
             store.append(Frame(0.0, 0, frame.cells, {"oxygen": np.zeros(2)}))
         store.append_history({"time": 0.0, "cells": 1.0})
-        with pytest.raises(ValueError, match="energy"):
-            store.append_history({"time": 1.0, "cells": 1.0, "energy": 2.0})
+        with pytest.raises(ValueError, match="cells"):
+            store.append_history({"time": 1.0, "energy": 2.0})
+        # a column that the version of the first row did not have
+        store.append_history({"time": 1.0, "cells": 3.0, "energy": 2.0})
     assert len(Frames(Contents(tmp_path / "out"))) == 0
-    assert len(Contents(tmp_path / "out").history()["time"]) == 1
+    assert Contents(tmp_path / "out").history()["cells"].tolist() == [1.0, 3.0]
+    assert set(Contents(tmp_path / "out").history()) == {"time", "cells"}
 
 
 def test_folder_that_holds_something_is_refused_unless_overwritten(tmp_path):
