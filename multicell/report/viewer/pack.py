@@ -43,7 +43,7 @@ POINTS: Final = 300  # points of a curve, besides those of the frames
 
 _MAX_READ: Final = 3e6  # cells of all frames that are read at most
 _MIN_FRAMES: Final = 8  # frames, however large
-_CURVES: Final = ("cells", "diameter", "viable_rim", "proliferating_rim", "largest_pressure")
+_CURVES: Final = ("cells", "diameter", "viable_rim", "largest_pressure")
 _SHADES: Final = 64
 _EFFORT: Final = 6  # of the compression: 9 takes four times as long for one per cent less
 _MAX_CLONES: Final = 250
