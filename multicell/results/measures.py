@@ -108,8 +108,7 @@ def _living_of(state: TissueState, kind: str) -> int:
 def _hypoxic_radius(state: TissueState, field: str) -> float:
     threshold = state.scene.nutrients[field].quiescence
     assert threshold is not None
-    found = state.concentrations[field]
-    return of.hypoxic_radius(state.cells, found, threshold, state.dimensions, state.extent)
+    return state.extent.radius(state.concentrations[field] < threshold)
 
 
 OBSERVABLES: Final = (

@@ -63,7 +63,7 @@ class Extent:
             self._squares = distances(cells, origin) ** 2 + share * cells.radius**2
 
     def radius(self, mask: Mask | None = None) -> float:
-        """Return the :func:`uniform_radius` of all cells, or of those of a mask, µm."""
+        """Return the :func:`uniform_radius` of all cells, or of those of a mask, µm; 0 of none."""
         chosen = slice(None) if mask is None else mask
         squares, weights = self._squares[chosen], self._weights[chosen]
         if len(squares) == 0:
@@ -105,10 +105,7 @@ def necrotic_radius(cells: Cells, dimensions: int, extent: Extent | None = None)
     The formula of :func:`uniform_radius` over necrotic cells about the centre of all cells; a
     core that is hollow, because its oldest cells were removed, is measured somewhat too large.
     """
-    dead = cells.state == State.NECROTIC
-    if not dead.any():
-        return 0.0
-    return (extent or Extent(cells, dimensions)).radius(dead)
+    return (extent or Extent(cells, dimensions)).radius(cells.state == State.NECROTIC)
 
 
 def viable_volume(cells: Cells) -> float:
@@ -149,29 +146,6 @@ def growth_fraction(cells: Cells) -> float:
     """Return the part of the living cells that proliferate, NaN without living cells."""
     living = cells.state[~cells.dead]
     return float((living == State.PROLIFERATING).mean()) if len(living) else float("nan")
-
-
-def hypoxic_radius(
-    cells: Cells,
-    concentration: FloatArray,
-    threshold: float,
-    dimensions: int,
-    extent: Extent | None = None,
-) -> float:
-    """Return the radius within which cells lack a nutrient, in µm; 0 if none does.
-
-    The formula of :func:`uniform_radius` over the cells below the threshold, dead ones too.
-
-    - ``cells``: the population
-    - ``concentration``, (n,) mM: at the cells
-    - ``threshold``, mM: below it cells rest
-    - ``dimensions``: of the scene
-    - ``extent``: of the population, where it is known already
-    """
-    lacking = concentration < threshold
-    if not lacking.any():
-        return 0.0
-    return (extent or Extent(cells, dimensions)).radius(lacking)
 
 
 FEWEST_INHIBITED = 10
@@ -300,11 +274,9 @@ def largest_pressure(cells: Cells) -> float:
 def core_pressure(cells: Cells) -> float:
     """Return the mean pressure of the necrotic cells by their volume, kPa; NaN without any."""
     dead = cells.state == State.NECROTIC
-    return (
-        float(np.average(cells.pressure[dead], weights=cells.volume[dead]))
-        if dead.any()
-        else (float("nan"))
-    )
+    if not dead.any():
+        return float("nan")
+    return float(np.average(cells.pressure[dead], weights=cells.volume[dead]))
 
 
 @final

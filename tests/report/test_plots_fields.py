@@ -10,6 +10,8 @@ from multicell.report.plots.run import Plots
 from multicell.report.plots.section import section
 from multicell.report.result import Result, history_arrays
 from multicell.results import observables
+from multicell.results.frame import Frame
+from multicell.results.summary import history_row
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
@@ -100,9 +102,14 @@ def test_report_has_one_ledger_with_a_column_for_each_field(result, tmp_path):
 
 def test_cells_below_the_threshold_make_the_hypoxic_ball():
     cells = cells_at([[0.0, 0, 0], [40.0, 0, 0], [-40.0, 0, 0]], radius=5.0)
-    got = observables.hypoxic_radius(cells, np.array([0.01, 0.05, 0.05]), 0.02, 3)
+    scene = mc.load_scene("spheroid").with_changes({"nutrients.oxygen.quiescence": "0.02 mM"})
+    found = [
+        history_row(scene, Frame(0.0, 0, cells, {"oxygen": np.array(levels)}))
+        for levels in ([0.01, 0.05, 0.05], [0.02, 0.02, 0.02])
+    ]
+    got, none = (row["hypoxic_radius_oxygen"] for row in found)
     assert got == pytest.approx(5.0, rel=1e-12)
-    assert observables.hypoxic_radius(cells, np.full(3, 0.02), 0.02, 3) == 0.0
+    assert none == 0.0
 
 
 def test_a_frame_without_fields_has_no_map():

@@ -91,7 +91,7 @@ def test_a_dense_tissue_with_a_core(dimensions):
     assert observables.diameter(cells, dimensions) == pytest.approx(2 * edge, rel=6e-3)
     assert observables.necrotic_radius(cells, dimensions) == pytest.approx(0.5 * edge, rel=1e-2)
     assert observables.viable_rim(cells, dimensions) == pytest.approx(0.5 * edge, rel=1e-2)
-    lacking = observables.hypoxic_radius(cells, distance, 0.7 * edge, dimensions)
+    lacking = observables.Extent(cells, dimensions).radius(distance < 0.7 * edge)
     assert lacking == pytest.approx(0.7 * edge, rel=1e-2)
     filled = np.pi / 4 if dimensions == 2 else np.pi / 6
     assert observables.packing_ratio(cells, dimensions) == pytest.approx(filled, rel=2e-2)
