@@ -68,19 +68,17 @@ _comparing = shared.grouped(
     help="Compare N coupling steps of the run (24 if no number is given), each from its own "
     "recorded state: for scenes whose trajectories diverge.",
 )
-@click.option(
+@shared.valued(
     "--shift",
     type=click.FloatRange(min=0.0),
     default=0.01,
-    show_default=True,
     help="Random shift of all positions in um that shows how far a single step changes it, with "
     "--stepwise; 0 to leave it out.",
 )
-@click.option(
+@shared.valued(
     "--clock",
     type=click.Choice(["cpu", "wall"]),
     default="cpu",
-    show_default=True,
     help="The time that judges: of the processors, or on the wall.",
 )
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
@@ -112,11 +110,10 @@ def compare(
 
 @click.command()
 @_comparing
-@click.option(
+@shared.valued(
     "--state",
     metavar="STATE",
     default="settled",
-    show_default=True,
     help="What the cells start from: settled, growing, compressed, divided, or snap (exact JKR).",
 )
 def stability(

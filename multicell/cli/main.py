@@ -29,7 +29,7 @@ from multicell.cli.process import Commands, complain, print_json
 from multicell.cli.scenes import coarsen, init, scenes, schema
 from multicell.cli.sensitivity import sensitivity
 from multicell.cli.study import study
-from multicell.cli.tables import bare_table, plain, time_text
+from multicell.cli.tables import filled_table, key_table, plain, time_text
 from multicell.cli.view import view
 from multicell.errors import OutputError, StepFailed
 
@@ -117,7 +117,7 @@ def run(
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--frame", type=int, default=-1, show_default=True, help="Frame to resume from.")
+@shared.valued("--frame", type=int, default=-1, help="Frame to resume from.")
 @shared.output_option("Folder for the whole run; by default FOLDER itself.", required=False)
 @shared.loaded_law_option
 @_run_options
@@ -155,12 +155,11 @@ def _formats(_: click.Context) -> list[str]:
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.output_option("Folder for the files.")
-@click.option(
+@shared.valued(
     "--format",
     type=shared.Names("format", _formats, strict=True),
     metavar="NAME",
     default="csv",
-    show_default=True,
     help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
     "netcdf, simularium for its viewer, openvt, ro-crate for repositories.",
 )
@@ -255,24 +254,19 @@ def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: 
 def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
     """Print the parts, the numbers and the notes of ``explain``."""
     console.print(plain(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold")
-    parts = bare_table()
-    for column in ("", "part", "what it means"):
-        parts.add_column(column)
-    for part in facts["parts"]:
-        mark = plain("used" if part["used"] else "absent")
-        mark.stylize("green" if part["used"] else "dim")
-        parts.add_row(mark, plain(part["part"]), plain(part["what"]))
-    numbers = bare_table()
-    for column in ("derived number", "value", "unit", "meaning"):
-        numbers.add_column(column, justify="right" if column == "value" else "left")
+    marks = {True: plain("used"), False: plain("absent")}
+    marks[True].stylize("green")
+    marks[False].stylize("dim")
+    parts = [(marks[part["used"]], part["part"], part["what"]) for part in facts["parts"]]
+    numbers = []
     for entry in facts["numbers"]:
         value = entry["value"]
         shown = f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
-        numbers.add_row(*map(plain, (entry["name"], shown, entry["unit"], entry["meaning"])))
+        numbers.append((entry["name"], shown, entry["unit"], entry["meaning"]))
     console.print()
-    console.print(parts)
+    console.print(filled_table(("", "part", "what it means"), parts))
     console.print()
-    console.print(numbers)
+    console.print(filled_table(("derived number", "value >", "unit", "meaning"), numbers))
     for note in facts["notes"]:
         console.print(plain(f"\nNote: {note}"), style="yellow")
 
@@ -281,17 +275,13 @@ def _print_summary(console: Console, summary: dict[str, Any], scene: Scene, outp
     """Print the key figures of a run as a short table."""
     from multicell.report.wording import diagnostics, measures
 
-    table = bare_table(show_header=False)
-    table.add_column(style="bold")
-    table.add_column(justify="right")
-    for name, value in (*measures(summary), *diagnostics(summary, scene)):
-        table.add_row(plain(name), plain(value))
-    states = ", ".join(f"{n:,} {name}" for name, n in summary.get("states", {}).items() if n)
-    table.add_row(plain("states"), plain(states))
+    rows = [*measures(summary), *diagnostics(summary, scene)]
+    counts = summary.get("states", {}).items()
+    rows.append(("states", ", ".join(f"{n:,} {name}" for name, n in counts if n)))
     work = summary.get("integrator", {})
     if "evaluations" in work:
-        table.add_row(plain("force evaluations"), plain(f"{work['evaluations']:,}"))
-    console.print(table)
+        rows.append(("force evaluations", f"{work['evaluations']:,}"))
+    console.print(key_table(rows, justify="right"))
     for note in summary.get("notes", ()):
         console.print(plain(f"Note: {note}"), style="yellow")
     console.print(plain(f"Results are in '{output}'."))

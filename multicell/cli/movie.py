@@ -16,9 +16,7 @@ from multicell.cli.progress import count_progress
 @shared.output_option("File for the movie: .gif, .webp, or .mp4 with multicell[movie].")
 @shared.section_option
 @click.option("--colour", "--color", metavar="NAME", help="Of the cells, as for plot.")
-@click.option(
-    "--rate", type=float, default=8.0, show_default=True, help="Frames in a second, at most 60."
-)
+@shared.valued("--rate", default=8.0, help="Frames in a second, at most 60.")
 @click.option("--space", is_flag=True, help="Whole cells in space instead of a section.")
 @shared.cut_option
 @click.option(

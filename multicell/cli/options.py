@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 Option = Callable[[Any], Any]  # a decorator of click
+valued = partial(click.option, show_default=True)
 
 
 def grouped(*options: Option) -> Option:
