@@ -24,7 +24,6 @@ def _positive(context: click.Context, option: click.Parameter, value: float | No
 
 
 def _names(context: click.Context, option: click.Parameter, text: str | None) -> list[str] | None:
-    """Return the methods of a comma-separated list."""
     if text is None:
         return None
     names = [name.strip() for name in text.split(",") if name.strip()]
@@ -133,7 +132,6 @@ def stability(
 
 
 def _show(result: WorkPrecision | StabilityMap, output: Path, quiet: bool, as_json: bool) -> None:
-    """Print the table as JSON, or where the results are."""
     if as_json:
         print_json(result.table)
     elif not quiet:

@@ -25,7 +25,6 @@ _LINES: Final = 20  # lines of a log
 
 
 def _budget(context: click.Context, option: click.Parameter, value: str | None) -> int | str | None:
-    """Return a number of runs, or the text of a time."""
     if value is None:
         return None
     return int(value) if value.strip().isdigit() else value
@@ -183,7 +182,6 @@ def _reporter(*, show: bool) -> Iterator[Callable[[str, int, int], None] | None]
 
 
 def _print(out: Console, found: Fit, output: Path) -> None:
-    """Print the parameters, and what is to be known of them."""
     from multicell.calibration.fit_page import parameters_in_words
 
     rows = parameters_in_words(found)

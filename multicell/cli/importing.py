@@ -49,7 +49,6 @@ def importing(
 
 
 def _print(made: Imported, output: Path) -> None:
-    """Print what was approximated and left out, and how many entries there are of each fate."""
     for fate in ("approximated", "left out"):
         rows = [
             (

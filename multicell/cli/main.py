@@ -146,7 +146,6 @@ def resume(
 
 
 def _formats(_: click.Context) -> list[str]:
-    """Return the names of the formats of exports."""
     from multicell.report.exports import FORMATS
 
     return list(FORMATS)
@@ -173,20 +172,12 @@ def _formats(_: click.Context) -> list[str]:
 @shared.loaded_law_option
 @shared.overwrite_option("Replace files of the same names.")
 @shared.as_json_option
-def export(
-    folder: Path,
-    output: Path,
-    format: str,
-    tables: str | None,
-    frame: int | None,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
+def export(folder: Path, output: Path, tables: str | None, as_json: bool, **options: Any) -> None:
     """Write the results in FOLDER as files for other programs, with units in their names."""
     from multicell.report.exports import export as write
 
     chosen = None if tables is None else [name.strip() for name in tables.split(",")]
-    paths = write(folder, output, format=format, tables=chosen, frame=frame, overwrite=overwrite)
+    paths = write(folder, output, tables=chosen, **options)
     if as_json:
         print_json({"files": [str(path) for path in paths]})
         return
@@ -252,7 +243,6 @@ def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: 
 
 
 def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
-    """Print the parts, the numbers and the notes of ``explain``."""
     console.print(plain(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold")
     marks = {True: plain("used"), False: plain("absent")}
     marks[True].stylize("green")
@@ -272,7 +262,6 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
 
 
 def _print_summary(console: Console, summary: dict[str, Any], scene: Scene, output: Path) -> None:
-    """Print the key figures of a run as a short table."""
     from multicell.report.wording import diagnostics, measures
 
     rows = [*measures(summary), *diagnostics(summary, scene)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -35,30 +36,22 @@ from multicell.cli.progress import count_progress
 def movie(
     folder: Path,
     output: Path,
-    section: str | None,
-    colour: str | None,
-    rate: float,
     space: bool,
-    cut: str | None,
-    turn: float | None,
-    transparent: bool,
     overwrite: bool,
     quiet: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Write all frames of the run in FOLDER as a moving picture: sections, or cells in space."""
-    if not space and (cut is not None or turn is not None):
+    given = {name: value for name, value in options.items() if value is not None}
+    if not space and given.keys() & {"cut", "turn"}:
         raise click.UsageError("--cut and --turn have a meaning with --space only")
-    from multicell.report.plots.movie import TURN
     from multicell.report.plots.movie import movie as written
     from multicell.report.result import load_result
 
     shared.refuse_existing(output, overwrite=overwrite)
     run = load_result(folder)
     with count_progress("pictures", show=not quiet) as progress:
-        written(
-            run, output, plane=section, colour=colour, rate=rate, progress=progress, space=space,
-            cut=cut or "quarter", turn=TURN if turn is None else turn, transparent=transparent,
-        )  # fmt: skip
+        written(run, output, progress=progress, space=space, **given)
     if as_json or not quiet:
         print_file(output, as_json)

@@ -132,7 +132,7 @@ loaded_law_option = click.option(
     help="Contact or growth law of your own that the run was made with, as mine.py:Cubic.",
 )
 section_option = click.option(
-    "--section", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
+    "--section", "plane", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
 )
 cut_option = click.option(
     "--cut",

@@ -56,19 +56,15 @@ def plot(
     folders: Sequence[Path],
     output: Path,
     picture: str | None,
-    section: str | None,
-    colour: str | None,
-    cut: str | None,
-    turn: float | None,
     moment: str | None,
     frame: int | None,
     quantity: str | None,
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Draw a picture of the run in FOLDERS, or a quantity of the runs in several of them."""
-    named = {"plane": section, "colour": colour, "cut": cut, "turn": turn}
-    given: dict[str, Any] = {name: value for name, value in named.items() if value is not None}
+    given = {name: value for name, value in options.items() if value is not None}
     _refuse_mixed(folders, picture, given, moment, frame, quantity)
     from multicell.report.plots.style import save
     from multicell.report.result import load_result
@@ -97,7 +93,6 @@ def _refuse_mixed(
     frame: int | None,
     quantity: str | None,
 ) -> None:
-    """Refuse options that do not go together."""
     if quantity is not None:
         of_frame = {"--time": moment, "--frame": frame, "--picture": picture}
         for option in [
@@ -120,7 +115,6 @@ def _refuse_mixed(
 
 
 def _number(run: Result, moment: str | None, frame: int | None) -> int:
-    """Return the number of the frame that is asked for."""
     count = len(run.frames)
     if moment is not None:
         return run.number_at(moment, "--time")

@@ -46,7 +46,6 @@ def scenes(name: str | None, show: bool, full: bool, as_json: bool) -> None:
 
 
 def _print_scene(name: str, full: bool, as_json: bool) -> None:
-    """Print a scene: as its author wrote it, with every key, or as JSON."""
     from multicell.scene.scene import load_scene, scene_text
 
     if as_json:

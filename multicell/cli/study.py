@@ -152,7 +152,6 @@ def key_values(items: Sequence[str], option: str) -> dict[str, str]:
 
 
 def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
-    """Print what a study is of, what it is expected to take, and how to continue."""
     cores = _known_cores()
     cost, states = made.expected(cores), made.status()
     done = sum(state.state == "done" for state in states)
@@ -185,7 +184,6 @@ def _count(number: int, what: str) -> str:
 
 
 def _values(axis: Any) -> str:
-    """Return the values of an axis, or the ends of a range, in words."""
     unit = f" {axis.unit}" if axis.unit else ""
     if hasattr(axis, "low"):
         return f"{axis.low:g} to {axis.high:g}{unit}{', by ratio' if axis.log else ''}"
@@ -195,7 +193,6 @@ def _values(axis: Any) -> str:
 
 
 def _cost_words(cost: StudyCost, cores: int | None) -> str:
-    """Return what runs are expected to take, in words."""
     if not cost.runs:
         return "Nothing is left to run"
     alone = f"{time_text(cost.core_seconds, 2)} of one core"
@@ -317,7 +314,6 @@ def confirm(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None
 
 
 def _terminal() -> bool:
-    """Return whether there is somebody to ask."""
     return sys.stdin is not None and sys.stdin.isatty()
 
 
@@ -368,7 +364,6 @@ def _print_page(page: Path | None) -> None:
 
 
 def _print_stop(made: Study) -> None:
-    """Say what there is after Ctrl-C, and how to continue."""
     states = Counter(state.state for state in made.status())
     done, begun = states["done"], states["partial"] + states["running"]
     complain(
@@ -413,7 +408,6 @@ def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
 
 
 def _where(coordinates: Any, units: Any) -> str:
-    """Return the coordinates of a run in words."""
     parts = []
     for name, value in coordinates.items():
         unit = f" {units[name]}" if units.get(name) else ""

@@ -9,14 +9,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-def time_text(seconds: float, digits: int = 3) -> str:
-    """Return a time in the unit that suits it."""
-    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= size:
-            return f"{seconds / size:.{digits}g} {unit}"
-    return f"{seconds:.{digits}g} s"
-
-
 def filled_table(columns: Sequence[str], rows: Iterable[Sequence[object]], **options: Any) -> Table:
     """Return a table without lines.
 

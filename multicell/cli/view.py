@@ -32,7 +32,6 @@ def view(folder: Path, no_browser: bool, as_json: bool) -> None:
 
 
 def _up_to_date(page: Path, folder: Path) -> bool:
-    """Return whether a page is there and younger than all results."""
     from multicell.results.folder import PASSING, file_errors
 
     with file_errors("read", folder):

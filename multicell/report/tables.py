@@ -5,7 +5,7 @@ A table comes in parts, one a frame, so that a long run need not be in memory as
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -30,7 +30,6 @@ Frames = Callable[[], "Iterator[tuple[int, Frame]]"]
 
 
 def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
-    """Give the cells of each frame."""
     kinds = _kinds(run)
     phases = run.scene.growth is not None and bool(run.scene.growth.phases)
     for number, frame in frames:
@@ -70,7 +69,6 @@ def _lineage(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table
 
 
 def _history(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
-    """Give the history, one row for each coupling step."""
     yield {titled(name, known_unit(name)): column for name, column in run.history.items()}
 
 
@@ -84,7 +82,6 @@ TABLES: Final[Mapping[str, Callable[[Result, Iterator[tuple[int, Frame]]], Itera
 
 
 def _kinds(run: Result) -> NDArray[Any]:
-    """Return the names of the cell types by their numbers."""
     return np.array(list(run.scene.types) or [""], dtype=object)
 
 
@@ -92,6 +89,11 @@ def whole_table(run: Result, name: str) -> DataFrame:
     """Return a table of all frames."""
     if name not in TABLES:
         raise OutputError(f"there is no table {name!r}. {near_miss(name, TABLES)}")
-    parts = list(TABLES[name](run, enumerate(run.frames)))
+    return data_frame(joined(TABLES[name](run, enumerate(run.frames))))
+
+
+def joined(parts: Iterable[Table]) -> dict[str, NDArray[Any]]:
+    """Return a table of the rows of all parts."""
+    parts = list(parts)
     titles = parts[0] if parts else {}
-    return data_frame({title: np.concatenate([part[title] for part in parts]) for title in titles})
+    return {title: np.concatenate([part[title] for part in parts]) for title in titles}

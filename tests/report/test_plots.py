@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection
 from matplotlib.image import imread
-from picture_texts import check_texts, rendered
+from picture_texts import rendered
 from synthetic import BARE, SCENE, ball, cells_at, growing_frames, history_of, spheroid
 
 from multicell.cells import Cells, State
@@ -60,11 +60,6 @@ def test_picture_has_title_time_cells_and_size(result, tmp_path, name):
     assert any(text.startswith(count) for text in words)
     save(figure, tmp_path / "picture.png")
     assert imread(tmp_path / "picture.png").shape[:2] == (1000, 1600)
-
-
-@pytest.mark.parametrize("name", ["growth", "section", "profiles"])
-def test_no_text_leaves_the_picture_or_covers_another(result, name):
-    check_texts(getattr(result.plot, name)())
 
 
 def test_section_draws_the_cut_of_each_cell():

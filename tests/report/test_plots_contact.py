@@ -319,14 +319,3 @@ def test_growth_picture_of_cells_that_only_move_has_no_panel_without_news(double
     assert "Cells by state" not in words
     for axes in figure.axes:
         assert all(np.ptp(line.get_ydata()) > 0 for line in axes.get_lines())
-
-
-@pytest.mark.parametrize("name", ["growth", "section", "profiles", "contacts"])
-def test_no_text_of_the_mixture_leaves_the_picture(mixture, name):
-    figure = getattr(mixture.plot, name)()
-    rendered(figure)
-    box = figure.get_tightbbox()
-    assert box.x0 >= 0
-    assert box.y0 >= 0
-    assert box.x1 <= drawing.SIZE[0]
-    assert box.y1 <= drawing.SIZE[1]

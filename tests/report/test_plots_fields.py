@@ -7,7 +7,6 @@ from synthetic import SCENE, cells_at, growing_frames, history_of
 
 import multicell as mc
 from multicell.report.plots.run import Plots
-from multicell.report.plots.section import section
 from multicell.report.result import Result, history_arrays
 from multicell.results import observables
 from multicell.scene.scene import Scene
@@ -119,7 +118,7 @@ def draws_drug(left):
          "nutrients.drug": {"boundary": 0, "media": [["20 min", 1.0], ["40 min", left]],
                             "geometry": "radial", "uptake": 0}}
     )  # fmt: skip
-    figure = section(mc.run(scene).frames[-1], scene)
+    figure = mc.run(scene).plot.section()
     return any(text.get_text().startswith("Drug") for text in figure.texts)
 
 

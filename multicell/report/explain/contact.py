@@ -109,7 +109,6 @@ def contact_notes(scene: Scene) -> Iterator[str]:
 
 
 def _pull_notes(scene: Scene) -> Iterator[str]:
-    """Yield a remark on a pull that cannot separate even one contact."""
     if scene.pull is None:
         return
     most = scene.pull.load(scene.duration)
@@ -121,21 +120,18 @@ def _pull_notes(scene: Scene) -> Iterator[str]:
 
 
 def _law(scene: Scene) -> str:
-    """Return the contact law in words."""
     given = any(kind.surface_energy is not None for kind in scene.types.values())
     energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
     return scene.contact.describe("by type" if given else energy)
 
 
 def _types(scene: Scene) -> str:
-    """Return the types with their shares in words."""
     total = sum(kind.fraction for kind in scene.types.values())
     shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
     return ", ".join(shares)
 
 
 def _adhesion(scene: Scene) -> str:
-    """Return receptors and ligands in words."""
     if scene.adhesion is None:
         return ""
     courses = [points for kind in scene.types.values() for points in (kind.receptor, kind.ligand)]
@@ -145,7 +141,6 @@ def _adhesion(scene: Scene) -> str:
 
 
 def _pair_numbers(scene: Scene, label: str, pair: Pair) -> list[Number]:
-    """Return what one kind of pair does."""
     whom = f"of two typical {label} cells" if label else "of two typical cells"
     if pair.bonds > 0.0:
         whom += ", bonds as at the start"
@@ -238,7 +233,6 @@ def _loads(scene: Scene) -> list[tuple[str, float]]:
 
 
 def _pull(scene: Scene) -> list[Number]:
-    """Return the load that separates two cells, and when the pull reaches it."""
     if scene.pull is None:
         return []
     numbers = []

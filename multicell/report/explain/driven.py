@@ -41,7 +41,6 @@ def drift(bias: float, dimensions: int) -> float:
 
 
 def _whom(driver: Driver) -> str:
-    """Return in words which cells a table names."""
     words = []
     if driver.cells is not None:
         few = ", ".join(map(str, driver.cells[:5])) + (", ..." if len(driver.cells) > 5 else "")

@@ -61,5 +61,4 @@ def write_parquet(run: Result, frames: Frames, folder: Path, tables: Sequence[st
 
 
 def _missing(column: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return where a column has no number."""
     return np.isnan(column) if column.dtype.kind == "f" else np.zeros(len(column), bool)

@@ -9,7 +9,7 @@ loaded before it is needed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Final, TypeVar, final
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from multicell.report.plots.colouring import Colouring
     from multicell.report.plots.style import History
     from multicell.report.result import Result
     from multicell.results.frame import Frame
@@ -61,6 +62,7 @@ def _picture(
 
 
 @final
+@dataclass(frozen=True, eq=False)
 class Plots:
     """The pictures of one run; see :class:`multicell.report.result.Result`.
 
@@ -68,23 +70,21 @@ class Plots:
     pull) they raise ``ValueError``.
     """
 
-    def __init__(
-        self,
-        frames: Sequence[Frame],
-        history: History,
-        scene: Scene,
-        lineage: Mapping[str, NDArray[Any]] | None = None,
-    ) -> None:
-        self._frames = frames
-        self._lineage = lineage or {}
-        self._history = history
-        self._scene = scene
+    _frames: Sequence[Frame]
+    _history: History
+    _scene: Scene
+    _lineage: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    def _shaded(self, frame: int, colour: str | None) -> tuple[Frame, Scene, Colouring]:
+        from multicell.report.plots.colouring import colouring
+
+        chosen = self._frames[frame]
+        return chosen, self._scene, colouring(chosen, self._scene, colour, self._lineage)
 
     def _has(self, column: str) -> bool:
         return len(self._history.get(column, ())) > 0
 
     def _crowd(self, least: int) -> bool:
-        """Return whether the last frame has so many cells."""
         return len(self._frames) > 0 and len(self._frames[-1].cells) >= least
 
     @_picture("The population in the course of the run.", on_page=lambda run: run._has("time"))
@@ -128,9 +128,7 @@ class Plots:
         from multicell.report.plots.section import section
 
         where = None if plane is None else Plane.parse(plane)
-        return section(
-            self._frames[frame], self._scene, plane=where, colour=colour, lineage=self._lineage
-        )
+        return section(*self._shaded(frame, colour), where)
 
     @_picture()
     def space(
@@ -157,10 +155,7 @@ class Plots:
         from multicell.report.plots.space import space
         from multicell.report.plots.spheres import View
 
-        return space(
-            self._frames[frame], self._scene, view=View(turn, cut), colour=colour,
-            lineage=self._lineage,
-        )  # fmt: skip
+        return space(*self._shaded(frame, colour), View(turn, cut))
 
     def quantity(self, name: str, others: Mapping[str, Result] | None = None) -> Figure:
         """Draw a column of the history against time, also those of other runs.

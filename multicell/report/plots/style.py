@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import OutputError
-from multicell.report.wording import cell_count, time_unit
+from multicell.report.wording import TimeUnit, cell_count, time_unit
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
 from multicell.scene.nutrient import Nutrient
@@ -68,6 +68,18 @@ def draw_style(points: Sized) -> str:
     return "-" if len(points) > 1 else "o"
 
 
+def draw_line(axes: Any, x: FloatArray, y: FloatArray, colour: str, **options: Any) -> None:
+    """Draw a curve, or a point where one moment makes no line."""
+    axes.plot(x, y, draw_style(x), **{"color": colour, "lw": 2, **options})
+
+
+def time_axes(axes: Iterable[Any], time: FloatArray, unit: TimeUnit) -> None:
+    """Let axes span times in a unit, and name it."""
+    for one in axes:
+        one.set_xlim(*span(time))
+        one.set_xlabel(f"time ({unit.name})")
+
+
 def span(time: FloatArray) -> tuple[float, float]:
     """Return the range of times to show, which has a width even for one moment."""
     first, last = float(time[0]), float(time[-1])
@@ -111,16 +123,14 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
 def _let_powers_be_formulas(figure: Figure) -> None:
     """Let labels such as 10² be drawn: ticks made under the style would show their source."""
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            for formatter, ticks in (
-                (axis.get_major_formatter(), axis.get_major_ticks()),
-                (axis.get_minor_formatter(), axis.get_minor_ticks()),
-            ):
-                if isinstance(formatter, LogFormatter):
-                    for tick in ticks:
-                        tick.label1.set_parse_math(True)
-                        tick.label2.set_parse_math(True)
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        for formatter, ticks in (
+            (axis.get_major_formatter(), axis.get_major_ticks()),
+            (axis.get_minor_formatter(), axis.get_minor_ticks()),
+        ):
+            for tick in ticks if isinstance(formatter, LogFormatter) else ():
+                tick.label1.set_parse_math(True)
+                tick.label2.set_parse_math(True)
 
 
 @final
@@ -128,29 +138,20 @@ class Picture(Figure):
     """A figure that a notebook shows where it is the value of a cell, without pyplot's help."""
 
     def _repr_png_(self) -> bytes:
-        """Return what ``save`` would write as PNG."""
         return render(self, "png")
 
 
 def blank(title: str, subtitle: str, size: tuple[float, float] = SIZE) -> Figure:
     """Return an empty figure of a size in inches with its heading."""
     figure = Picture(figsize=size, dpi=DPI)
-    first, second = (1.0 - inches / size[1] for inches in (0.3125, 0.59375))
-    # a dollar sign in a title is not a formula
     shown = title if len(title) <= 70 else title[:69] + "…"
-    figure.text(
-        0.04, first, shown, fontsize=16, weight="bold", va="center", parse_math=False, gid=TITLE
-    )
-    figure.text(
-        0.04,
-        second,
-        subtitle,
-        fontsize=12,
-        color=QUIET,
-        va="center",
-        parse_math=False,
-        gid=SUBTITLE,
-    )
+    for gid, text, inches, look in (
+        (TITLE, shown, 0.3125, {"fontsize": 16, "weight": "bold"}),
+        (SUBTITLE, subtitle, 0.59375, {"fontsize": 12, "color": QUIET}),
+    ):
+        # a dollar sign in a title is not a formula
+        height = 1.0 - inches / size[1]
+        figure.text(0.04, height, text, va="center", parse_math=False, gid=gid, **look)
     return figure
 
 
