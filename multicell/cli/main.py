@@ -17,20 +17,17 @@ import click
 
 from multicell import __version__
 from multicell.cli import options as shared
+from multicell.cli.analyses import dose_response, sensitivity
 from multicell.cli.compare import compare, stability
 from multicell.cli.doctor import doctor
-from multicell.cli.dose_response import dose_response
 from multicell.cli.fit import fit
 from multicell.cli.importing import importing
-from multicell.cli.movie import movie
 from multicell.cli.play import play
-from multicell.cli.plot import plot
 from multicell.cli.process import Commands, complain, print_json
 from multicell.cli.scenes import coarsen, init, scenes, schema
-from multicell.cli.sensitivity import sensitivity
+from multicell.cli.show import movie, plot, view
 from multicell.cli.study import study
 from multicell.cli.tables import filled_table, key_table, plain, time_text
-from multicell.cli.view import view
 from multicell.errors import OutputError, StepFailed
 
 if TYPE_CHECKING:

@@ -93,8 +93,7 @@ def _environment() -> Environment:
 
 
 def _inline(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
-    from multicell.report.plots.inline import inline_picture
-    from multicell.report.plots.style import save
+    from multicell.report.plots.style import inline_picture, save
 
     save(figure, path)
     return {"caption": caption, "shown": inline_picture(figure)}

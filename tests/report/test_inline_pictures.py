@@ -12,7 +12,6 @@ from matplotlib.colors import to_rgb
 from synthetic import SCENE, growing_frames, history_of
 
 from multicell.report.plots.colour_vision import PALE, luminance
-from multicell.report.plots.inline import inline_picture
 from multicell.report.plots.style import (
     BLUE,
     COLOURS,
@@ -20,6 +19,7 @@ from multicell.report.plots.style import (
     QUIET,
     RED,
     blank,
+    inline_picture,
     styled,
     type_colours,
 )

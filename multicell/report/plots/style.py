@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import io
 from collections.abc import Callable, Iterable, Mapping, Sized
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Any, Final, final
@@ -12,6 +14,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, NullFormatter
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
@@ -39,6 +42,7 @@ SUBTITLE: Final = "subtitle"
 """The ``gid`` of a figure's title, which pages leave out, and of what is said below it."""
 HEADING: Final[dict[str, Any]] = {"weight": "bold", "fontsize": 13, "parse_math": False}
 SIZE: Final = (10.0, 6.25)  # inches: 1600 x 1000 pixels
+_TITLE_HEIGHT: Final = 0.4  # inches, what the title takes
 _STYLE: Final[dict[Any, Any]] = {
     "font.size": 12,
     "axes.titlesize": 13,
@@ -182,6 +186,47 @@ def render(figure: Figure, format: str) -> bytes:
     with mpl.rc_context({"svg.hashsalt": "multicell", "svg.fonttype": "none"}):
         figure.savefig(picture, format=format, dpi=DPI, metadata=metadata)
     return picture.getvalue()
+
+
+@final
+@dataclass(frozen=True)
+class InlinePicture:
+    """A picture as a page shows it; ``style.css`` turns its colours in dark mode.
+
+    - ``png``: the picture in base64
+    - ``wide``, ``high``: pixels
+    - ``subtitle``: what the picture says of itself
+    """
+
+    png: str
+    wide: int
+    high: int
+    subtitle: str
+
+
+def inline_picture(figure: Figure) -> InlinePicture:
+    """Return a figure for a page; its title is hidden afterwards."""
+    wide, high = figure.get_size_inches()
+    titles = [text for text in figure.texts if text.get_gid() == TITLE]
+    for text in titles:
+        text.set_visible(False)
+    shown_height = high - _TITLE_HEIGHT if titles else high
+    png, size = _png(figure, Bbox([[0.0, 0.0], [wide, shown_height]]))
+    subtitles = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
+    return InlinePicture(png, *size, subtitle="".join(subtitles))
+
+
+def _png(figure: Figure, shown: Bbox) -> tuple[str, tuple[int, int]]:
+    """Return a figure as PNG in base64, and its pixels; a palette makes it a third as large."""
+    from PIL import Image
+
+    drawn, packed = io.BytesIO(), io.BytesIO()
+    background: Any = figure.get_facecolor()
+    figure.savefig(drawn, format="png", dpi=DPI, bbox_inches=shown, facecolor=background)
+    image = Image.open(drawn).convert("RGB")
+    few = image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few.save(packed, format="PNG", optimize=True)
+    return base64.b64encode(packed.getvalue()).decode("ascii"), image.size
 
 
 def type_colours(names: Iterable[str]) -> dict[str, str]:
