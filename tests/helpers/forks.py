@@ -93,7 +93,7 @@ class Forks:
 def serve():
     """Answer tasks until there are no more."""
     import multicell as mc
-    from multicell.report.exports import table_files  # noqa: F401 - loaded once, for all children
+    from multicell.report import tables  # noqa: F401 - loaded once, for all children
 
     mc.run(mc.load_scene("spheroid").with_changes(WARM), threads=1)
     for line in sys.stdin:

@@ -55,10 +55,8 @@ class Format:
 
 
 FORMATS: Final = {
-    "csv": Format("exports.table_files.write_csv", ["{table}.csv"], tables=True),
-    "parquet": Format(
-        "exports.table_files.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True
-    ),
+    "csv": Format("tables.write_csv", ["{table}.csv"], tables=True),
+    "parquet": Format("tables.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
     "vtk": Format("exports.vtk.write", ["run.pvd"], ["pyvista"]),
     "anndata": Format("exports.annotated.write", ["cells.h5ad"], ["anndata"]),
     "netcdf": Format("exports.netcdf.write", ["history.nc"], ["xarray", "h5netcdf"]),
