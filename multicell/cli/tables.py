@@ -24,7 +24,8 @@ def filled_table(columns: Sequence[str], rows: Iterable[Sequence[object]], **opt
         name, right, _ = title.partition(" >")
         table.add_column(name, justify="right" if right else "left")
     for row in rows:
-        table.add_row(*(text if hasattr(text, "plain") else plain(text) for text in row))
+        shown: list[Any] = [text if hasattr(text, "plain") else plain(text) for text in row]
+        table.add_row(*shown)
     return table
 
 
