@@ -169,7 +169,7 @@ def test_no_is_an_answer(folder, monkeypatch):
 def test_the_whole_chain(folder):
     vary = ["--vary=cells.young=1,2 kPa"]
     assert call("new", "growth", "-o", folder, *SET, *vary).exit_code == 0
-    code, out, err = line("run", folder)
+    code, out, err = line("run", folder, "--cores", 1)
     assert code == 0, err
     assert "2 runs left, expected to take about" in err
     assert "2 of 2 runs" in err

@@ -176,8 +176,12 @@ def read(path):
     return page
 
 
-def test_report_stands_alone(result, tmp_path):
-    path = result.report(tmp_path)
+@pytest.fixture(scope="module")
+def path(result, tmp_path_factory):
+    return result.report(tmp_path_factory.mktemp("report"))
+
+
+def test_report_stands_alone(path):
     page = read(path)
     html = path.read_text(encoding="utf-8")
     own = re.sub(r"<script.*?</script>|base64,[\w+/=]+", "", html, flags=re.DOTALL)
@@ -191,8 +195,8 @@ def test_report_stands_alone(result, tmp_path):
     assert all(attrs.get("alt") for tag, attrs in page.tags if tag == "img")
 
 
-def test_report_shows_figures_work_wall_time_and_the_scene(result, tmp_path):
-    text = read(result.report(tmp_path)).text
+def test_report_shows_figures_work_wall_time_and_the_scene(result, path):
+    text = read(path).text
     cells = f"{len(result.frames[-1].cells):,}"
     for words in (cells, "9 d", "1,700", "2 min 13 s", "12,345", "3.0e-10"):
         assert words in text, words

@@ -158,7 +158,7 @@ def test_mean_distances_are_by_type_and_nan_without_cells():
 def test_contacts_chart_shows_history_random_mixing_and_distances(mixture):
     figure = mixture.plot.contacts()
     rendered(figure)
-    upper, lower, right = figure.axes
+    upper, right, lower = figure.axes
     history = mixture.history
     shown = lines(upper)["as simulated"]
     np.testing.assert_allclose(shown.get_ydata(), 100.0 * history["heterotypic_fraction"])

@@ -86,16 +86,17 @@ def test_a_cut_shows_the_inside_of_spheres_at_the_depth_of_its_plane():
 
 def test_the_quarter_opens_onto_the_core_of_a_spheroid():
     frame = spheroid(3000)
-    pictures = Plots([frame], {}, SCENE)
-    figure = pictures.space()
-    picture = figure.axes[0].images[0].get_array()
-    inner = np.asarray(picture[picture.shape[0] // 2, picture.shape[1] // 2, :3]).astype(int)
+    shade = colouring(frame, SCENE, None, {})
+
+    def middle(cut):
+        figure = film_picture(frame, SCENE, shade, View(cut=cut), room(frame))
+        picture = np.asarray(figure.axes[0].images[0].get_array()).astype(int)
+        return picture[picture.shape[0] // 2, picture.shape[1] // 2]
+
     # dark violet of the necrotic core, not the green of the rim
     assert frame.cells.state.max() == State.NECROTIC
-    assert inner[2] > inner[1]
-    closed = pictures.space(cut="none").axes[0].images[0].get_array()
-    middle = np.asarray(closed[closed.shape[0] // 2, closed.shape[1] // 2, :3]).astype(int)
-    assert middle[1] > middle[2]
+    assert middle("quarter")[2] > middle("quarter")[1]
+    assert middle("none")[1] > middle("none")[2]
 
 
 def test_no_cell_is_outside_of_the_window_from_any_side():
