@@ -12,13 +12,7 @@ Jacobian product Γ⁻¹(K v - (dΓ·v) ẋ) is exact or "frozen" (without dΓ),
 tolerance that is named, and its preconditioner is made of the diagonal blocks of
 Γ - γK, or of 6πηr - γK ("Stokes blocks"). ``ida`` is the residual Γẋ - F with GMRES and the
 blocks of cj Γ - K, exact or frozen likewise.
-
-Found: seconds at an error of 1e-3 µm, with "cvode frozen 1e-1" and "ida frozen, Krylov 20", are
-0.0115 and 0.0109 (1000 cells settle, 0.05 kPa s), 0.0189 and 0.0152 (20 of them divided), 0.098
-and 0.083 (10 000 cells, 5 kPa s), but 0.028 and 0.042 where friction rules (ten times the
-friction, or 0.005 kPa s). The geometric means over all scenes are equal. The derivative of
-Γ changes neither steps nor Newton iterations. The package solves Γ v = F, which loses least
-where it loses, and which explicit methods need as well.
+docs/theory/motion.md has what was found.
 """
 
 from __future__ import annotations
