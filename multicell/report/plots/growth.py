@@ -45,8 +45,8 @@ def motion(history: style.History, scene: Scene) -> Figure:
     """Draw diameter and largest pressure against time, for cells that only move."""
     unit, time, subtitle = _course(history)
     figure = style.headed(scene, subtitle)
-    grid = figure.add_gridspec(2, 1, left=0.1, right=0.97, top=0.82, bottom=0.11, hspace=0.32)
-    upper, lower = grid.subplots()
+    place = {"left": 0.1, "right": 0.97, "top": 0.82, "bottom": 0.11, "hspace": 0.32}
+    upper, lower = figure.subplots(2, gridspec_kw=place)
     _draw_size(upper, time, history)
     size = history["diameter"]
     room = float(np.ptp(size))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -120,7 +121,7 @@ def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) 
         colours |= style.type_colours(types)
     for name in [n for n in reversed(colours) if n in parts and np.nansum(parts[n]) > 0]:
         part = np.nan_to_num(100.0 * parts[name])
-        look = {"color": colours[name], "label": style.type_label(name), "lw": 0}
+        look: dict[str, Any] = {"color": colours[name], "label": style.type_label(name), "lw": 0}
         axes.bar(profile.middles, part, width, bottom, **look)
         bottom += part
     title = "Cells by type" if len(types) > 1 else "Cells by state"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 
-from multicell.cells import FloatArray, IntArray
+from multicell.cells import FloatArray
 from multicell.errors import OutputError
 from multicell.report.plots import style
 from multicell.report.plots.colouring import SCALE, Colouring
@@ -57,9 +56,8 @@ def section(
     square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
     inside = square > 0.0
     cells = cell_count(int(inside.sum()))
-    figure = style.headed(
-        scene, style.moment(frame) + (_where(plane, cells) if dimensions == 3 else "")
-    )
+    cut = _where(where, cells) if dimensions == 3 else ""
+    figure = style.headed(scene, style.moment(frame) + cut)
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     half = half or window(frame, scene)
     frame_window(axes, middle, half, half * (0.66 * style.SIZE[0]) / (0.83 * style.SIZE[1]))
@@ -74,12 +72,7 @@ def section(
     scale_bar(axes, middle, half)
     if dimensions == 3 and plane is not None:
         _name_axes(axes, plane, middle, half)
-    if shade.group is not None:
-        title = "Cells in this section" if dimensions == 3 else "Cells"
-        title = title if shade.title in ("state", "type") else shade.title.capitalize()
-        group_legend(figure, shade.group[inside], shade.palette or {}, title)
-    else:
-        scale_legend(figure, shade)
+    explain_colours(figure, shade, "Cells in this section" if dimensions == 3 else "Cells", inside)
     return figure
 
 
@@ -102,11 +95,11 @@ def _set_up(
     return middle, place, height(ahead, where, middle)
 
 
-def _where(plane: Plane | None, cells: str) -> str:
-    if plane is None or plane.at is None:
-        axis = "" if plane is None or plane.axis == "z" else f" across {plane.axis}"
-        return f": section{axis} through the centre ({cells})"
-    return f": section at {plane.axis} = {plane.at:g} µm ({cells})"
+def _where(plane: Plane, cells: str) -> str:
+    if plane.at is not None:
+        return f": section at {plane.axis} = {plane.at:g} µm ({cells})"
+    axis = "" if plane.axis == "z" else f" across {plane.axis}"
+    return f": section{axis} through the centre ({cells})"
 
 
 def _draw_deep(
@@ -139,8 +132,7 @@ def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> Non
         axes.text(x + 1.35 * dx, y + 1.35 * dy, name, ha="center", va="center", zorder=5)
 
 
-def scale_legend(figure: Figure, shade: Colouring) -> None:
-    """Explain the colours of values."""
+def _scale_legend(figure: Figure, shade: Colouring) -> None:
     assert shade.range is not None
     assert shade.values is not None
     low, high = shade.range
@@ -294,15 +286,24 @@ def scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     axes.text(left + 0.5 * length, low + 0.035 * half, f"{length} µm", ha="center", zorder=5)
 
 
-def group_legend(figure: Figure, group: IntArray, palette: Mapping[str, str], title: str) -> None:
-    """Explain the colours, with the number of cells of each group in the section."""
+def explain_colours(figure: Figure, shade: Colouring, title: str, shown: Any = slice(None)) -> None:
+    """Explain the colours: of values by a bar, of groups with the number of cells of each.
+
+    - ``title``: of states and types
+    - ``shown``: rows of the cells that are counted
+    """
+    if shade.group is None:
+        _scale_legend(figure, shade)
+        return
+    palette = shade.palette or {}
+    title = title if shade.title in ("state", "type") else shade.title.capitalize()
     if not palette:
         figure.text(0.725, 0.84, title, **style.HEADING)
         return
-    counts = np.bincount(group, minlength=len(palette)).tolist()
-    shown = [(name, palette[name], n) for name, n in zip(palette, counts, strict=True) if n]
-    handles = [Line2D([], [], ls="", marker="o", ms=11, color=colour) for _, colour, _ in shown]
-    labels = [f"{style.type_label(name)} ({n:,})" for name, _, n in shown]
+    counts = np.bincount(shade.group[shown], minlength=len(palette)).tolist()
+    groups = [(name, palette[name], n) for name, n in zip(palette, counts, strict=True) if n]
+    handles = [Line2D([], [], ls="", marker="o", ms=11, color=colour) for _, colour, _ in groups]
+    labels = [f"{style.type_label(name)} ({n:,})" for name, _, n in groups]
     bold = {"weight": "bold", "size": 13}
     place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0.71, 0.87)}
     place |= {"title": title, "title_fontproperties": bold, "alignment": "left"}

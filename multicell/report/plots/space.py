@@ -12,7 +12,7 @@ from matplotlib.text import Text
 
 from multicell.errors import OutputError
 from multicell.report.plots.colouring import Colouring
-from multicell.report.plots.section import frame_window, group_legend, scale_bar, scale_legend
+from multicell.report.plots.section import explain_colours, frame_window, scale_bar
 from multicell.report.plots.spheres import View, spheres
 from multicell.report.plots.style import DPI, SIZE, headed, moment, styled
 from multicell.report.wording import cell_count, time_unit
@@ -35,7 +35,7 @@ def space(frame: Frame, scene: Scene, shade: Colouring, view: View) -> Figure:
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     size = (_FINE * DPI * 0.66 * SIZE[0], _FINE * DPI * 0.83 * SIZE[1])
     _draw(axes, frame, shade, view, room(frame), size)
-    _explain(figure, shade)
+    explain_colours(figure, shade, "Cells")
     return figure
 
 
@@ -55,7 +55,7 @@ def film_picture(
     time = time_unit(frame.time).text(frame.time)
     figure.text(0.02, 0.95, time, fontsize=22, weight="bold", va="center")
     figure.text(0.02, 0.885, cell_count(len(frame.cells)), fontsize=14, va="center")
-    _explain(figure, shade)
+    explain_colours(figure, shade, "Cells")
     if clear:
         figure.patch.set_alpha(0.0)
         axes.patch.set_alpha(0.0)
@@ -97,11 +97,3 @@ def _draw(
     axes.imshow(picture, extent=(-across, across, -half, half), interpolation="antialiased")
     frame_window(axes, middle, half, across)
     scale_bar(axes, middle, half)
-
-
-def _explain(figure: Figure, shade: Colouring) -> None:
-    if shade.group is None:
-        scale_legend(figure, shade)
-        return
-    title = "Cells" if shade.title in ("state", "type") else shade.title.capitalize()
-    group_legend(figure, shade.group, shade.palette or {}, title)

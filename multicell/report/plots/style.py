@@ -149,10 +149,11 @@ def blank(title: str, subtitle: str, size: tuple[float, float] = SIZE) -> Figure
     """Return an empty figure of a size in inches with its heading."""
     figure = Picture(figsize=size, dpi=DPI)
     shown = title if len(title) <= 70 else title[:69] + "…"
-    for gid, text, inches, look in (
+    lines: list[tuple[str, str, float, dict[str, Any]]] = [
         (TITLE, shown, 0.3125, {"fontsize": 16, "weight": "bold"}),
         (SUBTITLE, subtitle, 0.59375, {"fontsize": 12, "color": QUIET}),
-    ):
+    ]
+    for gid, text, inches, look in lines:
         # a dollar sign in a title is not a formula
         height = 1.0 - inches / size[1]
         figure.text(0.04, height, text, va="center", parse_math=False, gid=gid, **look)

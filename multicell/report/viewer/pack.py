@@ -151,8 +151,9 @@ def _thin(frame: Frame, most: int) -> Frame:
 
 def _groups(frame: Frame) -> dict[str, list[int]]:
     cells = frame.cells
-    members = {"state": cells.state, "type": cells.kind, "phase": cells.phase}
-    return {name: np.bincount(column).tolist() for name, column in members.items()}
+    columns: tuple[NDArray[Any], ...] = (cells.state, cells.kind, cells.phase)
+    counts = [np.bincount(column).tolist() for column in columns]
+    return dict(zip(("state", "type", "phase"), counts, strict=True))
 
 
 def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
@@ -160,7 +161,7 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
     columns = [
         Column("id", "cell", "", "u4", lambda f: f.cells.id, plain=True),
         *(
-            Column(axis, axis, "µm", "u2", lambda f, k=k: f.cells.position[:, k])
+            Column(axis, axis, "µm", "u2", _axis(k))
             for k, axis in enumerate("xyz")
         ),
         Column("radius", "radius", "µm", "u1", lambda f: f.cells.radius),
@@ -183,8 +184,16 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
     for name in scene.nutrients:
         if all(name in frame.concentrations for frame in frames):
             unit = written(unit_of(f"cells.concentration_{name}"))
-            columns.append(_quantity(name, unit, lambda f, name=name: f.concentrations[name]))
+            columns.append(_quantity(name, unit, _field(name)))
     return columns
+
+
+def _axis(k: int) -> Callable[[Frame], FloatArray]:
+    return lambda frame: frame.cells.position[:, k]
+
+
+def _field(name: str) -> Callable[[Frame], FloatArray]:
+    return lambda frame: frame.concentrations[name]
 
 
 def _quantity(name: str, unit: str, values: Callable[[Frame], FloatArray]) -> Column:
