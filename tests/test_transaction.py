@@ -59,7 +59,6 @@ def state(simulation):
 
 @cache
 def recorded(steps):
-    """Return frame, lineage and state after some steps."""
     simulation = mc.Simulation(SCENE, threads=1)
     for _ in range(steps):
         simulation.step()

@@ -74,7 +74,6 @@ def add_blocks(matrix, out):
 
 
 def divide(position, radius, young, count):
-    """Replace ``count`` cells by two daughters each, as a division of the package does."""
     rng = np.random.default_rng(3)
     chosen = rng.choice(len(radius), count, replace=False)
     axis = rng.normal(size=(count, 3))
@@ -163,7 +162,6 @@ class Problem:
 
 
 def cvode(problem, rtol, atol, *, exact=True, inner=1e-3, outer=1e-8, precond="blocks", krylov=5):
-    """Integrate with Γ⁻¹F; return the end."""
     p = problem
 
     def rhs(t, y, yp):
@@ -202,7 +200,6 @@ def cvode(problem, rtol, atol, *, exact=True, inner=1e-3, outer=1e-8, precond="b
 
 
 def ida(problem, rtol, atol, *, exact=True, krylov=5):
-    """Integrate the residual Γẋ - F; return the end."""
     p = problem
 
     def residual(t, y, yp, res):
@@ -277,7 +274,6 @@ SCENES = {
 
 
 def measure(way, problem, atol, reference, runs):
-    """Return error, shortest time and counts of one way."""
     times = []
     for _ in range(runs + 1):
         problem.begin()
@@ -295,7 +291,6 @@ def seconds_at(error, rows):
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true", help="one run a row")
     runs = 1 if parser.parse_args().quick else 3

@@ -48,8 +48,6 @@ ATTEMPT = Cvode(rtol=1e-6, max_steps=20_000)
 
 @dataclass
 class Case:
-    """Cells at the start of an interval."""
-
     position: np.ndarray
     radius: np.ndarray
     young: np.ndarray
@@ -223,7 +221,6 @@ def variants(atol, expensive):
 
 
 def measure(case, method, law, repeats, reference):
-    """Return the row of one method on one case."""
     best, outcome, work = np.inf, None, None
     for k in range(repeats + 1):
         system = case.system(law)

@@ -12,7 +12,6 @@ FIGURE = re.compile(r"^( *)(`{3,}|:{3,})\{(?:image|figure)\}.*?^\1\2", re.DOTALL
 
 
 def text_of(path):
-    """Return a page without its blocks."""
     return re.sub(r"^( *)(`{3,}).*?^\1\2`*$", "", path.read_text("utf-8"), flags=re.S | re.M)
 
 

@@ -28,7 +28,6 @@ FIELD = {"geometry": "box", "spacing": "15 um", "boundary": 0.07, "quiescence": 
 
 @cache
 def run(name, **changes):
-    """Return a short run of few cells."""
     return mc.run(mc.load_scene(name).with_changes({"duration": "30 min", **dict(changes)}))
 
 
