@@ -15,6 +15,12 @@ class MulticellError(Exception):
     """
 
     exit_code: ClassVar[int] = 1
+    problem: str
+    hint: str = ""
+
+    def _word(self, problem: str, hint: str, where: str = "") -> None:
+        self.problem, self.hint = problem, hint
+        Exception.__init__(self, f"{where}{problem}{'. ' if hint else ''}{hint}")
 
 
 @final
@@ -35,11 +41,8 @@ class SceneError(MulticellError):
 
     def __init__(self, path: str, problem: str, hint: str = "") -> None:
         self.path = path
-        self.problem = problem
-        self.hint = hint
         where = path if len(path) <= _LONGEST_PATH else f"{path[:_LONGEST_PATH]}..."
-        text = f"{where}: {problem}" if path else problem
-        super().__init__(f"{text}. {hint}" if hint else text)
+        self._word(problem, hint, f"{where}: " if path else "")
 
 
 @final
@@ -60,9 +63,7 @@ class DataError(MulticellError):
 
     def __init__(self, place: str, problem: str, hint: str = "") -> None:
         self.place = place
-        self.problem = problem
-        self.hint = hint
-        super().__init__(f"{place}: {problem}. {hint}" if hint else f"{place}: {problem}")
+        self._word(problem, hint, f"{place}: ")
 
 
 @final
@@ -77,12 +78,8 @@ class FitFailed(MulticellError):  # noqa: N818 - it names what happened, like St
         What to try.
     """
 
-    exit_code: ClassVar[int] = 1
-
     def __init__(self, problem: str, hint: str) -> None:
-        self.problem = problem
-        self.hint = hint
-        super().__init__(f"{problem}. {hint}")
+        self._word(problem, hint)
 
 
 @final
@@ -124,15 +121,10 @@ class StepFailed(MulticellError):  # noqa: N818 - it names what happened, like S
         Identity of the cell that shows the failure most, where there is one.
     """
 
-    exit_code: ClassVar[int] = 1
-
     def __init__(self, time: float, problem: str, hint: str, cell: int | None = None) -> None:
-        self.time = time
-        self.problem = problem
-        self.hint = hint
-        self.cell = cell
+        self.time, self.cell = time, cell
         where = f"cell {cell}, " if cell is not None else ""
-        super().__init__(f"step failed ({where}t = {time:.6g} s): {problem}. {hint}")
+        self._word(problem, hint, f"step failed ({where}t = {time:.6g} s): ")
 
 
 @final
@@ -147,12 +139,8 @@ class NutrientFailed(MulticellError):  # noqa: N818 - it names what happened, li
         What to try.
     """
 
-    exit_code: ClassVar[int] = 1
-
     def __init__(self, problem: str, hint: str) -> None:
-        self.problem = problem
-        self.hint = hint
-        super().__init__(f"{problem}. {hint}")
+        self._word(problem, hint)
 
 
 @final
@@ -196,7 +184,5 @@ class ClusterError(MulticellError):
     exit_code: int = 2  # type: ignore[misc]  # of each one its own
 
     def __init__(self, problem: str, hint: str, *, exit_code: int = 2) -> None:
-        self.problem = problem
-        self.hint = hint
-        super().__init__(f"{problem}. {hint}")
+        self._word(problem, hint)
         self.exit_code = exit_code

@@ -152,5 +152,4 @@ def ode_problem(
 
 
 def _cells(y: FloatArray) -> FloatArray:
-    """Return flat numbers as (n, 3)."""
     return np.ascontiguousarray(y, dtype=float).reshape(-1, 3)

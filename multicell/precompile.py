@@ -90,7 +90,6 @@ def forces_are_cached() -> bool:
 
 
 def _start(scene: Scene) -> subprocess.Popen[bytes] | None:
-    """Start the process, or do without."""
     # an empty place is the folder that this process is in
     places = [place or os.getcwd() for place in sys.path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}

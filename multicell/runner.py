@@ -20,12 +20,7 @@ from multicell.integrators.base import info_of
 from multicell.integrators.own import own_integrator
 from multicell.precompile import Precompilation
 from multicell.report.bar import shown as shown_progress
-from multicell.report.result import (
-    Result,
-    history_arrays,
-    load_result,
-    recorded_scene,
-)
+from multicell.report.result import Result, history_arrays, load_result, recorded_scene
 from multicell.report.wording import time_unit
 from multicell.results.documents import read_table, write_summary
 from multicell.results.folder import lock_folder
@@ -464,7 +459,6 @@ def _last_planned(contents: Contents, place: int, simulation: Simulation) -> int
 
 
 def _place(contents: Contents, frame: int) -> int:
-    """Return the number of a frame from the first."""
     if not hasattr(frame, "__index__"):
         told = f"the frame to go on from is a whole number, not {shown(frame)}"
         raise OutputError(f"{told}. Changes are given by name: changes={{...}}")
@@ -530,13 +524,11 @@ def _rows(contents: Contents, step: int) -> int:
 
 
 def _complete(contents: Contents) -> bool:
-    """Return whether a run has written all that it writes at its end."""
     summary = read_table(contents.folder / "summary.json")
     return contents.journal is None and summary is not None and not summary.get("interrupted")
 
 
 def _change(scene: Scene, changes: Mapping[str, Any]) -> Scene:
-    """Return the scene with changes that may be made while a run goes on."""
     for key in changes:
         parts = key.split(".")
         free = parts[0] in _MAY_CHANGE

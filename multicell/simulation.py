@@ -263,7 +263,6 @@ class Simulation(RunState):
         )
 
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
-        """Return what mechanics must know of the cells between two times."""
         return motion_of(
             self.plan, self.cells, radius, begin, end, concentrations=self.signals,
             gradients=self._fields.gradients(self.cells), contacts=self.contacts, named=self.named,

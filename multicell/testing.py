@@ -108,6 +108,8 @@ def check_growth_law(law: GrowthLaw) -> None:
     _carry_out(checks, law, type(law).__name__)
 
 
+_VOLUMES, _SHARES = map(np.ravel, np.meshgrid(np.linspace(1.0, 2.0, 11), np.linspace(0.0, 0.1, 6)))
+"""Volumes at the beginning, and shares of a cycle by which they end at 2.2 at most."""
 _GROWTH_ROUNDING = 1e-9
 """How far volumes and shares of a growth law may be off, relative to the volume at birth."""
 
@@ -117,14 +119,8 @@ def _same(found: FloatArray, wanted: FloatArray, problem: str) -> None:
     _require(off <= _GROWTH_ROUNDING, f"{problem}: off by {off:.2g}")
 
 
-def _growing() -> tuple[FloatArray, FloatArray]:
-    """Return volumes at the beginning and shares of a cycle by which they end at 2.2 at most."""
-    volume, share = np.meshgrid(np.linspace(1.0, 2.0, 11), np.linspace(0.0, 0.1, 6))
-    return volume.ravel(), share.ravel()
-
-
 def _check_numbers(law: GrowthLaw) -> None:
-    volume, share = _growing()
+    volume, share = _VOLUMES, _SHARES
     rate = law.rate(volume)
     _require(np.shape(rate) == volume.shape, "its rates are not one for each volume")
     _require(np.isfinite(rate).all(), "its rate is no number at some volume")
@@ -146,7 +142,7 @@ def _check_inverse(law: GrowthLaw) -> None:
 
 
 def _check_additivity(law: GrowthLaw) -> None:
-    volume, share = _growing()
+    volume, share = _VOLUMES, _SHARES
     _same(law.volume_after(volume, 0.0 * share), volume, "no time changes its volume")
     halves = law.volume_after(law.volume_after(volume, 0.4 * share), 0.6 * share)
     _same(halves, law.volume_after(volume, share), "two steps are not one of their sum")
@@ -238,7 +234,8 @@ def check_integrator(method: Any) -> None:
     wanted = "step" if info.control == "step" else "atol"
     if wanted not in info.settings:
         _fail(info.name, [f"it takes no {wanted!r}, which is how its accuracy is set"])
-    _carry_out(_CHECKS, info, info.name)
+    checks = (_check_errors, _check_inputs, _check_counts, _check_repetition, _check_failures)
+    _carry_out((*checks, _check_lone_cell), info, info.name)
 
 
 @final
@@ -293,7 +290,6 @@ def _spheres() -> tuple[Mechanics, FloatArray]:
 
 
 def _lone(count: int = 1, begin: float = BEGIN, end: float = END) -> tuple[Mechanics, FloatArray]:
-    """Return spheres far from each other."""
     system = Mechanics(Hertz(), 5.0)
     ones = np.ones(count)
     system.begin(Motion(5.0 * ones, 0.0 * ones, ones, 0.5 * ones, begin, end))
@@ -302,7 +298,6 @@ def _lone(count: int = 1, begin: float = BEGIN, end: float = END) -> tuple[Mecha
 
 @functools.cache
 def _exact() -> FloatArray:
-    """Return where the four spheres end, by SciPy's DOP853."""
     from scipy.integrate import solve_ivp
 
     system, position = _spheres()
@@ -417,16 +412,6 @@ def _check_lone_cell(info: MethodInfo) -> None:
     _require((found == _lone()[1]).all(), "it moves a single cell that nothing pushes")
 
 
-_CHECKS: tuple[Callable[[MethodInfo], None], ...] = (
-    _check_errors,
-    _check_inputs,
-    _check_counts,
-    _check_repetition,
-    _check_failures,
-    _check_lone_cell,
-)
-
-
 OBSERVED: Mapping[str, Any] = {
     "duration": "1 h",
     "coupling_step": "10 min",
@@ -479,7 +464,6 @@ def check_observable(observable: Observable, scene: Scene | None = None) -> None
 
 
 def _frames(scene: Scene) -> Iterator[tuple[str, Frame]]:
-    """Yield states of a scene with their names."""
     from multicell.simulation import Simulation
 
     simulation = Simulation(scene, threads=1)
@@ -505,10 +489,9 @@ def _observed(observable: Observable, state: TissueState, key: str) -> Iterator[
     """Yield what is wrong with an observable in a state."""
     order = np.random.default_rng(7).permutation(len(state.cells))
     turned = TissueState(_taken(state.frame, order), state.scene)
+    states = (state, state, turned)
     try:
-        value, again, other = (
-            float(observable.value(s.sealed, key)) for s in (state, state, turned)
-        )
+        value, again, other = (float(observable.value(s.sealed, key)) for s in states)
     except Exception as error:
         yield f"fails: {error}"
         return
@@ -546,17 +529,14 @@ def check_pair_law(law: PairLaw) -> None:
 
 _SIZES = (2.0, 5.0, 8.0)
 _MODULI = (0.2, 1.0, 5.0)
+_PAIRS = [(e, 0.5 * r, 2.0 * r) for e in _MODULI for r in _SIZES]
+"""E_ij, r_ij and the sum of the radii of some pairs of equal cells."""
 _SLOPE = 1e-5
 """How far slopes may be off, of the largest."""
 
 
-def _pairs() -> list[tuple[float, float, float]]:
-    """Return E_ij, r_ij and the sum of the radii of some pairs of equal cells."""
-    return [(e, 0.5 * r, 2.0 * r) for e in _MODULI for r in _SIZES]
-
-
 def _check_slopes(law: PairLaw) -> None:
-    for modulus, radius, rest in _pairs():
+    for modulus, radius, rest in _PAIRS:
         begin = -float(law.reach(modulus, radius, rest=rest))
         overlap = np.linspace(begin - 0.1 * rest, 0.45 * rest, 301)
         step = 1e-6 * rest
@@ -592,7 +572,7 @@ def _check_reach(law: PairLaw) -> None:
 
 
 def _check_rest(law: PairLaw) -> None:
-    for modulus, radius, rest in _pairs():
+    for modulus, radius, rest in _PAIRS:
         overlap = float(law.equilibrium_overlap(modulus, radius))
         around = np.linspace(overlap, max(1.1 * overlap, 0.1 * rest), 9)
         force = law.evaluate(around, modulus, radius, rest=rest, touching=True)[0]
@@ -608,27 +588,18 @@ def _check_compiled(law: PairLaw) -> None:
     rest, poisson = 10.0, 0.5
     modulus = float(effective_modulus(1.0, poisson, 1.0, poisson))
     for overlap in (0.02, 0.3, 1.5, 4.0):
-        system = Mechanics(law, 5.0)
-        ones = np.ones(2)
-        touching = np.array([[0, 1]])
-        system.begin(
-            Motion(5.0 * ones, 0.0 * ones, ones, poisson * ones, BEGIN, END, touching=touching)
-        )
+        system, ones, touching = Mechanics(law, 5.0), np.ones(2), np.array([[0, 1]])
+        motion = (5.0 * ones, 0.0 * ones, ones, poisson * ones, BEGIN, END)
+        system.begin(Motion(*motion, touching=touching))
         position = np.array([[0.0, 0.0, 0.0], [rest - overlap, 0.0, 0.0]])
-        force, slope, energy = law.evaluate(overlap, modulus, 2.5, rest=rest, touching=True)
+        wanted = law.evaluate(overlap, modulus, 2.5, rest=rest, touching=True)
         v, out = np.array([[0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), np.empty((2, 3))
         system.linearise(BEGIN, position)
         system.jacobian_product(v, out)
-        found = (
-            float(system.force(BEGIN, position)[1, 0]),
-            float(out[1, 0]) * system.drag * 5.0,
-            system.energy(BEGIN, position),
-        )
-        for name, got, wanted in zip(
-            ("force", "stiffness", "energy"), found, (force, slope, energy), strict=True
-        ):
-            same = math.isclose(got, float(wanted), rel_tol=1e-9, abs_tol=1e-12)
+        force = float(system.force(BEGIN, position)[1, 0])
+        found = force, float(out[1, 0]) * system.drag * 5.0, system.energy(BEGIN, position)
+        for name, got, value in zip(("force", "stiffness", "energy"), found, wanted, strict=True):
             _require(
-                same,
-                f"compiled, its {name} at an overlap of {overlap:g} um is {got!r}, not {wanted!r}",
+                math.isclose(got, float(value), rel_tol=1e-9, abs_tol=1e-12),
+                f"compiled, its {name} at an overlap of {overlap:g} um is {got!r}, not {value!r}",
             )

@@ -128,6 +128,14 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+def time_text(seconds: float, digits: int = 3, *, least_days: float = 1.0) -> str:
+    """Return a time in the unit that suits it; in days from so many on."""
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= (least_days if unit == "d" else 1.0) * size:
+            return f"{seconds / size:.{digits}g} {unit}"
+    return f"{seconds:.{digits}g} s"
+
+
 def oxygen_solubility(temperature: float) -> float:
     """Return how much oxygen pure water dissolves at a partial pressure, mM/kPa.
 
@@ -163,7 +171,6 @@ def vapour_pressure(temperature: float) -> float:
 
 
 def _from_text(text: str, unit: str, path: str) -> float:
-    """Return the quantity that a string spells, in ``unit``."""
     match = _QUANTITY.fullmatch(text) if len(text) <= 100 else None
     if match is None:
         raise SceneError(path, f"is {shown(text)}, must be a number and a unit", _example(unit))

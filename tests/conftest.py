@@ -69,7 +69,6 @@ def _memory():
 
 @pytest.fixture(scope="session")
 def forks():
-    """Return a process with multicell and its kernels, from which others are split off."""
     from forks import Forks
 
     with Forks() as made:

@@ -1,6 +1,7 @@
 """A run that is resumed becomes what it would have been, bit for bit; the lineage of its cells."""
 
 import json
+import shutil
 
 import h5py
 import numpy as np
@@ -47,45 +48,50 @@ CASES = {
 LONG = pytest.param("transient", marks=pytest.mark.slow)
 
 
+@pytest.fixture(scope="module")
+def spheroid(tmp_path_factory):
+    scene = mc.load_scene("spheroid").with_changes(SPHEROID)
+    return mc.run(scene, output=tmp_path_factory.mktemp("whole") / "run", report=False, threads=1)
+
+
 @pytest.mark.parametrize("case", [LONG if case == "transient" else case for case in CASES])
-def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, tmp_path):
+def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_path):
     name, changes = CASES[case]
-    scene = mc.load_scene(name).with_changes(changes)
-    whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
+    if changes is SPHEROID:
+        whole = spheroid
+    else:
+        scene = mc.load_scene(name).with_changes(changes)
+        whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
     assert len(whole.frames) >= 3
     for k, threads in ((1, 2), (len(whole.frames) - 2, 1)):
         again = tmp_path / f"again{k}"
         result = mc.resume(
-            tmp_path / "whole", k, output=again, report=False, threads=threads, overwrite=True
+            whole.folder, k, output=again, report=False, threads=threads, overwrite=True
         )
-        assert_same_bits(tmp_path / "whole", again)
+        assert_same_bits(whole.folder, again)
         one, other = whole.summary(), result.summary()
         for summary in (one, other):
             del summary["wall"], summary["threads"], summary["peak_memory"]
         assert one == other
 
 
-def test_a_run_goes_on_in_its_own_folder_after_an_interruption(tmp_path):
-    scene = mc.load_scene("spheroid").with_changes(SPHEROID)
-    mc.run(scene, output=tmp_path / "whole", report=False)
-
+def test_a_run_goes_on_in_its_own_folder_after_an_interruption(spheroid, tmp_path):
     def stop(simulation):
         if simulation.step_index == 61:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        mc.run(scene, output=tmp_path / "part", report=False, progress=stop)
+        mc.run(spheroid.scene, output=tmp_path / "part", report=False, progress=stop)
     assert json.loads((tmp_path / "part" / "summary.json").read_text())["interrupted"]
     # the frame written at the interruption is not one of the whole run
     result = mc.resume(tmp_path / "part", -2, report=False)
     assert "interrupted" not in result.summary()
-    assert_same_bits(tmp_path / "whole", tmp_path / "part")
+    assert_same_bits(spheroid.folder, tmp_path / "part")
     assert not list((tmp_path / "part").glob("*.part"))
 
 
-def test_a_run_is_prolonged_with_another_medium(tmp_path):
-    scene = mc.load_scene("spheroid").with_changes(SPHEROID)
-    mc.run(scene, output=tmp_path / "run", report=False)
+def test_a_run_is_prolonged_with_another_medium(spheroid, tmp_path):
+    shutil.copytree(spheroid.folder, tmp_path / "run")
     changes = {"duration": "36 h", "nutrients.oxygen.boundary": "0.2 mM"}
     longer = mc.resume(tmp_path / "run", changes=changes, report=False)
     assert longer.frames[-1].time == pytest.approx(36 * 3600)

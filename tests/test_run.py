@@ -23,7 +23,6 @@ FILES = {"scene.toml", "frames.h5", "summary.json", "report.html"}
 
 
 def multicell(*arguments, check, cwd="."):
-    """Run the command line in this process."""
     with contextlib.chdir(cwd):
         done = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert done.exit_code == check, done.output
@@ -32,7 +31,6 @@ def multicell(*arguments, check, cwd="."):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return the folder of a run by a process of its own."""
     out = tmp_path_factory.mktemp("run") / "out"
     command = [sys.executable, "-m", "multicell", "run", "spheroid", "-o", str(out), *QUICK]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -150,7 +150,6 @@ def test_there_and_back_again(value, pair):
 
 
 def outcome(text, unit):
-    """Return the value or the error of a text that may be anything."""
     try:
         return to_base(text, unit)
     except SceneError as error:

@@ -24,7 +24,6 @@ def _positive(context: click.Context, option: click.Parameter, value: float | No
 
 
 def _names(context: click.Context, option: click.Parameter, text: str | None) -> list[str] | None:
-    """Return the methods of a comma-separated list."""
     if text is None:
         return None
     names = [name.strip() for name in text.split(",") if name.strip()]
@@ -68,19 +67,17 @@ _comparing = shared.grouped(
     help="Compare N coupling steps of the run (24 if no number is given), each from its own "
     "recorded state: for scenes whose trajectories diverge.",
 )
-@click.option(
+@shared.valued(
     "--shift",
     type=click.FloatRange(min=0.0),
     default=0.01,
-    show_default=True,
     help="Random shift of all positions in um that shows how far a single step changes it, with "
     "--stepwise; 0 to leave it out.",
 )
-@click.option(
+@shared.valued(
     "--clock",
     type=click.Choice(["cpu", "wall"]),
     default="cpu",
-    show_default=True,
     help="The time that judges: of the processors, or on the wall.",
 )
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
@@ -112,11 +109,10 @@ def compare(
 
 @click.command()
 @_comparing
-@click.option(
+@shared.valued(
     "--state",
     metavar="STATE",
     default="settled",
-    show_default=True,
     help="What the cells start from: settled, growing, compressed, divided, or snap (exact JKR).",
 )
 def stability(
@@ -136,7 +132,6 @@ def stability(
 
 
 def _show(result: WorkPrecision | StabilityMap, output: Path, quiet: bool, as_json: bool) -> None:
-    """Print the table as JSON, or where the results are."""
     if as_json:
         print_json(result.table)
     elif not quiet:

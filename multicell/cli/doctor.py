@@ -6,7 +6,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import print_json
-from multicell.cli.tables import bare_table, plain
+from multicell.cli.tables import key_table
 
 
 @click.command()
@@ -22,9 +22,6 @@ def doctor(as_json: bool) -> None:
     if as_json:
         print_json(found)
         return
-    table = bare_table(show_header=False)
-    table.add_column(style="bold")
-    table.add_column()
     rows = {"system": found["system"], "Python": found["python"], **found["versions"]}
     rows["cores"] = f"{found['cores']}, of which multicell uses {found['threads']}"
     if found["memory_GiB"] is not None:
@@ -33,6 +30,4 @@ def doctor(as_json: bool) -> None:
     rows["compiled code"] = f"{found['cache']}{kept}"
     for extra, names in found["missing"].items():
         rows[f"extra '{extra}'"] = f'lacks {", ".join(names)}: pip install ".[{extra}]"'
-    for name, text in rows.items():
-        table.add_row(plain(name), plain(text))
-    shared.console().print(table)
+    shared.console().print(key_table(rows.items()))

@@ -13,6 +13,7 @@ from multicell.cli import options as shared
 from multicell.cli import study as studies
 from multicell.cli.process import complain, print_json
 from multicell.cli.progress import display
+from multicell.cli.tables import filled_table, plain
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,7 +25,6 @@ _LINES: Final = 20  # lines of a log
 
 
 def _budget(context: click.Context, option: click.Parameter, value: str | None) -> int | str | None:
-    """Return a number of runs, or the text of a time."""
     if value is None:
         return None
     return int(value) if value.strip().isdigit() else value
@@ -49,25 +49,19 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     "be given several times.",
 )
 @shared.output_option("Folder of the fit; the same fit there is continued.")
-@click.option(
+@shared.valued(
     "--seeds",
-    type=int,
     default=2,
-    show_default=True,
     help="Runs of each set of parameters in the search, with the same seeds for all.",
 )
-@click.option(
+@shared.valued(
     "--repeats",
-    type=int,
     default=12,
-    show_default=True,
     help="Runs with fresh seeds at the best point, from which intervals have the scatter of runs.",
 )
-@click.option(
+@shared.valued(
     "--profile-runs",
-    type=int,
     default=0,
-    show_default=True,
     help="Runs at each end of each parameter's profile interval, which check the emulator there.",
 )
 @click.option(
@@ -78,30 +72,25 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
 )
 @click.option(
     "--coarse",
-    type=float,
     default=1.0,
     metavar="FACTOR",
     help="Search with cells so many times as wide, corrected by a few runs of the scene itself.",
 )
 @click.option("--start", metavar="TIME", help="Time of the data at which runs begin, as '102 h'.")
-@click.option(
+@shared.valued(
     "--sd",
-    type=float,
     default=0.1,
-    show_default=True,
     help="Relative standard deviation of data that come without one.",
 )
-@click.option(
+@shared.valued(
     "--specimens",
     default="same",
-    show_default=True,
     metavar="NAME",
     help="single: each row is another specimen, measured once, as the column 'specimen' says too.",
 )
-@click.option(
+@shared.valued(
     "--scatter",
     default="stated",
-    show_default=True,
     metavar="NAME",
     help="unknown: estimate what data scatter beyond runs and their stated errors.",
 )
@@ -171,13 +160,8 @@ def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
     runs, core_seconds = plan.left(folder)
     core_seconds = min(core_seconds, plan.seconds * (cores or 1))
     memory = max(cost_of(c.scene).memory for c in plan.problem.measured.conditions)
-    return StudyCost(
-        runs=runs,
-        core_seconds=core_seconds,
-        seconds=core_seconds / (cores or 1),
-        memory=memory * (cores or 1),
-        disk=0.0,
-    )
+    many = cores or 1
+    return StudyCost(runs, core_seconds, core_seconds / many, memory * many, disk=0.0)
 
 
 @contextmanager
@@ -198,22 +182,15 @@ def _reporter(*, show: bool) -> Iterator[Callable[[str, int, int], None] | None]
 
 
 def _print(out: Console, found: Fit, output: Path) -> None:
-    """Print the parameters, and what is to be known of them."""
-    from rich.table import Table
-    from rich.text import Text
-
     from multicell.calibration.fit_page import parameters_in_words
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in ("parameter", "best", "95 % interval", "of its range"):
-        table.add_column(column, justify="left" if column == "parameter" else "right")
-    for row in parameters_in_words(found):
-        table.add_row(*map(Text, (row["key"], row["best"], row["interval"], row["part"])))
-    out.print(table)
+    rows = parameters_in_words(found)
+    cells = [[row[key] for key in ("key", "best", "interval", "part")] for row in rows]
+    out.print(filled_table(("parameter", "best >", "95 % interval >", "of its range >"), cells))
     data = found.best
-    out.print(f"χ² = {data.chi_squared:.3g} for {len(data.residuals)} data", markup=False)
+    out.print(plain(f"χ² = {data.chi_squared:.3g} for {len(data.residuals)} data"))
     for entry in found.undetermined:
-        out.print(Text(f"{entry}.", style="yellow"))
+        out.print(plain(f"{entry}."), style="yellow")
     for note in found.notes:
-        out.print(Text(f"Note: {note}", style="dim"))
-    out.print(f"Results are in '{output}'.", markup=False)
+        out.print(plain(f"Note: {note}"), style="dim")
+    out.print(plain(f"Results are in '{output}'."))

@@ -13,7 +13,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import print_json
-from multicell.cli.tables import bare_table, plain
+from multicell.cli.tables import filled_table
 
 if TYPE_CHECKING:
     from multicell.importing.imported import Imported
@@ -49,14 +49,18 @@ def importing(
 
 
 def _print(made: Imported, output: Path) -> None:
-    """Print what was approximated and left out, and how many entries there are of each fate."""
     for fate in ("approximated", "left out"):
-        table = bare_table(title=fate.capitalize(), title_justify="left")
-        for column in ("line", "element", "value", "note"):
-            table.add_column(column, justify="right" if column == "line" else "left")
-        for entry in made.of(fate):
-            line = "" if entry.line is None else str(entry.line)
-            table.add_row(*map(plain, (line, _short(entry.path), entry.value[:20], entry.note)))
+        rows = [
+            (
+                "" if entry.line is None else entry.line,
+                _short(entry.path),
+                entry.value[:20],
+                entry.note,
+            )
+            for entry in made.of(fate)
+        ]
+        title = {"title": fate.capitalize(), "title_justify": "left"}
+        table = filled_table(("line >", "element", "value", "note"), rows, **title)
         shared.console().print(table)
     counts = ", ".join(f"{number} {fate}" for fate, number in made.counts().items())
     click.echo(f"\n{counts}: see '{output / 'account.md'}'.", file=sys.stdout)

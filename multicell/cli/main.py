@@ -17,20 +17,17 @@ import click
 
 from multicell import __version__
 from multicell.cli import options as shared
+from multicell.cli.analyses import dose_response, sensitivity
 from multicell.cli.compare import compare, stability
 from multicell.cli.doctor import doctor
-from multicell.cli.dose_response import dose_response
 from multicell.cli.fit import fit
 from multicell.cli.importing import importing
-from multicell.cli.movie import movie
 from multicell.cli.play import play
-from multicell.cli.plot import plot
 from multicell.cli.process import Commands, complain, print_json
 from multicell.cli.scenes import coarsen, init, scenes, schema
-from multicell.cli.sensitivity import sensitivity
+from multicell.cli.show import movie, plot, view
 from multicell.cli.study import study
-from multicell.cli.tables import bare_table, plain, time_text
-from multicell.cli.view import view
+from multicell.cli.tables import filled_table, key_table, plain, time_text
 from multicell.errors import OutputError, StepFailed
 
 if TYPE_CHECKING:
@@ -117,7 +114,7 @@ def run(
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--frame", type=int, default=-1, show_default=True, help="Frame to resume from.")
+@shared.valued("--frame", type=int, default=-1, help="Frame to resume from.")
 @shared.output_option("Folder for the whole run; by default FOLDER itself.", required=False)
 @shared.loaded_law_option
 @_run_options
@@ -146,7 +143,6 @@ def resume(
 
 
 def _formats(_: click.Context) -> list[str]:
-    """Return the names of the formats of exports."""
     from multicell.report.exports import FORMATS
 
     return list(FORMATS)
@@ -155,12 +151,11 @@ def _formats(_: click.Context) -> list[str]:
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.output_option("Folder for the files.")
-@click.option(
+@shared.valued(
     "--format",
     type=shared.Names("format", _formats, strict=True),
     metavar="NAME",
     default="csv",
-    show_default=True,
     help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
     "netcdf, simularium for its viewer, openvt, ro-crate for repositories.",
 )
@@ -174,20 +169,12 @@ def _formats(_: click.Context) -> list[str]:
 @shared.loaded_law_option
 @shared.overwrite_option("Replace files of the same names.")
 @shared.as_json_option
-def export(
-    folder: Path,
-    output: Path,
-    format: str,
-    tables: str | None,
-    frame: int | None,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
+def export(folder: Path, output: Path, tables: str | None, as_json: bool, **options: Any) -> None:
     """Write the results in FOLDER as files for other programs, with units in their names."""
     from multicell.report.exports import export as write
 
     chosen = None if tables is None else [name.strip() for name in tables.split(",")]
-    paths = write(folder, output, format=format, tables=chosen, frame=frame, overwrite=overwrite)
+    paths = write(folder, output, tables=chosen, **options)
     if as_json:
         print_json({"files": [str(path) for path in paths]})
         return
@@ -253,45 +240,34 @@ def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: 
 
 
 def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
-    """Print the parts, the numbers and the notes of ``explain``."""
     console.print(plain(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold")
-    parts = bare_table()
-    for column in ("", "part", "what it means"):
-        parts.add_column(column)
-    for part in facts["parts"]:
-        mark = plain("used" if part["used"] else "absent")
-        mark.stylize("green" if part["used"] else "dim")
-        parts.add_row(mark, plain(part["part"]), plain(part["what"]))
-    numbers = bare_table()
-    for column in ("derived number", "value", "unit", "meaning"):
-        numbers.add_column(column, justify="right" if column == "value" else "left")
+    marks = {True: plain("used"), False: plain("absent")}
+    marks[True].stylize("green")
+    marks[False].stylize("dim")
+    parts = [(marks[part["used"]], part["part"], part["what"]) for part in facts["parts"]]
+    numbers = []
     for entry in facts["numbers"]:
         value = entry["value"]
         shown = f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
-        numbers.add_row(*map(plain, (entry["name"], shown, entry["unit"], entry["meaning"])))
+        numbers.append((entry["name"], shown, entry["unit"], entry["meaning"]))
     console.print()
-    console.print(parts)
+    console.print(filled_table(("", "part", "what it means"), parts))
     console.print()
-    console.print(numbers)
+    console.print(filled_table(("derived number", "value >", "unit", "meaning"), numbers))
     for note in facts["notes"]:
         console.print(plain(f"\nNote: {note}"), style="yellow")
 
 
 def _print_summary(console: Console, summary: dict[str, Any], scene: Scene, output: Path) -> None:
-    """Print the key figures of a run as a short table."""
     from multicell.report.wording import diagnostics, measures
 
-    table = bare_table(show_header=False)
-    table.add_column(style="bold")
-    table.add_column(justify="right")
-    for name, value in (*measures(summary), *diagnostics(summary, scene)):
-        table.add_row(plain(name), plain(value))
-    states = ", ".join(f"{n:,} {name}" for name, n in summary.get("states", {}).items() if n)
-    table.add_row(plain("states"), plain(states))
+    rows = [*measures(summary), *diagnostics(summary, scene)]
+    counts = summary.get("states", {}).items()
+    rows.append(("states", ", ".join(f"{n:,} {name}" for name, n in counts if n)))
     work = summary.get("integrator", {})
     if "evaluations" in work:
-        table.add_row(plain("force evaluations"), plain(f"{work['evaluations']:,}"))
-    console.print(table)
+        rows.append(("force evaluations", f"{work['evaluations']:,}"))
+    console.print(key_table(rows, justify="right"))
     for note in summary.get("notes", ()):
         console.print(plain(f"Note: {note}"), style="yellow")
     console.print(plain(f"Results are in '{output}'."))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 Option = Callable[[Any], Any]  # a decorator of click
+valued = partial(click.option, show_default=True)
 
 
 def grouped(*options: Option) -> Option:
@@ -130,7 +132,7 @@ loaded_law_option = click.option(
     help="Contact or growth law of your own that the run was made with, as mine.py:Cubic.",
 )
 section_option = click.option(
-    "--section", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
+    "--section", "plane", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
 )
 cut_option = click.option(
     "--cut",

@@ -11,7 +11,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import print_json
-from multicell.cli.tables import bare_table, plain, time_text
+from multicell.cli.tables import filled_table, time_text
 from multicell.errors import OutputError
 
 if TYPE_CHECKING:
@@ -36,17 +36,16 @@ def scenes(name: str | None, show: bool, full: bool, as_json: bool) -> None:
     if as_json:
         print_json(rows)
         return
-    table = bare_table()
-    for column in ("scene", "duration", "parts", "title"):
-        table.add_column(column, no_wrap=column in ("scene", "duration"))
-    for row in rows:
-        time = time_text(row["duration"])
-        table.add_row(*map(plain, (row["name"], time, ", ".join(row["parts"]), row["title"])))
+    table = filled_table(
+        ("scene", "duration", "parts", "title"),
+        [(r["name"], time_text(r["duration"]), ", ".join(r["parts"]), r["title"]) for r in rows],
+    )
+    for column in table.columns[:2]:
+        column.no_wrap = True
     shared.console().print(table)
 
 
 def _print_scene(name: str, full: bool, as_json: bool) -> None:
-    """Print a scene: as its author wrote it, with every key, or as JSON."""
     from multicell.scene.scene import load_scene, scene_text
 
     if as_json:
@@ -81,7 +80,7 @@ def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: b
 @click.command()
 @click.argument("scene", type=shared.SCENE)
 @shared.output_option("File to write.")
-@click.option("--factor", type=float, default=2.0, show_default=True, help="Of the cells' widths.")
+@shared.valued("--factor", default=2.0, help="Of the cells' widths.")
 @shared.changes_option
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option

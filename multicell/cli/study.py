@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
@@ -15,6 +15,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json, words_after
+from multicell.cli.tables import time_text
 from multicell.errors import MissingPackage
 
 if TYPE_CHECKING:
@@ -45,6 +46,21 @@ free_option = click.option(
 yes_option = click.option(
     "--yes", "-y", is_flag=True, help="Do not ask before what is expected to take over an hour."
 )
+retry_option = click.option("--retry", is_flag=True, help="Try again what has failed.")
+_studied = shared.grouped(
+    shared.law_option, shared.observable_option, shared.integrator_option, shared.as_json_option
+)
+analysis_options = shared.grouped(
+    cores_option,
+    scheduler_option,
+    yes_option,
+    retry_option,
+    shared.overwrite_option("Replace another study in the folder; its runs stay."),
+    shared.no_report_option,
+    shared.quiet_option,
+    shared.as_json_option,
+)
+"""What the commands take that carry out a study and report what follows from it."""
 
 
 @click.group()
@@ -71,31 +87,25 @@ def study() -> None:
     help="List of points, such as those of keys that vary together: a CSV file with keys and units "
     "in its header, as 'cells.young [kPa]'.",
 )
-@click.option(
+@shared.valued(
     "--design",
     default="grid",
-    show_default=True,
     metavar="KIND",
     help="grid: all combinations; lhs, sobol: points of ranges, a Latin hypercube or a Sobol' "
     "sequence.",
 )
 @click.option("--size", type=int, help="Number of points of lhs or sobol.")
-@click.option("--sample-seed", type=int, default=0, help="Of the random numbers of lhs and sobol.")
-@click.option(
+@click.option("--sample-seed", default=0, help="Of the random numbers of lhs and sobol.")
+@shared.valued(
     "--seeds",
-    type=int,
     default=1,
-    show_default=True,
     help="Runs of each point, with the same seeds at all points.",
 )
 @click.option("--every", metavar="TIME", help="Between rows of the table of results, as '6 h'.")
 @shared.changes_option
-@shared.law_option
-@shared.observable_option
-@shared.integrator_option
+@_studied
 @shared.overwrite_option("Replace the plan of another study; its runs stay.")
 @shared.quiet_option
-@shared.as_json_option
 def new(
     scene: str,
     output: Path,
@@ -142,7 +152,6 @@ def key_values(items: Sequence[str], option: str) -> dict[str, str]:
 
 
 def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
-    """Print what a study is of, what it is expected to take, and how to continue."""
     cores = _known_cores()
     cost, states = made.expected(cores), made.status()
     done = sum(state.state == "done" for state in states)
@@ -157,19 +166,17 @@ def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
         return
     if quiet:
         return
-    out = shared.console()
-    for axis in made.plan.design.axes:
-        out.print(f"{axis.key}: {_values(axis)}", markup=False, soft_wrap=True)
     plan = made.plan
+    for axis in plan.design.axes:
+        say(f"{axis.key}: {_values(axis)}")
     points, seeds = _count(len(plan.points), "point"), _count(plan.seeds, "seed")
     known = f", {done:,} of them done" if done else ""
-    out.print(f"{points} x {seeds} = {_count(len(states), 'run')}{known}", markup=False)
-    out.print(f"{_cost_words(cost, cores)}.", markup=False, soft_wrap=True)
-    out.print(
+    say(f"{points} x {seeds} = {_count(len(states), 'run')}{known}")
+    say(f"{_cost_words(cost, cores)}.")
+    say(
         f"Written to '{made.folder / 'study.toml'}': read it, edit it, then "
-        f"'multicell study run {made.folder}'.",
-        markup=False, soft_wrap=True,
-    )  # fmt: skip
+        f"'multicell study run {made.folder}'."
+    )
 
 
 def _count(number: int, what: str) -> str:
@@ -177,7 +184,6 @@ def _count(number: int, what: str) -> str:
 
 
 def _values(axis: Any) -> str:
-    """Return the values of an axis, or the ends of a range, in words."""
     unit = f" {axis.unit}" if axis.unit else ""
     if hasattr(axis, "low"):
         return f"{axis.low:g} to {axis.high:g}{unit}{', by ratio' if axis.log else ''}"
@@ -187,23 +193,16 @@ def _values(axis: Any) -> str:
 
 
 def _cost_words(cost: StudyCost, cores: int | None) -> str:
-    """Return what runs are expected to take, in words."""
     if not cost.runs:
         return "Nothing is left to run"
-    alone = f"{_in_words(cost.core_seconds)} of one core"
-    time = alone if cores is None else f"{_in_words(cost.seconds)} on {_count(cores, 'core')}"
+    alone = f"{time_text(cost.core_seconds, 2)} of one core"
+    time = alone if cores is None else f"{time_text(cost.seconds, 2)} on {_count(cores, 'core')}"
     extra = "" if cores in (None, 1) else f" ({alone})"
     memory = f"{_bytes(cost.memory)} of memory" + (" a process" if cores is None else "")
     return (
         f"{_count(cost.runs, 'run')} left, expected to take about {time}{extra}, {memory} and "
         f"{_bytes(cost.disk)} of the disk; compilation is not counted"
     )
-
-
-def _in_words(seconds: float) -> str:
-    from multicell.cli.tables import time_text
-
-    return time_text(seconds, 2)
 
 
 def _bytes(number: float) -> str:
@@ -218,13 +217,10 @@ def _bytes(number: float) -> str:
 @cores_option
 @scheduler_option
 @yes_option
-@click.option("--retry", is_flag=True, help="Try again what has failed.")
-@shared.law_option
-@shared.observable_option
-@shared.integrator_option
+@retry_option
+@_studied
 @click.option("--no-report", is_flag=True, help="Write no report and no table.")
 @shared.quiet_option
-@shared.as_json_option
 def run(
     folder: Path,
     cores: int | None,
@@ -318,12 +314,56 @@ def confirm(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None
 
 
 def _terminal() -> bool:
-    """Return whether there is somebody to ask."""
     return sys.stdin is not None and sys.stdin.isatty()
 
 
+def carry_out_study(
+    plan: Any, output: Path, carry_out: Callable[..., Any], how: Mapping[str, Any]
+) -> Any:
+    """Do what runs of an analysis are left, and return what they show.
+
+    - ``plan``: with the study to run
+    - ``carry_out``: called with it, the folder, what says where runs go, and ``progress``
+    - ``how``: the values of ``analysis_options``
+    """
+    from multicell.cli.study_progress import reporter
+    from multicell.studies.study import write_study
+
+    workers = {name: how[name] for name in ("cores", "scheduler", "retry")}
+    count = cores_wanted(how["cores"], how["scheduler"])
+    study = write_study(plan.study, output, overwrite=how["overwrite"])
+    confirm(study.expected(count or 1), count, how["yes"], how["quiet"] or how["as_json"])
+    try:
+        with reporter(study, count, show=not how["quiet"]) as progress:
+            return carry_out(plan, output, progress=progress, **workers)
+    except KeyboardInterrupt:
+        complain("Stopped: the same command continues with what is there.")
+        raise
+
+
+def print_analysis(result: Any, runs: Iterable[Mapping[str, Any]], how: Mapping[str, Any]) -> None:
+    """Report an analysis, and end with 1 if one of its runs has failed."""
+    page = None if how["no_report"] else result.report()
+    if how["as_json"]:
+        print_json(result.to_dict())
+    elif not how["quiet"]:
+        say(result.text())
+        _print_page(page)
+    if any(row["reason"] for row in runs):
+        raise click.exceptions.Exit(1)
+
+
+def say(text: str) -> None:
+    """Print a line on stdout, wrapped by the terminal only."""
+    shared.console().print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_page(page: Path | None) -> None:
+    if page is not None:
+        say(f"The report is '{page}'.")
+
+
 def _print_stop(made: Study) -> None:
-    """Say what there is after Ctrl-C, and how to continue."""
     states = Counter(state.state for state in made.status())
     done, begun = states["done"], states["partial"] + states["running"]
     complain(
@@ -345,16 +385,13 @@ def _print_outcomes(
         print_json({"folder": str(made.folder), "failed": len(failed), "runs": runs})
     elif not quiet:
         reused = sum(outcome.reused for outcome in outcomes)
-        out = shared.console()
-        out.print(
+        say(
             f"{_count(len(outcomes), 'run')}: {len(outcomes) - len(failed):,} done"
             f"{f', {len(failed):,} failed' if failed else ''}"
-            f"{f'; {reused:,} of them were there' if reused else ''}.",
-            markup=False,
-        )  # fmt: skip
+            f"{f'; {reused:,} of them were there' if reused else ''}."
+        )
         _list_failed([(made.runs[k].coordinates, outcomes[k].reason) for k in failed], made)
-        if page is not None:
-            out.print(f"The report is '{page}'.", markup=False, soft_wrap=True)
+        _print_page(page)
     if failed:
         if quiet and not as_json:
             reason = outcomes[failed[0]].reason
@@ -365,14 +402,12 @@ def _print_outcomes(
 def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
     units = {axis.name: axis.unit for axis in made.plan.design.axes}
     for coordinates, reason in failed[:_LISTED]:
-        where = _where(coordinates, units)
-        shared.console().print(f"  failed at {where}: {reason}", markup=False, soft_wrap=True)
+        say(f"  failed at {_where(coordinates, units)}: {reason}")
     if len(failed) > _LISTED:
-        shared.console().print(f"  and {len(failed) - _LISTED:,} more", markup=False)
+        say(f"  and {len(failed) - _LISTED:,} more")
 
 
 def _where(coordinates: Any, units: Any) -> str:
-    """Return the coordinates of a run in words."""
     parts = []
     for name, value in coordinates.items():
         unit = f" {units[name]}" if units.get(name) else ""
@@ -383,10 +418,7 @@ def _where(coordinates: Any, units: Any) -> str:
 
 @study.command()
 @folder_argument
-@shared.law_option
-@shared.observable_option
-@shared.integrator_option
-@shared.as_json_option
+@_studied
 def status(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
     """Report the state of all runs of the study in FOLDER, why runs failed, and the time left."""
     made = _open_study(folder, law, integrator)
@@ -402,21 +434,22 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
             {"folder": str(folder), "counts": counts, "core_seconds_left": left, "runs": runs}
         )
         return
-    out = shared.console()
     words = {"partial": "begun"}
     shown = [
         f"{counts[name]:,} {words.get(name, name)}"
         for name in ("done", "running", "partial", "waiting", "failed")
         if counts[name]
     ]
-    out.print(f"{_count(len(states), 'run')}: {', '.join(shown)}", markup=False)
+    say(f"{_count(len(states), 'run')}: {', '.join(shown)}")
     for run, state in zip(made.runs, states, strict=True):
         if state.state == "running":
             _print_running(made, run, state)
     if left > 0.0:
         cores = max(counts["running"], 1)
-        now = f", about {_in_words(left / cores)} on {_count(cores, 'core')}" if cores > 1 else ""
-        out.print(f"About {_in_words(left)} of one core left{now}.", markup=False)
+        now = (
+            f", about {time_text(left / cores, 2)} on {_count(cores, 'core')}" if cores > 1 else ""
+        )
+        say(f"About {time_text(left, 2)} of one core left{now}.")
     failed = [(r.coordinates, s.reason) for r, s in zip(made.runs, states, strict=True)
               if s.state == "failed"]  # fmt: skip
     _list_failed(failed, made)
@@ -425,11 +458,8 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
 def _print_running(made: Study, run: Any, state: RunStatus) -> None:
     units = {axis.name: axis.unit for axis in made.plan.design.axes}
     share = 100.0 * state.time / run.scene.duration
-    shared.console().print(
-        f"  running at {_where(run.coordinates, units)}: {share:.0f} % of the time, "
-        f"{_count(state.cells, 'cell')}",
-        markup=False, soft_wrap=True,
-    )  # fmt: skip
+    where, cells = _where(run.coordinates, units), _count(state.cells, "cell")
+    say(f"  running at {where}: {share:.0f} % of the time, {cells}")
 
 
 def _time_left(made: Study, states: Sequence[RunStatus]) -> float:
@@ -449,10 +479,7 @@ def _time_left(made: Study, states: Sequence[RunStatus]) -> float:
 
 @study.command()
 @folder_argument
-@shared.law_option
-@shared.observable_option
-@shared.integrator_option
-@shared.as_json_option
+@_studied
 def report(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
     """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
 

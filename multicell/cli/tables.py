@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
+
+from multicell.units import time_text as time_text
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 
-def time_text(seconds: float, digits: int = 3) -> str:
-    """Return a time in the unit that suits it."""
-    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= size:
-            return f"{seconds / size:.{digits}g} {unit}"
-    return f"{seconds:.{digits}g} s"
+def filled_table(columns: Sequence[str], rows: Iterable[Sequence[object]], **options: Any) -> Table:
+    """Return a table without lines.
 
-
-def bare_table(**options: Any) -> Table:
-    """Return an empty table without lines."""
+    - ``columns``: their titles; one that ends in ``" >"`` is set to the right
+    - ``rows``: of texts, in which square brackets are no markup
+    """
     from rich.table import Table
 
-    return Table(box=None, pad_edge=False, header_style="bold", **options)
+    table = Table(box=None, pad_edge=False, header_style="bold", **options)
+    for title in columns:
+        name, right, _ = title.partition(" >")
+        table.add_column(name, justify="right" if right else "left")
+    for row in rows:
+        shown: list[Any] = [text if hasattr(text, "plain") else plain(text) for text in row]
+        table.add_row(*shown)
+    return table
+
+
+def key_table(rows: Iterable[tuple[str, object]], *, justify: Any = "left") -> Table:
+    """Return a table of names in bold and what belongs to them, without a header."""
+    table = filled_table(("", ""), rows, show_header=False)
+    table.columns[0].style = "bold"
+    table.columns[1].justify = justify
+    return table
 
 
 def plain(text: object) -> Any:

@@ -21,7 +21,7 @@ from multicell.comparison.norms import Norm, Observed, displacements, errors
 from multicell.comparison.replay import Problem
 from multicell.integrators import shift as online
 
-SHIFT: Final = online.SHIFT
+SHIFT: Final[float] = online.SHIFT
 """Root mean square of the shift of each coordinate, µm, unless another one is asked for."""
 
 

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from multicell.report.wording import clock
+from multicell.report.wording import clock, written
 from multicell.results.folder import file_errors, package_version, write_text
 from multicell.results.quantities import known_unit, title_of
 
@@ -93,9 +93,7 @@ def _environment() -> Environment:
 
 
 def _inline(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
-    """Write a figure beside the page and return it as part of the page."""
-    from multicell.report.plots.inline import inline_picture
-    from multicell.report.plots.style import save
+    from multicell.report.plots.style import inline_picture, save
 
     save(figure, path)
     return {"caption": caption, "shown": inline_picture(figure)}
@@ -106,7 +104,7 @@ def _label(key: str, path: str = "") -> str:
     name = title_of(str(key))
     if not path:
         return name
-    unit = known_unit(f"{path}.{key}").replace("um", "µm").replace("^3", "³")
+    unit = written(known_unit(f"{path}.{key}"))
     return f"{name} ({unit})" if unit else name
 
 
@@ -128,7 +126,6 @@ def _limit(value: float, unit: str = "", missing: str = "") -> str:
 
 
 def _text(value: Any) -> str:
-    """Return a value in words: thousands separated, seven digits at most."""
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "unknown"}[value]
     if isinstance(value, int):

@@ -94,7 +94,7 @@ def line(result: Result) -> str:
 def shown(result: Result) -> str:
     """Return a run as HTML: key figures, a section, and the view of cells in space and time."""
     from multicell.report.html import rendered
-    from multicell.report.plots.inline import inline_picture
+    from multicell.report.plots.style import inline_picture
 
     context: dict[str, Any] = {"caption": "", "picture": None, "view": None}
     if len(result.frames) and len(result.frames[-1].cells):

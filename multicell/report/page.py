@@ -67,7 +67,6 @@ def _contact_measures(result: Result) -> Iterator[tuple[str, str]]:
 
 
 def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure], str]]]:
-    """Yield the pictures that this run has enough data for, with their captions."""
     plots, flat = result.plot, result.scene.dimensions == 2
     for name, kind in PICTURES.items():
         if kind.on_page(plots):
@@ -76,7 +75,6 @@ def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure],
 
 
 def _subtitle(result: Result, summary: Mapping[str, Any]) -> str:
-    """Return one line: number of cells at the start, method, seed, steps."""
     scene = result.scene
     method = (summary.get("integrator") or {}).get("method", scene.integrator.method)
     cells = result.history.get("cells", np.empty(0))
@@ -88,7 +86,6 @@ def _subtitle(result: Result, summary: Mapping[str, Any]) -> str:
 
 
 def _phases(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the wall time of each phase, and the longest as a scale."""
     phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}
     return {"phases": phases, "longest": max(phases.values(), default=0.0) or 1.0}
 

@@ -220,7 +220,6 @@ def recorded_scene(contents: Contents) -> Scene:
 
 
 def _same_text(path: Path, text: str) -> bool:
-    """Return whether a file holds just this text."""
     data = text.encode()
     try:
         return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
@@ -229,7 +228,6 @@ def _same_text(path: Path, text: str) -> bool:
 
 
 def _partial_summary(frames: Sequence[Frame], scene: Scene) -> dict[str, Any]:
-    """Return what the last frame of a killed run tells."""
     from multicell.results.quantities import units_of
     from multicell.results.summary import state_summary
 

@@ -1,11 +1,14 @@
 """Tables of a run: cells, contacts, lineage and history, with units in the titles of columns.
 
-A table comes in parts, one a frame, so that a long run need not be in memory as a whole.
+A table comes in parts, one a frame, so that a long run need not be in memory as a whole; Parquet
+files have one group of rows for each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import csv
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -30,7 +33,6 @@ Frames = Callable[[], "Iterator[tuple[int, Frame]]"]
 
 
 def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
-    """Give the cells of each frame."""
     kinds = _kinds(run)
     phases = run.scene.growth is not None and bool(run.scene.growth.phases)
     for number, frame in frames:
@@ -70,7 +72,6 @@ def _lineage(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table
 
 
 def _history(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
-    """Give the history, one row for each coupling step."""
     yield {titled(name, known_unit(name)): column for name, column in run.history.items()}
 
 
@@ -84,7 +85,6 @@ TABLES: Final[Mapping[str, Callable[[Result, Iterator[tuple[int, Frame]]], Itera
 
 
 def _kinds(run: Result) -> NDArray[Any]:
-    """Return the names of the cell types by their numbers."""
     return np.array(list(run.scene.types) or [""], dtype=object)
 
 
@@ -92,6 +92,59 @@ def whole_table(run: Result, name: str) -> DataFrame:
     """Return a table of all frames."""
     if name not in TABLES:
         raise OutputError(f"there is no table {name!r}. {near_miss(name, TABLES)}")
-    parts = list(TABLES[name](run, enumerate(run.frames)))
+    return data_frame(joined(TABLES[name](run, enumerate(run.frames))))
+
+
+def joined(parts: Iterable[Table]) -> dict[str, NDArray[Any]]:
+    """Return a table of the rows of all parts."""
+    parts = list(parts)
     titles = parts[0] if parts else {}
-    return data_frame({title: np.concatenate([part[title] for part in parts]) for title in titles})
+    return {title: np.concatenate([part[title] for part in parts]) for title in titles}
+
+
+def write_csv(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+    """Write tables as CSV into a folder and return the names of the files."""
+    names = [f"{table}.csv" for table in tables]
+    for table, name in zip(tables, names, strict=True):
+        with (folder / name).open("w", newline="", encoding="utf-8") as file:
+            _write_rows(csv.writer(file), TABLES[table](run, frames()))
+    return names
+
+
+def _write_rows(writer: Any, parts: Iterable[Table]) -> None:
+    """Write the parts of a table below one header; nothing stands where there is no number."""
+    for k, part in enumerate(parts):
+        if k == 0:
+            writer.writerow(part)
+        # Python's numbers are written with all digits that tell them apart
+        columns = [np.where(_missing(c), "", c.astype(object)).tolist() for c in part.values()]
+        writer.writerows(zip(*columns, strict=True))
+
+
+def write_parquet(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+    """Write tables as Parquet into a folder and return the names of the files."""
+    import pyarrow as arrow
+    import pyarrow.parquet
+
+    def array(values: NDArray[Any]) -> Any:
+        # words stand in arrays of objects, and an empty one of them does not tell what it holds
+        kind = arrow.string() if values.dtype.kind in "OU" else None
+        return arrow.array(values, type=kind, mask=_missing(values))
+
+    names = [f"{table}.parquet" for table in tables]
+    for table, name in zip(tables, names, strict=True):
+        writer = None
+        try:
+            for part in TABLES[table](run, frames()):
+                rows = arrow.table({title: array(values) for title, values in part.items()})
+                if writer is None:
+                    writer = arrow.parquet.ParquetWriter(folder / name, rows.schema)
+                writer.write_table(rows)
+        finally:
+            if writer is not None:
+                writer.close()
+    return names
+
+
+def _missing(column: NDArray[Any]) -> NDArray[np.bool_]:
+    return np.isnan(column) if column.dtype.kind == "f" else np.zeros(len(column), bool)

@@ -60,8 +60,7 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield observable.title, observable.shown(value)
     for name in own_names():
         if summary.get(name) is not None:
-            unit = unit_of(name).replace("um", "µm")
-            yield title_of(name), f"{summary[name]:.4g} {unit}".strip()
+            yield title_of(name), f"{summary[name]:.4g} {written(unit_of(name))}".strip()
 
 
 def diagnostics(summary: Mapping[str, Any], scene: Scene) -> Iterator[tuple[str, str]]:
@@ -89,5 +88,10 @@ def diagnostics(summary: Mapping[str, Any], scene: Scene) -> Iterator[tuple[str,
 
 
 def percent(part: float) -> str:
-    """Return for example ``"12.5 %"``."""
-    return f"{100.0 * part:.1f} %"
+    """Return for example ``"12.5 %"``; ``"none"`` for NaN."""
+    return f"{100.0 * part:.1f} %" if part == part else "none"
+
+
+def written(unit: str) -> str:
+    """Return a unit as pictures and pages write it."""
+    return unit.replace("um", "µm").replace("^3", "³").replace("^2", "²")

@@ -98,7 +98,6 @@ INVENTED: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def scene_of(name: str) -> mc.Scene:
-    """Return a scene by its name in this file, or a built-in one."""
     base, changes = (KNOWN | INVENTED).get(name, (name, {}))
     return mc.load_scene(base).with_changes(changes)
 
@@ -144,7 +143,6 @@ def _alone(scene: mc.Scene, template: Any, step: Any) -> Problem:
 
 
 def solved(name: str, problem: Problem) -> Solved:
-    """Return a step with its reference."""
     system, motion = problem.system(), problem.steps[0].motion
     system.begin(motion)
     dimensions = problem.scene.dimensions
@@ -263,7 +261,6 @@ def _span(values: list[float]) -> str:
 
 
 def main() -> None:
-    """Solve what is not kept yet, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--results", type=Path, default=Path("auto-regret"))
     parser.add_argument("--scenes", nargs="+", default=[*mc.scene_names(), *KNOWN])

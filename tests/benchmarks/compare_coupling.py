@@ -86,7 +86,6 @@ def pairs(scene: mc.Scene, steps: tuple[str, str], seeds: range) -> None:
 
 
 def main() -> None:
-    """Print what is asked for; by default all of it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--truth", action="store_true")
     for name in ("--pairs", "--spheroid", "--coarse"):

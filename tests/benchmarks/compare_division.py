@@ -139,7 +139,6 @@ def settled(setting, tight):
 
 
 def motion(radius, rate, begin, end, offset=None, offset_rate=0.0):
-    """Return a coupling step; the last two cells have the offset."""
     n = len(radius)
     made = Motion(radius, rate, np.ones(n), np.full(n, 0.5), begin, end)
     if offset is None:
@@ -205,7 +204,6 @@ def shock(cells, division, setting):
 
 
 def compare(atol, setting, start, axes):
-    """Print the lines of one tolerance."""
     method = Cvode(rtol=1e-6, atol=atol)
     _, base, _ = run(start[:2], None, setting, method)
     print(f"\natol {atol:g} µm; without a division {base.sum(axis=0).tolist()} {', '.join(COUNTS)}")
@@ -286,12 +284,10 @@ def built_in(atol):
 
 
 def gyration(position):
-    """Return the radius of gyration of the centres, µm."""
     return math.sqrt(float(((position - position.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def main():
-    """Compare the ways at several tolerances."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--atol", default="0.1,0.01,0.001,0.0001")
     parser.add_argument("--cells", type=int, default=200, help="1: the mother alone")

@@ -12,13 +12,7 @@ Jacobian product Γ⁻¹(K v - (dΓ·v) ẋ) is exact or "frozen" (without dΓ),
 tolerance that is named, and its preconditioner is made of the diagonal blocks of
 Γ - γK, or of 6πηr - γK ("Stokes blocks"). ``ida`` is the residual Γẋ - F with GMRES and the
 blocks of cj Γ - K, exact or frozen likewise.
-
-Found: seconds at an error of 1e-3 µm, with "cvode frozen 1e-1" and "ida frozen, Krylov 20", are
-0.0115 and 0.0109 (1000 cells settle, 0.05 kPa s), 0.0189 and 0.0152 (20 of them divided), 0.098
-and 0.083 (10 000 cells, 5 kPa s), but 0.028 and 0.042 where friction rules (ten times the
-friction, or 0.005 kPa s). The geometric means over all scenes are equal. The derivative of
-Γ changes neither steps nor Newton iterations. The package solves Γ v = F, which loses least
-where it loses, and which explicit methods need as well.
+docs/theory/motion.md has what was found.
 """
 
 from __future__ import annotations
@@ -80,7 +74,6 @@ def add_blocks(matrix, out):
 
 
 def divide(position, radius, young, count):
-    """Replace ``count`` cells by two daughters each, as a division of the package does."""
     rng = np.random.default_rng(3)
     chosen = rng.choice(len(radius), count, replace=False)
     axis = rng.normal(size=(count, 3))
@@ -169,7 +162,6 @@ class Problem:
 
 
 def cvode(problem, rtol, atol, *, exact=True, inner=1e-3, outer=1e-8, precond="blocks", krylov=5):
-    """Integrate with Γ⁻¹F; return the end."""
     p = problem
 
     def rhs(t, y, yp):
@@ -208,7 +200,6 @@ def cvode(problem, rtol, atol, *, exact=True, inner=1e-3, outer=1e-8, precond="b
 
 
 def ida(problem, rtol, atol, *, exact=True, krylov=5):
-    """Integrate the residual Γẋ - F; return the end."""
     p = problem
 
     def residual(t, y, yp, res):
@@ -283,7 +274,6 @@ SCENES = {
 
 
 def measure(way, problem, atol, reference, runs):
-    """Return error, shortest time and counts of one way."""
     times = []
     for _ in range(runs + 1):
         problem.begin()
@@ -301,7 +291,6 @@ def seconds_at(error, rows):
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true", help="one run a row")
     runs = 1 if parser.parse_args().quick else 3

@@ -19,7 +19,6 @@ from multicell.nutrient.cartesian import departure
 
 
 def grown(geometry: str, seed: int, cells: int) -> mc.Result:
-    """Run the spheroid on one thread."""
     changes = {
         "nutrients.oxygen.geometry": geometry,
         "stop_cells": cells,
@@ -33,7 +32,6 @@ def grown(geometry: str, seed: int, cells: int) -> mc.Result:
 
 
 def main() -> None:
-    """Compare for each seed, and the mean curves."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cells", type=int, default=5000)
     parser.add_argument("--seeds", default="1,2,3")

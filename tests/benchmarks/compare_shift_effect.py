@@ -27,7 +27,6 @@ ATOL = 0.1
 
 
 def scene_of(viscosity):
-    """Return the scene whose steps are taken."""
     return mc.load_scene("growth").with_changes({
         "initial.count": 200, "initial.stage": "uniform", "duration": "20 h",
         "drag.viscosity": viscosity,
@@ -52,7 +51,6 @@ def measured(problem, method):
 
 
 def main():
-    """Print one line for each viscosity and method."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 28
     print("viscosity  method          correlation  effect  error  found of the worst quarter")
     for viscosity in (5.0, 0.5):

@@ -31,7 +31,6 @@ def scene_of(name):
 
 
 def measured(name):
-    """Run a scene and return what it took."""
     import multicell as mc
 
     scene = scene_of(name)
@@ -49,7 +48,6 @@ def measured(name):
 
 
 def foretold(name):
-    """Return the same from explain."""
     from multicell.report.explain.cost import predict
 
     found = predict(scene_of(name))

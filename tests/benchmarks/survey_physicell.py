@@ -24,7 +24,6 @@ from multicell.scene.start_table import with_cells
 
 
 def settings_below(folder):
-    """Return the files of settings below a folder."""
     files = sorted(folder.rglob("*.xml"))
     return [path for path in files if b"<PhysiCell_settings" in path.read_bytes()[:20_000]]
 
@@ -55,7 +54,6 @@ def attempt(path, options):
 
 
 def stop(number, frame):
-    """End a run that takes too long."""
     raise TimeoutError("takes too long")
 
 

@@ -13,21 +13,7 @@ Each row is a warm-up and the shortest of ``--repeats`` runs.
 Cost: about two minutes on one core. The times leave out setting up the problem.
 Command: python tests/benchmarks/tune_cvode.py
     [--scenes settle,thin] [--atol 0.01] [--expensive] [--csv FILE]
-
-Found (on a machine that others used: differences below a fifth mean little): a Jacobian that is
-fresh where contacts change, and a bound on its softening at first contact (``softening``), decide.
-In a medium of 0.005 kPa s, runs from starts 1e-6 µm apart took from 65 to 1452 steps without
-the bound and a preconditioner, from 77 to 120 with the bound, 51 with both. Then it matters
-little which preconditioner is taken, since Newton's systems are solved loosely: the diagonal
-blocks cost next to nothing; Gauss-Seidel and the incomplete factorisation save up to a half of
-the products and cost as much; multigrid takes 0.7 s and a direct factorisation 6.5 s where the
-blocks take 0.05 s (``thin``). The left side saves a fifth on ``thin`` and loses as much on
-``clump``, where it is further off; the right one, which measures the true residual, is kept.
-Against scikit-sundae's defaults, in CPU time of one thread (medians of 15 pairs): the full method
-takes 1.1 to 1.25 times as long on mild scenes of 1000 cells and 1.35 to 1.65 times with 100 or
-200, where calls from Python rule. So it begins like the defaults (``light``): 1.02 to 1.07 and
-1.07 to 1.2 times, which is the check of each step. Stiff scenes are found out by two steps and
-pay some eight evaluations: 0.17 to 0.36 of the defaults at 0.01 µm, 0.9 to 1.06 at 0.0001 µm.
+docs/theory/integrators.md has what was found.
 """
 
 from __future__ import annotations
@@ -62,8 +48,6 @@ ATTEMPT = Cvode(rtol=1e-6, max_steps=20_000)
 
 @dataclass
 class Case:
-    """Cells at the start of an interval."""
-
     position: np.ndarray
     radius: np.ndarray
     young: np.ndarray
@@ -237,7 +221,6 @@ def variants(atol, expensive):
 
 
 def measure(case, method, law, repeats, reference):
-    """Return the row of one method on one case."""
     best, outcome, work = np.inf, None, None
     for k in range(repeats + 1):
         system = case.system(law)

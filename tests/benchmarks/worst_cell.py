@@ -283,7 +283,6 @@ class Truth:
         return most
 
     def save(self):
-        """Write all ends to the file."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(self.path, **self.known)
 
@@ -297,12 +296,10 @@ def check(cases, viscosities):
 
 
 def distance(a, b):
-    """Return the largest distance of a cell between two ends, µm."""
     return float(np.sqrt(np.square(a - b).sum(axis=1)).max())
 
 
 def measured(case, viscosity, truth, steps, method, seed=1):
-    """Return a row for each of some steps of a method."""
     atol, rows, problem = METHODS[method].atol, [], truth.problem
     solver = from_options(IntegratorOptions(method=method))
     for k in steps:
@@ -345,7 +342,6 @@ def table(rows, names=("case", "viscosity_kPa_s", "method")):
 
 
 def write(path, rows):
-    """Write all rows, sorted as the table is."""
     order = {case: k for k, case in enumerate(CASES)}
     rows.sort(
         key=lambda row: (order[row["case"]], -float(row["viscosity_kPa_s"]), int(row["seed"]))
@@ -357,7 +353,6 @@ def write(path, rows):
 
 
 def main():
-    """Measure what is not kept yet, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--results", type=Path, default=Path("worst-cell"))
     parser.add_argument("--steps", type=int, default=200, help="of each case (%(default)s)")

@@ -268,31 +268,6 @@ def test_built_in_scenes_need_no_note(scene):
     assert [note for note in notes if known.get(scene, "!") not in note] == []
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["explain", "speroid"], "Did you mean 'spheroid'"),
-        (["explain", "nowhere.toml"], "does not exist"),
-        (["explain", "spheroid", "--set", "drag.viskosity=5"], "Did you mean 'viscosity'"),
-        (["explain", "spheroid", "--set", "duration=-3 d"], "must be above 0 s"),
-        (["explain", "spheroid", "--set", "duration"], "not KEY=VALUE"),
-        (["explain"], "Missing argument"),
-        (["run", "spheroid"], "Missing option '-o'"),
-        (["run", "spheroid", "-o", "x", "--integrator", "eular"], "Did you mean 'euler'"),
-        (["run", "spheroid", "-o", "x", "--threads", "0"], "--threads"),
-        (["simulate"], "No such command"),
-    ],
-)
-def test_bad_input_ends_with_2_and_a_sentence(arguments, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    answer = call(*arguments)
-    assert answer.exit_code == 2
-    assert words in answer.stderr
-    assert "Traceback" not in answer.output
-    assert answer.stdout == ""
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_error_with_json_is_one_document():
     answer = call("explain", "speroid", "--json")
     assert answer.exit_code == 2

@@ -16,7 +16,6 @@ MODULES = ("typing", "json", "click", "numpy", "numba", "matplotlib", "multiproc
 
 
 def multicell(folder, *arguments, **variables):
-    """Run a command in a folder."""
     environment = {**os.environ, "PYTHONPATH": str(Path(mc.__file__).parents[1])}
     environment |= {name: text for name, text in variables.items() if text is not None}
     for name in (name for name, text in variables.items() if text is None):

@@ -77,6 +77,8 @@ COMMANDS = {
     "run spheroid -o out --law mine.py:law": "by the decorator multicell.pair_law",
     "run spheroid -o out --law none.py:law": "there is no file 'none.py'",
     "run spheroid -o out --threads 0": "not in the range",
+    "explain": "Missing argument",
+    "explain spheroid --set drag.viskosity=5": "Did you mean 'viscosity'",
     "resume nothing": "there are no results in 'nothing'",
     "view spheroid": "there is no such folder",
     "view dose.csv": "it is a file, not a folder",
@@ -129,7 +131,8 @@ def folder(tmp_path, monkeypatch):
 def refused(folder, arguments, words):
     answer = CliRunner().invoke(main, arguments)
     said = " ".join(answer.output.split())
-    assert answer.exit_code == 2, said
+    assert (answer.exit_code, answer.stdout) == (2, ""), said
+    assert "Traceback" not in said
     assert words in said
     assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
 

@@ -10,7 +10,6 @@ DOI = re.compile(r"10\.\d{4,9}/[^\s\"}]+")
 
 
 def entries():
-    """Return key -> text of each entry."""
     found = re.findall(r"^@\w+\{(\w+),\n(.*?)^\}", BIBLIOGRAPHY, re.DOTALL | re.MULTILINE)
     assert len(found) == BIBLIOGRAPHY.count("\n@") + 1
     return dict(found)

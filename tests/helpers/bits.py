@@ -71,7 +71,6 @@ class Watch:
 
 
 def simulation(name, changes, threads, **state):
-    """Return a simulation with small chunks."""
     scene = mc.load_scene(name).with_changes(changes)
     made = Simulation(scene, threads=threads, **state)
     made.mechanics.chunk, made.mechanics.shared_chunks = CHUNK, SHARED_CHUNKS
@@ -93,7 +92,6 @@ def arrays(frame):
 
 
 def digest(frame):
-    """Return the digest of all bits of a frame."""
     found = hashlib.sha256()
     for name, values in arrays(frame):
         values = np.ascontiguousarray(values)

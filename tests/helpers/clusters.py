@@ -27,7 +27,6 @@ class Cluster:
             process.wait()
 
     def scheduler(self):
-        """Start a scheduler, and return its port."""
         more = ["--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"]
         self.main = self._start("scheduler", more)
         for line in self.main.stderr:
@@ -36,7 +35,6 @@ class Cluster:
         raise AssertionError("no scheduler")
 
     def worker(self, *more, path=PACKAGE):
-        """Start workers, and return once they are there."""
         given = [self.address, "--nthreads", "1", "--no-dashboard", *more]
         process = self._start("worker", given, path)
         for line in process.stderr:

@@ -25,7 +25,6 @@ RECORD_FILES = ("frames.h5", "frames.journal")
 
 
 def hurt(folder, rng):
-    """Damage a folder and say how."""
     ways = [_cut, _cut, _flip, _flip, _flip, _overwrite, _lengthen, _replace, _text]
     if (folder / "frames.h5").is_file():
         ways += [_edit] * 10

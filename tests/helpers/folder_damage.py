@@ -30,7 +30,6 @@ def files_of(folder):
 
 
 def hurt(folder, rng):
-    """Damage one file of a folder and say how."""
     path = folder / rng.choice(files_of(folder))
     way = rng.choice([_cut, _flip, _flip, _edit, _edit, _edit, _special, _special, _text])
     return f"{path.relative_to(folder)}, {way.__name__}: {way(path, rng)}"
@@ -117,7 +116,6 @@ def _text(path, rng):
 
 
 def study(place):
-    """Read a study in all ways; return what it found."""
     made = mc.load_study(place)
     made.expected(2)
     states = [state.state for state in made.status()]
@@ -132,7 +130,6 @@ def study(place):
 
 
 def fit(place):
-    """Continue a fit that is done, and return what it finds."""
     given = json.loads((place.parent / "fit.arguments").read_text())
     found = mc.fit(given["scene"], place.parent / "data.csv", given["free"], output=place,
                    seeds=1, budget=30, cores=1)  # fmt: skip
@@ -140,13 +137,11 @@ def fit(place):
 
 
 def opened(place):
-    """Open a fit that is done, and return what it finds."""
     found = mc.load_fit(place)
     return {"best": dict(found.best.values), "chi": found.best.chi_squared}
 
 
 def sensitivity(place):
-    """Read an analysis whose runs are done, and return what it finds."""
     given = json.loads((place.parent / "sensitivity.arguments").read_text())
     found = mc.sensitivity(given["scene"], given["free"], size=4, observables=["diameter"],
                            output=place, cores=1, report=False)  # fmt: skip

@@ -79,21 +79,18 @@ class Forks:
         return json.loads(self._process.stdout.readline())
 
     def load(self, **task):
-        """Load, for all later children, what a task loads in a first one."""
         with tempfile.NamedTemporaryFile("w+") as names:
             done = self.ask(loads=names.name, **task)
             assert done["code"] == 0, done["text"]
             assert self.ask(load=json.load(names))["code"] == 0
 
     def multicell(self, *arguments, **options):
-        """Run a command."""
         return self.ask(arguments=[str(a) for a in arguments], **options)
 
 
 def serve():
-    """Answer tasks until there are no more."""
     import multicell as mc
-    from multicell.report.exports import table_files  # noqa: F401 - loaded once, for all children
+    from multicell.report import tables  # noqa: F401 - loaded once, for all children
 
     mc.run(mc.load_scene("spheroid").with_changes(WARM), threads=1)
     for line in sys.stdin:

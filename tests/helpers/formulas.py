@@ -19,7 +19,6 @@ def reduced(young_i, young_j, radius_i, radius_j, poisson=POISSON):
 
 
 def hertz(law, h, modulus, radius, rest, sigma):
-    """Hertz: F = E √r h^1.5."""
     h = np.maximum(h, 0.0)
     stiff = modulus * np.sqrt(radius)
     return stiff * h**1.5, 0.4 * stiff * h**2.5
@@ -81,7 +80,6 @@ def chaste_nodes(r, mu=15.0, s=1.0, rA=1.5, alpha=5.0):
 
 
 def linear(law, h, modulus, radius, rest, sigma):
-    """Linear of CBMOS."""
     return _spring(
         lambda r: -cbmos_linear(r, law.stiffness_at_rest, rest, law.cutoff * rest), law, h, rest
     )
@@ -241,7 +239,6 @@ def velocity_of(system, time=0.0):
 
 
 def product_of(system, direction):
-    """Return J v of the last linearisation."""
     out = np.empty_like(direction)
     system.jacobian_product(direction, out)
     return out

@@ -46,8 +46,6 @@ _INSTALLS = re.compile(r"^(\.venv/bin/)?pip3? install |^python3? -m venv ")
 
 @dataclass
 class Block:
-    """A block of a page, and how it is run."""
-
     line: int
     language: str
     text: str
@@ -56,8 +54,6 @@ class Block:
 
 @dataclass
 class Ways:
-    """How a block is run, in parts."""
-
     reason: str = ""
     name: str = ""
     copies: list[list[str]] = field(default_factory=list)
@@ -66,14 +62,12 @@ class Ways:
 
 
 def pages() -> list[Path]:
-    """Return the pages that have commands to test."""
     found = [file for file in sorted((ROOT / "docs").rglob("*.md")) if "gallery" not in file.parts]
     return [*(ROOT / name for name in ("README.md", "CONTRIBUTING.md") if (ROOT / name).exists()),
             *found]  # fmt: skip
 
 
 def blocks(text: str) -> Iterator[Block]:
-    """Yield the fenced blocks of a page in their order."""
     ways: list[str] = []
     lines = iter(enumerate(text.splitlines(), 1))
     for number, line in lines:
@@ -99,7 +93,6 @@ def _until(lines: Iterator[tuple[int, str]], fence: str) -> Iterator[tuple[int, 
 
 
 def ways_of(block: Block) -> Ways:
-    """Return how a block is run."""
     ways = Ways()
     for text in block.ways:
         if text.startswith("no,"):
@@ -187,7 +180,6 @@ def command_of(words: list[str]) -> click.Command:
 
 
 def options_of(command: click.Command) -> set[str]:
-    """Return the options of a command."""
     own = {name for option in command.params for name in [*option.opts, *option.secondary_opts]}
     return own | {"-h", "--help"}
 

@@ -12,7 +12,6 @@ SMALLEST = 7.0
 
 
 def rendered(figure):
-    """Draw a figure and return its renderer."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return canvas.get_renderer()

@@ -321,15 +321,12 @@ def _check_numbers(result, summary):
 
 @dataclass
 class Tally:
-    """What became of many cases."""
-
     counts: collections.Counter = field(default_factory=collections.Counter)
     faults: dict = field(default_factory=dict)
     seconds: float = 0.0
 
     @property
     def total(self):
-        """Number of cases."""
         return sum(self.counts.values())
 
     def add(self, verdict, entries):
@@ -400,8 +397,6 @@ def _draw(kind, seed, number, pipe):
 
 @dataclass
 class _Worker:
-    """A process, and what it is at."""
-
     context: object
     process: object = None
     pipe: object = None
@@ -411,7 +406,6 @@ class _Worker:
     since: float = 0.0
 
     def start(self):
-        """Begin with a new process."""
         self.pipe, other = self.context.Pipe()
         self.process = self.context.Process(target=_work, args=(other,), daemon=True)
         self.process.start()
@@ -419,12 +413,10 @@ class _Worker:
         self.case = None
 
     def give(self, task):
-        """Send a task."""
         self.task, self.left, self.case = task, task[2], None
         self.pipe.send(task)
 
     def stop(self):
-        """End the process."""
         self.process.kill()
         self.process.join()
         self.pipe.close()

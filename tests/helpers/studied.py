@@ -46,7 +46,6 @@ def short_runs(count, **changes):
 
 
 def statuses(runs, folder):
-    """Return the states of runs of a study, in their order."""
     return [status(run.name, Path(folder), run.integrator) for run in runs]
 
 
@@ -70,7 +69,6 @@ def family(process):
 
 
 def is_worker(process):
-    """Return whether a process runs scenes."""
     try:
         return "spawn_main" in " ".join(process.cmdline()) and not _is_tracker(process)
     except psutil.Error:

@@ -102,12 +102,10 @@ def _field(middle, size, spacing=10.0):
 
 
 def growing_frames(count=8, days=9.0, last=4000):
-    """Return frames of a spheroid that grows ever more slowly."""
     times = np.linspace(0.0, days * 86400.0, count)
     cells = last ** (1.0 - (1.0 - times / times[-1]) ** 1.6)
     return [spheroid(max(int(n), 1), t) for n, t in zip(cells, times, strict=True)]
 
 
 def history_of(frames):
-    """Return the history rows of frames."""
     return [history_row(BARE, f) for f in frames]

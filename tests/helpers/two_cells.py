@@ -43,7 +43,6 @@ def apart_after(time, distance=1.6 * RADIUS):
 
 
 def parted(position, length):
-    """Return where the two cells are after a time."""
     middle, axis = position.mean(axis=0), position[1] - position[0]
     distance = np.linalg.norm(axis)
     half = 0.5 * apart_after(length, distance) * axis / distance
@@ -88,7 +87,6 @@ class PlantedInSteps:
 
 
 def step_method(make, name="planted"):
-    """Return a method whose setting is a step."""
     return Method(name, "step", make)
 
 
@@ -97,13 +95,11 @@ BOTH_EXACT = [(EXACT, 1.0), (EXACT, 1.0)]
 
 
 def compared(methods, ladder, scene=PAIR, **options):
-    """Compare methods against a reference that is exact."""
     options = {"cache": False, "references": BOTH_EXACT, "repeats": 1, **options}
     return compare(scene, methods, {"step": ladder}, **options)
 
 
 def only(result, **wanted):
-    """Return the one row of a table that has these values."""
     rows = [r for r in result.table if all(r[k] == v for k, v in wanted.items())]
     assert len(rows) == 1
     return rows[0]

@@ -15,6 +15,7 @@ from two_cells import ladders, result_of
 import multicell as mc
 from multicell.calibration.indices import sample
 from multicell.calibration.sensitivity import result_of as indices_of
+from multicell.report.plots.colouring import colouring
 from multicell.report.plots.run import Plots
 from multicell.report.plots.space import film_picture, room
 from multicell.report.plots.spheres import View
@@ -27,7 +28,6 @@ FIELD = {"geometry": "box", "spacing": "15 um", "boundary": 0.07, "quiescence": 
 
 @cache
 def run(name, **changes):
-    """Return a short run of few cells."""
     return mc.run(mc.load_scene(name).with_changes({"duration": "30 min", **dict(changes)}))
 
 
@@ -85,6 +85,10 @@ def two_drugs():
     return {"dose A / uM": a, "dose B / nM": b, "response": 400.0 / (1.0 + a) / (1.0 + b)}
 
 
+def film(frame):
+    return film_picture(frame, SCENE, colouring(frame, SCENE, None, {}), View(), room(frame))
+
+
 FEW = mc.load_scene("settle").with_changes({"initial.count": 12})
 DOUBLET = {"pull.force": "2.25 nN", "output.every": "10 s", "coupling_step": "2 s"}
 PICTURES = {
@@ -95,12 +99,12 @@ PICTURES = {
                 lambda: grown().section(plane="x"), lambda: fields(3).plot.section(),
                 lambda: run("sorting", **{"initial.count": 40}).plot.section()],
     "profiles": [lambda: grown().profiles(), lambda: fields(3).plot.profiles(),
-                 lambda: fields(5).plot.profiles()],
+                 lambda: fields(5).plot.profiles(),
+                 lambda: run("sorting", **{"initial.count": 40}).plot.profiles()],
     "field_maps": [lambda: fields(2).plot.fields(), lambda: fields(3).plot.fields(),
                    lambda: fields(5).plot.fields()],
     "space": [lambda: Plots([spheroid(300)], {}, SCENE).space()],
-    "film_picture": [lambda: film_picture(spheroid(300), SCENE, view=View(), dpi=80,
-                                          half=room(spheroid(300)))],
+    "film_picture": [lambda: film(spheroid(300))],
     "contacts": [lambda: run("sorting", **{"initial.count": 40}).plot.contacts()],
     "pull": [lambda: run("doublet", **DOUBLET, duration="40 s").plot.pull()],
     "response_curves": [lambda: fields(2).plot.responses()],

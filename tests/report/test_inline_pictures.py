@@ -12,7 +12,6 @@ from matplotlib.colors import to_rgb
 from synthetic import SCENE, growing_frames, history_of
 
 from multicell.report.plots.colour_vision import PALE, luminance
-from multicell.report.plots.inline import inline_picture
 from multicell.report.plots.style import (
     BLUE,
     COLOURS,
@@ -20,6 +19,7 @@ from multicell.report.plots.style import (
     QUIET,
     RED,
     blank,
+    inline_picture,
     styled,
     type_colours,
 )
@@ -94,7 +94,7 @@ def test_a_page_holds_a_picture_without_its_title():
 
 
 def test_a_report_holds_each_picture_once_and_smaller_than_its_file(tmp_path):
-    frames = growing_frames()
+    frames = growing_frames(count=4, last=1500)
     result = Result(None, frames, history_arrays(history_of(frames)), {}, SCENE)
     page = result.report(tmp_path).read_text("utf-8")
     held = re.findall(r'<img [^>]*src="([^"]+)"', page)

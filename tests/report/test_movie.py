@@ -34,9 +34,9 @@ def test_the_window_and_the_colours_stay(small_run, tmp_path, monkeypatch):
     drawn = []
     from multicell.report.plots import movie as room
 
-    def noted(*arguments, half, limits, **options):
-        drawn.append((half, limits))
-        return original(*arguments, half=half, limits=limits, **options)
+    def noted(frame, scene, shade, plane, half):
+        drawn.append((half, shade.range))
+        return original(frame, scene, shade, plane, half)
 
     original = room.section
     monkeypatch.setattr(room, "section", noted)

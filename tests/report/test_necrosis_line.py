@@ -6,7 +6,7 @@ from synthetic import SCENE, ball, cells_at, spheroid
 
 from multicell.cells import State
 from multicell.report.plots.necrosis import LABEL, necrotic_share
-from multicell.report.plots.section import section
+from multicell.report.plots.run import Plots
 
 
 def core(radius, count=4000):
@@ -49,6 +49,6 @@ def test_no_line_without_dead_cells_or_round_few_of_them():
 
 @pytest.mark.parametrize(("count", "there"), [(3000, True), (500, False)])
 def test_the_legend_names_the_line_where_it_is_drawn(count, there):
-    figure = section(spheroid(count), SCENE)
+    figure = Plots([spheroid(count)], {}, SCENE).section()
     told = {text.get_text() for legend in figure.legends for text in legend.get_texts()}
     assert (LABEL in told) is there

@@ -158,7 +158,7 @@ def test_mean_distances_are_by_type_and_nan_without_cells():
 def test_contacts_chart_shows_history_random_mixing_and_distances(mixture):
     figure = mixture.plot.contacts()
     rendered(figure)
-    upper, lower, right = figure.axes
+    upper, right, lower = figure.axes
     history = mixture.history
     shown = lines(upper)["as simulated"]
     np.testing.assert_allclose(shown.get_ydata(), 100.0 * history["heterotypic_fraction"])
@@ -319,14 +319,3 @@ def test_growth_picture_of_cells_that_only_move_has_no_panel_without_news(double
     assert "Cells by state" not in words
     for axes in figure.axes:
         assert all(np.ptp(line.get_ydata()) > 0 for line in axes.get_lines())
-
-
-@pytest.mark.parametrize("name", ["growth", "section", "profiles", "contacts"])
-def test_no_text_of_the_mixture_leaves_the_picture(mixture, name):
-    figure = getattr(mixture.plot, name)()
-    rendered(figure)
-    box = figure.get_tightbbox()
-    assert box.x0 >= 0
-    assert box.y0 >= 0
-    assert box.x1 <= drawing.SIZE[0]
-    assert box.y1 <= drawing.SIZE[1]

@@ -13,7 +13,8 @@ from multicell.cells import Cells, State
 from multicell.cli.main import main
 from multicell.report.plots.colouring import colouring, colourings, founder
 from multicell.report.plots.plane import Plane, turn_frame
-from multicell.report.plots.section import section, slice_at
+from multicell.report.plots.run import Plots
+from multicell.report.plots.section import slice_at
 from multicell.report.plots.style import save
 from multicell.results.frame import Field, Frame
 
@@ -134,7 +135,7 @@ def test_cells_behind_the_plane_are_paler_the_deeper_they_lie():
         id=np.arange(n), parent=np.full(n, -1), position=position, radius=np.full(n, 5.0),
         state=np.full(n, State.PROLIFERATING, np.int8), **base,
     )  # fmt: skip
-    figure = section(Frame(0.0, 0, cells), mc.load_scene("settle"), plane=Plane("z", 0.0))
+    figure = Plots([Frame(0.0, 0, cells)], {}, mc.load_scene("settle")).section(plane="z=0")
     deep, cut = (c for c in figure.axes[0].collections if isinstance(c, EllipseCollection))
     assert cut.get_offsets()[:, 0].tolist() == [0.0]
     # the deepest is drawn first

@@ -12,8 +12,10 @@ from synthetic import SCENE, spheroid
 from multicell.cells import State
 from multicell.cli.main import main
 from multicell.errors import OutputError
+from multicell.report.plots.colouring import colouring
 from multicell.report.plots.movie import movie
-from multicell.report.plots.space import film_picture, room, space
+from multicell.report.plots.run import Plots
+from multicell.report.plots.space import film_picture, room
 from multicell.report.plots.spheres import View, spheres
 
 RED, GREEN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
@@ -84,23 +86,24 @@ def test_a_cut_shows_the_inside_of_spheres_at_the_depth_of_its_plane():
 
 def test_the_quarter_opens_onto_the_core_of_a_spheroid():
     frame = spheroid(3000)
-    figure = space(frame, SCENE)
-    picture = figure.axes[0].images[0].get_array()
-    inner = np.asarray(picture[picture.shape[0] // 2, picture.shape[1] // 2, :3]).astype(int)
+    shade = colouring(frame, SCENE, None, {})
+
+    def middle(cut):
+        figure = film_picture(frame, SCENE, shade, View(cut=cut), room(frame))
+        picture = np.asarray(figure.axes[0].images[0].get_array()).astype(int)
+        return picture[picture.shape[0] // 2, picture.shape[1] // 2]
+
     # dark violet of the necrotic core, not the green of the rim
     assert frame.cells.state.max() == State.NECROTIC
-    assert inner[2] > inner[1]
-    closed = space(frame, SCENE, view=View(0.0, "none")).axes[0].images[0].get_array()
-    middle = np.asarray(closed[closed.shape[0] // 2, closed.shape[1] // 2, :3]).astype(int)
-    assert middle[1] > middle[2]
+    assert middle("quarter")[2] > middle("quarter")[1]
+    assert middle("none")[1] > middle("none")[2]
 
 
 def test_no_cell_is_outside_of_the_window_from_any_side():
     frame = spheroid(500)
     for turn in (0.0, 77.0):
-        figure = film_picture(
-            frame, SCENE, view=View(turn, "none"), half=room(frame), dpi=40, transparent=True
-        )
+        shade = colouring(frame, SCENE, None, {})
+        figure = film_picture(frame, SCENE, shade, View(turn, "none"), room(frame), clear=True)
         picture = figure.axes[0].images[0].get_array()
         for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
             assert edge[:, 3].max() == 0
@@ -110,7 +113,7 @@ def test_cells_in_a_plane_and_unknown_cuts_are_refused():
     frame = spheroid(100)
     flat = SCENE.with_changes({"dimensions": 2, "nutrients.oxygen.height": "2 mm"})
     with pytest.raises(OutputError, match="a section shows them all"):
-        space(frame, flat)
+        Plots([frame], {}, flat).space()
     with pytest.raises(OutputError, match="no cut"):
         View(cut="third")
     with pytest.raises(OutputError, match="turn"):

@@ -28,7 +28,6 @@ SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftsha
 
 
 def spread(count, time=0.0, seed=1):
-    """Return a frame of cells at random places."""
     rng = np.random.default_rng(seed)
     ids = np.sort(rng.choice(10 * count, count, replace=False))
     cells = Cells(

@@ -62,7 +62,7 @@ def test_it_is_in_history_summary_tables_and_report(tmp_path):
     (path,) = mc.export(result, tmp_path, tables=["history"])
     with path.open(encoding="utf-8", newline="") as file:
         assert "surface_um2" in next(csv.reader(file))
-    assert f"{summary['surface']:.4g} µm^2" in (tmp_path / "run/report.html").read_text("utf-8")
+    assert f"{summary['surface']:.4g} µm²" in (tmp_path / "run/report.html").read_text("utf-8")
 
 
 def test_a_run_with_it_has_the_same_bits():

@@ -9,8 +9,8 @@ from dataclasses import replace
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
-from multicell.report.explain.driven import drift, driven_parts
 from multicell.report.explain.items import Number, Part, hours, pair_label, part
+from multicell.scene.driven import Driver
 from multicell.scene.packing import collapse_notes, strongest_attraction
 from multicell.scene.pairs import daughters_stiffness, drag, pairs
 from multicell.scene.parts import Motility
@@ -109,7 +109,6 @@ def contact_notes(scene: Scene) -> Iterator[str]:
 
 
 def _pull_notes(scene: Scene) -> Iterator[str]:
-    """Yield a remark on a pull that cannot separate even one contact."""
     if scene.pull is None:
         return
     most = scene.pull.load(scene.duration)
@@ -121,21 +120,18 @@ def _pull_notes(scene: Scene) -> Iterator[str]:
 
 
 def _law(scene: Scene) -> str:
-    """Return the contact law in words."""
     given = any(kind.surface_energy is not None for kind in scene.types.values())
     energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
     return scene.contact.describe("by type" if given else energy)
 
 
 def _types(scene: Scene) -> str:
-    """Return the types with their shares in words."""
     total = sum(kind.fraction for kind in scene.types.values())
     shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
     return ", ".join(shares)
 
 
 def _adhesion(scene: Scene) -> str:
-    """Return receptors and ligands in words."""
     if scene.adhesion is None:
         return ""
     courses = [points for kind in scene.types.values() for points in (kind.receptor, kind.ligand)]
@@ -145,7 +141,6 @@ def _adhesion(scene: Scene) -> str:
 
 
 def _pair_numbers(scene: Scene, label: str, pair: Pair) -> list[Number]:
-    """Return what one kind of pair does."""
     whom = f"of two typical {label} cells" if label else "of two typical cells"
     if pair.bonds > 0.0:
         whom += ", bonds as at the start"
@@ -238,7 +233,6 @@ def _loads(scene: Scene) -> list[tuple[str, float]]:
 
 
 def _pull(scene: Scene) -> list[Number]:
-    """Return the load that separates two cells, and when the pull reaches it."""
     if scene.pull is None:
         return []
     numbers = []
@@ -260,3 +254,60 @@ def _jkr_overlap(pair: Pair) -> float:
     """Return h₀ of eq. 3.6 in µm."""
     law = JKR(surface_energy=_surface_energy(pair))
     return float(law.equilibrium_overlap(pair.modulus, pair.radius))
+
+
+def driven_parts(scene: Scene) -> list[Part]:
+    """Return forces from outside and prescribed motions, used or absent."""
+    forces = [
+        f"{name}: {math.hypot(*law.force):.3g} nN on {_whom(law)}{_when(law)}"
+        for name, law in scene.forces.items()
+    ]
+    motions = [
+        f"{name}: {_whom(law)} {_motion_words(law.velocity)}{_when(law)}"
+        for name, law in scene.motions.items()
+    ]
+    return [part("forces", "; ".join(forces)), part("motions", "; ".join(motions))]
+
+
+def drift(bias: float, dimensions: int) -> float:
+    """Return the mean part of a cell's speed along its bias, from -1 to 1.
+
+    With c = 1 - |b|, in space (2/3) |b|/c for |b| < c, else 1 - c²/(3 b²): the derivative of the
+    mean distance from a sphere of radius c. In the plane by the midpoint rule, which converges
+    exponentially unless |b| = c.
+    """
+    b, c = abs(bias), 1.0 - abs(bias)
+    if dimensions == 3:
+        share = 2.0 * b / (3.0 * c) if b < c else 1.0 - c * c / (3.0 * b * b)
+        return math.copysign(share, bias)
+    angles = (2.0 * math.pi * (k + 0.5) / 1000 for k in range(1000))
+    parts = (b + c * math.cos(a) for a in angles)
+    # |b u + c e|² = b² + c² + 2 b c cos = 2 b (b + c cos) + c² - b²
+    total = sum(x / math.sqrt(max(2.0 * b * x + c * c - b * b, 1e-300)) for x in parts)
+    return math.copysign(total / 1000, bias)
+
+
+def _whom(driver: Driver) -> str:
+    words = []
+    if driver.cells is not None:
+        few = ", ".join(map(str, driver.cells[:5])) + (", ..." if len(driver.cells) > 5 else "")
+        words.append(f"cell(s) {few}")
+    if driver.type:
+        words.append(f"type {driver.type}")
+    for axis in "xyz":
+        span = getattr(driver, axis)
+        if span is not None:
+            words.append(f"{axis} from {span[0]:g} to {span[1]:g} um")
+    return " with ".join(words) or "all cells"
+
+
+def _when(driver: Driver) -> str:
+    if driver.begin == 0.0 and driver.end is None:
+        return ""
+    end = "the end" if driver.end is None else hours(driver.end)
+    return f", from {hours(driver.begin)} to {end}"
+
+
+def _motion_words(velocity: tuple[float, float, float]) -> str:
+    speed = math.hypot(*velocity)
+    return f"moved at {speed:.3g} um/s" if speed else "held where they are"

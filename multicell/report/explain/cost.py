@@ -88,7 +88,6 @@ def predict(scene: Scene) -> Prediction:
 
 
 def _mean(found: Course, values: FloatArray) -> float:
-    """Return the mean of something over the time of a run."""
     return float(np.trapezoid(values, found.times) / found.times[-1])
 
 
@@ -119,7 +118,6 @@ def evaluations(scene: Scene) -> float:
 
 
 def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[float, float, float]:
-    """Return what all fields take: time, memory, and room on the disk."""
     most = mean = 0.0
     for name in scene.nutrients:
         nodes = _nodes(scene, name, found.radius)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, final
+
+from multicell.units import time_text
 
 _ABSENT: Final = {
     "types": "all cells are alike",
@@ -54,9 +57,5 @@ def pair_label(text: str, label: str) -> str:
     return f"{text}, {label}" if label else text
 
 
-def hours(seconds: float) -> str:
-    """Return a simulated time in a unit that is easy to read."""
-    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= (3.0 if unit == "d" else 1.0) * size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds:.3g} s"
+hours = partial(time_text, least_days=3.0)
+"""Return a simulated time in a unit that is easy to read."""

@@ -28,7 +28,6 @@ def nutrient_parts(scene: Scene) -> list[Part]:
 
 
 def _energy_words(scene: Scene) -> str:
-    """Return what ATP is made from, and what cells do that make too little."""
     energy = scene.energy
     assert energy is not None
     made = " + ".join(f"{gain:g} per {name}" for name, gain in (energy.yields or {}).items())
@@ -42,8 +41,6 @@ def _energy_words(scene: Scene) -> str:
 
 
 def _reaction_words(reaction: Reaction) -> str:
-    """Return what a reaction makes of what, and how fast."""
-
     def side(amounts: Mapping[str, float] | None) -> str:
         words = [f"{n:g} {name}" if n > 1.0 else name for name, n in (amounts or {}).items()]
         return " + ".join(words) or "nothing"
@@ -86,7 +83,6 @@ def _what(scene: Scene, name: str) -> str:
 
 
 def _regime_reason(scene: Scene, name: str) -> str:
-    """Return why a field is steady or transient."""
     nutrient = scene.nutrients[name]
     if nutrient.regime != "auto":
         return "as the scene says"
@@ -101,7 +97,6 @@ def _regime_reason(scene: Scene, name: str) -> str:
 
 
 def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
-    """Return the words for a field's grid."""
     if scene.box is not None:
         return _domain_words(scene, spacing)
     if scene.dimensions == 2:
@@ -120,7 +115,6 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
 
 
 def _domain_words(scene: Scene, spacing: float) -> str:
-    """Return the words for the grid of a field on a fixed domain."""
     assert scene.box is not None
     lengths = box.sides(scene.box)
     counts = box.filling(lengths, spacing) or ()
@@ -130,7 +124,6 @@ def _domain_words(scene: Scene, spacing: float) -> str:
 
 
 def _medium(nutrient: Nutrient) -> str:
-    """Return the words for the medium's level."""
     if nutrient.finite_medium is not None:
         return _finite(nutrient)
     if nutrient.media is None:
@@ -140,7 +133,6 @@ def _medium(nutrient: Nutrient) -> str:
 
 
 def _finite(nutrient: Nutrient) -> str:
-    """Return the words for a finite medium."""
     finite = nutrient.finite_medium
     assert finite is not None
     words = f"{finite.volume:g} um^3 of medium that the cells use up, {nutrient.medium(0.0):g} mM"

@@ -45,7 +45,6 @@ def explain(scene: Scene) -> dict[str, Any]:
 
 
 def _parts(scene: Scene) -> list[Part]:
-    """Return every part a scene can have, with the consequence of its presence or absence."""
     return [
         part("initial", _start_words(scene)),
         *contact_parts(scene),
@@ -62,7 +61,6 @@ def _parts(scene: Scene) -> list[Part]:
 
 
 def _start_words(scene: Scene) -> str:
-    """Say how many cells there are at the start, and what says where."""
     start = scene.initial
     if start.cells is not None:
         name = Path(start.cells.file).name or "cells given in memory"
@@ -77,7 +75,6 @@ def _start_words(scene: Scene) -> str:
 
 
 def _stage(scene: Scene) -> str:
-    """State in which states, and where in their cycle, cells start."""
     growth, stage, table = scene.growth, scene.initial.stage, scene.initial.cells
     found = (
         "; resting and dead ones are found with the fields"
@@ -149,7 +146,6 @@ def _death_words(scene: Scene) -> str:
 
 
 def _damage_words(scene: Scene) -> str:
-    """Say how cells bear damage, and repair it."""
     death = scene.death
     if death is None or not any(e.behaviour == "damage rate" for e in effects(scene)):
         return ""
@@ -164,7 +160,6 @@ def _damage_words(scene: Scene) -> str:
 
 
 def _radiation_words(scene: Scene) -> Iterator[str]:
-    """Say what each course of irradiation does."""
     for name, law in scene.radiation.items():
         times, whom = law.schedule, f"cells of type {law.cells}" if law.cells else "cells"
         given = sum(time <= scene.duration for time in times)
@@ -234,7 +229,6 @@ def _integrator_words(scene: Scene) -> str:
 
 
 def _run(scene: Scene) -> list[Number]:
-    """Return the numbers of coupling steps and frames."""
     steps = math.ceil(scene.duration / scene.coupling_step * (1.0 - 1e-12))
     words = f"of {scene.coupling_step:g} s each"
     # frames are saved between coupling steps, so that there are no more than those and one
@@ -248,7 +242,6 @@ def _run(scene: Scene) -> list[Number]:
 
 
 def _growth(scene: Scene) -> list[Number]:
-    """Return cycle time and the largest possible number of cells."""
     if scene.growth is None:
         return []
     cycle = scene.growth.mean_cycle
@@ -264,7 +257,6 @@ def _growth(scene: Scene) -> list[Number]:
 
 
 def _notes(scene: Scene) -> list[str]:
-    """Return remarks on settings that are allowed but may not be meant."""
     notes = []
     if scene.death is not None and not scene.nutrients and not scene.radiation:
         notes.append("Without a nutrient no cell becomes necrotic: [death] has no effect.")

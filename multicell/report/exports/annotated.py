@@ -11,7 +11,7 @@ import numpy as np
 import pandas
 from numpy.typing import NDArray
 
-from multicell.report.tables import TABLES, Frames
+from multicell.report.tables import TABLES, Frames, joined
 from multicell.results.contacts import touching
 from multicell.results.folder import versions
 
@@ -27,8 +27,7 @@ _WHO: Final = ("frame", "time_s", "id", "parent", "state", "kind", "phase")
 def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
     """Write the cells of all frames into one file and return its name."""
     # the tables and the contacts each go through the frames
-    parts = list(TABLES["cells"](run, frames()))
-    table = {title: np.concatenate([part[title] for part in parts]) for title in parts[0]}
+    table = joined(TABLES["cells"](run, frames()))
     features = [title for title in table if title not in (*_PLACE, *_WHO)]
     who = pandas.DataFrame({title: table[title] for title in _WHO if title in table})
     who.index = [f"{k}-{id}" for k, id in zip(who["frame"], who["id"], strict=True)]

@@ -55,10 +55,8 @@ class Format:
 
 
 FORMATS: Final = {
-    "csv": Format("exports.table_files.write_csv", ["{table}.csv"], tables=True),
-    "parquet": Format(
-        "exports.table_files.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True
-    ),
+    "csv": Format("tables.write_csv", ["{table}.csv"], tables=True),
+    "parquet": Format("tables.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
     "vtk": Format("exports.vtk.write", ["run.pvd"], ["pyvista"]),
     "anndata": Format("exports.annotated.write", ["cells.h5ad"], ["anndata"]),
     "netcdf": Format("exports.netcdf.write", ["history.nc"], ["xarray", "h5netcdf"]),
@@ -166,7 +164,6 @@ def export(
 
 
 def _chosen_tables(tables: Sequence[str] | None, format: str) -> list[str]:
-    """Return the names of the tables to write."""
     if tables is None:
         return list(TABLES)
     if not FORMATS[format].tables:
@@ -179,14 +176,12 @@ def _chosen_tables(tables: Sequence[str] | None, format: str) -> list[str]:
 
 
 def _refuse_old(folder: Path, names: Iterable[str]) -> None:
-    """Refuse to write over files; raises OutputError."""
     for path in (folder / name for name in names):
         if path.exists() or path.is_symlink():
             raise OutputError(f"'{path}' exists already: choose another folder or overwrite")
 
 
 def _frames(run: Result, frame: int | None) -> Iterator[tuple[int, Frame]]:
-    """Give the chosen frames with their numbers, one at a time."""
     count = len(run.frames)
     chosen: Iterable[int] = range(count) if frame is None else [frame % count]
     for k in chosen:

@@ -58,6 +58,5 @@ def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> l
 
 
 def _write_table(path: Path, rows: Sequence[Sequence[object]]) -> None:
-    """Write rows as CSV."""
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(rows)

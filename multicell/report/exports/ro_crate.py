@@ -50,7 +50,6 @@ def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> l
 
 
 def _described(run: Result, files: Sequence[Path]) -> dict[str, Any]:
-    """Return the description as JSON-LD."""
     summary = run.summary()
     ended = datetime.fromtimestamp(max(p.stat().st_mtime for p in files), UTC)
     when = ended.isoformat(timespec="seconds")

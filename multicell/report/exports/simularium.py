@@ -80,8 +80,6 @@ def _agents(cells: Cells, sort: Any, rows: slice) -> FloatArray:
 
 
 def _info(title: str, times: Sequence[float], size: FloatArray, names: Any) -> dict[str, Any]:
-    """Return what describes the trajectory; the box has its centre at the origin."""
-
     def vector(x: float, y: float, z: float) -> dict[str, float]:
         return {"x": float(x), "y": float(y), "z": float(z)}
 

@@ -34,7 +34,6 @@ _ENDINGS: Final = {"PolyData": "vtp", "ImageData": "vti", "UnstructuredGrid": "v
 
 
 def _write_index(path: Path, entries: Sequence[tuple[float, int, str, str]]) -> None:
-    """Write ParaView's list of the files of each time, in s."""
     root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     collection = ElementTree.SubElement(root, "Collection")
     for time, part, name, file in entries:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.errors import OutputError
 from multicell.report.plots.style import COLOURS, type_colours
+from multicell.report.wording import written
 from multicell.results.quantities import unit_of
 from multicell.results.tables import NAMED
 from multicell.schema import near_miss
@@ -193,8 +194,3 @@ def limits_of(parts: Sequence[FloatArray], *, from_zero: bool) -> tuple[float, f
     low, high = map(float, np.percentile(values, (0.5, 99.5))) if len(values) else (0.0, 1.0)
     low = 0.0 if from_zero else low
     return low, high if high > low else low + 1.0
-
-
-def written(unit: str) -> str:
-    """Return a unit as pictures write it."""
-    return unit.replace("um", "µm").replace("^3", "³").replace("^2", "²")

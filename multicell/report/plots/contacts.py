@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from multicell.cells import Cells, FloatArray
 from multicell.contact.pair import Pair
 from multicell.report.plots import style
-from multicell.report.wording import TimeUnit, time_unit
+from multicell.report.wording import TimeUnit, percent, time_unit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre, distances, sizes
 from multicell.scene.pairs import pair_of
@@ -54,36 +54,29 @@ def contacts(frames: Sequence[Frame], history: style.History, scene: Scene) -> F
     end = float(history["time"][-1])
     unit, time = time_unit(end), history["time"] / time_unit(end).seconds
     mixed = history["heterotypic_fraction"]
-    change = f"heterotypic contacts {_percent(mixed[0])} at first, {_percent(mixed[-1])} at last"
+    change = f"heterotypic contacts {percent(mixed[0])} at first, {percent(mixed[-1])} at last"
     figure = style.headed(scene, f"After {unit.text(end)}: {change}")
-    grid = figure.add_gridspec(
-        2, 2, left=0.09, right=0.97, top=0.82, bottom=0.11, wspace=0.26, hspace=0.34
-    )
-    upper, lower = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
-    right = figure.add_subplot(grid[:, 1])
-    _draw_fraction(upper, frames, 100.0 * history["heterotypic_fraction"], time, unit)
-    lower.plot(time, history["contacts"], style.draw_style(time), color=style.INK, lw=2)
+    place = {"left": 0.09, "right": 0.97, "top": 0.82, "bottom": 0.11}
+    place |= {"wspace": 0.26, "hspace": 0.34}
+    upper, right, lower = figure.subplot_mosaic("ab;cb", gridspec_kw=place).values()
+    _draw_fraction(upper, frames, 100.0 * mixed, time, unit)
+    style.draw_line(lower, time, history["contacts"], style.INK)
     lower.set_ylim(0.0, 1.12 * max(float(history["contacts"].max()), 1.0))
     lower.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
     style.counts(lower.yaxis)
     lower.set(title="Contacts", ylabel="number of pairs")
     _draw_distances(right, frames, scene, unit)
-    for axes in (upper, lower, right):
+    style.time_axes(figure.axes, time, unit)
+    for axes in figure.axes:
         axes.set_xlim((0.0, float(time[-1])) if end > 0.0 else (-0.5, 0.5))
-    for axes in (lower, right):
-        axes.set_xlabel(f"time ({unit.name})")
+    upper.set_xlabel("")
     return figure
-
-
-def _percent(part: float) -> str:
-    return f"{100.0 * part:.1f} %" if np.isfinite(part) else "none"
 
 
 def _draw_fraction(
     axes: Axes, frames: Sequence[Frame], fraction: FloatArray, time: FloatArray, unit: TimeUnit
 ) -> None:
-    """Draw the heterotypic part of the contacts (%) beside that of random mixing."""
-    axes.plot(time, fraction, style.draw_style(time), color=style.BLUE, lw=2, label="as simulated")
+    style.draw_line(axes, time, fraction, style.BLUE, label="as simulated")
     when = np.array([frame.time for frame in frames]) / unit.seconds
     mixed = np.array([100.0 * random_mixing(frame.cells) for frame in frames])
     dashes = "--" if len(when) > 1 else "x"
@@ -98,7 +91,6 @@ def _draw_fraction(
 
 
 def _draw_distances(axes: Axes, frames: Sequence[Frame], scene: Scene, unit: TimeUnit) -> None:
-    """Draw the mean distance of each type from the centre."""
     names = list(scene.types)
     time = np.array([frame.time for frame in frames]) / unit.seconds
     mean = np.array([mean_distances(f.cells, len(names), scene.dimensions) for f in frames])
@@ -141,7 +133,6 @@ def separation_theory(frames: Sequence[Frame], scene: Scene, time: float) -> flo
 
 
 def _pair(cells: Cells, scene: Scene, time: float) -> Pair:
-    """Return the pair of the first two cells."""
     i, j = (int(kind) for kind in cells.kind[:2])
     one, other = (float(radius) for radius in cells.radius[:2])
     young = (float(cells.young[0]), float(cells.young[1]))
@@ -154,7 +145,7 @@ def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figur
     if len(history.get("pull", ())) == 0 or len(frames) == 0:
         raise ValueError("the run has no pull: nothing to draw")
     force, time = history["pull"], history["time"]
-    last = _last_contact(history["contacts"])
+    last = int(np.flatnonzero(history["contacts"] > 0).max(initial=-1))  # -1: there never was one
     broken = 0 <= last < len(force) - 1
     told = f"the last contact broke at {force[last + 1]:.4g} nN" if broken else "not pulled apart"
     end = float(time[-1])
@@ -167,19 +158,12 @@ def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figur
         x = distance_of_two(x, frames[0].cells, scene.dimensions)
     axes.set_xlabel("distance of the two centres (µm)" if two else "diameter of all cells (µm)")
     kept = slice(0, max(last, 0) + 1)
-    axes.plot(
-        x[kept],
-        force[kept],
-        style.draw_style(x[kept]),
-        color=style.BLUE,
-        lw=2.4,
-        label="pull",
-        zorder=3,
-    )
+    style.draw_line(axes, x[kept], force[kept], style.BLUE, lw=2.4, label="pull", zorder=3)
+    when = float(time[max(last, 0)])
     if two:
-        _draw_law(axes, _pair(frames[0].cells, scene, float(time[max(last, 0)])), x[kept])
+        _draw_law(axes, _pair(frames[0].cells, scene, when), x[kept])
     elif len(frames[0].cells) > 1 and len(scene.types) < 2:
-        load, _ = _pair(frames[0].cells, scene, float(time[max(last, 0)])).deepest()
+        load, _ = _pair(frames[0].cells, scene, when).deepest()
         _draw_load(axes, load, "theory for one contact")
     if not two and x[kept].max() > 5.0 * x[kept].min() > 0.0:
         axes.set_xscale("log")
@@ -195,14 +179,7 @@ def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figur
     return figure
 
 
-def _last_contact(contacts: FloatArray) -> int:
-    """Return the last row before all contacts are gone, -1 if there never was one."""
-    held = np.flatnonzero(contacts > 0)
-    return int(held[-1]) if len(held) else -1
-
-
 def _draw_law(axes: Axes, pair: Pair, x: FloatArray) -> None:
-    """Draw the attraction of the contact law and its largest value."""
     load, _ = pair.deepest()
     nearest = min(float(x.min()), pair.distance())
     furthest = max(pair.rest + 1.05 * pair.reach(), float(x.max()))

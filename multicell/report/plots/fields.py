@@ -8,16 +8,17 @@ from typing import Final
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from multicell.cells import FloatArray, State
 from multicell.report.plots import style
 from multicell.report.plots.necrosis import draw_necrotic
-from multicell.report.plots.section import draw_circles, draw_field, frame_window
+from multicell.report.plots.section import draw_discs, draw_field, frame_window, window
 from multicell.report.wording import TimeUnit
 from multicell.results.frame import Frame
-from multicell.results.observables import centre, uniform_radius
+from multicell.results.observables import centre
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
 
@@ -36,7 +37,7 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
     cells, middle = frame.cells, centre(frame.cells, scene.dimensions)
     cut = cells.radius**2 - (cells.position[:, 2] - middle[2]) ** 2
     place, radius = cells.position[cut > 0.0, :2], np.sqrt(cut[cut > 0.0])
-    half = 1.22 * uniform_radius(cells, middle, scene.dimensions) + 2.0 * float(cells.radius.max())
+    half = window(frame, scene)
     figure = style.headed(
         scene, f"{style.moment(frame)}: section through the centre, {2 * half:.0f} µm wide"
     )
@@ -52,8 +53,8 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
         axes.set_title(title)
         frame_window(axes, middle, half)
         axes.grid(False)
-    colours = [style.COLOURS[state.name.lower()] for state in State]
-    draw_circles(windows[0], place, radius, cells.state[cut > 0.0], colours)
+    colours = np.array([to_rgb(style.COLOURS[state.name.lower()]) for state in State])
+    draw_discs(windows[0], place, radius, colours[cells.state[cut > 0.0]])
     for axes, name in zip(windows[1:], shown, strict=True):
         nutrient, field = scene.nutrients[name], frame.fields[name]
         medium, viridis = medium_at(frame, name, nutrient), mpl.colormaps["viridis"]

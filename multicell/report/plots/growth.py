@@ -21,21 +21,18 @@ def growth(history: style.History, scene: Scene) -> Figure:
     figure = style.headed(scene, subtitle)
     rim = np.isfinite(history["viable_rim"]).any()  # there is none without a core
     rows = 3 if rim else 2
-    grid = figure.add_gridspec(
-        rows, 2, left=0.1, right=0.97, top=0.82, bottom=0.11, wspace=0.3, hspace=0.34
-    )
+    place = {"left": 0.1, "right": 0.97, "top": 0.82, "bottom": 0.11, "wspace": 0.3}
+    grid = figure.add_gridspec(rows, 2, hspace=0.34, **place)
     _draw_count(figure.add_subplot(grid[0, 0]), time, history["cells"])
     _draw_size(figure.add_subplot(grid[1, 0]), time, history)
     if rim:
         _draw_rim(figure.add_subplot(grid[2, 0]), time, history)
     _draw_states(figure.add_subplot(grid[:, 1]), time, history)
-    for axes in figure.axes:
-        axes.set_xlim(*style.span(time))
-        axes.set_xlabel(f"time ({unit.name})")
+    style.time_axes(figure.axes, time, unit)
     mark_media(figure.axes[0], scene.nutrients, style.span(time), unit)
     for axes in figure.axes[: rows - 1]:
         axes.set_xlabel("")
-        if rim:  # little room between three
+        if rows == 3:  # little room between three
             axes.tick_params(labelbottom=False)
     return figure
 
@@ -45,20 +42,17 @@ def motion(history: style.History, scene: Scene) -> Figure:
     """Draw diameter and largest pressure against time, for cells that only move."""
     unit, time, subtitle = _course(history)
     figure = style.headed(scene, subtitle)
-    grid = figure.add_gridspec(2, 1, left=0.1, right=0.97, top=0.82, bottom=0.11, hspace=0.32)
-    upper, lower = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    place = {"left": 0.1, "right": 0.97, "top": 0.82, "bottom": 0.11, "hspace": 0.32}
+    upper, lower = figure.subplots(2, gridspec_kw=place)
     _draw_size(upper, time, history)
     size = history["diameter"]
     room = float(np.ptp(size))
     if room > 0.01 * float(size.max()):  # else noise would fill the picture
         upper.set_ylim(float(size.min()) - 0.1 * room, float(size.max()) + 0.1 * room)
-    lower.plot(
-        time, 1000.0 * history["largest_pressure"], style.draw_style(time), color=style.RED, lw=2
-    )
+    style.draw_line(lower, time, 1000.0 * history["largest_pressure"], style.RED)
     lower.set(title="Largest pressure of a cell", ylabel="pressure (Pa)")
-    lower.set_xlabel(f"time ({unit.name})")
-    for axes in (upper, lower):
-        axes.set_xlim(*style.span(time))
+    style.time_axes((upper, lower), time, unit)
+    upper.set_xlabel("")
     return figure
 
 
@@ -75,7 +69,7 @@ def _course(history: style.History) -> tuple[TimeUnit, FloatArray, str]:
 def _draw_count(axes: Axes, time: FloatArray, cells: FloatArray) -> None:
     """Draw the number of cells, on a log scale where it grows much."""
     axes.set_title("Cells")
-    axes.plot(time, cells, style.draw_style(time), color=style.INK, lw=2)
+    style.draw_line(axes, time, cells, style.INK)
     if cells.min() > 0 and cells.max() >= 5 * cells.min():
         axes.set_yscale("log")
         style.counts(axes.yaxis)
@@ -86,7 +80,6 @@ def _draw_count(axes: Axes, time: FloatArray, cells: FloatArray) -> None:
 
 
 def _count_axis(axes: Axes, largest: float) -> None:
-    """Give an axis of counts that starts at zero."""
     axes.set_ylim(0.0, largest if largest > 0 else 1.0)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     style.counts(axes.yaxis)
@@ -94,9 +87,8 @@ def _count_axis(axes: Axes, largest: float) -> None:
 
 
 def _draw_size(axes: Axes, time: FloatArray, history: style.History) -> None:
-    """Draw the diameters of the population and of its necrotic core."""
     whole, core = history["diameter"], 2.0 * history["necrotic_radius"]
-    axes.plot(time, whole, style.draw_style(time), color=style.BLUE, lw=2, label="whole")
+    style.draw_line(axes, time, whole, style.BLUE, label="whole")
     if core.max() > 0:
         shown = np.where(core > 0, core, np.nan)
         axes.plot(
@@ -115,7 +107,7 @@ def _draw_rim(axes: Axes, time: FloatArray, history: style.History) -> None:
     for name, colour in (("viable", style.INK), ("proliferating", style.COLOURS["proliferating"])):
         thickness = history.get(f"{name}_rim")  # older runs have no proliferating one
         if thickness is not None and np.isfinite(thickness).any():
-            axes.plot(time, thickness, style.draw_style(time), color=colour, lw=2, label=name)
+            style.draw_line(axes, time, thickness, colour, label=name)
     top = 1.15 * max(float(np.nanmax(history["viable_rim"])), 1.0)
     axes.set(title="Rim", ylabel="thickness (µm)", ylim=(0.0, top))
     axes.legend(loc="upper left", fontsize=9, ncols=2)
@@ -137,7 +129,7 @@ def _draw_states(axes: Axes, time: FloatArray, history: style.History) -> None:
     if held.max() > 0:  # above the dead, whom nothing holds back
         dead = history["necrotic"] + history["apoptotic"]
         label = "living, growth halved by pressure"
-        axes.plot(time, dead + held, style.draw_style(time), color=style.INK, lw=2, label=label)
+        style.draw_line(axes, time, dead + held, style.INK, label=label)
     # room for the legend above a flat top
     _count_axis(axes, (1.25 if held.max() == 0 else 1.35) * float(history["cells"].max()))
     handles, labels = axes.get_legend_handles_labels()

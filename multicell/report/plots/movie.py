@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
-from multicell.report.plots.colouring import GROUPS, colourings, limits_of, quantity
+from multicell.report.plots.colouring import GROUPS, colouring, limits_of, quantity
 from multicell.report.plots.plane import Plane
 from multicell.report.plots.section import section, window
-from multicell.report.plots.space import film_picture, room
+from multicell.report.plots.space import FILM_DPI, film_picture, room
 from multicell.report.plots.spheres import View
 from multicell.results.folder import file_errors, write_bytes
 
@@ -27,13 +27,12 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
+    from multicell.report.plots.colouring import Colouring
     from multicell.report.result import Result
-    from multicell.results.frame import Frame
 
 KINDS: Final = (".gif", ".webp", ".mp4")
 TURN: Final = 90.0
 """Degrees between the outermost places of an eye that swings round cells in space."""
-_DPI: Final = 80  # 800 x 500 pixels
 _REST: Final = 1.5  # s for which a film continues after the last frame
 
 
@@ -79,12 +78,22 @@ def movie(
     if not numbers:
         raise OutputError("no frame of the run has cells: there is nothing to show")
     hold = max(1, round(_REST * rate))
+    shades = _shades(result, numbers, colour)
+    frames, scene = result.frames, result.scene
+    figures: Iterator[Figure]
     if space:  # the eye turns on while the last frame stays
         numbers += hold * numbers[-1:]
         views = [View(float(angle), cut) for angle in _angles(turn, len(numbers))]
-        figures, hold = _in_space(result, numbers, views, colour, transparent), 0
+        half = max(room(frames[k]) for k in dict.fromkeys(numbers))
+        figures = (
+            film_picture(frames[k], scene, shades(k), view, half, transparent)
+            for k, view in zip(numbers, views, strict=True)
+        )
+        hold = 0
     else:
-        figures = _sections(result, numbers, plane, colour)
+        half = max(window(frames[k], scene) for k in numbers)
+        where = None if plane is None else Plane.parse(plane)
+        figures = (section(frames[k], scene, shades(k), where, half) for k in numbers)
 
     def report(done: int) -> None:
         if progress is not None:
@@ -108,42 +117,13 @@ def _angles(turn: float, count: int) -> NDArray[np.float64]:
     return 0.5 * turn * np.sin(np.linspace(0.0, 2.0 * np.pi, count))
 
 
-def _sections(
-    result: Result, numbers: list[int], plane: str | None, colour: str | None
-) -> Iterator[Figure]:
-    """Yield the section of each frame."""
-    scene = result.scene
-    half = max(window(result.frames[k], scene) for k in numbers)
-    limits = _limits(result, numbers, colour)
-    where = None if plane is None else Plane.parse(plane)
-    for number in numbers:
-        yield section(
-            result.frames[number], scene, plane=where, colour=colour, lineage=result.lineage,
-            half=half, limits=limits,
-        )  # fmt: skip
-
-
-def _in_space(
-    result: Result, numbers: list[int], views: list[View], colour: str | None, transparent: bool
-) -> Iterator[Figure]:
-    """Yield the cells in space, one figure for each view."""
-    half = max(room(result.frames[k]) for k in dict.fromkeys(numbers))
-    limits = _limits(result, list(dict.fromkeys(numbers)), colour)
-    for number, view in zip(numbers, views, strict=True):
-        yield film_picture(
-            result.frames[number], result.scene, view=view, half=half, dpi=_DPI, colour=colour,
-            lineage=result.lineage, limits=limits, transparent=transparent,
-        )  # fmt: skip
-
-
-def _limits(result: Result, numbers: list[int], colour: str | None) -> tuple[float, float] | None:
-    """Return one range of colours for all frames, or None where groups are shown."""
-    if colour is None or colour in GROUPS:
-        return None
-    frames: list[Frame] = [result.frames[k] for k in numbers]
-    known = colourings(frames[0])
-    values = [quantity(frame, str(colour))[0] for frame in frames]
-    return limits_of(values, from_zero=colour in known and colour in frames[0].concentrations)
+def _shades(result: Result, numbers: list[int], colour: str | None) -> Callable[[int], Colouring]:
+    """Return what colours the cells of a frame by its number, in one range for all frames."""
+    limits = None
+    if colour is not None and colour not in GROUPS:
+        values = [quantity(result.frames[k], colour)[0] for k in numbers]
+        limits = limits_of(values, from_zero=colour in result.frames[numbers[0]].concentrations)
+    return lambda k: colouring(result.frames[k], result.scene, colour, result.lineage, limits)
 
 
 def _save(
@@ -155,7 +135,7 @@ def _save(
     fps: Any = rate  # annotated as whole numbers, but any will do
     writer = FFMpegWriter(fps=fps) if path.suffix == ".mp4" else PillowWriter(fps=fps)
     first = next(figures)
-    with writer.saving(first, str(path), _DPI):
+    with writer.saving(first, str(path), FILM_DPI):
         for done, figure in enumerate(chain([first], figures), start=1):
             writer.fig = figure
             writer.grab_frame()
@@ -165,7 +145,6 @@ def _save(
 
 
 def _encoder(kind: str) -> dict[Any, str]:
-    """Return matplotlib's settings for a kind of film."""
     if kind != ".mp4":
         return {}
     needs("imageio_ffmpeg")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -49,15 +50,9 @@ def necrotic_share(
     step = max(width / _FINE, float((high - low).max()) / _MAX_POINTS)
     edges = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
     weight = np.exp(-0.5 * ((place[:, 2] - level) / width) ** 2)
-    whole, part = (
-        gaussian_filter(
-            np.histogram2d(place[:, 0], place[:, 1], edges, weights=of)[0],
-            width / step,
-            mode="constant",
-            truncate=8.0,
-        )
-        for of in (weight, weight * dead)
-    )
+    smooth: Any = partial(gaussian_filter, sigma=width / step, mode="constant", truncate=8.0)
+    flat = place[:, 0], place[:, 1], edges
+    whole, part = (smooth(np.histogram2d(*flat, weights=w)[0]) for w in (weight, weight * dead))
     known = whole > _MIN_DENSITY * whole.max()
     share = np.divide(part, whole, out=np.full_like(whole, np.nan), where=known)
     x, y = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)

@@ -9,8 +9,7 @@ import numpy as np
 
 from multicell.errors import OutputError
 from multicell.report.plots import style
-from multicell.report.plots.colouring import written
-from multicell.report.wording import time_unit
+from multicell.report.wording import time_unit, written
 from multicell.results.quantities import known_unit, title_of
 from multicell.schema import near_miss
 
@@ -28,14 +27,12 @@ def overlay(runs: Mapping[str, style.History], quantity: str) -> Figure:
     - ``quantity``: name of the column
     """
     for label, history in runs.items():
+        columns = [name for name in history if name != "time"]
+        if not columns:
+            raise OutputError(f"the run '{label}' has no history yet")
         if quantity not in history:
-            columns = [name for name in history if name != "time"]
-            problem = (
-                f"the history of '{label}' has no {quantity!r}"
-                if columns
-                else (f"the run '{label}' has no history yet")
-            )
-            raise OutputError(f"{problem}. {near_miss(quantity, columns)}" if columns else problem)
+            hint = near_miss(quantity, columns)
+            raise OutputError(f"the history of '{label}' has no {quantity!r}. {hint}")
     unit = time_unit(max(float(history["time"][-1]) for history in runs.values()))
     title = title_of(quantity).capitalize()
     count = "one run" if len(runs) == 1 else f"{len(runs)} runs"

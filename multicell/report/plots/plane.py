@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, final
 
@@ -41,25 +42,18 @@ class Plane:
             raise OutputError(f"{text!r} is no plane: write x, y or z, or for example z='12 um'")
         if match[2] is None:
             return cls(match[1])
+        with suppress(ValueError):
+            return cls(match[1], float(match[2]))
         try:
-            value = float(match[2]) if _bare(match[2]) else to_base(match[2], "um", text)
+            return cls(match[1], to_base(match[2], "um", text))
         except SceneError as error:
             raise OutputError(f"{text!r} is no plane: {error.problem}") from None
-        return cls(match[1], value)
 
     @property
     def shown(self) -> tuple[str, str]:
         """The two axes that lie in it, to the right and upwards."""
         x, y, _ = _ORDERS[self.axis]
         return AXES[x], AXES[y]
-
-
-def _bare(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 _ORDERS: Final = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}

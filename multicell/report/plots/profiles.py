@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, final
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,15 +21,6 @@ from multicell.results.observables import (
     uniform_radius,
 )
 from multicell.scene.scene import Scene
-
-
-@final
-class _Labels(NamedTuple):
-    """What the legend says of one field; ``threshold`` is a format of its value and meaning."""
-
-    field: str
-    cells: str
-    threshold: str
 
 
 @style.styled
@@ -51,13 +42,12 @@ def profiles(frame: Frame, scene: Scene) -> Figure:
 
 
 def _two_panels(figure: Figure, frame: Frame, profile: RadialProfile, scene: Scene) -> None:
-    """Draw one field, or the pressure, above the states or types."""
-    grid = figure.add_gridspec(2, 1, left=0.115, right=0.77, top=0.82, bottom=0.11, hspace=0.32)
-    upper = figure.add_subplot(grid[0])
-    lower = figure.add_subplot(grid[1], sharex=upper)
+    place = {"left": 0.115, "right": 0.77, "top": 0.82, "bottom": 0.11, "hspace": 0.32}
+    upper, lower = figure.subplots(2, sharex=True, gridspec_kw=place)
+    upper.tick_params(labelbottom=True)
     for name in profile.concentrations:
-        own = f"{name}\nfield", f"{name}\nat the cells", "below {:.3g} mM:\ncells {}"
-        _draw_field(upper, frame, profile, name, scene, _Labels(*own))
+        words = f"{name}\nfield", f"{name}\nat the cells", "below {:.3g} mM:\ncells {}"
+        _draw_field(upper, frame, profile, name, scene, words)
         upper.set(title="Concentration", ylabel="concentration (mM)")
     if not profile.concentrations:
         pressure = 1000.0 * profile.pressure
@@ -70,7 +60,6 @@ def _two_panels(figure: Figure, frame: Frame, profile: RadialProfile, scene: Sce
 
 
 def _field_panels(figure: Figure, frame: Frame, profile: RadialProfile, scene: Scene) -> None:
-    """Draw a panel for each field in its own range, and one for the states or types."""
     names = list(profile.concentrations)
     rows = (len(names) + 2) // 2
     grid = figure.add_gridspec(
@@ -78,8 +67,8 @@ def _field_panels(figure: Figure, frame: Frame, profile: RadialProfile, scene: S
     )
     for k, name in enumerate(names):
         axes = figure.add_subplot(grid[k // 2, k % 2])
-        own = _Labels("field", "at the cells", "below: cells {1}")
-        _draw_field(axes, frame, profile, name, scene, own)
+        words = "field", "at the cells", "below: cells {1}"
+        _draw_field(axes, frame, profile, name, scene, words)
         axes.set(title=style.type_label(name).capitalize(), ylabel="mM")
         axes.set_xlim(0.0, float(profile.edges[-1]))
         axes.legend(loc="best", fontsize=9)
@@ -93,9 +82,17 @@ def _field_panels(figure: Figure, frame: Frame, profile: RadialProfile, scene: S
 
 
 def _draw_field(
-    axes: Axes, frame: Frame, profile: RadialProfile, name: str, scene: Scene, labels: _Labels
+    axes: Axes,
+    frame: Frame,
+    profile: RadialProfile,
+    name: str,
+    scene: Scene,
+    words: Sequence[str],
 ) -> None:
-    """Draw one field against the radius: line the field, points the cells, and thresholds."""
+    """Draw one field against the radius: line the field, points the cells, and thresholds.
+
+    ``words``: of the three in the legend, the last a format of its value and meaning.
+    """
     values = profile.concentrations[name]
     top = float(np.nanmax(values))
     if name in frame.fields:
@@ -104,14 +101,12 @@ def _draw_field(
         means = field_profile(field, centre(frame.cells, scene.dimensions), edges)
         filled = np.isfinite(means)
         middles = 0.5 * (edges[1:] + edges[:-1])
-        axes.plot(
-            middles[filled], means[filled], color=style.BLUE, lw=2, alpha=0.6, label=labels.field
-        )
+        axes.plot(middles[filled], means[filled], color=style.BLUE, lw=2, alpha=0.6, label=words[0])
         top = max(top, float(means[filled].max(initial=0.0)))
-    axes.plot(profile.middles, values, "o", color=style.BLUE, ms=6, label=labels.cells, zorder=4)
+    axes.plot(profile.middles, values, "o", color=style.BLUE, ms=6, label=words[1], zorder=4)
     for meaning, level, dashes in style.thresholds(scene.nutrients[name]):
         if 0.0 < level < 1.1 * top:  # within the axis
-            label = labels.threshold.format(level, meaning)
+            label = words[2].format(level, meaning)
             axes.axhline(level, color=style.RED, lw=1.4, ls=dashes, label=label)
     axes.set_ylim(0.0, 1.1 * top if top > 0.0 else 1.0)
 
@@ -126,15 +121,8 @@ def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) 
         colours |= style.type_colours(types)
     for name in [n for n in reversed(colours) if n in parts and np.nansum(parts[n]) > 0]:
         part = np.nan_to_num(100.0 * parts[name])
-        axes.bar(
-            profile.middles,
-            part,
-            width,
-            bottom,
-            color=colours[name],
-            label=style.type_label(name),
-            lw=0,
-        )
+        look: dict[str, Any] = {"color": colours[name], "label": style.type_label(name), "lw": 0}
+        axes.bar(profile.middles, part, width, bottom, **look)
         bottom += part
     title = "Cells by type" if len(types) > 1 else "Cells by state"
     axes.set(title=title, ylabel="part of the cells (%)", ylim=(0, 100))

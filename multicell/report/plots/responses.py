@@ -50,7 +50,6 @@ def response_curves(scene: Scene) -> Figure:
 
 
 def _draw(axes: Axes, scene: Scene, behaviour: str, signal: str, parts: list[Effect]) -> None:
-    """Draw the curves of one behaviour over one signal."""
     unit = signal_unit(signal, scene.nutrients, scene.signals, "")
     rate = behaviour_named(behaviour, "")[0].unit == "1/s"
     scale, of = (3600.0, ", 1/h") if rate else (1.0, "")
@@ -84,7 +83,6 @@ def _draw(axes: Axes, scene: Scene, behaviour: str, signal: str, parts: list[Eff
 
 
 def _reach(part: Effect) -> float:
-    """Return the largest signal that is drawn."""
     if isinstance(part.law, Linear):
         return 1.3 * part.law.end
     if isinstance(part.law, Table):

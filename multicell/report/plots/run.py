@@ -9,7 +9,7 @@ loaded before it is needed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Final, TypeVar, final
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from multicell.report.plots.colouring import Colouring
     from multicell.report.plots.style import History
     from multicell.report.result import Result
     from multicell.results.frame import Frame
@@ -61,6 +62,7 @@ def _picture(
 
 
 @final
+@dataclass(frozen=True, eq=False, repr=False)
 class Plots:
     """The pictures of one run; see :class:`multicell.report.result.Result`.
 
@@ -68,24 +70,22 @@ class Plots:
     pull) they raise ``ValueError``.
     """
 
-    def __init__(
-        self,
-        frames: Sequence[Frame],
-        history: History,
-        scene: Scene,
-        lineage: Mapping[str, NDArray[Any]] | None = None,
-    ) -> None:
-        self._frames = frames
-        self._lineage = lineage or {}
-        self._history = history
-        self._scene = scene
+    frames: Sequence[Frame]
+    history: History
+    scene: Scene
+    lineage: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    def _shaded(self, frame: int, colour: str | None) -> tuple[Frame, Scene, Colouring]:
+        from multicell.report.plots.colouring import colouring
+
+        chosen = self.frames[frame]
+        return chosen, self.scene, colouring(chosen, self.scene, colour, self.lineage)
 
     def _has(self, column: str) -> bool:
-        return len(self._history.get(column, ())) > 0
+        return len(self.history.get(column, ())) > 0
 
     def _crowd(self, least: int) -> bool:
-        """Return whether the last frame has so many cells."""
-        return len(self._frames) > 0 and len(self._frames[-1].cells) >= least
+        return len(self.frames) > 0 and len(self.frames[-1].cells) >= least
 
     @_picture("The population in the course of the run.", on_page=lambda run: run._has("time"))
     def growth(self) -> Figure:
@@ -95,8 +95,8 @@ class Plots:
         """
         from multicell.report.plots.growth import growth, motion
 
-        alive = self._scene.growth is not None or len(self._scene.nutrients) > 0
-        return (growth if alive else motion)(self._history, self._scene)
+        alive = self.scene.growth is not None or len(self.scene.nutrients) > 0
+        return (growth if alive else motion)(self.history, self.scene)
 
     @_picture(
         "Cells that a plane through the centre cuts, each drawn with the radius of its cut.",
@@ -128,9 +128,7 @@ class Plots:
         from multicell.report.plots.section import section
 
         where = None if plane is None else Plane.parse(plane)
-        return section(
-            self._frames[frame], self._scene, plane=where, colour=colour, lineage=self._lineage
-        )
+        return section(*self._shaded(frame, colour), where)
 
     @_picture()
     def space(
@@ -157,10 +155,7 @@ class Plots:
         from multicell.report.plots.space import space
         from multicell.report.plots.spheres import View
 
-        return space(
-            self._frames[frame], self._scene, view=View(turn, cut), colour=colour,
-            lineage=self._lineage,
-        )  # fmt: skip
+        return space(*self._shaded(frame, colour), View(turn, cut))
 
     def quantity(self, name: str, others: Mapping[str, Result] | None = None) -> Figure:
         """Draw a column of the history against time, also those of other runs.
@@ -179,20 +174,20 @@ class Plots:
         """
         from multicell.report.plots.overlay import overlay
 
-        runs = {"this run": self._history}
+        runs = {"this run": self.history}
         runs |= {label: run.history for label, run in (others or {}).items()}
         return overlay(runs, name)
 
     @_picture(
         "A map of every field in the plane of the section, each over its own range.",
         "A map of every field in the plane of the cells, each over its own range.",
-        on_page=lambda run: run._crowd(1) and len(run._frames[-1].fields) > 1,
+        on_page=lambda run: run._crowd(1) and len(run.frames[-1].fields) > 1,
     )
     def fields(self, frame: int = -1) -> Figure:
         """Show a map of every field in the plane z = centre, at frame number ``frame``."""
         from multicell.report.plots.fields import field_maps
 
-        return field_maps(self._frames[frame], self._scene)
+        return field_maps(self.frames[frame], self.scene)
 
     @_picture(
         "Averages over spherical shells about the centre.",
@@ -203,7 +198,7 @@ class Plots:
         """Draw concentration (or pressure) and states against the distance from the centre."""
         from multicell.report.plots.profiles import profiles
 
-        return profiles(self._frames[frame], self._scene)
+        return profiles(self.frames[frame], self.scene)
 
     @_picture(
         "Contacts between cells of different types, and where each type is.",
@@ -213,17 +208,17 @@ class Plots:
         """Draw the contacts between unlike cells against time, and where each type is."""
         from multicell.report.plots.contacts import contacts
 
-        return contacts(self._frames, self._history, self._scene)
+        return contacts(self.frames, self.history, self.scene)
 
     @_picture(
         "What cells do about what they find: each behaviour over its signals.",
-        on_page=lambda run: len(run._scene.responses) > 0,
+        on_page=lambda run: len(run.scene.responses) > 0,
     )
     def responses(self) -> Figure:
         """Draw each behaviour over the signals that it responds to, short forms included."""
         from multicell.report.plots.responses import response_curves
 
-        return response_curves(self._scene)
+        return response_curves(self.scene)
 
     @_picture(
         "Force that pulls the cells apart, beside what their contact can bear.",
@@ -233,4 +228,4 @@ class Plots:
         """Draw the pull against the distance of two cells, or the diameter of more."""
         from multicell.report.plots.contacts import pull
 
-        return pull(self._frames, self._history, self._scene)
+        return pull(self.frames, self.history, self.scene)

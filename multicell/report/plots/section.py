@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -10,16 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection
 from matplotlib.colorbar import Colorbar
-from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgb
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
-from multicell.cells import FloatArray, IntArray
+from multicell.cells import FloatArray
 from multicell.errors import OutputError
 from multicell.report.plots import style
-from multicell.report.plots.colouring import SCALE, Colouring, colouring
+from multicell.report.plots.colouring import SCALE, Colouring
 from multicell.report.plots.necrosis import LABEL, STYLE, draw_necrotic
 from multicell.report.plots.plane import Plane, height, turn_frame
 from multicell.report.wording import cell_count
@@ -37,41 +35,29 @@ _WATER: Final = LinearSegmentedColormap.from_list("water", ["#ffffff", "#8fbce0"
 
 @style.styled
 def section(
-    frame: Frame,
-    scene: Scene,
-    *,
-    plane: Plane | None = None,
-    colour: str | None = None,
-    lineage: Mapping[str, NDArray[Any]] | None = None,
-    half: float | None = None,
-    limits: tuple[float, float] | None = None,
+    frame: Frame, scene: Scene, shade: Colouring, plane: Plane | None = None, half: float = 0.0
 ) -> Figure:
     """Draw the cells that a plane cuts, each with the radius of its cut, and those behind it.
 
     Cells behind the plane are the paler the deeper they lie. Two or three cells without a field are
-    cut by the plane that holds their centres, unless one is named. The colour shows the state or,
-    where there is more than one type, the type; cells that are necrotic are dark in both. Behind
-    the cells is the scene's first field, with a line where cells begin to rest; a dashed line
-    goes round where most cells are necrotic, averaged over about a cell's diameter. Where colours
-    show the values of a quantity, phases or clones there is neither.
+    cut by the plane that holds their centres, unless one is named. Behind the cells is the scene's
+    first field, with a line where cells begin to rest; a dashed line goes round where most cells
+    are necrotic, averaged over about a cell's diameter. Where colours show the values of a
+    quantity, phases or clones there is neither.
 
+    - ``shade``: colours of the cells
     - ``plane``: absent: z = centre of the cells
-    - ``colour``: one of :func:`multicell.report.plots.colouring.colourings`
-    - ``lineage``: table of all cells that ever were, for the colours of clones
     - ``half``: half the height of the window, µm; absent: as the cells need it
-    - ``limits``: range of the colours of a quantity; absent: that of the cells
     """
     dimensions, where = scene.dimensions, plane or Plane()
     if dimensions == 2 and where.axis != "z":
         raise OutputError(f"the cells lie in the plane z = 0: a plane {where.axis} is none of them")
-    shade = colouring(frame, scene, colour, lineage or {}, limits)
     middle, place, level = _set_up(frame, scene, plane)
     square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
     inside = square > 0.0
     cells = cell_count(int(inside.sum()))
-    figure = style.headed(
-        scene, style.moment(frame) + (_where(plane, cells) if dimensions == 3 else "")
-    )
+    cut = _where(where, cells) if dimensions == 3 else ""
+    figure = style.headed(scene, style.moment(frame) + cut)
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     half = half or window(frame, scene)
     frame_window(axes, middle, half, half * (0.66 * style.SIZE[0]) / (0.83 * style.SIZE[1]))
@@ -86,12 +72,7 @@ def section(
     scale_bar(axes, middle, half)
     if dimensions == 3 and plane is not None:
         _name_axes(axes, plane, middle, half)
-    if shade.group is not None:
-        title = "Cells in this section" if dimensions == 3 else "Cells"
-        title = title if shade.title in ("state", "type") else shade.title.capitalize()
-        group_legend(figure, shade.group[inside], shade.palette or {}, title)
-    else:
-        scale_legend(figure, shade)
+    explain_colours(figure, shade, "Cells in this section" if dimensions == 3 else "Cells", inside)
     return figure
 
 
@@ -114,12 +95,11 @@ def _set_up(
     return middle, place, height(ahead, where, middle)
 
 
-def _where(plane: Plane | None, cells: str) -> str:
-    """Return in words where the cut is, and how many cells it meets."""
-    if plane is None or plane.at is None:
-        axis = "" if plane is None or plane.axis == "z" else f" across {plane.axis}"
-        return f": section{axis} through the centre ({cells})"
-    return f": section at {plane.axis} = {plane.at:g} µm ({cells})"
+def _where(plane: Plane, cells: str) -> str:
+    if plane.at is not None:
+        return f": section at {plane.axis} = {plane.at:g} µm ({cells})"
+    axis = "" if plane.axis == "z" else f" across {plane.axis}"
+    return f": section{axis} through the centre ({cells})"
 
 
 def _draw_deep(
@@ -152,16 +132,15 @@ def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> Non
         axes.text(x + 1.35 * dx, y + 1.35 * dy, name, ha="center", va="center", zorder=5)
 
 
-def scale_legend(figure: Figure, shade: Colouring) -> None:
-    """Explain the colours of values."""
+def _scale_legend(figure: Figure, shade: Colouring) -> None:
     assert shade.range is not None
     assert shade.values is not None
     low, high = shade.range
     shades = ScalarMappable(Normalize(low, high), SCALE)
     below, above = bool((shade.values < low).any()), bool((shade.values > high).any())
-    beyond = {(False, False): "neither", (True, False): "min", (False, True): "max"}
+    beyond = ("neither", "min", "max", "both")[below + 2 * above]
     title = shade.title[0].upper() + shade.title[1:]
-    _draw_bar(figure, shades, title, 0.5, extend=beyond.get((below, above), "both"))
+    _draw_bar(figure, shades, title, 0.5, extend=beyond)
 
 
 def _in_plane(position: FloatArray, middle: FloatArray) -> FloatArray:
@@ -178,13 +157,6 @@ def frame_window(axes: Axes, middle: FloatArray, half: float, width: float | Non
     axes.set(xticks=[], yticks=[], aspect="equal")
 
 
-def draw_circles(
-    axes: Axes, position: FloatArray, radius: FloatArray, group: IntArray, colours: list[str]
-) -> None:
-    """Draw circles of true size in the colour of the cells' groups."""
-    draw_discs(axes, position, radius, np.array([to_rgb(colour) for colour in colours])[group])
-
-
 def draw_discs(
     axes: Axes, position: FloatArray, radius: FloatArray, rgb: FloatArray, edge: float | None = None
 ) -> None:
@@ -193,17 +165,10 @@ def draw_discs(
     if edge is None:
         edge = 0.5 if len(size) > 200 else 1.2
     discs = EllipseCollection(
-        size,
-        size,
-        np.zeros(len(size)),
-        units="xy",
-        offsets=position,
-        offset_transform=axes.transData,
-        facecolors=rgb,
-        edgecolors="white",
-        linewidths=edge,
+        size, size, np.zeros(len(size)), units="xy", offsets=position,
+        offset_transform=axes.transData, facecolors=rgb, edgecolors="white", linewidths=edge,
         zorder=2,
-    )
+    )  # fmt: skip
     axes.add_collection(discs)
 
 
@@ -282,7 +247,11 @@ def _draw_behind(
     """
     line: dict[str, Any] = {"color": style.RED, "lw": 1.8}
     handles = [Line2D([], [], ls=STYLE, label=LABEL, **line)] if dead else []
-    if field is not None and nutrient is not None and _is_there(field, nutrient):
+    if (
+        field is not None
+        and nutrient is not None
+        and (max(float(field.values.max()), nutrient.boundary) > _MIN_LEVEL * nutrient.highest)
+    ):
         shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
         bar = _draw_bar(figure, shades, f"{field.name.capitalize()} ({field.unit})", 0.27)
         if resting is not None:
@@ -291,10 +260,6 @@ def _draw_behind(
             handles.insert(0, Line2D([], [], label=label, **line))
     if handles:
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.713, 0.25))
-
-
-def _is_there(field: Field, nutrient: Nutrient) -> bool:
-    return max(float(field.values.max()), nutrient.boundary) > _MIN_LEVEL * nutrient.highest
 
 
 def _draw_bar(
@@ -311,9 +276,8 @@ def _draw_bar(
 
 def scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     """Draw a bar of a round length in the lower left corner."""
-    length = max(
-        n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if n <= 0.6 * half
-    )
+    lengths = (n * 10**k for k in range(4) for n in (1, 2, 5))
+    length = max(n for n in lengths if n <= 0.6 * half)
     left = axes.get_xlim()[0] + 0.07 * half
     low = middle[1] - 0.93 * half
     axes.plot(
@@ -322,21 +286,25 @@ def scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     axes.text(left + 0.5 * length, low + 0.035 * half, f"{length} µm", ha="center", zorder=5)
 
 
-def group_legend(figure: Figure, group: IntArray, palette: Mapping[str, str], title: str) -> None:
-    """Explain the colours, with the number of cells of each group in the section."""
+def explain_colours(figure: Figure, shade: Colouring, title: str, shown: Any = slice(None)) -> None:
+    """Explain the colours: of values by a bar, of groups with the number of cells of each.
+
+    - ``title``: of states and types
+    - ``shown``: rows of the cells that are counted
+    """
+    if shade.group is None:
+        _scale_legend(figure, shade)
+        return
+    palette = shade.palette or {}
+    title = title if shade.title in ("state", "type") else shade.title.capitalize()
     if not palette:
         figure.text(0.725, 0.84, title, **style.HEADING)
         return
-    counts = np.bincount(group, minlength=len(palette)).tolist()
-    shown = [(name, palette[name], n) for name, n in zip(palette, counts, strict=True) if n]
-    handles = [Line2D([], [], ls="", marker="o", ms=11, color=colour) for _, colour, _ in shown]
-    labels = [f"{style.type_label(name)} ({n:,})" for name, _, n in shown]
-    figure.legend(
-        handles,
-        labels,
-        loc="upper left",
-        bbox_to_anchor=(0.71, 0.87),
-        title=title,
-        title_fontproperties={"weight": "bold", "size": 13},
-        alignment="left",
-    )
+    counts = np.bincount(shade.group[shown], minlength=len(palette)).tolist()
+    groups = [(name, palette[name], n) for name, n in zip(palette, counts, strict=True) if n]
+    handles = [Line2D([], [], ls="", marker="o", ms=11, color=colour) for _, colour, _ in groups]
+    labels = [f"{style.type_label(name)} ({n:,})" for name, _, n in groups]
+    bold = {"weight": "bold", "size": 13}
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0.71, 0.87)}
+    place |= {"title": title, "title_fontproperties": bold, "alignment": "left"}
+    figure.legend(handles, labels, **place)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
+from matplotlib.text import Text
 
 from multicell.errors import OutputError
-from multicell.report.plots.colouring import Colouring, colouring
-from multicell.report.plots.section import frame_window, group_legend, scale_bar, scale_legend
+from multicell.report.plots.colouring import Colouring
+from multicell.report.plots.section import explain_colours, frame_window, scale_bar
 from multicell.report.plots.spheres import View, spheres
 from multicell.report.plots.style import DPI, SIZE, headed, moment, styled
 from multicell.report.wording import cell_count, time_unit
@@ -22,67 +21,45 @@ from multicell.results.observables import centre
 from multicell.scene.scene import Scene
 
 FILM: Final = (8.0, 6.0)  # inches
+FILM_DPI: Final = 80  # 640 x 480 pixels
 _FINE: Final = 1.5  # pixels of the spheres to one of the figure
 _WORDS: Final = {"none": "", "half": ", cut in half", "quarter": ", a quarter cut away"}
 _GREY: Final = "#7d8994"  # is read on white and on black
 
 
 @styled
-def space(
-    frame: Frame,
-    scene: Scene,
-    *,
-    view: View | None = None,
-    colour: str | None = None,
-    lineage: Mapping[str, NDArray[Any]] | None = None,
-    half: float | None = None,
-    limits: tuple[float, float] | None = None,
-) -> Figure:
-    """Draw the cells as spheres of true size, seen without perspective, with what is cut away.
-
-    - ``view``: direction and cut; absent: a quarter is cut away and opens to the eye
-    - ``colour``, ``lineage``, ``half``, ``limits``: as for
-      :func:`multicell.report.plots.section.section`
-    """
-    view = view or View()
-    shade = _shades(frame, scene, colour, lineage, limits)
+def space(frame: Frame, scene: Scene, shade: Colouring, view: View) -> Figure:
+    """Draw the cells as spheres of true size, seen without perspective, with what is cut away."""
+    _refuse_flat(scene)
     figure = headed(scene, moment(frame) + _WORDS[view.cut])
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     size = (_FINE * DPI * 0.66 * SIZE[0], _FINE * DPI * 0.83 * SIZE[1])
-    _draw(axes, frame, shade, view, half or room(frame), size)
-    _explain(figure, frame, shade)
+    _draw(axes, frame, shade, view, room(frame), size)
+    explain_colours(figure, shade, "Cells")
     return figure
 
 
 @styled
 def film_picture(
-    frame: Frame,
-    scene: Scene,
-    *,
-    view: View,
-    half: float,
-    dpi: float,
-    colour: str | None = None,
-    lineage: Mapping[str, NDArray[Any]] | None = None,
-    limits: tuple[float, float] | None = None,
-    transparent: bool = False,
+    frame: Frame, scene: Scene, shade: Colouring, view: View, half: float, clear: bool = False
 ) -> Figure:
     """Draw one picture of a film: as :func:`space`, with the time instead of a heading.
 
-    A transparent one has letters that can be read on a light and on a dark page.
+    ``half`` is half the height of its window, µm. A ``clear`` one has no background, and letters
+    that can be read on a light and on a dark page.
     """
-    shade = _shades(frame, scene, colour, lineage, limits)
-    figure = Figure(figsize=FILM, dpi=dpi)
+    _refuse_flat(scene)
+    figure = Figure(figsize=FILM, dpi=FILM_DPI)
     axes = figure.add_axes((0.0, 0.0, 0.72, 1.0))
-    _draw(axes, frame, shade, view, half, (dpi * 0.72 * FILM[0], dpi * FILM[1]))
+    _draw(axes, frame, shade, view, half, (FILM_DPI * 0.72 * FILM[0], FILM_DPI * FILM[1]))
     time = time_unit(frame.time).text(frame.time)
     figure.text(0.02, 0.95, time, fontsize=22, weight="bold", va="center")
     figure.text(0.02, 0.885, cell_count(len(frame.cells)), fontsize=14, va="center")
-    _explain(figure, frame, shade)
-    if transparent:
+    explain_colours(figure, shade, "Cells")
+    if clear:
         figure.patch.set_alpha(0.0)
         axes.patch.set_alpha(0.0)
-        for text in [*figure.texts, *axes.texts, *_letters(figure)]:
+        for text in figure.findobj(Text):
             text.set_color(_GREY)
         for line in axes.lines:
             line.set_color(_GREY)
@@ -99,16 +76,9 @@ def room(frame: Frame) -> float:
     return 1.1 * float(away.max())
 
 
-def _shades(
-    frame: Frame,
-    scene: Scene,
-    colour: str | None,
-    lineage: Mapping[str, NDArray[Any]] | None,
-    limits: tuple[float, float] | None,
-) -> Colouring:
+def _refuse_flat(scene: Scene) -> None:
     if scene.dimensions == 2:
         raise OutputError("the cells lie in a plane: a section shows them all")
-    return colouring(frame, scene, colour, lineage or {}, limits)
 
 
 def _draw(
@@ -127,19 +97,3 @@ def _draw(
     axes.imshow(picture, extent=(-across, across, -half, half), interpolation="antialiased")
     frame_window(axes, middle, half, across)
     scale_bar(axes, middle, half)
-
-
-def _explain(figure: Figure, frame: Frame, shade: Colouring) -> None:
-    """Explain the colours."""
-    if shade.group is None:
-        scale_legend(figure, shade)
-        return
-    title = "Cells" if shade.title in ("state", "type") else shade.title.capitalize()
-    group_legend(figure, shade.group, shade.palette or {}, title)
-
-
-def _letters(figure: Figure) -> list[Any]:
-    """Return the letters of legends and of the axes of scales."""
-    from matplotlib.text import Text
-
-    return figure.findobj(Text)

@@ -44,13 +44,8 @@ class View:
         """Return the directions to the right, upwards and to the eye as rows, (3, 3)."""
         around, above = math.radians(_AZIMUTH + self.turn), math.radians(_HEIGHT)
         right = np.array([-math.sin(around), math.cos(around), 0.0])
-        eye = np.array(
-            [
-                math.cos(above) * math.cos(around),
-                math.cos(above) * math.sin(around),
-                math.sin(above),
-            ]
-        )
+        level = np.array([math.cos(around), math.sin(around), 0.0])
+        eye = math.cos(above) * level + [0.0, 0.0, math.sin(above)]
         return np.array([right, np.cross(eye, right), eye])
 
     def planes(self) -> FloatArray:
@@ -176,6 +171,5 @@ def _way_out(planes: Any, x: float, y: float, z: float) -> tuple[float, int]:
 
 @njit(**KERNEL)  # type: ignore[untyped-decorator]
 def _step(low: float, high: float, value: float) -> float:
-    """Return a smooth step from 0 at ``low`` to 1 at ``high``."""
     share = min(1.0, max(0.0, (value - low) / (high - low)))
     return share * share * (3.0 - 2.0 * share)

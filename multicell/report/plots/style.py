@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import io
 from collections.abc import Callable, Iterable, Mapping, Sized
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Any, Final, final
@@ -12,11 +14,12 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, NullFormatter
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import OutputError
-from multicell.report.wording import cell_count, time_unit
+from multicell.report.wording import TimeUnit, cell_count, time_unit
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
 from multicell.scene.nutrient import Nutrient
@@ -39,6 +42,7 @@ SUBTITLE: Final = "subtitle"
 """The ``gid`` of a figure's title, which pages leave out, and of what is said below it."""
 HEADING: Final[dict[str, Any]] = {"weight": "bold", "fontsize": 13, "parse_math": False}
 SIZE: Final = (10.0, 6.25)  # inches: 1600 x 1000 pixels
+_TITLE_HEIGHT: Final = 0.4  # inches, what the title takes
 _STYLE: Final[dict[Any, Any]] = {
     "font.size": 12,
     "axes.titlesize": 13,
@@ -66,6 +70,18 @@ _STYLE: Final[dict[Any, Any]] = {
 def draw_style(points: Sized) -> str:
     """Return a line, or a point where one moment makes no line."""
     return "-" if len(points) > 1 else "o"
+
+
+def draw_line(axes: Any, x: FloatArray, y: FloatArray, colour: str, **options: Any) -> None:
+    """Draw a curve, or a point where one moment makes no line."""
+    axes.plot(x, y, draw_style(x), **{"color": colour, "lw": 2, **options})
+
+
+def time_axes(axes: Iterable[Any], time: FloatArray, unit: TimeUnit) -> None:
+    """Let axes span times in a unit, and name it."""
+    for one in axes:
+        one.set_xlim(*span(time))
+        one.set_xlabel(f"time ({unit.name})")
 
 
 def span(time: FloatArray) -> tuple[float, float]:
@@ -111,16 +127,14 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
 def _let_powers_be_formulas(figure: Figure) -> None:
     """Let labels such as 10² be drawn: ticks made under the style would show their source."""
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            for formatter, ticks in (
-                (axis.get_major_formatter(), axis.get_major_ticks()),
-                (axis.get_minor_formatter(), axis.get_minor_ticks()),
-            ):
-                if isinstance(formatter, LogFormatter):
-                    for tick in ticks:
-                        tick.label1.set_parse_math(True)
-                        tick.label2.set_parse_math(True)
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        for formatter, ticks in (
+            (axis.get_major_formatter(), axis.get_major_ticks()),
+            (axis.get_minor_formatter(), axis.get_minor_ticks()),
+        ):
+            for tick in ticks if isinstance(formatter, LogFormatter) else ():
+                tick.label1.set_parse_math(True)
+                tick.label2.set_parse_math(True)
 
 
 @final
@@ -128,29 +142,21 @@ class Picture(Figure):
     """A figure that a notebook shows where it is the value of a cell, without pyplot's help."""
 
     def _repr_png_(self) -> bytes:
-        """Return what ``save`` would write as PNG."""
         return render(self, "png")
 
 
 def blank(title: str, subtitle: str, size: tuple[float, float] = SIZE) -> Figure:
     """Return an empty figure of a size in inches with its heading."""
     figure = Picture(figsize=size, dpi=DPI)
-    first, second = (1.0 - inches / size[1] for inches in (0.3125, 0.59375))
-    # a dollar sign in a title is not a formula
     shown = title if len(title) <= 70 else title[:69] + "…"
-    figure.text(
-        0.04, first, shown, fontsize=16, weight="bold", va="center", parse_math=False, gid=TITLE
-    )
-    figure.text(
-        0.04,
-        second,
-        subtitle,
-        fontsize=12,
-        color=QUIET,
-        va="center",
-        parse_math=False,
-        gid=SUBTITLE,
-    )
+    lines: list[tuple[str, str, float, dict[str, Any]]] = [
+        (TITLE, shown, 0.3125, {"fontsize": 16, "weight": "bold"}),
+        (SUBTITLE, subtitle, 0.59375, {"fontsize": 12, "color": QUIET}),
+    ]
+    for gid, text, inches, look in lines:
+        # a dollar sign in a title is not a formula
+        height = 1.0 - inches / size[1]
+        figure.text(0.04, height, text, va="center", parse_math=False, gid=gid, **look)
     return figure
 
 
@@ -181,6 +187,47 @@ def render(figure: Figure, format: str) -> bytes:
     with mpl.rc_context({"svg.hashsalt": "multicell", "svg.fonttype": "none"}):
         figure.savefig(picture, format=format, dpi=DPI, metadata=metadata)
     return picture.getvalue()
+
+
+@final
+@dataclass(frozen=True)
+class InlinePicture:
+    """A picture as a page shows it; ``style.css`` turns its colours in dark mode.
+
+    - ``png``: the picture in base64
+    - ``wide``, ``high``: pixels
+    - ``subtitle``: what the picture says of itself
+    """
+
+    png: str
+    wide: int
+    high: int
+    subtitle: str
+
+
+def inline_picture(figure: Figure) -> InlinePicture:
+    """Return a figure for a page; its title is hidden afterwards."""
+    wide, high = figure.get_size_inches()
+    titles = [text for text in figure.texts if text.get_gid() == TITLE]
+    for text in titles:
+        text.set_visible(False)
+    shown_height = high - _TITLE_HEIGHT if titles else high
+    png, size = _png(figure, Bbox([[0.0, 0.0], [wide, shown_height]]))
+    subtitles = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
+    return InlinePicture(png, *size, subtitle="".join(subtitles))
+
+
+def _png(figure: Figure, shown: Bbox) -> tuple[str, tuple[int, int]]:
+    """Return a figure as PNG in base64, and its pixels; a palette makes it a third as large."""
+    from PIL import Image
+
+    drawn, packed = io.BytesIO(), io.BytesIO()
+    background: Any = figure.get_facecolor()
+    figure.savefig(drawn, format="png", dpi=DPI, bbox_inches=shown, facecolor=background)
+    image = Image.open(drawn).convert("RGB")
+    few = image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few.save(packed, format="PNG", optimize=True)
+    return base64.b64encode(packed.getvalue()).decode("ascii"), image.size
 
 
 def type_colours(names: Iterable[str]) -> dict[str, str]:

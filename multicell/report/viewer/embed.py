@@ -76,6 +76,5 @@ def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> l
 
 @cache
 def _scripts() -> tuple[str, ...]:
-    """Return the texts of the scripts."""
     folder = files("multicell.report.viewer")
     return tuple((folder / name).read_text(encoding="utf-8") for name in _SCRIPTS)

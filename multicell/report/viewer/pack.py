@@ -11,9 +11,8 @@ from __future__ import annotations
 import base64
 import gzip
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 import matplotlib as mpl
@@ -24,9 +23,9 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray
 from multicell.random import Purpose
-from multicell.report.plots.colouring import SCALE, clone_colours, founder, limits_of, written
+from multicell.report.plots.colouring import SCALE, clone_colours, founder, limits_of
 from multicell.report.plots.style import COLOURS, type_colours
-from multicell.report.wording import TimeUnit, cell_count, time_unit
+from multicell.report.wording import TimeUnit, cell_count, time_unit, written
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
 from multicell.results.quantities import known_unit, title_of, unit_of
@@ -59,6 +58,7 @@ class Column:
     - ``values``: returns the column of a frame
     - ``words``: names of its numbers, for groups
     - ``plain``: whether the numbers are not scaled, such as identities
+    - ``low``, ``high``: range that is scaled
     """
 
     name: str
@@ -68,6 +68,13 @@ class Column:
     values: Callable[[Frame], NDArray[Any]]
     words: Sequence[str] = ()
     plain: bool = False
+    low: float = 0.0
+    high: float = 1.0
+
+    @property
+    def top(self) -> int:
+        """The largest of its integers."""
+        return {"u1": 255, "u2": 16_383, "u4": 2**32 - 1}[self.kind]
 
 
 @final
@@ -100,20 +107,19 @@ def pack_frames(
         return None
     curves, points = _curves(result, frames)
     whole = [{**entry, "point": point} for entry, point in zip(whole, points, strict=True)]
-    columns = _columns(result, frames)
-    ranges = {column.name: _range(column, frames) for column in columns}
+    columns = [_ranged(column, frames) for column in _columns(result, frames)]
     most = max(len(frame.cells) for frame in frames)
     unit = time_unit(frames[-1].time)
-    body, contents = _body(frames, whole, columns, ranges, unit)
-    squeezed = gzip.compress(body, _EFFORT, mtime=0)
-    while len(squeezed) > max_bytes and most > 100:
+    while True:
+        body, contents = _body(frames, whole, columns, unit)
+        squeezed = gzip.compress(body, _EFFORT, mtime=0)
+        if len(squeezed) <= max_bytes or most <= 100:
+            break
         most = int(most * 0.95 * max_bytes / len(squeezed))
         frames = [_thin(frame, most) for frame in frames]
-        body, contents = _body(frames, whole, columns, ranges, unit)
-        squeezed = gzip.compress(body, _EFFORT, mtime=0)
     about = {
         "frames": contents,
-        "columns": [_describe(column, ranges[column.name]) for column in columns],
+        "columns": [_describe(column) for column in columns],
         "colourings": list(_colourings(columns, frames, result)),
         "flat": result.scene.dimensions == 2,
         **_extent(frames),
@@ -144,23 +150,18 @@ def _thin(frame: Frame, most: int) -> Frame:
 
 
 def _groups(frame: Frame) -> dict[str, list[int]]:
-    """Return how many of all cells are in each state, of each type and in each phase."""
     cells = frame.cells
-    members: dict[str, NDArray[Any]] = {
-        "state": cells.state,
-        "type": cells.kind,
-        "phase": cells.phase,
-    }
-    return {name: np.bincount(column).tolist() for name, column in members.items()}
+    columns: tuple[NDArray[Any], ...] = (cells.state, cells.kind, cells.phase)
+    counts = [np.bincount(column).tolist() for column in columns]
+    return dict(zip(("state", "type", "phase"), counts, strict=True))
 
 
 def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
-    """Return what is packed, that first which is most regular."""
     scene, lineage = result.scene, result.lineage
     columns = [
         Column("id", "cell", "", "u4", lambda f: f.cells.id, plain=True),
         *(
-            Column(axis, axis, "µm", "u2", partial(_place, axis=k))
+            Column(axis, axis, "µm", "u2", _axis(k))
             for k, axis in enumerate("xyz")
         ),
         Column("radius", "radius", "µm", "u1", lambda f: f.cells.radius),
@@ -183,16 +184,16 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
     for name in scene.nutrients:
         if all(name in frame.concentrations for frame in frames):
             unit = written(unit_of(f"cells.concentration_{name}"))
-            columns.append(_quantity(name, unit, partial(_concentration, name=name)))
+            columns.append(_quantity(name, unit, _field(name)))
     return columns
 
 
-def _place(frame: Frame, axis: int) -> FloatArray:
-    return frame.cells.position[:, axis]
+def _axis(k: int) -> Callable[[Frame], FloatArray]:
+    return lambda frame: frame.cells.position[:, k]
 
 
-def _concentration(frame: Frame, name: str) -> FloatArray:
-    return frame.concentrations[name]
+def _field(name: str) -> Callable[[Frame], FloatArray]:
+    return lambda frame: frame.concentrations[name]
 
 
 def _quantity(name: str, unit: str, values: Callable[[Frame], FloatArray]) -> Column:
@@ -216,30 +217,21 @@ def _clone_numbers(
     return numbers, count
 
 
-def _range(column: Column, frames: Sequence[Frame]) -> tuple[float, float]:
-    """Return the least and the largest value of a column in all frames."""
+def _ranged(column: Column, frames: Sequence[Frame]) -> Column:
     if column.plain or column.words:
-        return 0.0, float(_top(column))
-    low, high = math.inf, -math.inf
-    for frame in frames:
-        values = column.values(frame)
-        values = values[np.isfinite(values)]
-        if len(values):
-            low, high = min(low, float(values.min())), max(high, float(values.max()))
-    if not low <= high:
-        return 0.0, 1.0
-    return low, high if high > low else low + 1.0
-
-
-def _top(column: Column) -> int:
-    return {"u1": 255, "u2": 16_383, "u4": 2**32 - 1}[column.kind]
+        return replace(column, high=float(column.top))
+    values = np.concatenate([column.values(frame) for frame in frames])
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return column
+    low, high = float(values.min()), float(values.max())
+    return replace(column, low=low, high=high if high > low else low + 1.0)
 
 
 def _body(
     frames: Sequence[Frame],
     whole: Sequence[Mapping[str, Any]],
     columns: Sequence[Column],
-    ranges: Mapping[str, tuple[float, float]],
     unit: TimeUnit,
 ) -> tuple[bytes, list[dict[str, Any]]]:
     """Return the columns of all frames one after the other, and a table of the frames.
@@ -253,7 +245,7 @@ def _body(
     for frame, known in zip(frames, whole, strict=True):
         ids = frame.cells.id
         _, here, there = np.intersect1d(ids, known_ids, assume_unique=True, return_indices=True)
-        now = {c.name: _integers(c, c.values(frame), ranges[c.name]) for c in columns}
+        now = {c.name: _integers(c, c.values(frame)) for c in columns}
         for column in columns:
             values = now[column.name]
             guess = np.zeros_like(values)
@@ -288,23 +280,17 @@ def _visible_rows(ids: IntArray, most: int) -> IntArray:
     return rows[np.sort(np.argpartition(rank, most)[:most])]
 
 
-def _integers(
-    column: Column, values: NDArray[Any], limits: tuple[float, float]
-) -> NDArray[np.unsignedinteger[Any]]:
+def _integers(column: Column, values: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
     """Return values as small integers over their range; what is no number is the least one."""
     if column.plain or column.words:
         return values.astype(column.kind)
-    low, high = limits
-    share = np.nan_to_num((values - low) / (high - low), nan=0.0)
-    return np.rint(_top(column) * share).astype(column.kind)
+    share = np.nan_to_num((values - column.low) / (column.high - column.low), nan=0.0)
+    return np.rint(column.top * share).astype(column.kind)
 
 
-def _describe(column: Column, limits: tuple[float, float]) -> dict[str, Any]:
-    entry: dict[str, Any] = {
-        "name": column.name, "label": column.label, "unit": column.unit, "kind": column.kind,
-        "low": limits[0], "high": limits[1], "top": _top(column),
-    }  # fmt: skip
-    return entry | ({"words": list(column.words)} if column.words else {})
+def _describe(column: Column) -> dict[str, Any]:
+    names = ("name", "label", "unit", "kind", "low", "high", "top", *["words"][: len(column.words)])
+    return {name: getattr(column, name) for name in names}
 
 
 def _colourings(
@@ -327,14 +313,12 @@ def _colourings(
 
 
 def _palette(column: Column) -> list[list[float]]:
-    """Return the colour of each group, as in the other pictures."""
+    colours: Iterable[Any] = type_colours(column.words).values()
     if column.name == "state":
         colours = [COLOURS[word] for word in column.words]
     elif column.name == "clone":
-        return [[round(float(c), 3) for c in rgb] for rgb in clone_colours(len(column.words))]
-    else:
-        colours = list(type_colours(column.words).values())
-    return [[round(c, 3) for c in to_rgb(colour)] for colour in colours]
+        colours = clone_colours(len(column.words))
+    return [[round(float(c), 3) for c in to_rgb(colour)] for colour in colours]
 
 
 def _extent(frames: Sequence[Frame]) -> dict[str, Any]:
@@ -385,7 +369,6 @@ def _round(value: float) -> float | None:
 
 
 def _note(result: Result, contents: Sequence[Mapping[str, Any]]) -> str:
-    """Return in words what is left out."""
     said = []
     if len(contents) < len(result.frames):
         said.append(f"{len(contents)} of {len(result.frames)} frames are shown.")

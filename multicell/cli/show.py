@@ -1,7 +1,8 @@
-"""The command ``multicell plot``: one picture of a run, or a quantity of several."""
+"""The commands that show a run: ``multicell view``, ``plot`` and ``movie``."""
 
 from __future__ import annotations
 
+import webbrowser
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from multicell.cli import options as shared
-from multicell.cli.process import print_file
+from multicell.cli.process import complain, print_file
+from multicell.cli.progress import count_progress
 from multicell.errors import OutputError
 from multicell.report.plots.run import PICTURES
 
@@ -20,6 +22,37 @@ if TYPE_CHECKING:
 
 _OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": "--turn"}
 """Options of pictures by the names that their methods have for them."""
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--no-browser", is_flag=True, help="Write the page, and do not open it.")
+@shared.loaded_law_option
+@shared.as_json_option
+def view(folder: Path, no_browser: bool, as_json: bool) -> None:
+    """Open the page of the run in FOLDER, also while it goes on: with all frames so far.
+
+    The page is written anew unless it is younger than the results.
+    """
+    page = folder / "report.html"
+    if not _up_to_date(page, folder):
+        from multicell.report.result import load_result
+
+        page = load_result(folder).report()
+    if not no_browser and not webbrowser.open(page.resolve().as_uri()):
+        complain("There is no browser to open it.")
+    print_file(page, as_json)
+
+
+def _up_to_date(page: Path, folder: Path) -> bool:
+    from multicell.results.folder import PASSING, file_errors
+
+    with file_errors("read", folder):
+        if not page.is_file():
+            return False
+        results = [folder / name for name in ("frames.h5", "summary.json", *PASSING)]
+        written = page.stat().st_mtime_ns
+        return all(path.stat().st_mtime_ns <= written for path in results if path.exists())
 
 
 @click.command()
@@ -56,19 +89,15 @@ def plot(
     folders: Sequence[Path],
     output: Path,
     picture: str | None,
-    section: str | None,
-    colour: str | None,
-    cut: str | None,
-    turn: float | None,
     moment: str | None,
     frame: int | None,
     quantity: str | None,
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Draw a picture of the run in FOLDERS, or a quantity of the runs in several of them."""
-    named = {"plane": section, "colour": colour, "cut": cut, "turn": turn}
-    given: dict[str, Any] = {name: value for name, value in named.items() if value is not None}
+    given = {name: value for name, value in options.items() if value is not None}
     _refuse_mixed(folders, picture, given, moment, frame, quantity)
     from multicell.report.plots.style import save
     from multicell.report.result import load_result
@@ -97,7 +126,6 @@ def _refuse_mixed(
     frame: int | None,
     quantity: str | None,
 ) -> None:
-    """Refuse options that do not go together."""
     if quantity is not None:
         of_frame = {"--time": moment, "--frame": frame, "--picture": picture}
         for option in [
@@ -120,7 +148,6 @@ def _refuse_mixed(
 
 
 def _number(run: Result, moment: str | None, frame: int | None) -> int:
-    """Return the number of the frame that is asked for."""
     count = len(run.frames)
     if moment is not None:
         return run.number_at(moment, "--time")
@@ -139,3 +166,48 @@ def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) ->
     if len(set(labels)) < len(labels):
         raise OutputError("a run is named twice")
     return overlay({label: run.history for label, run in zip(labels, runs, strict=True)}, quantity)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@shared.output_option("File for the movie: .gif, .webp, or .mp4 with multicell[movie].")
+@shared.section_option
+@click.option("--colour", "--color", metavar="NAME", help="Of the cells, as for plot.")
+@shared.valued("--rate", default=8.0, help="Frames in a second, at most 60.")
+@click.option("--space", is_flag=True, help="Whole cells in space instead of a section.")
+@shared.cut_option
+@click.option(
+    "--turn",
+    type=float,
+    metavar="DEGREES",
+    help="How far the eye swings round the cells in space.  [default: 90]",
+)
+@click.option(
+    "--transparent", is_flag=True, help="Without background: a .webp of cells in space only."
+)
+@shared.loaded_law_option
+@shared.overwrite_option("Replace the file.")
+@shared.quiet_option
+@shared.as_json_option
+def movie(
+    folder: Path,
+    output: Path,
+    space: bool,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Write all frames of the run in FOLDER as a moving picture: sections, or cells in space."""
+    given = {name: value for name, value in options.items() if value is not None}
+    if not space and given.keys() & {"cut", "turn"}:
+        raise click.UsageError("--cut and --turn have a meaning with --space only")
+    from multicell.report.plots.movie import movie as written
+    from multicell.report.result import load_result
+
+    shared.refuse_existing(output, overwrite=overwrite)
+    run = load_result(folder)
+    with count_progress("pictures", show=not quiet) as progress:
+        written(run, output, progress=progress, space=space, **given)
+    if as_json or not quiet:
+        print_file(output, as_json)

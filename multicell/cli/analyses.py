@@ -1,0 +1,168 @@
+"""The commands ``multicell sensitivity`` and ``multicell dose-response``: parse, call, print."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from multicell.cli import options as shared
+from multicell.cli import study as studies
+
+
+@click.command()
+@click.argument("scene", type=shared.SCENE)
+@shared.output_option("Folder of the analysis; its runs are kept there.")
+@studies.free_option
+@shared.valued(
+    "--method",
+    default="morris",
+    metavar="NAME",
+    help="morris: which parameters matter, in few runs; sobol: which part of the variance each one "
+    "makes.",
+)
+@click.option(
+    "--size",
+    type=int,
+    help="Trajectories of Morris (10; each takes a run more than there are parameters) or base "
+    "points of Sobol' (64; each takes two more), a power of two.",
+)
+@shared.valued(
+    "--seeds",
+    default=1,
+    help="Runs at each point, with the same seeds at all points; from two on indices are set "
+    "against the noise.",
+)
+@click.option(
+    "--observable",
+    "observables",
+    multiple=True,
+    callback=shared.observable_names,
+    metavar="NAME",
+    help="What the indices are of, at the end of the runs: a column of the history, as diameter, "
+    "or one of your own, as mine.py:rim_area. May be given several times; by default the usual "
+    "ones of the scene.",
+)
+@shared.changes_option
+@shared.law_option
+@studies.analysis_options
+def sensitivity(
+    scene: str,
+    output: Path,
+    free: Sequence[str],
+    method: str,
+    size: int | None,
+    seeds: int,
+    observables: Sequence[str],
+    changes: Sequence[str],
+    law: str | None,
+    **how: Any,
+) -> None:
+    """Find out which parameters of a SCENE decide its observables.
+
+    Every index has its 95 % interval, and states whether it is distinguishable from the noise over
+    seeds.
+    An analysis that was stopped continues with the same command; a larger --size or more --seeds
+    take the runs that are there.
+    """
+    pairs = studies.key_values(free, "--free")
+    described = shared.scene_of(scene, changes, law)
+    from multicell.calibration.sensitivity import carry_out, plan_of
+
+    with studies.planning():
+        plan = plan_of(
+            described, pairs, observables=observables or None, method=method, size=size, seeds=seeds
+        )
+    result = studies.carry_out_study(plan, output, carry_out, how)
+    studies.print_analysis(result, result.runs, how)
+
+
+@click.command(name="dose-response")
+@click.argument("scene", required=False, type=shared.SCENE)
+@shared.output_option("Folder of the analysis; its runs are kept there.")
+@click.option(
+    "--dose",
+    "drugs",
+    multiple=True,
+    callback=shared.with_values,
+    metavar="KEY=DOSES",
+    help="A dose and its values, the control first: nutrients.drug.boundary='0, log 0.01:10:8 uM' "
+    "(eight with equal ratios). KEY,KEY=DOSES: several keys that all take it. Twice: two drugs, "
+    "all pairs of whose doses run.",
+)
+@click.option(
+    "--data",
+    metavar="FILE",
+    help="In place of a SCENE measured responses, a CSV file with the titles 'dose / uM', response "
+    "and replicate; of two drugs 'dose A / uM' and 'dose B / uM'.",
+)
+@click.option(
+    "--observable",
+    "observables",
+    multiple=True,
+    callback=shared.observable_names,
+    metavar="NAME",
+    help="The response, at the end of the runs: a column of the history, as diameter, or one of "
+    "your own, as mine.py:rim_area; given several times they are added up. By default the living "
+    "cells, proliferating and quiescent.",
+)
+@shared.valued("--seeds", default=5, help="Runs at each dose.")
+@shared.valued(
+    "--top",
+    default="control",
+    metavar="NAME",
+    help="control: the curve goes through the control; free: one parameter more.",
+)
+@shared.changes_option
+@shared.law_option
+@studies.analysis_options
+def dose_response(
+    scene: str | None,
+    output: Path,
+    drugs: Sequence[str],
+    data: str | None,
+    observables: Sequence[str],
+    seeds: int,
+    top: str,
+    changes: Sequence[str],
+    law: str | None,
+    **how: Any,
+) -> None:
+    """Find the dose at which half of the cells of a SCENE are left, and what two drugs do together.
+
+    Every number has its 95 % interval. What lies outside the doses tested is said to, never
+    extrapolated. An analysis that was stopped continues with the same command; more doses or
+    --seeds take the runs that are there.
+    """
+    if (scene is None) == (data is None):
+        raise click.UsageError("Give a SCENE with --dose, or measured --data.")
+    pairs = studies.key_values(drugs, "--dose")
+    if data is not None and (pairs or changes or law or observables):
+        raise click.UsageError("--dose, --set, --law and --observable belong to a SCENE.")
+    if scene is not None and len(pairs) not in (1, 2):
+        raise click.UsageError(f"--dose is given {len(pairs)} times, must be once or twice.")
+    described = None if scene is None else shared.scene_of(scene, changes, law)
+    from multicell.calibration.dose_response import LIVING, Options, carry_out, of_table, plan_of
+
+    options = Options(top)
+    if described is None:
+        result = replace(of_table(data, options), folder=output)
+    else:
+        keys, doses = list(pairs), tuple(pairs.values())
+        with studies.planning():
+            plan = plan_of(
+                described,
+                keys[0].replace(" ", "").split(",") if len(keys) == 1 else None,
+                doses[0] if len(keys) == 1 else doses,
+                combine=keys if len(keys) == 2 else None,
+                observable="+".join(observables) or LIVING,
+                seeds=seeds,
+            )
+        result = studies.carry_out_study(plan, output, partial(carry_out, options=options), how)
+    if how["no_report"]:
+        result.write_tables()
+    studies.print_analysis(result, result.table, how)
