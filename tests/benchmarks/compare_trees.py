@@ -1,0 +1,163 @@
+"""Is this checkout faster than another one, row by row of docs/performance.md?
+
+Problem   growing cells in rich medium for an hour, one evaluation of forces, a neighbour list, the
+          first and the second command, coupling steps of few cells with a field
+Measured  wall time and CPU time of all processes of each row, and peak memory, in a process of its
+          own for each checkout and round; rounds alternate, so that a busy machine is as busy for
+          both. Printed: medians, and the ratios of the second checkout to the first.
+Separated compilation and start: each row runs once in each checkout before it is measured, but for
+          the first command, whose cache is empty
+Cost      some minutes a round without a million cells
+Command   python tests/benchmarks/compare_trees.py BEFORE AFTER [--rounds 5] [--rows hour kernel]
+
+Both checkouts run with this interpreter and its packages; of multicell each takes its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+
+HOUR = """
+scene = mc.load_scene("spheroid").with_changes({
+    "initial.count": %d, "initial.stage": "asynchronous", "nutrients.oxygen.boundary": 5.0,
+    "duration": "1 d"})
+run = mc.Simulation(scene, threads=%d)
+run.step()
+with measured(1):
+    for _ in range(6):
+        run.step()
+"""
+FEW = """
+scene = mc.load_scene("spheroid").with_changes(
+    {"initial.count": %d, "initial.stage": "asynchronous", "duration": "10 d"})
+run = mc.Simulation(scene, threads=1)
+for _ in range(5):
+    run.step()
+with measured(30):
+    for _ in range(30):
+        run.step()
+"""
+TISSUE = """
+import numpy as np
+from multicell.mechanics import binning, neighbours
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
+n, rng = 100_000, np.random.default_rng(0)
+side = round(n ** (1 / 3)) + 1
+grid = np.stack(np.meshgrid(*3 * [np.arange(side)], indexing="ij"), -1).reshape(-1, 3)[:n] * 1.0
+grid[:, 0] += 0.5 * (grid[:, 1] % 2)
+position = 8.2 * grid * [1.0, 0.93, 0.93] + rng.normal(0.0, 0.6, (n, 3))
+position = position[binning.spatial_order(position, 10.0)]
+radius, nothing = rng.uniform(4.3, 5.2, n), np.zeros(n)
+system, out = Mechanics(mc.JKR(surface_energy=0.1), 5.0, 1), np.empty((n, 3))
+system.begin(Motion(radius, nothing, nothing + 1.0, nothing + 0.5, 0.0, 60.0))
+system.velocity(0.0, position, out)
+"""
+KERNEL = (
+    TISSUE
+    + """
+with measured(30):
+    for _ in range(30):
+        system.velocity(0.0, position, out)
+"""
+)
+LIST = (
+    TISSUE
+    + """
+neighbours.build(position, radius, 0.75)
+with measured(10):
+    for _ in range(10):
+        neighbours.build(position, radius, 0.75)
+"""
+)
+ROWS = {
+    "hour": HOUR % (100_000, 2),
+    "hour-one-thread": HOUR % (100_000, 1),
+    "hour-10000": HOUR % (10_000, 1),
+    "hour-million": HOUR % (1_000_000, 2),
+    "hour-million-one-thread": HOUR % (1_000_000, 1),
+    "kernel": KERNEL,
+    "list": LIST,
+    "one-cell": FEW % 1,
+    "sixty-cells": FEW % 60,
+}
+COMMANDS = {"first-command": "20 d", "second-command": "10 min"}  # and what is simulated
+AROUND = """
+import contextlib, json, resource, time
+import multicell as mc
+@contextlib.contextmanager
+def measured(times):
+    wall, cpu = time.perf_counter(), time.process_time()
+    yield
+    cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(json.dumps({"wall": wall / times, "CPU": cpu / times, "memory": 1e3 * memory}))
+"""
+
+
+def measure(row: str, tree: Path) -> dict[str, float]:
+    """Measure a row in a checkout: s of wall and CPU time, and bytes of memory."""
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    if row in ROWS:
+        command = [sys.executable, "-c", AROUND + ROWS[row]]
+        done = subprocess.run(
+            command, cwd=tree, env=environment, check=True, capture_output=True, text=True
+        )
+        return dict(json.loads(done.stdout.splitlines()[-1]))
+    with tempfile.TemporaryDirectory() as folder:
+        if row == "first-command":
+            environment["NUMBA_CACHE_DIR"] = str(Path(folder) / "cache")
+        length = ["--set", f"duration={COMMANDS[row]}", "--set", "stop_cells=1000"]
+        command = [sys.executable, "-m", "multicell", "run", "spheroid", *length, "--no-report"]
+        timed = (
+            "import json, os, subprocess, sys, time; begin = time.perf_counter()\n"
+            "subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)\n"
+            "used = os.times()\n"
+            "print(json.dumps({'wall': time.perf_counter() - begin,"
+            " 'CPU': used.children_user + used.children_system, 'memory': 0.0}))"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", timed, *command, "-o", str(Path(folder) / "out")],
+            cwd=tree, env=environment, check=True, capture_output=True, text=True,
+        )  # fmt: skip
+        return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def main() -> None:
+    """Measure the rows in both checkouts and print medians and ratios."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("before", type=Path)
+    parser.add_argument("after", type=Path)
+    parser.add_argument("--rounds", type=int, default=5)
+    names = [*ROWS, *COMMANDS]
+    usual = [name for name in names if "million" not in name]
+    parser.add_argument("--rows", nargs="+", choices=names, default=usual)
+    given = parser.parse_args()
+    trees = [given.before.resolve(), given.after.resolve()]
+    print("| row | wall before | after | ratio | CPU before | after | ratio | memory ratio |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for row in given.rows:
+        found: list[list[dict[str, float]]] = [[], []]
+        warm = 0 if row == "first-command" else 1
+        for turn in range(given.rounds + warm):
+            for tree, values in zip(trees, found, strict=True):
+                value = measure(row, tree)
+                if turn >= warm:
+                    values.append(value)
+        cells = [row]
+        for key in ("wall", "CPU", "memory"):
+            before, after = (median(value[key] for value in values) for values in found)
+            ratio = f"{after / before:.2f}" if before > 0.0 else ""
+            cells += [ratio] if key == "memory" else [f"{before:.4g} s", f"{after:.4g} s", ratio]
+        print(f"| {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
