@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from multicell.calibration.dose_response_result import DoseResponse
     from multicell.calibration.fit import fit
     from multicell.calibration.fitted import Fit
-    from multicell.calibration.model_comparison import compare_fits
+    from multicell.calibration.predictive import compare_fits
     from multicell.calibration.sensitivity import sensitivity
     from multicell.calibration.sensitivity_result import Sensitivity
     from multicell.calibration.stored import load_fit
@@ -64,9 +64,8 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
-    from multicell.studies.coarse_and_fine import compare_coarse
     from multicell.studies.derivatives import gradient
-    from multicell.studies.run_table import RunTable
+    from multicell.studies.run_table import RunTable, compare_coarse
     from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
@@ -187,11 +186,11 @@ _LAZY = {
     "Fit": "multicell.calibration.fitted",
     "fit": "multicell.calibration.fit",
     "load_fit": "multicell.calibration.stored",
-    "compare_fits": "multicell.calibration.model_comparison",
+    "compare_fits": "multicell.calibration.predictive",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",
-    "compare_coarse": "multicell.studies.coarse_and_fine",
+    "compare_coarse": "multicell.studies.run_table",
     "gradient": "multicell.studies.derivatives",
     "RunTable": "multicell.studies.run_table",
 }

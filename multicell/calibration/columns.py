@@ -11,7 +11,7 @@ from multicell.errors import DataError, SceneError
 from multicell.scene.oxygen import concentration
 from multicell.scene.scene import Scene
 from multicell.schema import specs
-from multicell.studies.observed import (
+from multicell.studies.readings import (
     at_the_end,
     in_history,
     is_known_elsewhere,

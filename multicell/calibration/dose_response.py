@@ -18,10 +18,9 @@ from multicell.schema import chosen, near_miss
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_seeds, whole
-from multicell.studies.observed import may_be_negative
 from multicell.studies.pictures.values import key_words, words
 from multicell.studies.plan import Plan, make_plan
-from multicell.studies.readings import observables_of, read_final
+from multicell.studies.readings import may_be_negative, observables_of, read_final
 from multicell.studies.study import Study, write_study
 from multicell.tables.fields import read_table
 from multicell.tables.titles import split_title
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from multicell.calibration.dose_curve import Estimate
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.studies.task import Outcome
+    from multicell.studies.engine import Outcome
 
 LIVING: Final = "proliferating+quiescent"
 """The living cells: columns of the history, added up."""

@@ -13,7 +13,7 @@ readings say is approximated by expectation propagation (Minka 2001, UAI 17, 362
 factor each; means and variances of readings are those of the signed quantity cut off at zero. Where
 the readings above zero leave a reading of zero no room, the white part grows until both are likely.
 
-The synthetic likelihood of the processes (:mod:`multicell.calibration.distance`) gives the next
+The synthetic likelihood of the processes (:mod:`multicell.calibration.problem`) gives the next
 points that are worth a run, and with fresh runs an approximate posterior
 (:mod:`multicell.calibration.likelihood`), at a hundredth of the cost of one sampled with runs.
 """
@@ -27,8 +27,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.distance import Array
-from multicell.calibration.noise import Noise
+from multicell.calibration.noise import Array, Noise
 from multicell.calibration.priors import Prior
 
 PARTICLES: Final = 2000  # draws from a posterior
@@ -448,17 +447,14 @@ def _weights(losses: Array, power: float) -> Array:
 
 def _step(losses: Array, most: float) -> float:
     """Return by how much the likelihood's power may rise so that half of the draws count."""
+    from scipy.optimize import brentq
 
-    def effective(power: float) -> float:
-        return float(1.0 / (_weights(losses, power) ** 2).sum())
+    def beyond_half(power: float) -> float:
+        return float(1.0 / (_weights(losses, power) ** 2).sum()) - 0.5 * len(losses)
 
-    if effective(most) >= 0.5 * len(losses):
+    if beyond_half(most) >= 0.0:
         return most
-    low, high = 0.0, most
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if effective(middle) >= 0.5 * len(losses) else (low, middle)
-    return max(low, 1e-12 * most)
+    return max(float(brentq(beyond_half, 0.0, most)), 1e-12 * most)
 
 
 def _resample(weights: Array, random: np.random.Generator) -> NDArray[np.intp]:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
 from multicell.calibration.fit_plan import FitPlan, Progress, fresh_runs, make_runs
 from multicell.calibration.fitted import Fit
-from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
-from multicell.calibration.likelihood import MIN_REPEATS
+from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
 from multicell.calibration.noise import SCATTERS
 from multicell.calibration.pool import open_pool
 from multicell.calibration.problem import Problem, free_of, problem_of
@@ -235,7 +234,7 @@ def carry_out(
             plan, carry_out, output, cores=cores, scheduler=scheduler, overwrite=overwrite,
             progress=progress,
         )  # fmt: skip
-    from multicell.calibration.fit_folder import open_folder, write_result
+    from multicell.calibration.fit_plan import open_folder, write_result
 
     with ExitStack() as stack:
         folder = None

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.calibration.distance import ABSENT, Array, misfit
 from multicell.calibration.emulator import draws as draws_of
-from multicell.calibration.fresh import Fresh
-from multicell.calibration.problem import Problem
+from multicell.calibration.likelihood import Fresh
+from multicell.calibration.noise import Array
+from multicell.calibration.problem import ABSENT, Problem, misfit
 from multicell.calibration.profiles import POINTS, End, Profile, profiles
 from multicell.calibration.search import Evaluation, Run, emulator_of
 from multicell.calibration.simulator import Reading
@@ -320,7 +320,7 @@ class Fit:
         FitFailed
             If there is no posterior.
         """
-        from multicell.calibration.arviz_export import to_arviz
+        from multicell.calibration.run_table import to_arviz
 
         needs("arviz")
         return to_arviz(self)

@@ -30,7 +30,7 @@ from multicell.studies.study import Study, write_study
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.studies.task import Outcome
+    from multicell.studies.engine import Outcome
 
 
 def sensitivity(

@@ -72,7 +72,7 @@ def load_fit(folder: str | Path) -> Fit:
 
 def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
     """Return what a folder holds a fit of; without a result its runs are those of a search."""
-    from multicell.calibration.fit_folder import FIT
+    from multicell.calibration.fit_plan import FIT
     from multicell.scene.scene import load_scene
 
     entry = read_document(folder / FIT)
@@ -125,7 +125,7 @@ def reusable(problem: Problem, folder: str | Path) -> list[dict[str, Any]]:
     They are of the same scene, conditions and seeds, with parameters within these ranges; a run
     kept no more than what the data of its fit asked for.
     """
-    from multicell.calibration.fit_folder import FIT, SEARCH
+    from multicell.calibration.fit_plan import FIT, SEARCH
     from multicell.calibration.search import Search
 
     folder = Path(folder)

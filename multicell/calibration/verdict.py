@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from multicell.calibration.distance import Array
+from multicell.calibration.noise import Array
 from multicell.calibration.priors import Prior
 from multicell.report.wording import time_unit
 from multicell.studies.axes import Range

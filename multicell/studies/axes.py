@@ -324,7 +324,7 @@ def _example(key: Key) -> str:
 
 def check_ranges(scene: Scene, ranges: Sequence[Range]) -> None:
     """Refuse ranges that do not fit to a scene."""
-    from multicell.studies.ineffective import refuse_ineffective
+    from multicell.studies.keys import refuse_ineffective
 
     for free in ranges:
         others = [other for other in ranges if other is not free]

@@ -28,7 +28,7 @@ from multicell.studies.design import (
     parse_column,
     read_points,
 )
-from multicell.studies.ineffective import refuse_ineffective
+from multicell.studies.keys import refuse_ineffective
 from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown, to_base

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     import xarray
 
     from multicell.scene.scene import Scene
+    from multicell.studies.engine import Outcome
     from multicell.studies.plots import StudyPlots
     from multicell.studies.status import RunStatus
-    from multicell.studies.task import Outcome
 
 
 @final
@@ -87,7 +87,7 @@ class Study:
         list of Outcome
             In the order of :attr:`runs`. A run that failed is one of them, with its reason.
         """
-        from multicell.studies.task import Outcome
+        from multicell.studies.engine import Outcome
 
         if all(state.state == "done" for state in self.status()):
             outcomes = [Outcome(name, "done", reused=True) for name in self.plan.names]

@@ -10,7 +10,7 @@ import pytest
 import multicell as mc
 from multicell.calibration.coarse_to_fine import BESIDE, PAIRS
 from multicell.calibration.fit import plan_of
-from multicell.calibration.fresh import CHECKS
+from multicell.calibration.likelihood import CHECKS
 from multicell.calibration.simulator import Reading
 
 SCENE = mc.load_scene("growth").with_changes(

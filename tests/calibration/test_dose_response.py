@@ -15,7 +15,7 @@ from multicell.calibration.dose_response import plan_of
 from multicell.cli.main import main
 from multicell.errors import DataError, FitFailed, SceneError
 from multicell.studies import engine
-from multicell.studies.task import do_run, task
+from multicell.studies.engine import do_run, task
 
 DOSES = np.concatenate([[0.0], np.geomspace(0.03, 30.0, 8)])
 KNOWN = np.array([0.1, 1.0, 0.0, 1.5])  # bottom, top, log EC50, h

@@ -10,18 +10,18 @@ import pytest
 from cheap_fits import MATRIX, Growing, Linear, calls_of, exact, linear, measured, stopping
 from scipy import stats
 
-from multicell.calibration.distance import (
+from multicell.calibration.emulator import draws, emulator
+from multicell.calibration.noise import Noise
+from multicell.calibration.pool import Pool
+from multicell.calibration.priors import Prior
+from multicell.calibration.problem import (
     ABSENT,
+    Problem,
     groups_of,
     misfit,
     scale_readings,
     scales,
 )
-from multicell.calibration.emulator import draws, emulator
-from multicell.calibration.noise import Noise
-from multicell.calibration.pool import Pool
-from multicell.calibration.priors import Prior
-from multicell.calibration.problem import Problem
 from multicell.calibration.search import Search, emulator_of
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed

@@ -17,7 +17,7 @@ from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 from multicell.studies import engine
 from multicell.studies.axes import parse_ranges
-from multicell.studies.task import do_run, task
+from multicell.studies.engine import do_run, task
 
 CELL = mc.Scene.from_dict(
     {"title": "One cell", "duration": "10 min", "coupling_step": "5 min", "initial": {"count": 1},

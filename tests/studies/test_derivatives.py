@@ -9,7 +9,7 @@ from scipy import optimize, stats
 
 import multicell as mc
 from multicell.studies import derivatives, engine
-from multicell.studies.task import do_run, task
+from multicell.studies.engine import do_run, task
 
 CELL = mc.Scene.from_dict({"duration": "10 min", "coupling_step": "5 min", "seed": 4})
 

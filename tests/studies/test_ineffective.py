@@ -6,8 +6,7 @@ from rich_medium import RICH
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import check_ranges, parse_ranges
-from multicell.studies.ineffective import _KEYS, no_effect
-from multicell.studies.keys import all_keys, key_of
+from multicell.studies.keys import _KEYS, all_keys, key_of, no_effect
 from multicell.studies.plan import make_plan
 
 RAYS = {"radiation": {"rays": {"dose": 2.0, "start": "1 d", "alpha": 0.3}}}
