@@ -18,7 +18,7 @@ from multicell.studies.readings import (
     may_be_negative,
     suggest,
 )
-from multicell.tables.fields import Table
+from multicell.tables.columns import Table
 from multicell.tables.titles import split_title
 from multicell.units import to_base
 

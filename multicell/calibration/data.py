@@ -53,7 +53,7 @@ from multicell.results.observable import represented
 from multicell.scene.scene import Scene
 from multicell.schema import chosen, leaves
 from multicell.studies.readings import at_the_end, in_history, suggest
-from multicell.tables.fields import Table, read_table
+from multicell.tables.columns import Table, read_table
 from multicell.units import to_base
 
 MAX_BYTES: Final = 10_000_000  # of a file of measured data

@@ -22,7 +22,7 @@ from multicell.studies.pictures.values import key_words, words
 from multicell.studies.plan import Plan, make_plan
 from multicell.studies.readings import may_be_negative, observables_of, read_final
 from multicell.studies.study import Study, write_study
-from multicell.tables.fields import read_table
+from multicell.tables.columns import read_table
 from multicell.tables.titles import split_title
 from multicell.units import shown
 

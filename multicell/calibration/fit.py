@@ -22,7 +22,7 @@ from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
 from multicell.studies.limits import MAX_RUNS, check_runs, check_seeds, whole
-from multicell.tables.fields import read_table
+from multicell.tables.columns import read_table
 from multicell.units import to_base
 
 if TYPE_CHECKING:

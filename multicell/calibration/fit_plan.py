@@ -22,12 +22,12 @@ from multicell.results.folder import (
     remove,
     to_json,
     versions,
+    with_copy,
     write_text,
 )
-from multicell.results.start_copy import with_copy
 from multicell.scene.start_table import COPIES
 from multicell.studies.runs import MODEL_VERSION, canonical
-from multicell.tables.fields import Table
+from multicell.tables.columns import Table
 from multicell.tables.text import csv_text, table_text
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from multicell.results.documents import read_table as read_document
 from multicell.results.folder import to_json
 from multicell.studies.axes import Range
 from multicell.studies.runs import canonical
-from multicell.tables.fields import read_table
+from multicell.tables.columns import read_table
 
 if TYPE_CHECKING:
     from multicell.calibration.data import Condition, Datum

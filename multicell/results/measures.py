@@ -12,8 +12,8 @@ from weakref import ref
 import numpy as np
 
 from multicell.results import observables as of
-from multicell.results.contacts import counts_contacts
 from multicell.results.observable import Observable, TissueState, find_own
+from multicell.results.observables import counts_contacts
 from multicell.scene.domain import walls
 from multicell.scene.pairs import compression
 
@@ -62,7 +62,7 @@ def _closes(scene: Scene) -> bool:
 
 
 def _largest_hole(state: TissueState) -> float:
-    from multicell.results.holes import largest_hole
+    from multicell.results.observables import largest_hole
 
     return largest_hole(state.cells)
 

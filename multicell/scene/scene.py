@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import is_dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -30,7 +31,6 @@ from multicell.scene.checks import (
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import Force, PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
-from multicell.scene.initial import Initial
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
@@ -55,7 +55,7 @@ from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
 from multicell.scene.responses import Response, Signal, check_responses
-from multicell.scene.shown import as_html, in_a_line
+from multicell.scene.start_table import Initial
 from multicell.schema import (
     SYNONYMS,
     Tables,
@@ -204,7 +204,7 @@ class Scene:
         check_nutrients(self)
         check_energy(self)
         if self.reactions:
-            from multicell.scene.reaction_checks import check_reactions
+            from multicell.scene.checks import check_reactions
 
             check_reactions(self)
         check_radiation(self)
@@ -472,3 +472,36 @@ def _keys(entries: Any) -> tuple[str, ...]:
         return ()
     ((key, inner),) = entries.items()
     return (key, *_keys(inner))
+
+
+def key_facts(scene: Scene) -> dict[str, str]:
+    """Return what one would ask first of a scene, in words."""
+    hours = scene.duration / 3600.0
+    facts = {
+        "cells at the start": f"{scene.initial.count:,}",
+        "duration": f"{hours / 24.0:g} d" if hours >= 72.0 else f"{hours:g} h",
+        "types": ", ".join(scene.types),
+        "fields": ", ".join(scene.nutrients),
+        "integrator": scene.integrator.method,
+        "seed": str(scene.seed),
+    }
+    return {name: text for name, text in facts.items() if text}
+
+
+def in_a_line(scene: Scene) -> str:
+    """Return a scene in a line."""
+    facts = ", ".join(f"{name}: {text}" for name, text in key_facts(scene).items())
+    return f"<Scene {scene.title!r}, {facts}>"
+
+
+def as_html(scene: Scene) -> str:
+    """Return a scene as HTML: key facts, and all keys where one opens them."""
+    rows = "".join(
+        f"<tr><th style='text-align:left'>{name}</th><td style='text-align:left'>"
+        f"{escape(text)}</td></tr>"
+        for name, text in key_facts(scene).items()
+    )
+    return (
+        f"<div><b>{escape(scene.title or 'Untitled scene')}</b><table>{rows}</table>"
+        f"<details><summary>All keys</summary><pre>{escape(scene.to_toml())}</pre></details></div>"
+    )

@@ -19,7 +19,7 @@ from multicell.scene.scene import Scene
 from multicell.studies.axes import Axis, Range, parse_axis, parse_range, with_unique_names
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_runs
-from multicell.tables.fields import Table, read_table
+from multicell.tables.columns import Table, read_table
 from multicell.tables.titles import split_title
 from multicell.units import shown
 

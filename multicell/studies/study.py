@@ -264,8 +264,7 @@ def load_study(folder: str | Path, *, integrator: str = "") -> Study:
 
 def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
     """Write a plan to a folder, and return the study."""
-    from multicell.results.folder import make_folder, write_text
-    from multicell.results.start_copy import with_copy
+    from multicell.results.folder import make_folder, with_copy, write_text
 
     folder = Path(folder)
     there = (folder / NAME).is_file()

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.cells import SPHERE
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _INSTANT = 1.0
 """Length of a phase that a model does not have, s."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell import run
 from multicell.importing.physicell.model import MINUTE, Model, keys_of
 from multicell.units import COMMON, oxygen_solubility
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _SLOWEST = 1e-6
 """Least diffusion coefficient of a scene, µm²/s."""

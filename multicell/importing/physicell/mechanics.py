@@ -6,12 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 from multicell.cells import stokes_drag
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, VISCOSITY, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _WALL = 100.0 / MINUTE
 """Strength of PhysiCell's walls, µm/s."""

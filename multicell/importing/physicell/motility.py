@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _STEEP = 1e-9
 """Gradient of half the force over the largest concentration, 1/µm: any gradient is followed."""

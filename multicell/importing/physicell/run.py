@@ -6,12 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 from multicell.errors import SceneError
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Model
 from multicell.scene.domain import filling
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _FARTHEST, _FINEST = 1e6, 0.1
 """Farthest place and shortest side of a voxel, µm."""

@@ -12,12 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _FAR = 1e3
 """Half saturation over the largest concentration."""
