@@ -87,15 +87,7 @@ class Study:
         list of Outcome
             In the order of :attr:`runs`. A run that failed is one of them, with its reason.
         """
-        from multicell.studies.engine import Outcome
-
-        if all(state.state == "done" for state in self.status()):
-            outcomes = [Outcome(name, "done", reused=True) for name in self.plan.names]
-            if progress is not None:
-                for outcome in dict.fromkeys(outcomes):
-                    progress(outcome)
-            return outcomes
-        from multicell.studies.engine import carry_out  # it loads what runs need
+        from multicell.studies.engine import carry_out
 
         return carry_out(
             self.runs, self.folder, cores=cores, scheduler=scheduler, progress=progress, retry=retry
