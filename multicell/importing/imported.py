@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -74,12 +74,15 @@ class Account:
         self._taken: set[Element] = set()
 
     def take(
-        self, element: Element, fate: Fate, key: str = "", note: str = "", value: str | None = None
-    ) -> None:
-        """Account for an element; ValueError for one that is accounted for already.
+        self, element: Element | None, fate: Fate, key: str = "", note: str = "",
+        value: str | None = None,
+    ) -> None:  # fmt: skip
+        """Account for an element, if there is one; ValueError if it is accounted for already.
 
         ``value`` stands for what its attributes say, where other elements are in it.
         """
+        if element is None:
+            return
         if element in self._taken:
             raise ValueError(f"{element.path} (line {element.line}) is accounted for twice")
         self._taken.add(element)
@@ -95,10 +98,15 @@ class Account:
                 if leaf not in self._taken:
                     self.take(leaf, fate, key, note)
 
-    def leave_out(self, elements: Iterable[Element], note: str, *, acts: bool = True) -> None:
+    def leave_out(
+        self, elements: Iterable[Element], note: str, *,
+        acts: bool | Callable[[Element], bool] = True,
+    ) -> None:  # fmt: skip
         """Account for what has no counterpart; without effect in the model it is off."""
-        fate = Fate.LEFT_OUT if acts else Fate.OFF
-        self.take_all(elements, fate, note=note if acts else "")
+        for element in elements:
+            acting = acts(element) if callable(acts) else acts
+            fate = Fate.LEFT_OUT if acting else Fate.OFF
+            self.take_all([element], fate, note=note if acting else "")
 
     def add(self, path: str, value: str, fate: Fate, key: str = "", note: str = "") -> None:
         """Account for what is no element: a column or a line of another file."""

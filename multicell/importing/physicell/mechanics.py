@@ -155,15 +155,14 @@ def _read_adhesion(model: Model) -> None:
 def _account_for_adhesion(model: Model, kind: Kind, key: str) -> None:
     take, ruled = model.account.take, _equilibrium(kind)
     element = kind.own("mechanics/cell_cell_adhesion_strength")
-    if element is not None and ruled is not None:
+    if ruled is not None:
         take(element, Fate.OFF, note=f"set by {ruled[1].tag}")
-    elif element is not None:
+    else:
         take(element, Fate.MAPPED, key)
     for name in ("relative", "absolute"):
         one = kind.own(f"mechanics/options/set_{name}_equilibrium_distance")
-        if one is not None:
-            counts = ruled is not None and one is ruled[1]
-            take(one, Fate.MAPPED if counts else Fate.OFF, key if counts else "")
+        counts = ruled is not None and one is ruled[1]
+        take(one, Fate.MAPPED if counts else Fate.OFF, key if counts else "")
     table = kind.own("mechanics/cell_adhesion_affinities")
     for one in [] if table is None else table.all("cell_adhesion_affinity"):
         known = model.kind_named(one.attributes.get("name", "")) is not None

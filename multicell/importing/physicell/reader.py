@@ -45,8 +45,7 @@ def read_others(model: Model) -> None:
     _read_changes(model)
     for kind in model.kinds:
         for part, why in _PARTS.items():
-            found = kind.own(part)
-            if found is not None:
+            if (found := kind.own(part)) is not None:
                 _leave(model, found, why)
         _account_for_changes(model, kind)
         inside = kind.element.all("phenotype/intracellular")
