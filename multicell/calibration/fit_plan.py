@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.calibration.likelihood import CHECKS
+from multicell.calibration.likelihood import CHECKS, fresh
 from multicell.calibration.pool import Pool
 from multicell.calibration.problem import Problem
 from multicell.errors import OutputError
@@ -32,12 +33,16 @@ from multicell.tables.text import csv_text, table_text
 
 if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
-    from multicell.calibration.likelihood import Fresh
-    from multicell.calibration.profiles import End
-    from multicell.calibration.search import Evaluation, Run
-    from multicell.calibration.simulator import Reading
     from multicell.scene.scene import Scene
 
+FIT: Final = "fit.json"  # what the folder is a fit of
+SEARCH: Final = "search.log"  # points and readings of the search, and of fresh runs
+FILES: Final = (
+    FIT, "scene.toml", "data.csv", SEARCH, "result.json", "best.toml", "posterior.csv",
+    "residuals.csv", "runs.csv", "report.html", "data.png", "parameters.png", "profiles.png",
+    *COPIES,
+)  # fmt: skip
+_PACKAGES: Final = ("optuna", "distributed", "pandas", "scikit-learn")
 PAIRS: Final = 8  # draws at which fine runs correct coarse ones
 BESIDE: Final = 2  # coarse runs beside each of them
 FURTHER: Final = 3  # one in so many points of the search is tried once more, after the correction
@@ -78,72 +83,97 @@ class FitPlan:
         return searched + fresh * len(self.problem.measured.conditions)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides all numbers of the fit."""
-        times = [datum.time for datum in self.problem.measured.data]
-        options: dict[str, Any] = {
-            "sd": self.sd, "times": times, "specimens": self.specimens,
-            "scatter": self.problem.scatter,
-        }  # fmt: skip
-        if stated := getattr(self.problem.simulator, "stated", None):
-            options["simulator"] = stated
-        return describe(self.problem, self.scene, self.table, options)
+        """Return what decides all numbers of the fit; a fit of anything else is another one."""
+        problem, table = self.problem, self.table
+        found = {
+            "model": MODEL_VERSION,
+            "scene": canonical(self.scene),
+            "data": {"titles": list(table.titles), "rows": [list(row) for row in table.rows]},
+            "free": {
+                free.key: {"low": free.low, "high": free.high, "unit": free.unit, "log": free.log}
+                for free in problem.ranges
+            },
+            "seeds": list(problem.seeds),
+            **problem.prior.describe(),
+            "sd": self.sd,
+            "times": [datum.time for datum in problem.measured.data],
+            "specimens": self.specimens,
+            "scatter": problem.scatter,
+        }
+        stated = getattr(problem.simulator, "stated", None)
+        return found | ({"simulator": stated} if stated else {})
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
         """Return how many runs are left at most, and the time on one core in s that they take."""
+        from multicell.scene.coarsening import coarsen
         from multicell.studies.cost import cost_of
 
-        if self.coarse != 1.0:
-            return _coarse_runs(self)
-        done = 0 if folder is None else work_done(folder, self.describe())
-        each = [cost_of(c.scene).seconds for c in self.problem.measured.conditions]
-        count = max(0, self.runs - done)
-        return count, float(sum(each) / len(each) * count)
+        scenes = [condition.scene for condition in self.problem.measured.conditions]
+        fine = sum(cost_of(scene).seconds for scene in scenes) / len(scenes)
+        if self.coarse == 1.0:
+            count = max(0, self.runs - (0 if folder is None else self._done(Path(folder))))
+            return count, float(fine * count)
+        wide = sum(cost_of(coarsen(scene, self.coarse)).seconds for scene in scenes) / len(scenes)
+        searched = self.runs + self.runs // FURTHER + PAIRS * BESIDE * len(scenes)
+        again = PAIRS * len(scenes) + self.runs - self.points * len(self.problem.tasks())
+        return searched + again, float(searched * wide + again * fine)
 
+    def _done(self, folder: Path) -> int:
+        """Return how many runs of the fit a folder has; nothing of another fit counts."""
+        known = _read_fit(folder)
+        if known is None or known.get("problem") != json.loads(to_json(self.describe())):
+            return 0
+        entries = Lines(folder / SEARCH).entries
+        return sum("values" in e and not e.get("reused") for e in entries)
 
-def _coarse_runs(plan: FitPlan) -> tuple[int, float]:
-    """Return how many runs there will be at most, and the time on one core that they take, s."""
-    from multicell.scene.coarsening import coarsen
-    from multicell.studies.cost import cost_of
-
-    scenes = [condition.scene for condition in plan.problem.measured.conditions]
-    fine = [cost_of(scene).seconds for scene in scenes]
-    coarse = [cost_of(coarsen(scene, plan.coarse)).seconds for scene in scenes]
-    searched = plan.runs + plan.runs // FURTHER + PAIRS * BESIDE * len(scenes)
-    again = PAIRS * len(scenes) + plan.runs - plan.points * len(plan.problem.tasks())
-    seconds = searched * sum(coarse) / len(scenes) + again * sum(fine) / len(scenes)
-    return searched + again, float(seconds)
+    @contextmanager
+    def open_folder(self, place: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
+        """Make the folder of the fit, or open that of the same one; keep other processes out."""
+        folder = Path(place)
+        asked = json.loads(to_json(self.describe()))
+        known = _read_fit(folder)
+        if known is None or overwrite:
+            make_folder(folder, overwrite=overwrite)
+        elif known.get("problem") != asked:
+            there = known.get("problem")
+            parts = there if isinstance(there, dict) else {}
+            other = [key for key in {**parts, **asked} if parts.get(key) != asked.get(key)]
+            raise OutputError(
+                f"'{folder}' holds another fit: {', '.join(other)} differ. Choose "
+                "another folder, or allow overwriting (--overwrite, overwrite=True)"
+            )
+        with lock_folder(folder):
+            if overwrite:
+                remove(folder, FILES)
+            if _read_fit(folder) is None:
+                entry = {
+                    "multicell": package_version(), "problem": asked, "request": self.request
+                }  # fmt: skip
+                kept = with_copy(self.scene, folder)
+                write_text(folder / "scene.toml", kept.to_toml(beside=folder))
+                write_text(folder / "data.csv", csv_text(self.table.titles, self.table.rows))
+                write_table(folder / FIT, entry)  # the last: then all is there
+            yield folder
 
 
 def fresh_runs(repeats: int, profile_runs: int, problem: Problem) -> int:
     """Return how many runs of each condition have fresh seeds."""
-    ends = 2 * len(problem.ranges) * profile_runs
-    return repeats + ends + CHECKS
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Made:
-    """What the runs of a fit have come to; see :class:`Fit`. ``reused`` counts points."""
-
-    evaluations: list[Evaluation]
-    fresh: Fresh
-    ends: tuple[End, ...]
-    readings: Mapping[Run, Reading]
-    reused: int
+    return repeats + 2 * len(problem.ranges) * profile_runs + CHECKS
 
 
 def make_runs(
     plan: FitPlan,
     folder: Path | None,
     pool: Pool,
-    begin: float,
+    facts: Mapping[str, Any] | None = None,
     progress: Progress = lambda what, done, wanted: None,
-) -> Made:
-    """Make all runs of a fit that are not there."""
-    from multicell.calibration.likelihood import fresh
+) -> Fit:
+    """Make all runs of a fit that are not there; without facts they are those of these runs."""
+    from multicell.calibration.fitted import Fit
     from multicell.calibration.profiles import check_ends
     from multicell.calibration.search import Search
 
+    begin = clock.monotonic()
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
     search.adopt(plan.adopted)
     evaluations = search.run(
@@ -154,84 +184,21 @@ def make_runs(
     again = fresh(plan.problem, search, pool, search.emulator(), plan.repeats, note)
     note = partial(progress, "runs at the ends of profiles")
     ends = check_ends(plan.problem, search, pool, again, plan.profile_runs, note)
-    return Made(evaluations, again, ends, search.readings, search.reused)
-
-
-FIT: Final = "fit.json"  # what the folder is a fit of
-SEARCH: Final = "search.log"  # points and readings of the search, and of fresh runs
-FILES: Final = (
-    FIT, "scene.toml", "data.csv", SEARCH, "result.json", "best.toml", "posterior.csv",
-    "residuals.csv", "runs.csv", "report.html", "data.png", "parameters.png", "profiles.png",
-    *COPIES,
-)  # fmt: skip
-_PACKAGES: Final = ("optuna", "distributed", "pandas", "scikit-learn")
-
-
-def describe(
-    problem: Problem, scene: Scene, table: Table, options: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return what decides all numbers of a fit; a fit of anything else is another one."""
-    return {
-        "model": MODEL_VERSION,
-        "scene": canonical(scene),
-        "data": {"titles": list(table.titles), "rows": [list(row) for row in table.rows]},
-        "free": {
-            free.key: {"low": free.low, "high": free.high, "unit": free.unit, "log": free.log}
-            for free in problem.ranges
-        },
-        "seeds": list(problem.seeds),
-        **problem.prior.describe(),
-        **options,
+    own = {
+        "sd": plan.sd,
+        "specimens": plan.specimens,
+        "scatter": plan.problem.scatter,
+        "seeds": list(plan.problem.seeds),
+        "repeats": plan.repeats,
+        "sets_of_parameters": len(evaluations) - search.reused,
+        "reused": search.reused,
+        "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
+        "profile_runs": len(ends) * plan.profile_runs,
+        "seconds": clock.monotonic() - begin,
     }
-
-
-@contextmanager
-def open_folder(
-    folder: str | Path,
-    problem: Mapping[str, Any],
-    scene: Scene,
-    table: Table,
-    *,
-    overwrite: bool = False,
-    request: Mapping[str, Any] | None = None,
-) -> Iterator[Path]:
-    """Make the folder of a fit, or open that of the same fit, and keep other processes out of it.
-
-    - ``request``: what else opens it again (:func:`multicell.calibration.stored.load_fit`)
-    """
-    folder = Path(folder)
-    asked = json.loads(to_json(problem))
-    known = _read_fit(folder)
-    if known is None or overwrite:
-        make_folder(folder, overwrite=overwrite)
-    elif known.get("problem") != asked:
-        there = known.get("problem")
-        parts = there if isinstance(there, dict) else {}
-        other = [key for key in {**parts, **asked} if parts.get(key) != asked.get(key)]
-        raise OutputError(
-            f"'{folder}' holds another fit: {', '.join(other)} differ. Choose "
-            "another folder, or allow overwriting (--overwrite, overwrite=True)"
-        )
-    with lock_folder(folder):
-        if overwrite:
-            remove(folder, FILES)
-        if _read_fit(folder) is None:
-            entry = {"multicell": package_version(), "problem": asked, "request": request or {}}
-            kept = with_copy(scene, folder)
-            write_text(folder / "scene.toml", kept.to_toml(beside=folder))
-            write_text(folder / "data.csv", csv_text(table.titles, table.rows))
-            write_table(folder / FIT, entry)  # the last: then all is there
-        yield folder
-
-
-def work_done(folder: str | Path, problem: Mapping[str, Any]) -> int:
-    """Return how many runs of a fit a folder has; nothing of another fit counts."""
-    folder = Path(folder)
-    known = _read_fit(folder)
-    if known is None or known.get("problem") != json.loads(to_json(problem)):
-        return 0
-    entries = Lines(folder / SEARCH).entries
-    return sum("values" in e and not e.get("reused") for e in entries)
+    return Fit(
+        plan.problem, plan.scene, evaluations, folder, facts or own, again, ends, search.readings
+    )
 
 
 def write_result(fit: Fit, folder: Path) -> None:
