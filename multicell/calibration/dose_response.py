@@ -125,8 +125,8 @@ def dose_response(
         plan = plan_of(scene, dose, doses, combine=combine, observable=observable, seeds=seeds)
         folder = Path("dose-response" if output is None else output)
         write_study(plan.study, folder, overwrite=overwrite)
-        result = carry_out(plan, folder, options, cores=cores, scheduler=scheduler, retry=retry,
-                           progress=progress)  # fmt: skip
+        how = {"cores": cores, "scheduler": scheduler, "progress": progress, "retry": retry}
+        result = carry_out(plan, folder, options, **how)
     if report and result.folder is not None:
         result.report()
     return result
@@ -268,22 +268,13 @@ def _name(keys: Sequence[str]) -> str:
     return " and ".join(key_words(key, key.rpartition(".")[2]) for key in keys)
 
 
-def carry_out(
-    plan: DosePlan,
-    folder: Path,
-    options: Options,
-    *,
-    cores: int | None = None,
-    scheduler: str | None = None,
-    retry: bool = False,
-    progress: Callable[[Outcome], None] | None = None,
-) -> DoseResponse:
+def carry_out(plan: DosePlan, folder: Path, options: Options, **how: Any) -> DoseResponse:
     """Do all runs of a plan that are not done, and return what they show.
 
-    Parameters and errors are those of :func:`dose_response`.
+    - ``how``: as :meth:`multicell.studies.study.Study.run` takes it
     """
     study, parts = Study(plan.study, folder), plan.observable.split("+")
-    outcomes = study.run(cores, scheduler, progress, retry=retry)
+    outcomes = study.run(**how)
     final, failures = read_final(outcomes, folder, parts)
     values = np.sum([final[part] for part in parts], axis=0).reshape(len(plan.points), -1)
     names = [run.name for run in study.runs]
