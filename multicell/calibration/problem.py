@@ -113,6 +113,16 @@ class Problem:
         """Return the values of the parameters at shares of their ranges, base units, by key."""
         return {f.key: f.value(s) for f, s in zip(self.ranges, shares, strict=True)}
 
+    def columns(self, shares: Array) -> dict[str, list[float]]:
+        """Return the values of the parameters at places in the ranges (k, d), by name."""
+        columns = zip(self.ranges, shares.T, strict=True)
+        return {free.name: [free.value(float(x)) for x in column] for free, column in columns}
+
+    @property
+    def parameter_units(self) -> dict[str, str]:
+        """Base units of the parameters by name."""
+        return {free.name: free.unit for free in self.ranges}
+
     def on_scales(self, condition: int, reading: Reading) -> Array:
         """Return the readings of a run on the scales of its data."""
         return scale_readings(self.measured.of(condition), reading.values)

@@ -128,10 +128,7 @@ def to_arviz(fit: Fit) -> Any:
     labels = [f"{title_of(d)}, {problem.measured.conditions[d.condition].label}" for d in data]
 
     def parameters(places: Array) -> dict[str, Array]:
-        return {
-            free.name: np.array([[free.value(float(x)) for x in column]])
-            for free, column in zip(problem.ranges, places.T, strict=True)
-        }
+        return {name: np.array([column]) for name, column in problem.columns(places).items()}
 
     made = arviz.from_dict(
         posterior=parameters(shares[rows]),

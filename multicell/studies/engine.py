@@ -85,7 +85,8 @@ def carry_out(
         found = status(run.name, folder, run.integrator)
         known = known_outcome(found, retry)
         if known is None:
-            left.append((_expected(run, found), run))
+            part = max(0.0, 1.0 - found.time / run.scene.duration)
+            left.append((run.expected * part, run))
         else:
             report(known)
     if left:
@@ -93,11 +94,6 @@ def carry_out(
         tasks = [task(run, folder, retry) for run in ordered]
         _carry_out(tasks, folder, cores, scheduler, report)
     return [outcomes[run.name] for run in runs]
-
-
-def _expected(run: Run, found: RunStatus) -> float:
-    """Return the wall time that a run is expected to take still, s."""
-    return run.expected * max(0.0, 1.0 - found.time / run.scene.duration)
 
 
 def _carry_out(
