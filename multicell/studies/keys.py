@@ -176,22 +176,16 @@ def _near(name: str, known: Sequence[str]) -> str:
     return f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
-Rule = tuple[Callable[..., Any], str]
-"""What holds where a key has no effect, and that in words. Both get the scene, and the names that
-stand for the stars of the key."""
-
-
 def no_effect(scene: Scene, key: str) -> str:
     """Return why a key has no effect in a scene, in words; nothing where it may have one.
 
     The reason follows from the other keys alone; whether a run ever gets to where a key matters is
     for the run to show.
     """
-    for pattern, rules in _PATTERNS:
+    for pattern, holds, words in _PATTERNS:
         match = pattern.fullmatch(key)
-        if match is not None:
-            holding = (words for holds, words in rules if holds(scene, *match.groups()))
-            return next(holding, "").format(*match.groups(), method=scene.integrator.method)
+        if match is not None and holds(scene, *match.groups()):
+            return words.format(*match.groups(), method=scene.integrator.method)
     return ""
 
 
@@ -256,81 +250,50 @@ def _scheduled(scene: Scene, field: str) -> bool:
     return bool(media) and media[0][0] <= 0.0 and finite is None  # type: ignore[index]
 
 
-_CYCLE: Final[Rule] = (lambda s: s.growth.phases, "the phases of the cycle say how long it lasts")
-_PHASES: Final[Rule] = (lambda s: not s.growth.phases, "the cycle has no phases")
-_ALONE: Final[Rule] = (lambda s: s.initial.count == 1, "there is one cell at the start")
-_STEADY: Final[Rule] = (lambda s, f: s.nutrients[f].regime == "steady", "the field is steady")
-_NO_OXYGEN: Final[Rule] = (
-    lambda s, name: not s.radiation[name].oxygen, "radiation.{0} names no field of oxygen"
+_RULES: Final[Sequence[tuple[str, Callable[..., Any], str]]] = (
+    ("growth.cycle_time growth.cycle_variation", lambda s: s.growth.phases,
+     "the phases of the cycle say how long it lasts"),
+    ("growth.division growth.restriction", lambda s: not s.growth.phases,
+     "the cycle has no phases"),
+    ("growth.phases.*.variation", lambda s, name: s.growth.phases[name].distribution == "fixed",
+     "the phase has a fixed duration"),
+    ("integrator.step", _controlled, "the method {method!r} chooses its steps"),
+    ("integrator.*", _lacks, "the method {method!r} has no {0}"),
+    ("cells.young", lambda s: s.types and all(k.young is not None for k in s.types.values()),
+     "every type of cell has a Young's modulus of its own"),
+    ("contact.surface_energy", lambda s: any(k.surface_energy for k in s.types.values()),
+     "every pair of types has a surface energy of its own"),
+    ("radiation.*.oer radiation.*.half_oxygen", lambda s, name: not s.radiation[name].oxygen,
+     "radiation.{0} names no field of oxygen"),
+    ("initial.shape initial.spacing initial.jitter", lambda s: s.initial.count == 1,
+     "there is one cell at the start"),
+    ("death.necrosis_rate death.damage_time death.swelling death.core death.lysis_time "
+     "death.swelling_time", _never_starves,
+     "neither a nutrient nor ATP has a threshold of necrosis"),
+    ("death.damage_repair_time death.damage_variation", lambda s: not _responds(s, "damage rate"),
+     "death.damage_time is absent, and nothing responds with a damage rate"),
+    ("death.lysis_time", lambda s: s.death.core == "fluid",
+     "what necrotic cells lose stays as fluid (death.core)"),
+    ("death.swelling_time", lambda s: s.death.swelling == 1.0,
+     "dead cells do not swell (death.swelling = 1)"),
+    ("death.apoptosis_time", _never_by_apoptosis,
+     "death.apoptosis_rate is 0, and no cell is irradiated"),
+    ("death.removal_fraction death.inflow",
+     lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),
+    ("nutrients.*.temperature", lambda s, field: True,
+     "the concentrations of the scene are in mM already; it only converts pressures"),
+    ("nutrients.*.boundary", _scheduled, "'media' says what the medium is from the start on"),
+    ("nutrients.*.time_tolerance nutrients.*.initial",
+     lambda s, field: s.nutrients[field].regime == "steady", "the field is steady"),
+    ("nutrients.*.half_saturation", lambda s, field: not s.nutrients[field].takes_up,
+     "the uptake of {0} is 0"),
 )  # fmt: skip
-_NECROSIS: Final[Rule] = (
-    _never_starves, "neither a nutrient nor ATP has a threshold of necrosis"
-)  # fmt: skip
-_NO_DAMAGE: Final[Rule] = (
-    lambda s: not _responds(s, "damage rate"),
-    "death.damage_time is absent, and nothing responds with a damage rate",
-)  # fmt: skip
-_KEYS: Final[Mapping[str, Sequence[Rule]]] = {
-    "growth.cycle_time": [_CYCLE],
-    "growth.cycle_variation": [_CYCLE],
-    "growth.division": [_PHASES],
-    "growth.restriction": [_PHASES],
-    "growth.phases.*.variation": [
-        (lambda s, name: s.growth.phases[name].distribution == "fixed",
-         "the phase has a fixed duration"),
-    ],
-    "integrator.step": [(_controlled, "the method {method!r} chooses its steps")],
-    "integrator.*": [(_lacks, "the method {method!r} has no {0}")],
-    "cells.young": [
-        (lambda s: s.types and all(kind.young is not None for kind in s.types.values()),
-         "every type of cell has a Young's modulus of its own"),
-    ],
-    "contact.surface_energy": [
-        (lambda s: any(kind.surface_energy for kind in s.types.values()),
-         "every pair of types has a surface energy of its own"),
-    ],
-    "radiation.*.oer": [_NO_OXYGEN],
-    "radiation.*.half_oxygen": [_NO_OXYGEN],
-    "initial.shape": [_ALONE],
-    "initial.spacing": [_ALONE],
-    "initial.jitter": [_ALONE],
-    "death.necrosis_rate": [_NECROSIS],
-    "death.damage_time": [_NECROSIS],
-    "death.damage_repair_time": [_NO_DAMAGE],
-    "death.damage_variation": [_NO_DAMAGE],
-    "death.swelling": [_NECROSIS],
-    "death.core": [_NECROSIS],
-    "death.lysis_time": [
-        _NECROSIS,
-        (lambda s: s.death.core == "fluid", "what necrotic cells lose stays as fluid (death.core)"),
-    ],
-    "death.swelling_time": [
-        _NECROSIS,
-        (lambda s: s.death.swelling == 1.0, "dead cells do not swell (death.swelling = 1)"),
-    ],
-    "death.apoptosis_time": [
-        (_never_by_apoptosis, "death.apoptosis_rate is 0, and no cell is irradiated"),
-    ],
-    "death.removal_fraction": [
-        (lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),
-    ],
-    "death.inflow": [
-        (lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),
-    ],
-    "nutrients.*.temperature": [
-        (lambda s, field: True,
-         "the concentrations of the scene are in mM already; it only converts pressures"),
-    ],
-    "nutrients.*.boundary": [
-        (_scheduled, "'media' says what the medium is from the start on"),
-    ],
-    "nutrients.*.time_tolerance": [_STEADY],
-    "nutrients.*.initial": [_STEADY],
-    "nutrients.*.half_saturation": [
-        (lambda s, field: not s.nutrients[field].takes_up, "the uptake of {0} is 0"),
-    ],
-}  # fmt: skip
+"""Keys, what holds where they have no effect, and that in words.
+
+Both get the scene, and the names that stand for the stars of the key.
+"""
 _PATTERNS: Final = [
-    (re.compile(r"([^.]+)".join(map(re.escape, key.split("*")))), rules)
-    for key, rules in _KEYS.items()
+    (re.compile(r"([^.]+)".join(map(re.escape, key.split("*")))), holds, words)
+    for keys, holds, words in _RULES
+    for key in keys.split()
 ]
