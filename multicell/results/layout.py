@@ -49,61 +49,37 @@ def layout(nutrients: Iterable[str]) -> dict[str, Kind]:
         "contacts/pair": Kind("<i8", 2, "contacts/offset", chunk=_MIDDLE),
         "progress/offset": Kind("<i8", None, "ends"),
         "progress/text": Kind("|u1", None, "progress/offset", chunk=_MIDDLE),
-        **_cells(),
-        **_lineage(),
+        **{
+            f"cells/{name}": Kind(
+                np.dtype(spec["dtype"]).str, spec["width"], "frames/offset", spec["unit"], _LONG
+            )
+            for name, spec in Cells.schema().items()
+        },
     }
+    for log, columns in COLUMNS.items():
+        offset = f"lineage/{log}/offset"
+        sets[offset] = Kind("<i8", None, "ends")
+        for name, dtype in columns.items():
+            unit = "s" if name == "time" else ""
+            kind = Kind(np.dtype(dtype).str, None, offset, unit, _MIDDLE)
+            sets[f"lineage/{log}/{name}"] = kind
     for name in nutrients:
-        sets |= _field(name)
-        sets |= _concentration(name)
+        group = f"fields/{name}"
+        sets |= {
+            f"{group}/offset": Kind("<i8", None, "ends"),
+            f"{group}/coded": Kind("<u8", None, f"{group}/offset", chunk=_LONG),
+            f"{group}/shape": Kind("<i8", 3, "frames"),
+            f"{group}/faces": Kind("<f8", 6, "frames", UNIT),
+        }
+        for key, entry in FIELD.items():
+            sets[f"{group}/{key}"] = Kind(entry.dtype, entry.width or None, "frames", entry.unit)
+        sets[f"cells/concentration_{name}"] = Kind("<f8", None, "frames/offset", UNIT, _LONG)
     return sets
 
 
 def of_rows(dtype: str, unit: str = "") -> Kind:
     """Return the kind of a data set of its own length: the scene, the history."""
     return Kind(dtype, None, "", unit, _MIDDLE)
-
-
-def _cells() -> dict[str, Kind]:
-    """Return the columns of cells, of all frames one after another."""
-    return {
-        f"cells/{name}": Kind(
-            np.dtype(spec["dtype"]).str, spec["width"], "frames/offset", spec["unit"], _LONG
-        )
-        for name, spec in Cells.schema().items()
-    }
-
-
-def _lineage() -> dict[str, Kind]:
-    sets = {}
-    for log, columns in COLUMNS.items():
-        offset = f"lineage/{log}/offset"
-        sets[offset] = Kind("<i8", None, "ends")
-        for name, dtype in columns.items():
-            unit = "s" if name == "time" else ""
-            sets[f"lineage/{log}/{name}"] = Kind(
-                np.dtype(dtype).str, None, offset, unit, chunk=_MIDDLE
-            )
-    return sets
-
-
-def _field(name: str) -> dict[str, Kind]:
-    """Return the data sets of a field."""
-    group = f"fields/{name}"
-    return {
-        f"{group}/offset": Kind("<i8", None, "ends"),
-        f"{group}/coded": Kind("<u8", None, f"{group}/offset", chunk=_LONG),
-        f"{group}/shape": Kind("<i8", 3, "frames"),
-        f"{group}/faces": Kind("<f8", 6, "frames", UNIT),
-        **{
-            f"{group}/{key}": Kind(entry.dtype, entry.width or None, "frames", entry.unit)
-            for key, entry in FIELD.items()
-        },
-    }
-
-
-def _concentration(name: str) -> dict[str, Kind]:
-    """Return the data set of the concentrations at the cells."""
-    return {f"cells/concentration_{name}": Kind("<f8", None, "frames/offset", UNIT, _LONG)}
 
 
 Ends = Mapping[str, NDArray[np.int64]]  # path of a data set of offsets -> its values, (k + 1,)

@@ -58,7 +58,6 @@ from multicell.scene.responses import Response, Signal, check_responses
 from multicell.scene.start_table import Initial
 from multicell.schema import (
     SYNONYMS,
-    Tables,
     build,
     count,
     leaves,
@@ -130,9 +129,7 @@ class Scene:
     drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
     growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")
     death: Death | None = table(Death, default=None, doc="absent: necrotic cells stay")
-    types: Mapping[str, CellType] = tables(
-        CellType, default_factory=Tables, doc="absent: all cells are alike"
-    )
+    types: Mapping[str, CellType] = tables(CellType, doc="absent: all cells are alike")
     adhesion: Adhesion | None = table(Adhesion, default=None, doc="absent: no receptors")
     friction: Friction | None = table(Friction, default=None, doc="absent: only Stokes drag")
     compression: Compression | None = table(
@@ -140,36 +137,26 @@ class Scene:
     )
     motility: Motility | None = table(Motility, default=None, doc="absent: no active motion")
     chemotaxis: Mapping[str, Chemotaxis] = tables(
-        Chemotaxis, default_factory=Tables, doc="by field; absent: no force along gradients"
+        Chemotaxis, doc="by field; absent: no force along gradients"
     )
     haptotaxis: Haptotaxis | None = table(Haptotaxis, default=None, doc="absent: even ground")
     surface: Surface | None = table(Surface, default=None, doc="absent: only contacts hold tissue")
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
-    forces: Mapping[str, Force] = tables(
-        Force, default_factory=Tables, doc="from outside, on named cells; absent: none"
-    )
+    forces: Mapping[str, Force] = tables(Force, doc="from outside, on named cells; absent: none")
     motions: Mapping[str, PrescribedMotion] = tables(
-        PrescribedMotion, default_factory=Tables, doc="of named cells; absent: all move freely"
+        PrescribedMotion, doc="of named cells; absent: all move freely"
     )
     domain: Domain | None = table(Domain, default=None, doc="absent: fields follow the cells")
-    nutrients: Mapping[str, Nutrient] = tables(
-        Nutrient,
-        default_factory=Tables,
-        doc="absent: no cell ever starves",
-    )
+    nutrients: Mapping[str, Nutrient] = tables(Nutrient, doc="absent: no cell ever starves")
     energy: Energy | None = table(Energy, default=None, doc="absent: fields act each by itself")
-    reactions: Mapping[str, Reaction] = tables(
-        Reaction, default_factory=Tables, doc="between fields; absent: none"
-    )
+    reactions: Mapping[str, Reaction] = tables(Reaction, doc="between fields; absent: none")
     responses: Mapping[str, Response] = tables(
-        Response, default_factory=Tables, listed="response",
-        doc="of what cells do to what they find; absent: none but those of single keys",
+        Response, listed="response",
+        doc="of what cells do to what they find; absent: none but those of single keys"
     )  # fmt: skip
-    signals: Mapping[str, Signal] = tables(
-        Signal, default_factory=Tables, doc="derived from others, by name; absent: none"
-    )
+    signals: Mapping[str, Signal] = tables(Signal, doc="derived from others, by name; absent: none")
     radiation: Mapping[str, Radiation] = tables(
-        Radiation, default_factory=Tables, doc="courses of irradiation; absent: none"
+        Radiation, doc="courses of irradiation; absent: none"
     )
     integrator: IntegratorOptions = table(
         IntegratorOptions, default_factory=IntegratorOptions, shorthand="method", doc="the method"
