@@ -183,7 +183,7 @@ def _without_interrupts() -> Iterator[None]:
 
 def _client(kind: type[Client], place: Any, security: Any = None) -> Client:
     """Return a client of a cluster or of an address."""
-    client: Any = kind.__new__(kind)
+    client = kind.__new__(kind)
     try:
         client.__init__(  # type: ignore[misc]
             place, timeout=ANSWER, set_as_default=False, security=security
