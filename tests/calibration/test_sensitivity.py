@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from studied import in_this_process
 
 import multicell as mc
 from multicell.calibration.indices import analyse, sample
@@ -17,7 +18,6 @@ from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 from multicell.studies import engine
 from multicell.studies.axes import parse_ranges
-from multicell.studies.engine import do_run, task
 
 CELL = mc.Scene.from_dict(
     {"title": "One cell", "duration": "10 min", "coupling_step": "5 min", "initial": {"count": 1},
@@ -164,30 +164,6 @@ def test_without_values_nothing_is_claimed():
     result = of_function("sobol", 8, lost=range(48))
     assert {row["verdict"] for row in result.table} == {"unknown"}
     assert any("no index is known" in note for note in result.notes)
-
-
-def in_this_process(monkeypatch):
-    """Carry runs out in this process, as a worker would; keep the names of those that ran."""
-    ran = []
-
-    def carry_out(runs, folder, *, progress=None, **options):
-        outcomes = []
-        for run in runs:
-            outcome = do_run(task(run, folder, False))
-            if not outcome.reused:
-                ran.append(run.name)
-            outcomes.append(outcome)
-            if progress is not None:
-                progress(outcome)
-        return outcomes
-
-    monkeypatch.setattr(engine, "carry_out", carry_out)
-    return ran
-
-
-@pytest.fixture
-def here(monkeypatch):
-    return in_this_process(monkeypatch)
 
 
 def asked(folder, free=ONE, **options):
