@@ -447,14 +447,17 @@ def _weights(losses: Array, power: float) -> Array:
 
 def _step(losses: Array, most: float) -> float:
     """Return by how much the likelihood's power may rise so that half of the draws count."""
-    from scipy.optimize import brentq
 
-    def beyond_half(power: float) -> float:
-        return float(1.0 / (_weights(losses, power) ** 2).sum()) - 0.5 * len(losses)
+    def effective(power: float) -> float:
+        return float(1.0 / (_weights(losses, power) ** 2).sum())
 
-    if beyond_half(most) >= 0.0:
+    if effective(most) >= 0.5 * len(losses):
         return most
-    return max(float(brentq(beyond_half, 0.0, most)), 1e-12 * most)
+    low, high = 0.0, most
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if effective(middle) >= 0.5 * len(losses) else (low, middle)
+    return max(low, 1e-12 * most)
 
 
 def _resample(weights: Array, random: np.random.Generator) -> NDArray[np.intp]:
