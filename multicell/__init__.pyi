@@ -7,7 +7,7 @@ from multicell.calibration.dose_response import dose_response as dose_response
 from multicell.calibration.dose_response_result import DoseResponse as DoseResponse
 from multicell.calibration.fit import fit as fit
 from multicell.calibration.fitted import Fit as Fit
-from multicell.calibration.model_comparison import compare_fits as compare_fits
+from multicell.calibration.predictive import compare_fits as compare_fits
 from multicell.calibration.sensitivity import sensitivity as sensitivity
 from multicell.calibration.sensitivity_result import Sensitivity as Sensitivity
 from multicell.calibration.stored import load_fit as load_fit
@@ -56,9 +56,9 @@ from multicell.scene.scene import Scene as Scene
 from multicell.scene.scene import load_scene as load_scene
 from multicell.scene.scene import scene_names as scene_names
 from multicell.simulation import Simulation as Simulation
-from multicell.studies.coarse_and_fine import compare_coarse as compare_coarse
 from multicell.studies.derivatives import gradient as gradient
 from multicell.studies.run_table import RunTable as RunTable
+from multicell.studies.run_table import compare_coarse as compare_coarse
 from multicell.studies.study import Study as Study
 from multicell.studies.study import load_study as load_study
 from multicell.studies.study import study as study

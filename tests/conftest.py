@@ -76,6 +76,14 @@ def forks():
 
 
 @pytest.fixture
+def here(monkeypatch):
+    """Carry runs of studies out in this process; return the names of those that ran."""
+    from studied import in_this_process
+
+    return in_this_process(monkeypatch)
+
+
+@pytest.fixture
 def small_disk(tmp_path):
     """Give a function that makes a small disk, and one that gives it another size."""
     place = tmp_path / "disk"

@@ -23,22 +23,18 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.fresh import MAX_REPEATS
-from multicell.calibration.likelihood import MIN_REPEATS
+from multicell.calibration.fit_plan import BESIDE, FURTHER, PAIRS, write_result
+from multicell.calibration.likelihood import MAX_REPEATS, MIN_REPEATS
 from multicell.calibration.pool import open_pool
 from multicell.calibration.simulator import Reading, Simulator
 from multicell.errors import FitFailed, SceneError
 from multicell.results.documents import Lines
-from multicell.scene.coarsening import coarsen
 
 if TYPE_CHECKING:
     from multicell.calibration.fit_plan import FitPlan, Progress
     from multicell.calibration.fitted import Fit
     from multicell.cells import FloatArray
 
-PAIRS: Final = 8  # draws at which fine runs correct coarse ones
-BESIDE: Final = 2  # coarse runs beside each of them
-_FURTHER: Final = 3  # one in so many points of the search is tried once more, after the correction
 MIN_POINTS: Final = 10
 _LOG: Final = "pairs.log"
 
@@ -92,19 +88,6 @@ def coarse_simulator(simulator: Simulator, factor: float) -> Simulator:
     return found
 
 
-def expected(plan: FitPlan) -> tuple[int, float]:
-    """Return how many runs there will be at most, and the time on one core that they take, s."""
-    from multicell.studies.cost import cost_of
-
-    scenes = [condition.scene for condition in plan.problem.measured.conditions]
-    fine = [cost_of(scene).seconds for scene in scenes]
-    coarse = [cost_of(coarsen(scene, plan.coarse)).seconds for scene in scenes]
-    searched = plan.runs + plan.runs // _FURTHER + PAIRS * BESIDE * len(scenes)
-    again = PAIRS * len(scenes) + plan.runs - plan.points * len(plan.problem.tasks())
-    seconds = searched * sum(coarse) / len(scenes) + again * sum(fine) / len(scenes)
-    return searched + again, float(seconds)
-
-
 def fit_coarse_first(
     plan: FitPlan,
     carry_out: Callable[..., Fit],
@@ -119,8 +102,6 @@ def fit_coarse_first(
 
     The folder holds the first fit as ``coarse`` and the result as ``fine``.
     """
-    from multicell.calibration.fit_folder import write_result
-
     note = progress or (lambda what, done, wanted: None)
     fine = plan.problem.simulator
     coarse = coarse_simulator(fine, plan.coarse)
@@ -146,7 +127,7 @@ def fit_coarse_first(
         seeds, ratios = plan.problem.seeds, _ratios(plan, runs)
         corrected = Corrected(coarse, fine, seeds, ratios)
         found = fitted(
-            "fine", corrected, points=max(MIN_POINTS, plan.points // _FURTHER),
+            "fine", corrected, points=max(MIN_POINTS, plan.points // FURTHER),
             adopted=_entries(first, corrected),
         )  # fmt: skip
         known = first.readings

@@ -11,14 +11,14 @@ from multicell.errors import DataError, SceneError
 from multicell.scene.oxygen import concentration
 from multicell.scene.scene import Scene
 from multicell.schema import specs
-from multicell.studies.observed import (
+from multicell.studies.readings import (
     at_the_end,
     in_history,
     is_known_elsewhere,
     may_be_negative,
     suggest,
 )
-from multicell.tables.fields import Table
+from multicell.tables.columns import Table
 from multicell.tables.titles import split_title
 from multicell.units import to_base
 

@@ -32,7 +32,7 @@ many tissues as there are rows. Tissues of different times are taken to be the s
 scatter is correlated over time as that of runs is. Where others were measured each time, a standard
 error of the mean says so, as it counts as independent; or a column ``specimen``: rows of one name
 are the same specimen, each row without a name is another one (``specimens="single"``: all are).
-Then the scatter of specimens is what the rows show (:mod:`multicell.calibration.specimens`). The
+Then the scatter of specimens is what the rows show (:mod:`multicell.calibration.noise`). The
 error of a length of 0, such as a core that has not begun, is the radius of a cell at division where
 the table states it as a part of the value or not at all; over the radius of the tissue where it is
 a part of that. Lines that begin with ``#`` are remarks. What a datum is compared with, and in
@@ -47,13 +47,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, final
 
 from multicell.calibration.columns import Column, columns_of, fields_of
-from multicell.calibration.specimens import group
+from multicell.calibration.noise import group
 from multicell.errors import DataError, SceneError
 from multicell.results.observable import represented
 from multicell.scene.scene import Scene
 from multicell.schema import chosen, leaves
-from multicell.studies.observed import at_the_end, in_history, suggest
-from multicell.tables.fields import Table, read_table
+from multicell.studies.readings import at_the_end, in_history, suggest
+from multicell.tables.columns import Table, read_table
 from multicell.units import to_base
 
 MAX_BYTES: Final = 10_000_000  # of a file of measured data

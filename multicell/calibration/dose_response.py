@@ -18,12 +18,11 @@ from multicell.schema import chosen, near_miss
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_seeds, whole
-from multicell.studies.observed import may_be_negative
 from multicell.studies.pictures.values import key_words, words
 from multicell.studies.plan import Plan, make_plan
-from multicell.studies.readings import observables_of, read_final
+from multicell.studies.readings import may_be_negative, observables_of, read_final
 from multicell.studies.study import Study, write_study
-from multicell.tables.fields import read_table
+from multicell.tables.columns import read_table
 from multicell.tables.titles import split_title
 from multicell.units import shown
 
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from multicell.calibration.dose_curve import Estimate
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.studies.task import Outcome
+    from multicell.studies.engine import Outcome
 
 LIVING: Final = "proliferating+quiescent"
 """The living cells: columns of the history, added up."""
@@ -126,8 +125,8 @@ def dose_response(
         plan = plan_of(scene, dose, doses, combine=combine, observable=observable, seeds=seeds)
         folder = Path("dose-response" if output is None else output)
         write_study(plan.study, folder, overwrite=overwrite)
-        result = carry_out(plan, folder, options, cores=cores, scheduler=scheduler, retry=retry,
-                           progress=progress)  # fmt: skip
+        how = {"cores": cores, "scheduler": scheduler, "progress": progress, "retry": retry}
+        result = carry_out(plan, folder, options, **how)
     if report and result.folder is not None:
         result.report()
     return result
@@ -269,22 +268,13 @@ def _name(keys: Sequence[str]) -> str:
     return " and ".join(key_words(key, key.rpartition(".")[2]) for key in keys)
 
 
-def carry_out(
-    plan: DosePlan,
-    folder: Path,
-    options: Options,
-    *,
-    cores: int | None = None,
-    scheduler: str | None = None,
-    retry: bool = False,
-    progress: Callable[[Outcome], None] | None = None,
-) -> DoseResponse:
+def carry_out(plan: DosePlan, folder: Path, options: Options, **how: Any) -> DoseResponse:
     """Do all runs of a plan that are not done, and return what they show.
 
-    Parameters and errors are those of :func:`dose_response`.
+    - ``how``: as :meth:`multicell.studies.study.Study.run` takes it
     """
     study, parts = Study(plan.study, folder), plan.observable.split("+")
-    outcomes = study.run(cores, scheduler, progress, retry=retry)
+    outcomes = study.run(**how)
     final, failures = read_final(outcomes, folder, parts)
     values = np.sum([final[part] for part in parts], axis=0).reshape(len(plan.points), -1)
     names = [run.name for run in study.runs]

@@ -77,7 +77,7 @@ class DoseResponse:
 
     def plot(self) -> Figure:
         """Draw responses, curves with bands and IC50; of combinations also both references."""
-        from multicell.calibration.dose_response_plots import draw
+        from multicell.calibration.dose_response_page import draw
 
         return draw(self)
 

@@ -13,7 +13,7 @@ readings say is approximated by expectation propagation (Minka 2001, UAI 17, 362
 factor each; means and variances of readings are those of the signed quantity cut off at zero. Where
 the readings above zero leave a reading of zero no room, the white part grows until both are likely.
 
-The synthetic likelihood of the processes (:mod:`multicell.calibration.distance`) gives the next
+The synthetic likelihood of the processes (:mod:`multicell.calibration.problem`) gives the next
 points that are worth a run, and with fresh runs an approximate posterior
 (:mod:`multicell.calibration.likelihood`), at a hundredth of the cost of one sampled with runs.
 """
@@ -27,8 +27,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.distance import Array
-from multicell.calibration.noise import Noise
+from multicell.calibration.noise import Array, Noise
 from multicell.calibration.priors import Prior
 
 PARTICLES: Final = 2000  # draws from a posterior

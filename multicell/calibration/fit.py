@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-import time as clock
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
-from multicell.calibration.fit_plan import FitPlan, Progress, fresh_runs, make_runs
+from multicell.calibration.fit_plan import FitPlan, Progress, fresh_runs, make_runs, write_result
 from multicell.calibration.fitted import Fit
-from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
-from multicell.calibration.likelihood import MIN_REPEATS
+from multicell.calibration.likelihood import DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
 from multicell.calibration.noise import SCATTERS
 from multicell.calibration.pool import open_pool
 from multicell.calibration.problem import Problem, free_of, problem_of
@@ -23,7 +21,7 @@ from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
 from multicell.studies.limits import MAX_RUNS, check_runs, check_seeds, whole
-from multicell.tables.fields import read_table
+from multicell.tables.columns import read_table
 from multicell.units import to_base
 
 if TYPE_CHECKING:
@@ -235,35 +233,12 @@ def carry_out(
             plan, carry_out, output, cores=cores, scheduler=scheduler, overwrite=overwrite,
             progress=progress,
         )  # fmt: skip
-    from multicell.calibration.fit_folder import open_folder, write_result
-
     with ExitStack() as stack:
         folder = None
         if output is not None:
-            opened = open_folder(
-                output, plan.describe(), plan.scene, plan.table, overwrite=overwrite,
-                request=plan.request,
-            )  # fmt: skip
-            folder = stack.enter_context(opened)
-        begin = clock.monotonic()
+            folder = stack.enter_context(plan.open_folder(output, overwrite=overwrite))
         with open_pool(cores, scheduler) as pool:
-            made = make_runs(plan, folder, pool, begin, progress or (lambda *state: None))
-        facts = {
-            "sd": plan.sd,
-            "specimens": plan.specimens,
-            "scatter": plan.problem.scatter,
-            "seeds": list(plan.problem.seeds),
-            "repeats": plan.repeats,
-            "sets_of_parameters": len(made.evaluations) - made.reused,
-            "reused": made.reused,
-            "fresh_runs": plan.repeats if made.fresh.checks is None else plan.repeats + CHECKS,
-            "profile_runs": len(made.ends) * plan.profile_runs,
-            "seconds": clock.monotonic() - begin,
-        }
-        found = Fit(
-            plan.problem, plan.scene, made.evaluations, folder, facts, made.fresh, made.ends,
-            made.readings,
-        )  # fmt: skip
+            found = make_runs(plan, folder, pool, progress=progress or (lambda *state: None))
         if folder is not None:
             write_result(found, folder)
             found.report()

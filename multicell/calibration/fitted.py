@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.calibration.distance import ABSENT, Array, misfit
 from multicell.calibration.emulator import draws as draws_of
-from multicell.calibration.fresh import Fresh
-from multicell.calibration.problem import Problem
+from multicell.calibration.likelihood import Fresh
+from multicell.calibration.noise import Array
+from multicell.calibration.problem import ABSENT, Problem, misfit
 from multicell.calibration.profiles import POINTS, End, Profile, profiles
 from multicell.calibration.search import Evaluation, Run, emulator_of
 from multicell.calibration.simulator import Reading
@@ -169,12 +169,8 @@ class Fit:
         import pandas
 
         shares, weights = self.some_sample()
-        columns = {
-            free.name: [free.value(float(x)) for x in column]
-            for free, column in zip(self.problem.ranges, shares.T, strict=True)
-        }
-        frame = pandas.DataFrame({**columns, "weight": weights})
-        frame.attrs = {"units": {free.name: free.unit for free in self.problem.ranges}}
+        frame = pandas.DataFrame({**self.problem.columns(shares), "weight": weights})
+        frame.attrs = {"units": self.problem.parameter_units}
         return frame
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
@@ -232,13 +228,9 @@ class Fit:
         else:
             (found,) = profiles(likelihood, [number], points, level)
         free = self.problem.ranges[number]
-        frame = pandas.DataFrame(
-            {r.name: [r.value(float(x)) for x in column]
-             for r, column in zip(self.problem.ranges, found.shares.T, strict=True)}
-        )  # fmt: skip
-        frame["rise"] = found.rises
+        frame = pandas.DataFrame({**self.problem.columns(found.shares), "rise": found.rises})
         frame.attrs = {
-            "units": {r.name: r.unit for r in self.problem.ranges},
+            "units": self.problem.parameter_units,
             "level": level,
             "limit": found.limit,
             "interval": [free.value(float(x)) for x in found.ends[:, number]],
@@ -320,7 +312,7 @@ class Fit:
         FitFailed
             If there is no posterior.
         """
-        from multicell.calibration.arviz_export import to_arviz
+        from multicell.calibration.run_table import to_arviz
 
         needs("arviz")
         return to_arviz(self)

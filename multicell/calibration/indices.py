@@ -158,9 +158,18 @@ def analyse(
     mean = np.stack([b[:, w].mean(axis=1) for b, w in zip(blocks[kept], whole[kept], strict=True)])
     if np.ptp(mean) <= _ROUNDING * np.abs(mean).max():
         return Analysis((_zero(method),) * len(names), used, True)
-    found = _morris if method == "morris" else _sobol
     noise = _noise(method, shares[place], blocks[kept], whole[kept])
-    return Analysis(found(names, shares[place], mean, noise), used, False)
+    main = "mu_star" if method == "morris" else "st"
+    find = _morris if method == "morris" else _sobol
+    columns = {n: np.asarray(x, dtype=float) for n, x in find(names, shares[place], mean).items()}
+    columns["noise"] = _floor(method, noise, mean)
+    lower = columns[main] - columns[f"{main}_conf"]
+    indices = (
+        Index(**{name: float(column[k]) for name, column in columns.items()},
+              verdict=_verdict(float(lower[k]), float(columns["noise"][k])))
+        for k in range(len(names))
+    )  # fmt: skip
+    return Analysis(tuple(indices), used, False)
 
 
 def _problem(names: Sequence[str]) -> dict[str, Any]:
@@ -174,9 +183,7 @@ def _zero(method: str) -> Index:
     return Index(s1=0.0, s1_conf=0.0, st=0.0, st_conf=0.0, noise=0.0, verdict=ZERO)
 
 
-def _morris(
-    names: Sequence[str], shares: FloatArray, mean: FloatArray, noise: FloatArray
-) -> tuple[Index, ...]:
+def _morris(names: Sequence[str], shares: FloatArray, mean: FloatArray) -> dict[str, FloatArray]:
     """Return SALib's indices of means, (trajectories, parameters + 1)."""
     from SALib.analyze import morris
     from scipy import stats
@@ -185,25 +192,17 @@ def _morris(
     found = morris.analyze(
         _problem(names), shares, mean.ravel(), num_resamples=2, num_levels=_LEVELS, seed=_SAMPLE
     )
-    student = float(stats.t.isf(0.5 - 0.5 * _CONFIDENCE, len(mean) - 1) / math.sqrt(len(mean)))
-    squares = found["sigma"] ** 2 + (found["mu"] ** 2 - found["mu_star"] ** 2) * (
-        len(mean) / (len(mean) - 1)
-    )
+    count = len(mean)
+    student = float(stats.t.isf(0.5 - 0.5 * _CONFIDENCE, count - 1) / math.sqrt(count))
+    squares = found["sigma"] ** 2 + (found["mu"] ** 2 - found["mu_star"] ** 2) * count / (count - 1)
     spread = np.sqrt(np.maximum(squares, 0.0))  # of the sizes of effects
-    result = []
-    for k in range(len(names)):
-        star, conf = float(found["mu_star"][k]), student * float(spread[k])
-        floor = math.sqrt(2.0 / math.pi * float(noise[k])) / _STEP
-        result.append(Index(
-            mu=float(found["mu"][k]), mu_star=star, mu_star_conf=conf,
-            sigma=float(found["sigma"][k]), noise=floor, verdict=_verdict(star - conf, floor),
-        ))  # fmt: skip
-    return tuple(result)
+    return {
+        "mu": found["mu"], "mu_star": found["mu_star"], "mu_star_conf": student * spread,
+        "sigma": found["sigma"],
+    }  # fmt: skip
 
 
-def _sobol(
-    names: Sequence[str], _: FloatArray, mean: FloatArray, noise: FloatArray
-) -> tuple[Index, ...]:
+def _sobol(names: Sequence[str], _: FloatArray, mean: FloatArray) -> dict[str, FloatArray]:
     """Return SALib's indices of means, (base points, parameters + 2)."""
     from SALib.analyze import sobol
 
@@ -214,16 +213,15 @@ def _sobol(
             _problem(names), mean.ravel(), calc_second_order=False, num_resamples=RESAMPLES,
             conf_level=_CONFIDENCE, seed=_SAMPLE,
         )  # fmt: skip
+    return {name.lower(): found[name] for name in ("S1", "S1_conf", "ST", "ST_conf")}
+
+
+def _floor(method: str, noise: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return what the noise of differences alone gives to the indices, (parameters,)."""
+    if method == "morris":
+        return np.sqrt(2.0 / math.pi * noise) / _STEP
     variance = float(np.concatenate([mean[:, 0], mean[:, -1]]).var())
-    result = []
-    for k in range(len(names)):
-        total, conf = float(found["ST"][k]), float(found["ST_conf"][k])
-        floor = 0.5 * float(noise[k]) / variance if variance > 0.0 else math.nan
-        result.append(Index(
-            s1=float(found["S1"][k]), s1_conf=float(found["S1_conf"][k]), st=total, st_conf=conf,
-            noise=floor, verdict=_verdict(total - conf, floor),
-        ))  # fmt: skip
-    return tuple(result)
+    return 0.5 * noise / (variance or math.nan)
 
 
 def _noise(method: str, shares: FloatArray, blocks: FloatArray, whole: Mask) -> FloatArray:

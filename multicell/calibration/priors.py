@@ -29,7 +29,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.distance import Array
+from multicell.calibration.noise import Array
 from multicell.errors import SceneError
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss

@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
-from multicell.calibration.distance import Array
 from multicell.calibration.emulator import FEW, Emulator, best_of, descend, draws
 from multicell.calibration.likelihood import Likelihood
+from multicell.calibration.noise import Array
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from multicell.calibration.fresh import Fresh
+    from multicell.calibration.likelihood import Fresh
     from multicell.calibration.pool import Pool
     from multicell.calibration.problem import Problem
     from multicell.calibration.search import Search

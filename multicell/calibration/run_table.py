@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from multicell.calibration.noise import Array
+from multicell.calibration.predictive import predictive_of
 from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
@@ -108,3 +110,36 @@ def to_study(fit: Fit, folder: str | Path) -> Study:
     longest = max(condition.scene.duration for condition in conditions)
     scene = fit.scene.with_changes({"duration": longest})
     return study(scene, points=points, seeds=len(problem.seeds), output=folder)
+
+
+def to_arviz(fit: Fit) -> Any:
+    """Return draws, replicated data and pointwise likelihoods; see :meth:`Fit.to_arviz`."""
+    import arviz
+
+    found, problem = predictive_of(fit), fit.problem
+    shares, weights = fit.some_sample()
+    random = np.random.default_rng(0)
+    count = len(shares)
+    # ArviZ has no weights
+    rows = np.arange(count) if np.ptp(weights) == 0.0 else random.choice(count, count, p=weights)
+    data = problem.measured.data
+    scaled = problem.observed + np.maximum(found.replicate(), problem.lowest) * problem.sigma
+    again = np.array(list(map(problem.unscale, scaled[rows])))
+    labels = [f"{title_of(d)}, {problem.measured.conditions[d.condition].label}" for d in data]
+
+    def parameters(places: Array) -> dict[str, Array]:
+        return {name: np.array([column]) for name, column in problem.columns(places).items()}
+
+    made = arviz.from_dict(
+        posterior=parameters(shares[rows]),
+        prior=parameters(problem.prior.draw(random, count)),
+        posterior_predictive={"data": again[None]},
+        log_likelihood={"data": found.pointwise[rows][None]},
+        observed_data={"data": np.array([d.value for d in data])},
+        coords={"datum": labels},
+        dims={"data": ["datum"]},
+    )
+    for group in (made.posterior, made.prior):
+        for free in problem.ranges:
+            group[free.name].attrs["units"] = free.unit
+    return made

@@ -30,7 +30,7 @@ from multicell.studies.study import Study, write_study
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.studies.task import Outcome
+    from multicell.studies.engine import Outcome
 
 
 def sensitivity(
@@ -97,9 +97,8 @@ def sensitivity(
     """
     plan = plan_of(scene, free, method=method, size=size, seeds=seeds, observables=observables)
     write_study(plan.study, output, overwrite=overwrite)
-    result = carry_out(
-        plan, output, cores=cores, scheduler=scheduler, retry=retry, progress=progress
-    )
+    how = {"cores": cores, "scheduler": scheduler, "progress": progress, "retry": retry}
+    result = carry_out(plan, output, **how)
     if report:
         result.report()
     return result
@@ -166,22 +165,14 @@ def plan_of(
     return SensitivityPlan(described, method, ranges, size, tuple(chosen), study, rows)
 
 
-def carry_out(
-    plan: SensitivityPlan,
-    output: str | Path,
-    *,
-    cores: int | None = None,
-    scheduler: str | None = None,
-    retry: bool = False,
-    progress: Callable[[Outcome], None] | None = None,
-) -> Sensitivity:
+def carry_out(plan: SensitivityPlan, output: str | Path, **how: Any) -> Sensitivity:
     """Do all runs of a plan that are not done, and return what they show.
 
-    Parameters and errors are those of :func:`sensitivity`.
+    - ``how``: as :meth:`multicell.studies.study.Study.run` takes it
     """
     folder = Path(output)
     study = Study(plan.study, folder)
-    outcomes = study.run(cores, scheduler, progress, retry=retry)
+    outcomes = study.run(**how)
     final, failures = read_final(outcomes, folder, plan.observables)
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
@@ -227,7 +218,7 @@ def result_of(
 
 
 def _row(method: str, observable: str, free: Range, index: Index) -> Row:
-    about: Row = {
+    return {
         "observable": observable,
         "unit": known_unit(observable),
         "parameter": free.name,
@@ -235,9 +226,8 @@ def _row(method: str, observable: str, free: Range, index: Index) -> Row:
         "low": free.low,
         "high": free.high,
         "parameter_unit": free.unit,
+        **{name: getattr(index, name) for name in (*COLUMNS[method], "noise", "verdict")},
     }
-    own = {name: getattr(index, name) for name in COLUMNS[method]}
-    return {**about, **own, "noise": index.noise, "verdict": index.verdict}
 
 
 def _notes(

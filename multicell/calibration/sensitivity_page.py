@@ -1,18 +1,28 @@
-"""The page of an analysis of sensitivity."""
+"""The page of an analysis of sensitivity, and pictures of indices with their intervals."""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, block
 from multicell.calibration.verdict import in_words
 from multicell.report.html import Drawing, write_page
+from multicell.report.plots.colour_vision import PALE
+from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
+from multicell.studies.pictures.layout import with_heading
 from multicell.studies.pictures.values import key_words, sentence, words
 
 if TYPE_CHECKING:
-    from multicell.calibration.sensitivity_result import Sensitivity
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from multicell.calibration.sensitivity_result import Row, Sensitivity
     from multicell.studies.axes import Range
 
 
@@ -35,7 +45,7 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
         "sensitivity.html",
         scene=result.scene,
         title=f"{result.scene.title or 'Untitled scene'}: sensitivity",
-        subtitle=_subtitle(result),
+        subtitle=_page_subtitle(result),
         tiles=_tiles(result),
         pictures=pictures,
         result=result,
@@ -49,7 +59,7 @@ def _ends(free: Range) -> tuple[str, str]:
     return in_words(free.low, free.unit), in_words(free.high, free.unit) + log
 
 
-def _subtitle(result: Sensitivity) -> str:
+def _page_subtitle(result: Sensitivity) -> str:
     method = "Screening by Morris" if result.method == "morris" else "Indices of Sobol'"
     names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
     return f"{method} · {names}"
@@ -73,3 +83,121 @@ def _tiles(result: Sensitivity) -> dict[str, str]:
         if first["verdict"] in (CLEAR, CLEAR_SINGLE):
             tiles[f"decides {words(name)} most"] = key_words(first["key"], first["parameter"])
     return tiles
+
+
+_ORANGE: Final = "#d98a1f"
+_MAX_LINES: Final = 7
+_NEAR_ORIGIN: Final = 0.02
+_HIGHEST: Final = 1.2  # of an axis of parts of the variance; intervals may go further
+
+
+@styled
+def indices(result: Sensitivity, observable: str) -> Figure:
+    """Draw the indices of an observable, the largest one on top, with 95 % intervals.
+
+    What is not distinguishable from noise, or from zero, is pale; a red tick is what noise over
+    the seeds alone would give.
+    """
+    rows = result.ordered(observable)
+    morris = result.method == "morris"
+    high = max(3.6, 1.9 + 0.36 * len(rows) * (1.0 if morris else 1.35))
+    size = (SIZE[0], max(high, 5.0) if morris else high)
+    figure = with_heading(_title(result), _subtitle(result, observable), size)
+    if morris:
+        left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+        _bars(left, rows, [("mu_star", BLUE)])
+        left.set_xlabel(f"mean size of the effect μ*{_unit(rows)}")
+        _plane(right, rows)
+        return figure
+    axes = figure.subplots()
+    _bars(axes, rows, [("st", BLUE), ("s1", _ORANGE)])
+    axes.set_xlabel("part of the variance")
+    low, top = axes.get_xlim()
+    axes.set_xlim(max(low, -0.25), min(top, _HIGHEST))
+    handles: list[Any] = [Patch(color=BLUE, label="ST: with interactions"),
+                          Patch(color=_ORANGE, label="S1: alone")]  # fmt: skip
+    if any(row["noise"] > 0.0 for row in rows):
+        handles.append(Line2D([], [], color=RED, lw=2, label="noise alone"))
+    axes.legend(handles=handles, loc="lower right", fontsize=10)
+    return figure
+
+
+def _title(result: Sensitivity) -> str:
+    return f"{result.scene.title or 'Untitled scene'}: sensitivity"
+
+
+def _subtitle(result: Sensitivity, observable: str) -> str:
+    method = "Morris" if result.method == "morris" else "Sobol'"
+    what = "trajectories" if result.method == "morris" else "base points"
+    seeds = f"{len(result.seeds)} seeds" if len(result.seeds) > 1 else "one seed: noise unknown"
+    return (
+        f"{sentence(words(observable))} at the end of each run · {method}, {result.size:,} {what}, "
+        f"{seeds} · bars: 95 % intervals"
+    )
+
+
+def _unit(rows: list[Row]) -> str:
+    unit = rows[0]["unit"].replace("um", "µm")
+    return f" ({unit})" if unit else ""
+
+
+def _bars(axes: Axes, rows: list[Row], kinds: list[tuple[str, str]]) -> None:
+    """Draw bars with intervals, the first row on top; a red tick is the noise."""
+    thick = 0.7 / len(kinds)
+    places = np.arange(len(rows), dtype=float)
+    for order, (name, colour) in enumerate(kinds):
+        shift = (order - 0.5 * (len(kinds) - 1)) * thick
+        values = np.array([row[name] for row in rows])
+        halves = np.array([row[f"{name}_conf"] for row in rows])
+        sure = [row["verdict"] in (CLEAR, CLEAR_SINGLE) for row in rows]
+        colours = [colour if clear else PALE for clear in sure]
+        axes.barh(places + shift, np.nan_to_num(values), 0.9 * thick, color=colours)
+        axes.errorbar(values, places + shift, xerr=halves, fmt="none", ecolor=QUIET, elinewidth=1.3,
+                      capsize=2.5)  # fmt: skip
+        if order == 0:
+            noise = np.array([row["noise"] for row in rows])
+            there = noise > 0.0
+            low, high = places + shift - 0.5 * thick, places + shift + 0.5 * thick
+            axes.vlines(noise[there], low[there], high[there], color=RED, lw=2, zorder=4)
+    axes.axvline(0.0, color=QUIET, lw=0.8)
+    axes.set_yticks(places, [_shown(row) for row in rows])
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.grid(False, axis="y")
+
+
+def _shown(row: Row) -> str:
+    name = key_words(str(row["key"]), str(row["parameter"]))
+    return name if len(name) <= 30 else f"{name[:29]}…"
+
+
+def _plane(axes: Axes, rows: list[Row]) -> None:
+    """Draw sigma over mu*: below the line effects are alike wherever the others are."""
+    star = np.array([row["mu_star"] for row in rows])
+    sigma = np.array([row["sigma"] for row in rows])
+    half = np.array([row["mu_star_conf"] for row in rows])
+    sure = np.array([row["verdict"] in (CLEAR, CLEAR_SINGLE) for row in rows])
+    axes.errorbar(star, sigma, xerr=half, fmt="none", ecolor="#a9b5be", elinewidth=1.2, zorder=1)
+    for clear, colour in ((True, BLUE), (False, "#a9b5be")):
+        axes.plot(star[sure == clear], sigma[sure == clear], "o", color=colour, ms=7)
+    ends = [v for v in (*(star + half), *sigma) if np.isfinite(v)]
+    top = 1.12 * max(ends, default=1.0) or 1.0
+    named: list[tuple[float, float]] = []
+    for row, x, y in sorted(zip(rows[:_MAX_LINES], star, sigma, strict=False), key=lambda e: e[1]):
+        if not max(x, y) > _NEAR_ORIGIN * top:
+            continue  # names of what has no effect would lie on each other
+        side: dict[str, Any] = {"ha": "right" if x > 0.55 * top else "left"}
+        near = sum(abs(x - u) < 0.45 * top and abs(y - v) < 0.06 * top for u, v in named)
+        named.append((x, y))
+        axes.annotate(
+            _shown(row),
+            (x, y),
+            (-6 if x > 0.55 * top else 6, 5 + 12 * near),
+            textcoords="offset points",
+            fontsize=8.5,
+            **side,
+        )
+    axes.plot([0.0, top], [0.0, top], "--", color=QUIET, lw=1.0)
+    axes.annotate("σ = μ*", (0.93 * top, 0.95 * top), ha="right", fontsize=9, color=QUIET)
+    axes.set(xlim=(-0.02 * top, top), ylim=(-0.02 * top, top))
+    axes.set_xlabel(f"μ*{_unit(rows)}")
+    axes.set_ylabel(f"σ: interactions, curvature{_unit(rows)}")

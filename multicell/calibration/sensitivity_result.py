@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.errors import OutputError, SceneError
 from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
 from multicell.results.quantities import known_unit
-from multicell.studies.observed import suggest
+from multicell.studies.readings import suggest
 from multicell.tables.text import table_text
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class Sensitivity:
 
     def plot(self, observable: str | None = None) -> Figure:
         """Draw the indices of an observable (by default the first) with their intervals."""
-        from multicell.calibration.index_plots import indices
+        from multicell.calibration.sensitivity_page import indices
 
         return indices(self, observable or self.observables[0])
 

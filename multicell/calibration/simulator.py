@@ -18,7 +18,7 @@ from multicell.calibration.data import Datum, Measured
 from multicell.errors import MulticellError
 from multicell.results.observables import centre, field_at, uniform_radius
 from multicell.studies.axes import Range
-from multicell.studies.observed import course_of, entry_of
+from multicell.studies.readings import course_of, entry_of
 from multicell.studies.runs import PlainScene
 
 if TYPE_CHECKING:

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import json
-import time as clock
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.data import MAX_BYTES, read_data
-from multicell.calibration.fit_plan import FitPlan, make_runs
+from multicell.calibration.fit_plan import FIT, SEARCH, FitPlan, make_runs
 from multicell.calibration.fitted import Fit
 from multicell.calibration.pool import InProcessExecutor, Pool
 from multicell.calibration.priors import Density, prior_of
 from multicell.calibration.problem import Problem, problem_of, ranges_of
+from multicell.calibration.search import Search
 from multicell.calibration.simulator import OUTGROWN
 from multicell.errors import MulticellError, OutputError, SceneError
 from multicell.results.documents import read_table as read_document
 from multicell.results.folder import to_json
 from multicell.studies.axes import Range
 from multicell.studies.runs import canonical
-from multicell.tables.fields import read_table
+from multicell.tables.columns import read_table
 
 if TYPE_CHECKING:
     from multicell.calibration.data import Condition, Datum
@@ -64,15 +64,12 @@ def load_fit(folder: str | Path) -> Fit:
     if result is None:
         raise OutputError(f"'{folder}' holds no fit that is done")
     plan = stored_plan(folder, result)
-    found = make_runs(plan, folder, Pool(_NoRuns(folder)), clock.monotonic())
     facts = {name: value for name, value in result.items() if name in FACTS}
-    return Fit(plan.problem, plan.scene, found.evaluations, folder, facts, found.fresh,
-               found.ends, found.readings)  # fmt: skip
+    return make_runs(plan, folder, Pool(_NoRuns(folder)), facts)
 
 
 def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
     """Return what a folder holds a fit of; without a result its runs are those of a search."""
-    from multicell.calibration.fit_folder import FIT
     from multicell.scene.scene import load_scene
 
     entry = read_document(folder / FIT)
@@ -125,9 +122,6 @@ def reusable(problem: Problem, folder: str | Path) -> list[dict[str, Any]]:
     They are of the same scene, conditions and seeds, with parameters within these ranges; a run
     kept no more than what the data of its fit asked for.
     """
-    from multicell.calibration.fit_folder import FIT, SEARCH
-    from multicell.calibration.search import Search
-
     folder = Path(folder)
     other = stored_plan(folder).problem
     if "simulator" in (read_document(folder / FIT) or {})["problem"]:

@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from multicell.calibration.distance import Array
+from multicell.calibration.noise import Array
 from multicell.calibration.priors import Prior
 from multicell.report.wording import time_unit
 from multicell.studies.axes import Range
@@ -93,42 +93,30 @@ def undetermined(
         interval, before = known[free.name], prior.part(k, 0.95)
         if interval.part >= OPEN * before / 0.95:
             of = "its range" if before == 0.95 else f"its range, {100.0 * before:.0f} % beforehand"
-            found.append(
-                Undetermined(
-                    (free.name,),
-                    "open",
-                    f"{free.name} is not determined: its 95 % interval, "
-                    f"{in_words(interval.low, free.unit)} to {in_words(interval.high, free.unit)}, "
-                    f"covers {100.0 * interval.part:.0f} % of {of}",
-                )
+            low, high = (in_words(x, free.unit) for x in (interval.low, interval.high))
+            words = (
+                f"{free.name} is not determined: its 95 % interval, {low} to {high}, covers "
+                f"{100.0 * interval.part:.0f} % of {of}"
             )
+            found.append(Undetermined((free.name,), "open", words))
             continue
-        for end, near in (("lower", column < EDGE), ("upper", column > 1.0 - EDGE)):
+        edges = ("lower", free.low, column < EDGE), ("upper", free.high, column > 1.0 - EDGE)
+        for end, value, near in edges:
             if weights[near].sum() > 0.5 * weights.sum():
-                value = free.low if end == "lower" else free.high
                 words = (
                     f"{free.name} lies at the {end} end of its range, {in_words(value, free.unit)}:"
                     " the data may ask for more"
                 )
                 found.append(Undetermined((free.name,), "edge", words))
-    return found + _ridges(ranges, correlations(shares, weights))
-
-
-def _ridges(ranges: Sequence[Range], correlation: Array) -> list[Undetermined]:
-    """Return the pairs of parameters of which only a combination is determined."""
-    found = []
-    for i in range(len(ranges)):
-        for j in range(i):
-            size = float(correlation[i, j])
-            if abs(size) < RIDGE:
-                continue
-            names = ranges[j].name, ranges[i].name
-            together = "rise together" if size > 0.0 else "make up for each other"
-            words = (
-                f"{names[0]} and {names[1]} {together} (correlation {size:+.2f}): the data "
-                "determine a combination of them better than each"
-            )
-            found.append(Undetermined(names, "ridge", words))
+    correlation = correlations(shares, weights)
+    for i, j in zip(*np.nonzero(np.tril(np.abs(correlation) >= RIDGE, -1)), strict=True):
+        names, size = (ranges[j].name, ranges[i].name), float(correlation[i, j])
+        together = "rise together" if size > 0.0 else "make up for each other"
+        words = (
+            f"{names[0]} and {names[1]} {together} (correlation {size:+.2f}): the data "
+            "determine a combination of them better than each"
+        )
+        found.append(Undetermined(names, "ridge", words))
     return found
 
 

@@ -16,7 +16,7 @@ def doctor(as_json: bool) -> None:
 
     Include it when you report a problem.
     """
-    from multicell.host.doctor import checkup
+    from multicell.host.extras import checkup
 
     found = checkup()
     if as_json:

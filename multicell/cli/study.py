@@ -20,9 +20,9 @@ from multicell.errors import MissingPackage
 
 if TYPE_CHECKING:
     from multicell.studies.cost import StudyCost
+    from multicell.studies.engine import Outcome
     from multicell.studies.status import RunStatus
     from multicell.studies.study import Study
-    from multicell.studies.task import Outcome
 
 _ASKED: Final = 3600.0  # expected time in s above which a study is asked for
 _LISTED: Final = 20  # failed or running runs that are listed

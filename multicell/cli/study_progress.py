@@ -11,9 +11,9 @@ from multicell.cli.progress import display
 from multicell.cli.tables import time_text
 
 if TYPE_CHECKING:
+    from multicell.studies.engine import Outcome
     from multicell.studies.runs import Run
     from multicell.studies.study import Study
-    from multicell.studies.task import Outcome
 
 Progress = Callable[["Outcome"], None]
 _LINES: Final = 20  # lines of a log

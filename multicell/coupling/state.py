@@ -19,7 +19,7 @@ from multicell.integrators.stability import Stability
 from multicell.results.frame import Frame, Progress
 from multicell.results.lineage import Lineage
 from multicell.scene.domain import check_start
-from multicell.scene.steps import step_plan
+from multicell.scene.scales import step_plan
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan

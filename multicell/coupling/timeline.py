@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
-    from multicell.scene.steps import StepPlan
+    from multicell.scene.scales import StepPlan
 
 
 @final

@@ -1,12 +1,16 @@
-"""Packages that only some commands need: whether they are there, and what to do if not."""
+"""Packages that only some commands need, and all else that there is here to run with."""
 
 from __future__ import annotations
 
+import os
+import platform
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
-from typing import Final
+from importlib import import_module, metadata
+from typing import Any, Final
 
+from multicell import __version__
 from multicell.errors import MissingPackage
 
 EXTRAS: Final = {
@@ -57,3 +61,76 @@ def quiet(*packages: str) -> Iterator[None]:
     finally:
         for logger, level in zip(loggers, before, strict=True):
             logger.setLevel(level)
+
+
+def checkup() -> dict[str, Any]:
+    """Return what decides speed and abilities here.
+
+    ``system``, ``python``; ``versions`` of multicell and of what it always needs; ``cores``,
+    ``threads`` that numba will use, ``memory_GiB``; ``cache`` (where compiled code is kept) and
+    ``cache_writable``; ``missing``, extra -> packages of it that are not installed.
+    """
+    import numba
+
+    needed, extras = _requirements()
+    settings: Any = numba.config
+    cache = settings.CACHE_DIR or os.path.join(os.path.dirname(__file__), "__pycache__")
+    return {
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "versions": {"multicell": __version__} | {name: _version(name) for name in needed},
+        "cores": os.cpu_count() or 1,
+        "threads": int(settings.NUMBA_NUM_THREADS),
+        "memory_GiB": _memory(),
+        "cache": cache,
+        "cache_writable": _writable(cache),
+        "missing": {
+            extra: absent
+            for extra, names in extras.items()
+            if (absent := [name for name in names if not _version(name)])
+        },
+    }
+
+
+def _requirements() -> tuple[list[str], dict[str, list[str]]]:
+    """Return the packages that are always needed, and those of each extra that users know."""
+    needed: list[str] = []
+    extras: dict[str, list[str]] = {name: [] for name in (*EXTRAS, "study")}
+    try:
+        known = metadata.requires("multicell") or []
+    except metadata.PackageNotFoundError:  # used from its sources
+        known = []
+    for text in known:
+        name = re.match(r"[\w.-]+", text)
+        extra = re.search(r"extra == ['\"](\w+)['\"]", text)
+        assert name is not None
+        if extra is None:
+            needed.append(name[0])
+        elif extra[1] in extras:
+            extras[extra[1]].append(name[0])
+    return needed, extras
+
+
+def _version(name: str) -> str:
+    """Return the version of a package, or nothing if it is not installed."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _memory() -> float | None:
+    """Return the memory of the machine, GiB, where the system tells it."""
+    try:
+        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
+    except (AttributeError, ValueError, OSError):
+        return None
+
+
+def _writable(folder: str) -> bool:
+    """Return whether files can be made in a folder, or in the one that it will be made in."""
+    while not os.path.isdir(folder):
+        folder, before = os.path.dirname(folder), folder
+        if folder == before:
+            return False
+    return os.access(folder, os.W_OK)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from multicell.nutrient.group import FieldGroup
 from multicell.nutrient.reactions.kinetics import kinetics_of
-from multicell.scene.reaction_checks import check_own
+from multicell.scene.checks import check_own
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.report.notebook import DrawnFrames, line, shown
-from multicell.results.frame import Frame
-from multicell.results.named import Named
+from multicell.results.frame import Frame, Named
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -106,7 +105,7 @@ class Result:
         MissingPackage
             If xarray is not installed.
         """
-        from multicell.results.labelled import history_arrays
+        from multicell.results.tables import history_arrays
 
         return history_arrays(self.history, self.scene.to_toml())
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.contacts import touching
+from multicell.results.observables import touching
 from multicell.results.quantities import known_unit, unit_of
 from multicell.results.tables import cells_table, data_frame
 from multicell.schema import near_miss

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -17,6 +18,7 @@ from filelock import FileLock, Timeout
 
 from multicell import __version__
 from multicell.errors import OutputError
+from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
 
 FILES: Final = (
@@ -234,3 +236,18 @@ def _plain(value: Any) -> Any:
 def to_json(value: Any) -> str:
     """Return strict JSON; NumPy values become plain ones, NaN and infinity become null."""
     return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def with_copy(scene: Scene, folder: Path) -> Scene:
+    """Return a scene that names a copy of its table in a folder; it is written if not there.
+
+    A scene without a table is returned as it is.
+    """
+    table = scene.initial.cells
+    if table is None:
+        return scene
+    name, content = table.content()
+    path = folder / name
+    if not path.is_file() or path.read_bytes() != content:
+        write_bytes(path, content)
+    return replace(scene, initial=replace(scene.initial, cells=replace(table, file=str(path))))

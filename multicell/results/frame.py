@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, IntArray
-from multicell.results.named import Named
+from multicell.schema import near_miss
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,6 +19,23 @@ if TYPE_CHECKING:
     from pde.fields.scalar import ScalarField
     from pyvista import MultiBlock
     from xarray import Dataset
+
+V = TypeVar("V")
+
+
+@final
+class Named(dict[str, V]):
+    """A dictionary of what a result holds by name, such as the columns of its history."""
+
+    def __init__(self, entries: Mapping[str, V], what: str) -> None:
+        super().__init__(entries)
+        self._what = what
+
+    def __missing__(self, name: object) -> NoReturn:
+        raise KeyError(f"there is no {self._what} {name!r}. {near_miss(str(name), self)}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Named, (dict(self), self._what)
 
 
 @final
@@ -254,7 +271,7 @@ class Frame:
         MissingPackage
             If xarray is not installed.
         """
-        from multicell.results.labelled import frame_arrays
+        from multicell.results.tables import frame_arrays
 
         return frame_arrays(self)
 
@@ -262,13 +279,13 @@ class Frame:
         """Return the cells as points and the fields as grids of VTK, by name.
 
         ``cells`` are points in µm with all quantities, named with their units. Fields have their
-        values at the cells of their grids (:func:`multicell.results.vtk_grids.field_grid`).
+        values at the cells of their grids (:func:`multicell.results.tables.field_grid`).
 
         Raises
         ------
         MissingPackage
             If pyvista is not installed.
         """
-        from multicell.results.vtk_grids import blocks
+        from multicell.results.tables import blocks
 
         return blocks(self)

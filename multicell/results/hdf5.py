@@ -1,7 +1,7 @@
 """The file ``frames.h5``: written once, as a whole, and checked before it is read.
 
 HDF5 never meets a disk that can refuse it: it writes through a
-:class:`~multicell.results.sink.Sink` that notes a refusal and reports success to HDF5,
+:class:`~multicell.results.hdf5.Sink` that notes a refusal and reports success to HDF5,
 and the file is thrown away afterwards. All of the file's own structure and all data carry checksums
 of HDF5, and each frame one of ours over all that it holds. Nothing that leads out of the file
 (links, external storage, virtual data sets) is followed.
@@ -9,25 +9,95 @@ of HDF5, and each frame one of ours over all that it holds. Nothing that leads o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
+from typing import IO, Any, Final, final
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results import stored
 from multicell.results.folder import package_version, replace_file
 from multicell.results.journal import digest
-from multicell.results.layout import FORMAT, Kind, layout, of_rows
+from multicell.results.layout import FORMAT, Kind, frame_rows, layout, of_rows, read_frame
 from multicell.results.lineage import COLUMNS
 from multicell.results.quantities import known_unit
 from multicell.results.records import SPARSE, Arrays
-from multicell.results.sink import Sink
+
+
+@final
+class Sink:
+    """A file for HDF5 whose writes never fail: the first refusal is kept for :meth:`check`.
+
+    HDF5 keeps a file open that it cannot write, complains at the end of the process, and may
+    crash there. So it is told that all went well.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._place = self._end = 0
+        self._trouble: BaseException | None = None
+
+    def check(self) -> None:
+        """Raise what a write was refused with."""
+        if self._trouble is not None:
+            raise self._trouble
+
+    def seek(self, place: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place."""
+        base = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._end}[whence]
+        self._place = base + place
+        return self._place
+
+    def tell(self) -> int:
+        """Return the place."""
+        return self._place
+
+    def write(self, data: Any) -> int:
+        """Write, or note why that is refused."""
+        length = self._at_place(self._file.write, data)
+        self._end = max(self._end, self._place)
+        return length
+
+    def readinto(self, target: Any) -> int:
+        """Read back what was written; after a refusal there may be nothing."""
+        return self._at_place(self._file.readinto, memoryview(target).cast("B"))  # type: ignore[attr-defined]
+
+    def read(self, size: int) -> bytes:
+        """Read back what was written; it is what tells h5py that this is a file."""
+        data = bytearray(size)
+        self.readinto(data)
+        return bytes(data)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length."""
+        self._end = self._place if size is None else size
+        self._try(self._file.truncate, self._end)
+        return self._end
+
+    def flush(self) -> None:
+        """Hand everything to the system."""
+        self._try(self._file.flush)
+
+    def _at_place(self, action: Callable[[Any], Any], data: Any) -> int:
+        """Read or write at the place, and go on behind it whatever became of it."""
+        length = memoryview(data).nbytes
+        self._try(self._file.seek, self._place)
+        self._try(action, data)
+        self._place += length
+        return length
+
+    def _try(self, action: Callable[..., Any], *given: Any) -> None:
+        if self._trouble is None:
+            try:
+                action(*given)
+            except BaseException as error:  # raised again by check()
+                self._trouble = error
+
 
 NAME: Final = "frames.h5"
 
@@ -144,7 +214,7 @@ class _Log:
 
     def add(self, arrays: Arrays, check: int, log: Arrays) -> None:
         """Add a frame."""
-        rows = stored.frame_rows(arrays, self._nutrients)
+        rows = frame_rows(arrays, self._nutrients)
         rows |= {f"lineage/{path}": a for path, a in log.items()}
         rows["frames/digest"] = np.array(check)
         for path, kind in self._sparse.items():
@@ -406,7 +476,7 @@ class File:
     def frame(self, place: int) -> Arrays:
         """Return the arrays of a frame; raises OutputError if they are not what was written."""
         with self._again() as file:
-            arrays = stored.read_frame(file, place, self.nutrients, self._offsets)
+            arrays = read_frame(file, place, self.nutrients, self._offsets)
         if digest(arrays) != int(self.digests[place]):
             raise OutputError(f"it is not what was written to '{self.path}'")
         return arrays

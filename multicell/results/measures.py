@@ -6,6 +6,7 @@ To add one is to write its entry, with a function of the state of a run.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Final
 from weakref import ref
 
@@ -13,12 +14,13 @@ import numpy as np
 
 from multicell.cells import State
 from multicell.results import observables as of
-from multicell.results.contacts import counts_contacts
 from multicell.results.observable import Observable, TissueState, find_own
+from multicell.results.observables import counts_contacts, largest_hole
 from multicell.scene.domain import walls
 from multicell.scene.pairs import compression
 
 if TYPE_CHECKING:
+    from multicell.cells import Cells
     from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
     from multicell.scene.scene import Scene
@@ -66,12 +68,6 @@ def _closes(scene: Scene) -> bool:
     return scene.dimensions == 3 and (scene.surface is not None or inflow)
 
 
-def _largest_hole(state: TissueState) -> float:
-    from multicell.results.holes import largest_hole
-
-    return largest_hole(state.cells)
-
-
 def _walls(state: TissueState) -> Walls | Sphere:
     """Return the walls as they stand round the cells."""
     found = walls(state.scene)
@@ -84,6 +80,11 @@ def _walls(state: TissueState) -> Walls | Sphere:
 def _pressure_factor(state: TissueState) -> float:
     factors = state.pressure_factors
     return float(factors.mean()) if len(factors) else float("nan")
+
+
+def _in_space(find: Callable[[Cells, int, of.Extent], float]) -> Callable[[TissueState], float]:
+    """Return what measures lengths of cells in a scene's dimensions."""
+    return lambda state: find(state.cells, state.dimensions, state.extent)
 
 
 def _over_radius(state: TissueState, length: float) -> float:
@@ -111,31 +112,27 @@ def _hypoxic_radius(state: TissueState, field: str) -> float:
     return state.extent.radius(state.concentrations[field] < threshold)
 
 
+_length = partial(Observable, unit="um")
+_tissue_length = partial(_length, shown="{:.0f} µm".format)
+_pressure = partial(Observable, unit="kPa")
+_count = partial(Observable, counts=True)
+_at_end = partial(Observable, at_end=True)
+
 OBSERVABLES: Final = (
-    Observable("cells", lambda s: len(s.cells), shown="{:,}".format, counts=True),
-    Observable(
-        "diameter",
-        lambda s: of.diameter(s.cells, s.dimensions, s.extent),
-        unit="um",
-        shown="{:.0f} µm".format,
-        doc="2 R",
-    ),
-    Observable("radius", lambda s: s.extent.radius(), unit="um", doc="R"),
-    Observable(
+    _count("cells", lambda s: len(s.cells), shown="{:,}".format),
+    _tissue_length("diameter", _in_space(of.diameter), doc="2 R"),
+    _length("radius", lambda s: s.extent.radius(), doc="R"),
+    _tissue_length(
         "viable_rim",
-        lambda s: of.viable_rim(s.cells, s.dimensions, s.extent),
-        unit="um",
+        _in_space(of.viable_rim),
         absent="without a core, and where the dead lie outside the living",
-        shown="{:.0f} µm".format,
         doc="R less the necrotic radius",
     ),
-    Observable(
+    _tissue_length(
         "proliferating_rim",
         lambda s: of.rim(s.cells, s.dimensions, [State.QUIESCENT, State.NECROTIC], s.extent),
-        unit="um",
         exists=_grows,
         absent="without quiescent and necrotic cells, and where they lie outside the others",
-        shown="{:.0f} µm".format,
         doc="R less the radius, by the same formula, of quiescent and necrotic cells",
     ),
     Observable(
@@ -145,12 +142,10 @@ OBSERVABLES: Final = (
         absent="without living cells",
         doc="part of living cells that proliferate: in the viable rim, where there is a core",
     ),
-    Observable(
+    _tissue_length(
         "necrotic_radius",
-        lambda s: of.necrotic_radius(s.cells, s.dimensions, s.extent),
-        unit="um",
+        _in_space(of.necrotic_radius),
         title="radius of the necrotic core",
-        shown="{:.0f} µm".format,
         shown_if_zero=False,
         doc="the same formula over necrotic cells about the common centre; 0 without any",
     ),
@@ -161,12 +156,10 @@ OBSERVABLES: Final = (
         absent="without cells",
         doc="the necrotic radius over R; with `growth.phases`",
     ),
-    Observable(
+    _tissue_length(
         "inhibited_radius",
         lambda s: s.inhibited_radius,
-        unit="um",
         exists=_has_phases,
-        shown="{:.0f} µm".format,
         shown_if_zero=False,
         doc="within it the part of cells in S, G2 or M is below a fifth of that in the outermost "
         "tenth of the cells (isotonic regression over the distance from the centre); with "
@@ -181,46 +174,42 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "packing_ratio",
-        lambda s: of.packing_ratio(s.cells, s.dimensions, s.extent),
+        _in_space(of.packing_ratio),
         absent="without cells",
         shown="{:.2f}".format,
         doc="sum of the cells' volumes over the volume of the ball of this diameter (areas "
         "over the disc); at most 1 for spheres that do not overlap, since no body has a "
         "smaller radius of gyration than the ball of its volume",
     ),
-    Observable(
+    _pressure(
         "largest_pressure",
         lambda s: of.largest_pressure(s.cells),
-        unit="kPa",
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
     ),
-    Observable(
+    _pressure(
         "core_pressure",
         lambda s: of.core_pressure(s.cells),
-        unit="kPa",
         exists=lambda scene: scene.death is not None and scene.death.core == "fluid",
         absent="without a core",
         signed=True,
         doc="mean [pressure](contact.md#pressure-of-a-cell) of necrotic cells by their volume, "
         'with which a fluid core holds up the rim; with `death.core = "fluid"`',
     ),
-    *(Observable(name, _count_in(name), entry=f"states.{name}", counts=True) for name in _STATES),
-    Observable(
+    *(_count(name, _count_in(name), entry=f"states.{name}") for name in _STATES),
+    _count(
         "clonogens",
         lambda s: int((~s.cells.dead & (s.cells.doomed == 0)).sum()),
         exists=lambda scene: scene.radiation,
         shown="{:,}".format,
         doc="living cells that are not doomed; over those before irradiation, without growth, the "
         "surviving fraction; only with `radiation`",
-        counts=True,
     ),
-    Observable(
+    _count(
         "doomed",
         lambda s: int((~s.cells.dead & (s.cells.doomed > 0)).sum()),
         exists=lambda scene: scene.radiation,
         doc="living cells that irradiation lets die at one of their next divisions; only with "
         "`radiation`",
-        counts=True,
     ),
     Observable(
         "volume_fraction",
@@ -229,25 +218,22 @@ OBSERVABLES: Final = (
         doc="sum of the cells' volumes over the volume of the `domain`; with elastic walls in"
         " space",
     ),
-    Observable(
+    _length(
         "domain_radius",
         lambda s: of.domain_radius(_walls(s)),
-        unit="um",
         exists=_has_gel,
         doc="radius to which the cells have widened the cavity of a gel (`domain.stiffness`)",
     ),
-    Observable(
+    _pressure(
         "wall_pressure",
         lambda s: of.wall_pressure(s.cells, _walls(s), compression(s.scene)),
-        unit="kPa",
         exists=_has_walls,
         doc="normal force of the cells on a wall over its area, mean of the six sides of a box; "
         "with elastic walls in space",
     ),
-    Observable(
+    _pressure(
         "tissue_pressure",
         lambda s: of.tissue_pressure(s.cells, _walls(s)),
-        unit="kPa",
         exists=_has_walls,
         signed=True,
         doc="[pressure of the tissue](contact.md#pressure-of-the-tissue), the virial of all "
@@ -262,7 +248,7 @@ OBSERVABLES: Final = (
         doc=r"mean of $\min(1, \max(0, 1 - p/p_\mathrm{crit}))$ over living cells: the factor of "
         "pressure on growth; only with `growth.critical_pressure`",
     ),
-    Observable(
+    _count(
         "held_by_pressure",
         lambda s: int((s.pressure_factors <= 0.5).sum()),
         title="growth halved by pressure",
@@ -270,15 +256,8 @@ OBSERVABLES: Final = (
         shown=lambda n: f"{n:,} cell{'' if n == 1 else 's'}",
         shown_if_zero=False,
         doc="number of living cells in which `pressure_factor` is 1/2 or less",
-        counts=True,
     ),
-    Observable(
-        "contacts",
-        lambda s: len(s.frame.contacts),
-        exists=counts_contacts,
-        entry=None,
-        counts=True,
-    ),
+    _count("contacts", lambda s: len(s.frame.contacts), exists=counts_contacts, entry=None),
     Observable(
         "heterotypic_fraction",
         lambda s: of.heterotypic_fraction(s.cells, s.frame.contacts),
@@ -289,22 +268,20 @@ OBSERVABLES: Final = (
         doc="part of all contacts that join cells of different types, where there are several"
         " (`contacts` counts them)",
     ),
-    Observable(
+    _length(
         "hypoxic_radius_*",
         _hypoxic_radius,
-        unit="um",
         exists=lambda scene: [n for n, f in scene.nutrients.items() if f.quiescence is not None],
         entry="hypoxic_radius.*",
         doc="the same formula over cells below the `quiescence` of a field; 0 without any",
     ),
-    Observable(
+    _count(
         "living_*",
         _living_of,
         title="living cells of a type",
         exists=lambda scene: list(scene.types) if _has_types(scene) else [],
         entry="living.*",
         doc="number of living cells of a type, where there are several",
-        counts=True,
     ),
     Observable("pull", _load, unit="nN", exists=_is_pulled, entry=None),
     # found by the coupling step
@@ -338,38 +315,29 @@ OBSERVABLES: Final = (
         signed=True,
     ),
     # of the last state only, or of a whole run
-    Observable(
+    _at_end(
         "largest_hole",
-        _largest_hole,
+        lambda s: largest_hole(s.cells),
         unit="um",
         exists=_closes,
-        at_end=True,
         absent="without tissue that surrounds anything",
         shown="{:.1f} µm".format,
         doc="radius of the largest empty ball within the tissue, which nothing of the size of a "
         "living cell could come to from outside; with `surface` or `death.inflow` in space, at "
         "the end of a run",
     ),
-    Observable("divisions", at_end=True, shown="{:,}".format, shown_if_zero=False),
-    Observable(
-        "removals", title="cells removed", at_end=True, shown="{:,}".format, shown_if_zero=False
-    ),
-    Observable("volume_released", unit="um^3", at_end=True),
-    Observable("separation.time", unit="s", exists=_is_pulled, at_end=True),
-    Observable(
+    _at_end("divisions", shown="{:,}".format, shown_if_zero=False),
+    _at_end("removals", title="cells removed", shown="{:,}".format, shown_if_zero=False),
+    _at_end("volume_released", unit="um^3"),
+    _at_end("separation.time", unit="s", exists=_is_pulled),
+    _at_end(
         "separation.force",
         unit="nN",
         title="separation force",
         exists=_is_pulled,
-        at_end=True,
         shown="{:.4g} nN".format,
     ),
-    *(
-        Observable(
-            f"ledger.*.{amount}", unit="amol", exists=lambda scene: scene.nutrients, at_end=True
-        )
-        for amount in _LEDGER
-    ),
+    *(_at_end(f"ledger.*.{x}", unit="amol", exists=lambda scene: scene.nutrients) for x in _LEDGER),
 )
 
 

@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, IntArray
 from multicell.errors import SceneError
-from multicell.results.contacts import touching
-from multicell.results.observables import Extent, inhibited_radius, pressure_factors, state_counts
+from multicell.results.observables import (
+    Extent,
+    inhibited_radius,
+    pressure_factors,
+    state_counts,
+    touching,
+)
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame

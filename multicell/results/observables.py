@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from multicell.behaviours.catalogue import needs_contacts
 from multicell.cells import Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import compliance
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
     from multicell.results.frame import Field, Frame
+    from multicell.scene.scene import Scene
 
 Mask = NDArray[np.bool_]
 
@@ -360,3 +362,103 @@ def _means(radius: FloatArray, edges: FloatArray, values: NDArray[Any]) -> Float
     means = np.full(len(count), np.nan)
     np.divide(total, count, out=means, where=count > 0)
     return means
+
+
+def counts_contacts(scene: Scene) -> bool:
+    """Return whether anything asks for the pairs in contact; to find them costs a little."""
+    if remembers_contacts(scene) or len(scene.types) > 1 or scene.pull is not None:
+        return True
+    named = {name for part in scene.responses.values() for name in part.signals}
+    named |= {name for part in scene.signals.values() for name in part.of}
+    return any(map(needs_contacts, named))
+
+
+def remembers_contacts(scene: Scene) -> bool:
+    """Return whether the contact law needs to know which pairs were in contact."""
+    return scene.contact.remembers
+
+
+def touching(frame: Frame) -> NDArray[np.int64]:
+    """Return the rows of the cells of each pair in contact: (m, 2).
+
+    Where a run does not count its contacts, those whose spheres overlap.
+    """
+    pairs = contact_rows(frame.cells, frame.contacts)
+    return pairs if len(pairs) else _overlapping(frame.cells)
+
+
+def _overlapping(cells: Cells) -> NDArray[np.int64]:
+    """Return the rows of all pairs of cells whose spheres overlap: (m, 2)."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(cells.position)
+    near = tree.query_pairs(2.0 * cells.radius.max(initial=0.0), output_type="ndarray")
+    first, second = near.T
+    apart = np.linalg.norm(cells.position[first] - cells.position[second], axis=1)
+    near = near[apart < cells.radius[first] + cells.radius[second]].astype(np.int64)
+    return np.asarray(near[np.lexsort((near[:, 1], near[:, 0]))])
+
+
+def largest_hole(cells: Cells) -> float:
+    """Return the radius of the largest empty ball within the tissue, µm; NaN if there is no inside.
+
+    The balls round the tetrahedra of Delaunay's triangulation are the largest between the centres.
+    What a probe with the median radius of the living reaches from outside, from tetrahedron to
+    tetrahedron through faces that it fits through, is no hole, however deep. A ball ends at the
+    largest of the four cells that it touches.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import Delaunay, QhullError
+
+    living = cells.radius[~cells.dead]
+    if len(cells) < 5:
+        return float("nan")
+    try:
+        mesh = Delaunay(cells.position)
+    except QhullError:  # all in a plane
+        return float("nan")
+    probe = float(np.median(living if living.size else cells.radius))
+    n = len(mesh.simplices)
+    wide = _openings(cells, mesh.simplices) > probe
+    # the outside is one more tetrahedron, next to all faces of the hull
+    inner, face = np.nonzero(wide)
+    beyond = np.where(mesh.neighbors < 0, n, mesh.neighbors)[inner, face]
+    ones = np.ones(inner.size, dtype=bool)
+    joined = coo_array((ones, (inner, beyond)), shape=(n + 1, n + 1))
+    _, group = connected_components(joined, directed=False)
+    centre, radius = _balls(cells.position[mesh.simplices])
+    place = mesh.find_simplex(centre)
+    closed = (place >= 0) & (group[place] != group[n]) & (group[:n] != group[n])
+    room = radius - cells.radius[mesh.simplices].max(axis=1)
+    return float(room[closed].max(initial=0.0)) if closed.any() else float("nan")
+
+
+def _openings(cells: Cells, simplices: IntArray) -> FloatArray:
+    """Return the radius of the largest ball through the face across each corner, (n, 4) µm.
+
+    Of an obtuse triangle it is less than half the longest side.
+    """
+    found = np.empty(simplices.shape)
+    for corner in range(4):
+        face = np.delete(simplices, corner, axis=1)
+        points = cells.position[face]
+        sides = np.linalg.norm(points - np.roll(points, 1, axis=1), axis=2)
+        longest, half = sides.max(axis=1), 0.5 * sides.sum(axis=1)
+        area = np.sqrt(np.maximum(half * (half[:, None] - sides).prod(axis=1), 0.0))
+        obtuse = 2.0 * longest**2 > (sides**2).sum(axis=1)
+        with np.errstate(divide="ignore"):
+            round_it = sides.prod(axis=1) / (4.0 * area)
+        found[:, corner] = np.where(obtuse, 0.5 * longest, round_it)
+        found[:, corner] -= cells.radius[face].min(axis=1)
+    return found
+
+
+def _balls(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return centres (n, 3) and radii (n,) of the balls round tetrahedra (n, 4, 3); 0 if flat."""
+    edges = corners[:, 1:] - corners[:, :1]
+    solid = np.abs(np.linalg.det(edges)) > 1e-9 * np.linalg.norm(edges, axis=2).prod(axis=1)
+    offset = np.zeros((len(corners), 3))
+    squares = 0.5 * (edges[solid] ** 2).sum(axis=2)
+    offset[solid] = np.linalg.solve(edges[solid], squares[:, :, None])[:, :, 0]
+    return corners[:, 0] + offset, np.linalg.norm(offset, axis=1)

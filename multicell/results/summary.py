@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multicell.results.contacts import counts_contacts, remembers_contacts
 from multicell.results.folder import versions
 from multicell.results.measures import observables_of
 from multicell.results.observable import TissueState, represented
+from multicell.results.observables import counts_contacts, remembers_contacts
 from multicell.results.quantities import units_of
 from multicell.scene.sizes import birth_volume
 

@@ -1,8 +1,8 @@
-"""The cells of a frame as a table, its columns titled with their units."""
+"""Frames as tables, labelled arrays and VTK's grids; pandas, xarray, pyvista load where asked."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, Phase, State
 from multicell.host.extras import needs
-from multicell.results.quantities import unit_of
+from multicell.results.folder import versions
+from multicell.results.quantities import known_unit, unit_of
 from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pandas import DataFrame
+    from pyvista import MultiBlock, PolyData
+    from xarray import Dataset
 
-    from multicell.results.frame import Frame
+    from multicell.results.frame import Field, Frame
 
 _AXES = ("x", "y", "z")
 NAMED: Final[Mapping[str, list[str]]] = {
@@ -79,3 +82,134 @@ def data_frame(table: Mapping[str, NDArray[Any]]) -> DataFrame:
 
 def _axes(width: int) -> Sequence[str]:
     return _AXES if width == len(_AXES) else [str(k) for k in range(width)]
+
+
+def history_arrays(history: Mapping[str, NDArray[np.float64]], scene: str) -> Dataset:
+    """Return the history of a run as a data set along ``time``, with units, scene and versions.
+
+    - ``history``, column name -> (m,): as that of :class:`multicell.Result`
+    - ``scene``: as TOML
+    """
+    needs("xarray")
+    import xarray
+
+    columns = {
+        name: ("time", values, {"units": unit} if (unit := known_unit(name)) else {})
+        for name, values in history.items()
+    }
+    known = {"scene": scene}
+    known |= {f"version_of_{name}": version for name, version in versions().items()}
+    return xarray.Dataset(columns, attrs=known).set_coords("time")
+
+
+def frame_arrays(frame: Frame, types: Sequence[str] = ()) -> Dataset:
+    """Return cells along ``cell`` and each field along axes of its own, with units.
+
+    - ``types``: names of the types by their numbers
+    """
+    needs("xarray")
+    import xarray
+
+    parts: dict[str, Any] = {}
+    for name, values, unit in cell_columns(frame):
+        attributes: dict[str, Any] = {"units": unit} if unit else {}
+        words = list(types) if name == "kind" else NAMED.get(name)
+        if words:  # as the conventions of CF have it
+            attributes |= {"flag_values": np.arange(len(words), dtype=values.dtype),
+                           "flag_meanings": " ".join(words)}  # fmt: skip
+        parts[name] = (("cell", "axis") if values.ndim == 2 else "cell", values, attributes)
+    places: dict[str, Any] = {"axis": list(_AXES)}
+    for field in frame.fields.values():
+        parts[field.name] = _field(field, places)
+    data: Dataset = xarray.Dataset(parts, coords=places, attrs={"step": frame.step})
+    return data.assign_coords(time=((), frame.time, {"units": "s"}))
+
+
+def _field(field: Field, places: dict[str, Any]) -> tuple[Sequence[str], Any, dict[str, Any]]:
+    """Return the axes, values and attributes of a field; its axes are added to ``places``."""
+    attributes = {"units": field.unit, "spacing": field.spacing, "origin": field.origin}
+    if field.kind == "radial":
+        name = f"r_{field.name}"
+        middles = (np.arange(field.values.size) + 0.5) * field.spacing
+        places[name] = (name, middles, {"units": "um", "long_name": "distance from origin"})
+        return [name], field.values.ravel(), attributes
+    flat = field.height > 0.0
+    names = [f"{axis}_{field.name}" for axis in _AXES[: 2 if flat else 3]]
+    for direction, name in enumerate(names):
+        places[name] = (name, field.axis(direction), {"units": "um"})
+    return names, field.values[:, :, 0] if flat else field.values, attributes
+
+
+_LATITUDES, _LONGITUDES = 12, 24  # of the boxes that a shell is cut into
+
+
+def blocks(frame: Frame, types: Sequence[str] = ()) -> MultiBlock:
+    """Return the cells and the fields of a frame by name: ``"cells"``, then those of the fields."""
+    parts: dict[str, Any] = {"cells": cells_points(frame, types)}
+    parts |= {name: field_grid(field) for name, field in frame.fields.items()}
+    import pyvista
+
+    return pyvista.MultiBlock(parts)
+
+
+def cells_points(frame: Frame, types: Sequence[str] = ()) -> PolyData:
+    """Return the cells of a frame as points with all that is known of them, in µm.
+
+    Quantities are named with their units (``radius_um``). States, phases and types are numbers,
+    as ParaView colours by numbers; what they mean stands in ``state_names`` and so on.
+
+    - ``types``: names of the types by their numbers
+    """
+    needs("pyvista")
+    import pyvista
+
+    points: PolyData = pyvista.PolyData(np.array(frame.cells.position))
+    for name, values, unit in cell_columns(frame):
+        if name != "position":
+            points.point_data[titled(name, unit)] = np.array(values)
+    names = {**NAMED, "kind": list(types)}
+    for name, words in names.items():
+        if words:
+            points.field_data[f"{name}_names"] = words
+    points.field_data["time_s"] = [frame.time]
+    return points
+
+
+def field_grid(field: Field) -> Any:
+    """Return a field on VTK's grid, with its values as those of the grid's cells, in mM and µm.
+
+    Cubes (and squares, as high as their layer) are those of the field; a shell is cut into boxes
+    along latitudes and longitudes that all have its value.
+
+    Returns pyvista.ImageData or pyvista.UnstructuredGrid.
+    """
+    needs("pyvista")
+    import pyvista
+
+    title = titled(field.name, field.unit)
+    if field.kind == "radial":
+        return _shells(pyvista, field, title)
+    shape = field.values.shape
+    high = field.height if field.height > 0.0 else field.spacing
+    grid = pyvista.ImageData(
+        dimensions=[n + 1 for n in shape],
+        spacing=(field.spacing, field.spacing, high),
+        origin=field.origin,
+    )
+    grid.cell_data[title] = field.values.ravel(order="F")
+    return grid
+
+
+def _shells(pyvista: Any, field: Field, title: str) -> Any:
+    """Return shells as boxes between radii, latitudes and longitudes."""
+    values: NDArray[np.float64] = field.values.ravel()
+    radii = np.arange(len(values) + 1) * field.spacing
+    polar = np.linspace(0.0, np.pi, _LATITUDES + 1)
+    round_about = np.linspace(0.0, 2.0 * np.pi, _LONGITUDES + 1)
+    r, theta, phi = np.meshgrid(radii, polar, round_about, indexing="ij")
+    around = r * np.sin(theta)
+    place = (around * np.cos(phi), around * np.sin(phi), r * np.cos(theta))
+    grid = pyvista.StructuredGrid(*(x + o for x, o in zip(place, field.origin, strict=True)))
+    boxes = np.broadcast_to(values[:, None, None], (len(values), _LATITUDES, _LONGITUDES))
+    grid.cell_data[title] = boxes.ravel(order="F")
+    return grid.cast_to_unstructured_grid()

@@ -60,6 +60,7 @@ from multicell.results.folder import (
     remove,
     sync_folder,
     versions,
+    with_copy,
     write_text,
 )
 from multicell.results.frame import Frame
@@ -68,7 +69,6 @@ from multicell.results.journal import Journal
 from multicell.results.lineage import COLUMNS, Lineage
 from multicell.results.reader import Contents
 from multicell.results.records import Arrays, arrays_of, log_arrays
-from multicell.results.start_copy import with_copy
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
 

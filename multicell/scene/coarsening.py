@@ -30,62 +30,49 @@ _ROUNDING: Final = 0.05
 _SIGNALS: Final = {"volume": 3, "radius": 1}
 """Signals that are a size of the cell -> power of the factor; all others stay."""
 
-_SAME: Final = """
-    title duration seed coupling_step dimensions
-    initial.shape initial.spacing initial.jitter initial.stage
-    cells.young cells.young_variation cells.poisson cells.allow_unphysical_poisson
-    cells.reaction_time cells.heritable cells.drift
-    contact.cutoff contact.decay
-    growth.cycle_time growth.law growth.target growth.parameters
-    growth.phases.*.duration growth.phases.*.distribution growth.phases.*.variation
-    growth.phases.*.shift growth.phases.*.grows
-    growth.division growth.restriction growth.cycle_variation growth.critical_pressure
-    death.necrosis_rate death.damage_time death.damage_repair_time death.damage_variation
-    surface.tension death.inflow death.core death.swelling death.swelling_time death.lysis_time
-    death.apoptosis_rate death.apoptosis_time death.removal_fraction
-    types.*.fraction types.*.young types.*.receptor types.*.ligand
-    types.*.receptor_by types.*.ligand_by types.*.cycle_scale
-    types.*.uptake_scale types.*.secretion_scale types.*.uptake_of types.*.secretion_of
-    types.*.motility_scale
-    adhesion.strength
-    motility.persistence motility.renewal motility.bias motility.direction motility.towards
-    chemotaxis.*.half haptotaxis.landscape haptotaxis.axis haptotaxis.length
-    forces.*.type forces.*.x forces.*.y forces.*.z forces.*.begin forces.*.end
-    motions.*.type motions.*.x motions.*.y motions.*.z motions.*.begin motions.*.end
-    motions.*.velocity
-    compression.bulk_modulus compression.onset domain.shape domain.radius domain.stiffness
-    domain.x domain.y domain.z domain.wall domain.young domain.poisson
-    nutrients.*.diffusion nutrients.*.diffusion_medium nutrients.*.boundary nutrients.*.media
-    nutrients.*.temperature nutrients.*.finite_medium.volume
-    nutrients.*.finite_medium.unstirred nutrients.*.finite_medium.replaced
-    nutrients.*.media_change nutrients.*.sides.*.type nutrients.*.sides.*.value
-    nutrients.*.sides.*.derivative nutrients.*.sides.*.rate nutrients.*.perfusion
-    nutrients.*.decay nutrients.*.uptake_per_volume nutrients.*.half_saturation
-    nutrients.*.quiescent_uptake nutrients.*.uptake_on.*.effect nutrients.*.uptake_on.*.half
-    nutrients.*.secretion_from nutrients.*.sources.*.x nutrients.*.sources.*.y
-    nutrients.*.sources.*.z nutrients.*.sources.*.strength nutrients.*.sources.*.flux
-    nutrients.*.regions.*.diffusion nutrients.*.regions.*.x nutrients.*.regions.*.y
-    nutrients.*.regions.*.z nutrients.*.growth_half_saturation nutrients.*.growth_inhibition
-    nutrients.*.quiescence nutrients.*.necrosis nutrients.*.necrosis_above nutrients.*.regime
-    nutrients.*.time_tolerance nutrients.*.initial nutrients.*.geometry
-    nutrients.*.roundness_limit nutrients.*.spacing nutrients.*.margin
-    nutrients.*.layer nutrients.*.height
-    energy.yields energy.growth_half_saturation energy.quiescence energy.necrosis
-    reactions.*.kind reactions.*.rate reactions.*.consumes reactions.*.produces
-    reactions.*.activated_by.*.half reactions.*.activated_by.*.exponent
-    reactions.*.inhibited_by.*.half reactions.*.inhibited_by.*.exponent reactions.*.where
-    responses.*.behaviour responses.*.signal responses.*.cells responses.*.law
-    responses.*.falls responses.*.half responses.*.power responses.*.begin responses.*.end
-    responses.*.points responses.*.base responses.*.largest responses.*.combine
-    responses.*.parameters signals.*.of signals.*.combine
-    radiation.*.dose radiation.*.times radiation.*.start radiation.*.every
-    radiation.*.fractions radiation.*.alpha radiation.*.beta radiation.*.cells
-    radiation.*.oxygen radiation.*.oer radiation.*.half_oxygen radiation.*.phase_factor
-    radiation.*.mitotic_divisions
-    integrator.method integrator.rtol integrator.max_steps integrator.step
-    integrator.max_displacement output.every
-    output.observables.*.function output.observables.*.unit
-"""
+_SAME: Final[Mapping[str, str]] = {
+    "": "title duration seed coupling_step dimensions",
+    "initial": "shape spacing jitter stage",
+    "cells": "young young_variation poisson allow_unphysical_poisson reaction_time heritable drift",
+    "contact": "cutoff decay",
+    "growth": "cycle_time law target parameters division restriction cycle_variation "
+    "critical_pressure",
+    "growth.phases.*": "duration distribution variation shift grows",
+    "death": "necrosis_rate damage_time damage_repair_time damage_variation inflow core swelling "
+    "swelling_time lysis_time apoptosis_rate apoptosis_time removal_fraction",
+    "surface": "tension",
+    "types.*": "fraction young receptor ligand receptor_by ligand_by cycle_scale uptake_scale "
+    "secretion_scale uptake_of secretion_of motility_scale",
+    "adhesion": "strength",
+    "motility": "persistence renewal bias direction towards",
+    "chemotaxis.*": "half",
+    "haptotaxis": "landscape axis length",
+    "forces.*": "type x y z begin end",
+    "motions.*": "type x y z begin end velocity",
+    "compression": "bulk_modulus onset",
+    "domain": "shape radius stiffness x y z wall young poisson",
+    "nutrients.*": "diffusion diffusion_medium boundary media temperature media_change perfusion "
+    "decay uptake_per_volume half_saturation quiescent_uptake secretion_from "
+    "growth_half_saturation growth_inhibition quiescence necrosis necrosis_above regime "
+    "time_tolerance initial geometry roundness_limit spacing margin layer height",
+    "nutrients.*.finite_medium": "volume unstirred replaced",
+    "nutrients.*.sides.*": "type value derivative rate",
+    "nutrients.*.uptake_on.*": "effect half",
+    "nutrients.*.sources.*": "x y z strength flux",
+    "nutrients.*.regions.*": "diffusion x y z",
+    "energy": "yields growth_half_saturation quiescence necrosis",
+    "reactions.*": "kind rate consumes produces where",
+    "reactions.*.activated_by.*": "half exponent",
+    "reactions.*.inhibited_by.*": "half exponent",
+    "responses.*": "behaviour signal cells law falls half power begin end points base largest "
+    "combine parameters",
+    "signals.*": "of combine",
+    "radiation.*": "dose times start every fractions alpha beta cells oxygen oer half_oxygen "
+    "phase_factor mitotic_divisions",
+    "integrator": "method rtol max_steps step max_displacement",
+    "output": "every",
+    "output.observables.*": "function unit",
+}
 """Keys that stay as they are: times, ratios, stresses, concentrations, lengths of the tissue."""
 
 LAWS: Final[Mapping[str, int | str]] = {
@@ -119,7 +106,7 @@ LAWS: Final[Mapping[str, int | str]] = {
     "pull": "breaks single contacts, which a continuum does not have",
     "forces.*.cells": "names single cells; choose them by type or region",
     "motions.*.cells": "names single cells; choose them by type or region",
-    **dict.fromkeys(_SAME.split(), 0),
+    **{f"{table}.{key}".lstrip("."): 0 for table, keys in _SAME.items() for key in keys.split()},
 }
 """Keys with stars for names -> power of the factor, or why the key cannot be scaled.
 

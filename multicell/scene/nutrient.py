@@ -11,7 +11,6 @@ import numpy as np
 from multicell.errors import SceneError
 from multicell.scene.parts import span
 from multicell.schema import (
-    Tables,
     choice,
     number,
     parameters,
@@ -34,6 +33,8 @@ _FLUX = "A cell that takes up its own volume of pure water in a second has 3e7 a
 _level = partial(quantity, "mM", at_least=0, at_most=MOST)
 _level_above_zero = partial(quantity, "mM", above=0, at_most=MOST)
 _rate = partial(quantity, "1/s", default=0.0, at_least=0, at_most=1e6)
+_diffusion = partial(quantity, "um^2/s", at_least=1e-6, at_most=1e8)
+_thickness = partial(quantity, "um", default=None, at_most=1e6)
 _flux = partial(quantity, "amol/s", at_least=0, at_most=1e9, hint=_FLUX)
 
 FACES = ("*", "r+", "x", "y", "z", "x-", "x+", "y-", "y+", "z-", "z+")
@@ -145,9 +146,7 @@ class Source:
 class Region:
     """A box with a diffusion coefficient of its own: a gel, a membrane, a wall."""
 
-    diffusion: float = quantity(
-        "um^2/s", at_least=1e-6, at_most=1e8, doc="diffusion coefficient in it, cells or not"
-    )
+    diffusion: float = _diffusion(doc="diffusion coefficient in it, cells or not")
     x: tuple[float, float] | None = span(doc="from and to; absent: all along this axis")
     y: tuple[float, float] | None = span(doc="from and to; absent: all along this axis")
     z: tuple[float, float] | None = span(doc="from and to; absent: all along this axis")
@@ -168,11 +167,8 @@ class FiniteMedium:
         doc="of the medium in all, with what the field's grid covers",
         hint="A microlitre is 1e9 um^3.",
     )
-    unstirred: float | None = quantity(
-        "um",
-        default=None,
+    unstirred: float | None = _thickness(
         at_least=1e-3,
-        at_most=1e6,
         doc="thickness of a layer on the sides of the grid that is not stirred; absent: none",
     )
     replaced: float = number(
@@ -185,20 +181,13 @@ class FiniteMedium:
 class Nutrient:
     """A dissolved substance: diffusion, boundary, Michaelis-Menten uptake, effect on the cells."""
 
-    diffusion: float = quantity(
-        "um^2/s",
+    diffusion: float = _diffusion(
         default=2000.0,
-        at_least=1e-6,
-        at_most=1e8,
         doc="diffusion coefficient",
         hint="Oxygen has 2000 um^2/s in tissue, a virus a few, a gas 2e7.",
     )
-    diffusion_medium: float | None = quantity(
-        "um^2/s",
-        default=None,
-        at_least=1e-6,
-        at_most=1e8,
-        doc="outside tissue; absent: the same everywhere",
+    diffusion_medium: float | None = _diffusion(
+        default=None, doc="outside tissue; absent: the same everywhere"
     )
     boundary: float = _level(default=0.07, doc="concentration in the medium", hint=_DENSE)
     media: tuple[tuple[float, float], ...] | None = schedule(
@@ -220,7 +209,7 @@ class Nutrient:
         ["steps", "linear"], default="steps", doc="at the times of media, or all the way between"
     )
     sides: Mapping[str, Side] = tables(
-        Side, names=FACES, default_factory=Tables, doc="absent: the medium's value on all sides"
+        Side, names=FACES, doc="absent: the medium's value on all sides"
     )
     perfusion: float = _rate(doc="exchange with the medium everywhere, a flow through")
     decay: float = _rate(doc="first-order decay")
@@ -247,7 +236,7 @@ class Nutrient:
         default=0.5, at_least=0, at_most=1, doc="uptake of a quiescent / of a proliferating cell"
     )
     uptake_on: Mapping[str, Dependence] = tables(
-        Dependence, default_factory=Tables, doc="how uptake depends on other fields, by name"
+        Dependence, doc="how uptake depends on other fields, by name"
     )
     secretion: float = _flux(default=0.0, doc="of a proliferating cell; a quiescent one as uptake")
     secretion_from: Mapping[str, float] | None = quantities(
@@ -257,11 +246,9 @@ class Nutrient:
         doc="amount secreted for each amount taken up of other fields, by name",
     )
     sources: Mapping[str, Source] = tables(
-        Source, default_factory=Tables, doc="points and planes that give it off, by name"
+        Source, doc="points and planes that give it off, by name"
     )
-    regions: Mapping[str, Region] = tables(
-        Region, default_factory=Tables, doc="boxes where it diffuses otherwise, by name"
-    )
+    regions: Mapping[str, Region] = tables(Region, doc="boxes where it diffuses otherwise, by name")
     growth_half_saturation: float | None = _level_above_zero(
         default=None, doc="of half the largest growth (Monod); absent: no effect"
     )
@@ -296,27 +283,19 @@ class Nutrient:
     spacing: float | None = quantity(
         "um", default=None, above=0, doc="of the grid; absent: by diffusion length"
     )
-    margin: float = quantity(
-        "um",
+    margin: float = _thickness(
         default=50.0,
         above=0,
-        at_most=1e6,
         doc="thickness of the unstirred layer of medium round the tissue, beyond which stirred "
         "medium has its own concentration; no meaning in a domain, or where layer is given",
     )
-    layer: float | None = quantity(
-        "um",
-        default=None,
+    layer: float | None = _thickness(
         above=0,
-        at_most=1e6,
         doc="thickness of the unstirred layer round a ball of tissue (geometry = 'radial'), in "
         "place of margin",
     )
-    height: float | None = quantity(
-        "um",
-        default=None,
+    height: float | None = _thickness(
         at_least=1e-3,
-        at_most=1e6,
         doc="of the medium in 2D that cells share, mixed from top to bottom; absent, where "
         "perfusion feeds from above or nothing is taken up: the largest cell's diameter",
     )

@@ -15,7 +15,6 @@ from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.plugins.named import OWN_OBJECT, is_recorded_object
 from multicell.schema import (
-    Tables,
     build,
     choice,
     count,
@@ -38,6 +37,7 @@ from multicell.units import shown
 
 span = partial(interval, "um", at_least=-1e6, at_most=1e6)
 """Declares the ends of something along an axis."""
+_stiffness = partial(quantity, "kPa", default=None, above=0, at_most=1e9)
 
 
 @final
@@ -187,7 +187,7 @@ class Growth:
         "", doc="of a law of the user's own, by their names"
     )
     phases: Mapping[str, PhaseLength] = tables(
-        PhaseLength, names=PHASES, default_factory=Tables, doc="absent: volume triggers division"
+        PhaseLength, names=PHASES, doc="absent: volume triggers division"
     )
     division: str = choice(
         ["instant", "smooth"],
@@ -376,7 +376,7 @@ class OutputOptions:
 
     every: float = quantity("s", default=21600.0, above=0, doc="simulated time between frames")
     observables: Mapping[str, OwnObservable] = tables(
-        OwnObservable, default_factory=Tables, doc="of the user's own, by name; absent: none"
+        OwnObservable, doc="of the user's own, by name; absent: none"
     )
 
     def check(self) -> None:
@@ -594,11 +594,7 @@ class Domain:
         above=0,
         doc="of the sphere; of the cavity of a gel, where it is at rest",
     )
-    stiffness: float | None = quantity(
-        "kPa",
-        default=None,
-        above=0,
-        at_most=1e9,
+    stiffness: float | None = _stiffness(
         doc="Young's modulus of an elastic gel round the sphere; absent: it stays as wide as it is",
     )
     x: tuple[float, float] | None = span(doc="from side x- to side x+")
@@ -610,12 +606,8 @@ class Domain:
         doc="elastic: cells press against the sides; refuse: nothing holds a cell, and the run "
         "ends when the centre of one is outside",
     )
-    young: float | None = quantity(
-        "kPa",
-        default=None,
-        above=0,
-        at_most=1e9,
-        doc="Young's modulus of elastic walls; absent: that of the cells",
+    young: float | None = _stiffness(
+        doc="Young's modulus of elastic walls; absent: that of the cells"
     )
     poisson: float | None = number(
         default=None,

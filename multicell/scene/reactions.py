@@ -9,7 +9,6 @@ from typing import Any, Protocol, final
 from multicell.errors import SceneError
 from multicell.scene.nutrient import MOST
 from multicell.schema import (
-    Tables,
     choice,
     measure,
     number,
@@ -64,10 +63,10 @@ class Reaction:
         "", at_least=1, at_most=4, doc="how many of each field are made, whole numbers"
     )
     activated_by: Mapping[str, HillTerm] = tables(
-        HillTerm, default_factory=Tables, doc="fields that a hill rate rises with"
+        HillTerm, doc="fields that a hill rate rises with"
     )
     inhibited_by: Mapping[str, HillTerm] = tables(
-        HillTerm, default_factory=Tables, doc="fields that a hill rate falls with"
+        HillTerm, doc="fields that a hill rate falls with"
     )
     where: str = choice(
         ["everywhere", "tissue", "medium"],

@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import is_dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -30,7 +31,6 @@ from multicell.scene.checks import (
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import Force, PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
-from multicell.scene.initial import Initial
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
@@ -55,10 +55,9 @@ from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
 from multicell.scene.responses import Response, Signal, check_responses
-from multicell.scene.shown import as_html, in_a_line
+from multicell.scene.start_table import Initial
 from multicell.schema import (
     SYNONYMS,
-    Tables,
     build,
     count,
     leaves,
@@ -130,9 +129,7 @@ class Scene:
     drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
     growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")
     death: Death | None = table(Death, default=None, doc="absent: necrotic cells stay")
-    types: Mapping[str, CellType] = tables(
-        CellType, default_factory=Tables, doc="absent: all cells are alike"
-    )
+    types: Mapping[str, CellType] = tables(CellType, doc="absent: all cells are alike")
     adhesion: Adhesion | None = table(Adhesion, default=None, doc="absent: no receptors")
     friction: Friction | None = table(Friction, default=None, doc="absent: only Stokes drag")
     compression: Compression | None = table(
@@ -140,36 +137,26 @@ class Scene:
     )
     motility: Motility | None = table(Motility, default=None, doc="absent: no active motion")
     chemotaxis: Mapping[str, Chemotaxis] = tables(
-        Chemotaxis, default_factory=Tables, doc="by field; absent: no force along gradients"
+        Chemotaxis, doc="by field; absent: no force along gradients"
     )
     haptotaxis: Haptotaxis | None = table(Haptotaxis, default=None, doc="absent: even ground")
     surface: Surface | None = table(Surface, default=None, doc="absent: only contacts hold tissue")
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
-    forces: Mapping[str, Force] = tables(
-        Force, default_factory=Tables, doc="from outside, on named cells; absent: none"
-    )
+    forces: Mapping[str, Force] = tables(Force, doc="from outside, on named cells; absent: none")
     motions: Mapping[str, PrescribedMotion] = tables(
-        PrescribedMotion, default_factory=Tables, doc="of named cells; absent: all move freely"
+        PrescribedMotion, doc="of named cells; absent: all move freely"
     )
     domain: Domain | None = table(Domain, default=None, doc="absent: fields follow the cells")
-    nutrients: Mapping[str, Nutrient] = tables(
-        Nutrient,
-        default_factory=Tables,
-        doc="absent: no cell ever starves",
-    )
+    nutrients: Mapping[str, Nutrient] = tables(Nutrient, doc="absent: no cell ever starves")
     energy: Energy | None = table(Energy, default=None, doc="absent: fields act each by itself")
-    reactions: Mapping[str, Reaction] = tables(
-        Reaction, default_factory=Tables, doc="between fields; absent: none"
-    )
+    reactions: Mapping[str, Reaction] = tables(Reaction, doc="between fields; absent: none")
     responses: Mapping[str, Response] = tables(
-        Response, default_factory=Tables, listed="response",
-        doc="of what cells do to what they find; absent: none but those of single keys",
+        Response, listed="response",
+        doc="of what cells do to what they find; absent: none but those of single keys"
     )  # fmt: skip
-    signals: Mapping[str, Signal] = tables(
-        Signal, default_factory=Tables, doc="derived from others, by name; absent: none"
-    )
+    signals: Mapping[str, Signal] = tables(Signal, doc="derived from others, by name; absent: none")
     radiation: Mapping[str, Radiation] = tables(
-        Radiation, default_factory=Tables, doc="courses of irradiation; absent: none"
+        Radiation, doc="courses of irradiation; absent: none"
     )
     integrator: IntegratorOptions = table(
         IntegratorOptions, default_factory=IntegratorOptions, shorthand="method", doc="the method"
@@ -204,7 +191,7 @@ class Scene:
         check_nutrients(self)
         check_energy(self)
         if self.reactions:
-            from multicell.scene.reaction_checks import check_reactions
+            from multicell.scene.checks import check_reactions
 
             check_reactions(self)
         check_radiation(self)
@@ -472,3 +459,36 @@ def _keys(entries: Any) -> tuple[str, ...]:
         return ()
     ((key, inner),) = entries.items()
     return (key, *_keys(inner))
+
+
+def key_facts(scene: Scene) -> dict[str, str]:
+    """Return what one would ask first of a scene, in words."""
+    hours = scene.duration / 3600.0
+    facts = {
+        "cells at the start": f"{scene.initial.count:,}",
+        "duration": f"{hours / 24.0:g} d" if hours >= 72.0 else f"{hours:g} h",
+        "types": ", ".join(scene.types),
+        "fields": ", ".join(scene.nutrients),
+        "integrator": scene.integrator.method,
+        "seed": str(scene.seed),
+    }
+    return {name: text for name, text in facts.items() if text}
+
+
+def in_a_line(scene: Scene) -> str:
+    """Return a scene in a line."""
+    facts = ", ".join(f"{name}: {text}" for name, text in key_facts(scene).items())
+    return f"<Scene {scene.title!r}, {facts}>"
+
+
+def as_html(scene: Scene) -> str:
+    """Return a scene as HTML: key facts, and all keys where one opens them."""
+    rows = "".join(
+        f"<tr><th style='text-align:left'>{name}</th><td style='text-align:left'>"
+        f"{escape(text)}</td></tr>"
+        for name, text in key_facts(scene).items()
+    )
+    return (
+        f"<div><b>{escape(scene.title or 'Untitled scene')}</b><table>{rows}</table>"
+        f"<details><summary>All keys</summary><pre>{escape(scene.to_toml())}</pre></details></div>"
+    )

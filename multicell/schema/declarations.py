@@ -442,16 +442,12 @@ def variant(
 
 
 def tables(
-    part: type[Any],
-    *,
-    default_factory: Any,
-    names: Iterable[str] | None = None,
-    doc: str = "",
-    listed: str = "",
+    part: type[Any], *, names: Iterable[str] | None = None, doc: str = "", listed: str = ""
 ) -> Any:
     """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be.
 
-    With ``listed`` a list of tables is read too: they are named by it and their number from 1 on.
+    By default it is empty. With ``listed`` a list of tables is read too: they are named by it and
+    their number from 1 on.
     """
     known = tuple(names or ())
 
@@ -472,7 +468,7 @@ def tables(
         return entry if isinstance(entry, part) else build(part, entry, path)
 
     return declare(
-        "tables", convert, MISSING, default_factory,
+        "tables", convert, MISSING, Tables,
         plain=lambda value: {name: plain(entry) for name, entry in value.items()},
         doc=doc, table=part, options=known, listed=listed,
     )  # fmt: skip

@@ -172,7 +172,7 @@ def with_unique_names(axes: Iterable[Axis | Range]) -> list[Any]:
         for count in range(1, len(parts) + 1):
             name = ".".join(parts[-count:])
             others = (key for key in keys if key != axis.key)
-            if name not in taken and not any(_ends_with(key, name) for key in others):
+            if name not in taken and not any(f".{key}".endswith(f".{name}") for key in others):
                 break
         result.append(replace(axis, name=name))
     return result
@@ -185,10 +185,6 @@ def _reserved() -> set[str]:
 
     own = {"point", "state", "reason", *own_names()}
     return own | {name for name in UNITS if "." not in name}
-
-
-def _ends_with(key: str, name: str) -> bool:
-    return key == name or key.endswith(f".{name}")
 
 
 def _listed(key: Key, text: str) -> list[Any]:
@@ -324,7 +320,7 @@ def _example(key: Key) -> str:
 
 def check_ranges(scene: Scene, ranges: Sequence[Range]) -> None:
     """Refuse ranges that do not fit to a scene."""
-    from multicell.studies.ineffective import refuse_ineffective
+    from multicell.studies.keys import refuse_ineffective
 
     for free in ranges:
         others = [other for other in ranges if other is not free]

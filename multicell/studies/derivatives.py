@@ -29,7 +29,7 @@ from multicell.units import finite, shown
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.studies.task import Outcome
+    from multicell.studies.engine import Outcome
 
 SMALL: Final = 0.02
 """Steps below this seldom help: tissues of one seed part whatever the step."""

@@ -16,10 +16,12 @@ from typing import Any, Final, final
 
 from multicell.errors import DataError, SceneError
 from multicell.scene.scene import Scene
-from multicell.studies.axes import Axis, Range, parse_axis, parse_range, with_unique_names
+from multicell.schema import near_miss
+from multicell.studies import axes as of
+from multicell.studies.axes import Axis, Range, bare, is_numeric, parse_axis, parse_range
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_runs
-from multicell.tables.fields import Table, read_table
+from multicell.tables.columns import Table, read_table
 from multicell.tables.titles import split_title
 from multicell.units import shown
 
@@ -64,26 +66,23 @@ class Design:
 
     def __post_init__(self) -> None:
         check_form(self)
-        object.__setattr__(self, "axes", tuple(with_unique_names(self.axes)))
+        object.__setattr__(self, "axes", tuple(of.with_unique_names(self.axes)))
         object.__setattr__(self, "points", tuple(_points(self)))
 
 
 def check_form(design: Design) -> None:
     """Refuse a design whose parts do not go together, or that has too many points."""
     if design.kind not in DESIGNS:
-        from multicell.schema import near_miss
-
         problem = f"is {shown(design.kind)}, must be one of {', '.join(DESIGNS)}"
         raise SceneError("design", problem, near_miss(design.kind, DESIGNS, listed=False))
     if design.kind in SAMPLED:
         _check_sample(design)
     else:
         _check_lists(design)
-    seen: set[str] = set()
-    for axis in design.axes:
-        if axis.key in seen:
-            raise SceneError(axis.key, "is varied twice", "Give all its values at once.")
-        seen.add(axis.key)
+    keys = [axis.key for axis in design.axes]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise SceneError(key, "is varied twice", "Give all its values at once.")
 
 
 def _check_sample(design: Design) -> None:
@@ -188,17 +187,10 @@ def parse_axis_or_range(key: str, given: Any, scene: Scene, sampled: bool = Fals
         return given
     if sampled and isinstance(given, tuple):
         return parse_range(key, given, scene)
-    if isinstance(given, str) and given.count(":") == 1 and not given.lstrip().startswith("["):
-        from multicell.studies.axes import is_numeric
-
-        if is_numeric(key_of(scene, key)):
-            return parse_range(key, given, scene)
+    colon = isinstance(given, str) and given.count(":") == 1
+    if colon and not given.lstrip().startswith("[") and is_numeric(key_of(scene, key)):
+        return parse_range(key, given, scene)
     return parse_axis(key, given, scene)
-
-
-def parse_column(key: str, values: Sequence[Any], scene: Scene) -> Axis:
-    """Return a column of a list of points: a value may stand there more than once."""
-    return parse_axis(key, values, scene, repeated=True)
 
 
 def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
@@ -221,8 +213,6 @@ def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
 
 def _column(table: Table, title: str, cells: Sequence[str], scene: Scene) -> Axis:
     """Return one column of a table of points."""
-    from multicell.studies.axes import bare, is_numeric
-
     name, unit = split_title(title)
     if not name:
         raise SceneError("points", f"'{table.name}' has a column without a key in its header")
@@ -243,4 +233,4 @@ def _column(table: Table, title: str, cells: Sequence[str], scene: Scene) -> Axi
         except SceneError as error:
             raise SceneError(name, f"{error.problem} ({where})", error.hint) from None
         values.append(value)
-    return parse_column(name, values, scene)
+    return parse_axis(name, values, scene, repeated=True)

@@ -19,16 +19,9 @@ from multicell.errors import SceneError
 from multicell.host.files import parse_toml, read_regular
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
-from multicell.studies.axes import Axis, Range, change
-from multicell.studies.design import (
-    SAMPLED,
-    Design,
-    Point,
-    parse_axis_or_range,
-    parse_column,
-    read_points,
-)
-from multicell.studies.ineffective import refuse_ineffective
+from multicell.studies.axes import Axis, Range, change, parse_axis
+from multicell.studies.design import SAMPLED, Design, Point, parse_axis_or_range, read_points
+from multicell.studies.keys import refuse_ineffective
 from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown, to_base
@@ -68,7 +61,9 @@ class Plan:
     """Of every point, with the first seed."""
 
     def __post_init__(self) -> None:
-        _check_counts(self)
+        check_runs(len(self.design.points), check_seeds(self.seeds, self.scene.seed))
+        if self.every is not None and not self.every > 0.0:
+            raise SceneError("every", f"is {self.every:g} s, must be above 0 s")
         if self.integrator:
             from multicell.runner import integrated_by
 
@@ -101,16 +96,11 @@ class Plan:
 
         - ``expected``, per point, s: wall time that one of its runs takes
         """
-        return [
-            Run(
-                name=name,
-                scene=scene,
-                coordinates={**self.points[k].coordinates, "seed": scene.seed},
-                expected=expected[k],
-                integrator=self.integrator,
-            )
-            for name, (k, scene) in zip(self.names, self._each(), strict=True)
-        ]
+        made = []
+        for name, (k, scene) in zip(self.names, self._each(), strict=True):
+            where = {**self.points[k].coordinates, "seed": scene.seed}
+            made.append(Run(name, scene, where, expected[k], self.integrator))
+        return made
 
     def _each(self) -> Iterator[tuple[int, Scene]]:
         """Yield number of the point and scene of each run."""
@@ -132,13 +122,6 @@ class Plan:
     def to_toml(self) -> str:
         """Return the text of ``study.toml``, which :func:`read_plan` reads back exactly."""
         return "\n".join(_lines(self)) + "\n"
-
-
-def _check_counts(plan: Plan) -> None:
-    """Refuse numbers of seeds, and times between rows, that are none."""
-    check_runs(len(plan.design.points), check_seeds(plan.seeds, plan.scene.seed))
-    if plan.every is not None and not plan.every > 0.0:
-        raise SceneError("every", f"is {plan.every:g} s, must be above 0 s")
 
 
 def make_plan(
@@ -175,12 +158,8 @@ def make_plan(
         raise SceneError("points", "is missing: a list needs its points")
     else:
         axes = _parse_vary(vary, scene, design in SAMPLED)
-    made = Design(
-        kind=design,
-        axes=axes,
-        size=_size(size, design),
-        sample_seed=whole("sample_seed", sample_seed, 0, 2**63 - 1),
-    )
+    first = whole("sample_seed", sample_seed, 0, 2**63 - 1)
+    made = Design(design, axes, _size(size, design), first)
     rows = None if every is None else to_base(every, "s", "every")
     seeds = check_seeds(seeds, scene.seed)
     return Plan(scene, made, seeds, rows, integrator)
@@ -229,7 +208,7 @@ def _columns(points: Any, scene: Scene) -> tuple[Axis, ...]:
                 problem = f"has other keys in row {k + 1} than in row 1"
                 raise SceneError("points", problem, "Every point needs a value of every key.")
         table = {key: [row[key] for row in flat] for key in flat[0]}
-    return tuple(parse_column(key, values, scene) for key, values in table.items())
+    return tuple(parse_axis(key, table[key], scene, repeated=True) for key in table)
 
 
 def _flat(entries: Mapping[str, Any], path: str = "") -> dict[str, Any]:

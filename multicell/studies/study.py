@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     import xarray
 
     from multicell.scene.scene import Scene
+    from multicell.studies.engine import Outcome
     from multicell.studies.plots import StudyPlots
     from multicell.studies.status import RunStatus
-    from multicell.studies.task import Outcome
 
 
 @final
@@ -87,15 +87,7 @@ class Study:
         list of Outcome
             In the order of :attr:`runs`. A run that failed is one of them, with its reason.
         """
-        from multicell.studies.task import Outcome
-
-        if all(state.state == "done" for state in self.status()):
-            outcomes = [Outcome(name, "done", reused=True) for name in self.plan.names]
-            if progress is not None:
-                for outcome in dict.fromkeys(outcomes):
-                    progress(outcome)
-            return outcomes
-        from multicell.studies.engine import carry_out  # it loads what runs need
+        from multicell.studies.engine import carry_out
 
         return carry_out(
             self.runs, self.folder, cores=cores, scheduler=scheduler, progress=progress, retry=retry
@@ -264,8 +256,7 @@ def load_study(folder: str | Path, *, integrator: str = "") -> Study:
 
 def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
     """Write a plan to a folder, and return the study."""
-    from multicell.results.folder import make_folder, write_text
-    from multicell.results.start_copy import with_copy
+    from multicell.results.folder import make_folder, with_copy, write_text
 
     folder = Path(folder)
     there = (folder / NAME).is_file()

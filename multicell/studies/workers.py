@@ -190,23 +190,16 @@ def _client(kind: type[Client], place: Any, security: Any = None) -> Client:
         )
         return client
     except Exception as error:
-        _give_up(client)
+        # left to the garbage collector it would be closed at any moment, also while another one
+        # holds the lock of Dask's loops, for which both would wait for ever
+        _close(client)
+        client.status = "closed"  # what is closed is not closed once more
         said = " ".join(str(error).split()) or type(error).__name__
         raise ClusterError(
             f"the scheduler '{place}' does not answer within {ANSWER:g} s ({said[:200]})",
             "'dask scheduler' starts one and says its address, such as tcp://10.0.0.7:8786. "
             "Nothing has run",
         ) from error
-
-
-def _give_up(client: Any) -> None:
-    """End a client that could not be made.
-
-    Left to the garbage collector it would be closed at any moment, also while another one holds the
-    lock of Dask's loops, for which both would wait for ever.
-    """
-    _close(client)
-    client.status = "closed"  # what is closed is not closed once more
 
 
 def _close(client: Any) -> None:

@@ -11,8 +11,7 @@ import multicell as mc
 from multicell import SceneError, Simulation
 from multicell.biology.surface import surface_force
 from multicell.cells import SPHERE, State
-from multicell.results.holes import largest_hole
-from multicell.results.observables import Extent
+from multicell.results.observables import Extent, largest_hole
 
 TENSION = 0.3
 

@@ -10,7 +10,7 @@ import pytest
 import multicell as mc
 from multicell.calibration.coarse_to_fine import BESIDE, PAIRS
 from multicell.calibration.fit import plan_of
-from multicell.calibration.fresh import CHECKS
+from multicell.calibration.likelihood import CHECKS
 from multicell.calibration.simulator import Reading
 
 SCENE = mc.load_scene("growth").with_changes(
@@ -72,8 +72,16 @@ def truth():
     return {"cycle_time": cycle.value(TRUTH[0]), "division_radius": radius.value(TRUTH[1])}
 
 
-def test_coarse_runs_are_corrected_by_fine_ones(tmp_path):
-    found = asked(output=tmp_path, budget=160)
+@pytest.fixture(scope="module")
+def corrected(tmp_path_factory):
+    """Return a fit, its folder, and the fine and the coarse runs that were made."""
+    folder = tmp_path_factory.mktemp("fit")
+    found = asked(output=folder, budget=160)
+    return found, folder, list(FINE), list(COARSE)
+
+
+def test_coarse_runs_are_corrected_by_fine_ones(corrected):
+    found = corrected[0]
     for name, value in truth().items():
         interval = found.intervals(0.99)[name]
         assert interval.low < value < interval.high
@@ -85,27 +93,27 @@ def test_coarse_runs_are_corrected_by_fine_ones(tmp_path):
     assert ratios[::2] == pytest.approx([wanted] * 5, rel=0.02)
 
 
-def test_runs_are_counted(tmp_path):
-    found = asked(output=tmp_path, budget=160)
+def test_runs_are_counted(corrected):
+    found, folder, fine, coarse = corrected
     account = found.facts["coarse"]
-    assert account["runs"] == {"coarse": len(COARSE), "fine": len(FINE)}
-    assert len(FINE) == PAIRS + 12 + CHECKS
-    assert len(set(FINE)) == len(FINE)
-    assert len(set(COARSE)) == len(COARSE)
-    assert sum(key[2] > max(found.problem.seeds) + 1000 for key in COARSE) >= PAIRS * BESIDE
+    assert account["runs"] == {"coarse": len(coarse), "fine": len(fine)}
+    assert len(fine) == PAIRS + 12 + CHECKS
+    assert len(set(fine)) == len(fine)
+    assert len(set(coarse)) == len(coarse)
+    assert sum(key[2] > max(found.problem.seeds) + 1000 for key in coarse) >= PAIRS * BESIDE
     assert account["fine_runs_alone"] == plan_of(SCENE, data(0), FREE, budget=160).runs
     assert account["saved"] == pytest.approx(
         1.0 - account["seconds"] / account["fine_seconds_alone"]
     )
     assert any("coarse runs" in note for note in found.notes)
-    assert (tmp_path / "fine" / "report.html").is_file()
-    stored = mc.load_fit(tmp_path / "fine")
+    assert (folder / "fine" / "report.html").is_file()
+    stored = mc.load_fit(folder / "fine")
     assert stored.best.values == found.best.values
     assert stored.facts["coarse"] == account
     with pytest.raises(mc.SceneError, match="coarse runs"):
-        plan_of(SCENE, data(0), FREE, reuse=tmp_path / "fine")
+        plan_of(SCENE, data(0), FREE, reuse=folder / "fine")
     # nothing is run twice
-    again = asked(output=tmp_path, budget=160)
+    again = asked(output=folder, budget=160)
     assert not FINE
     assert not COARSE
     assert again.best.values == found.best.values

@@ -11,7 +11,7 @@ import pytest
 import multicell as mc
 from multicell.calibration.data import read_data
 from multicell.errors import DataError
-from multicell.studies.observed import at_the_end, in_history
+from multicell.studies.readings import at_the_end, in_history
 
 SCENE = mc.load_scene("spheroid")
 

@@ -14,8 +14,6 @@ from multicell.calibration.dose_curve import dose_at, draw_means, fit_curve, hil
 from multicell.calibration.dose_response import plan_of
 from multicell.cli.main import main
 from multicell.errors import DataError, FitFailed, SceneError
-from multicell.studies import engine
-from multicell.studies.task import do_run, task
 
 DOSES = np.concatenate([[0.0], np.geomspace(0.03, 30.0, 8)])
 KNOWN = np.array([0.1, 1.0, 0.0, 1.5])  # bottom, top, log EC50, h
@@ -274,20 +272,6 @@ def test_the_dose_of_a_schedule_takes_the_place_of_each_concentration_above_zero
         (3600.0, 0.01), (7200.0, 0.0), (10800.0, 0.01),
     )  # fmt: skip
     assert all(level == 0.0 for _, level in plan.study.scenes[0].nutrients["drug"].media)
-
-
-@pytest.fixture
-def here(monkeypatch):
-    """Carry runs out in this process, as a worker would; keep the names of those that ran."""
-    ran = []
-
-    def carry_out(runs, folder, **_):
-        outcomes = [do_run(task(run, folder, False)) for run in runs]
-        ran.extend(outcome.name for outcome in outcomes if not outcome.reused)
-        return outcomes
-
-    monkeypatch.setattr(engine, "carry_out", carry_out)
-    return ran
 
 
 def test_a_study_through_the_command(tmp_path, here):

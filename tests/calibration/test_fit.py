@@ -17,8 +17,7 @@ from click.testing import CliRunner
 import multicell as mc
 from multicell.calibration.data import Datum, read_data
 from multicell.calibration.fit import plan_of
-from multicell.calibration.fresh import _check
-from multicell.calibration.likelihood import scatter_of
+from multicell.calibration.likelihood import _check, scatter_of
 from multicell.calibration.pool import Pool, open_pool
 from multicell.calibration.problem import ranges_of
 from multicell.calibration.search import Search

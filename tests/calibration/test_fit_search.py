@@ -10,18 +10,18 @@ import pytest
 from cheap_fits import MATRIX, Growing, Linear, calls_of, exact, linear, measured, stopping
 from scipy import stats
 
-from multicell.calibration.distance import (
+from multicell.calibration.emulator import draws, emulator
+from multicell.calibration.noise import Noise
+from multicell.calibration.pool import Pool
+from multicell.calibration.priors import Prior
+from multicell.calibration.problem import (
     ABSENT,
+    Problem,
     groups_of,
     misfit,
     scale_readings,
     scales,
 )
-from multicell.calibration.emulator import draws, emulator
-from multicell.calibration.noise import Noise
-from multicell.calibration.pool import Pool
-from multicell.calibration.priors import Prior
-from multicell.calibration.problem import Problem
 from multicell.calibration.search import Search, emulator_of
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed
@@ -157,7 +157,7 @@ def test_draws_of_an_emulator_have_the_posterior_in_closed_form():
     runs = np.array([problem.simulator(x, 0, 0).values for x in shares])
     residuals = (runs - problem.observed) / problem.sigma
     found = emulator(shares, residuals, np.zeros_like(residuals), (residuals**2).sum(axis=1))
-    drawn = draws(found.loss, Prior(2), seed=1, count=20_000)
+    drawn = draws(found.loss, Prior(2), seed=1, count=6_000)
     mean, covariance = exact(problem)
     np.testing.assert_allclose(drawn.mean(axis=0), mean, atol=0.003)
     np.testing.assert_allclose(np.cov(drawn.T), covariance, atol=0.08 * covariance.max())
@@ -188,7 +188,7 @@ def test_scatter_of_runs_widens_what_the_data_leave_open():
     noisy = linear(MATRIX, [0.45, 0.62, 1.01, -0.21], 0.02, noise=0.04, seeds=60)
     known = Search(noisy, None, seed=1).run(Pool(), 30)
     found = emulator_of(noisy, known)
-    drawn = draws(found.loss, Prior(2), seed=2, count=10_000)
+    drawn = draws(found.loss, Prior(2), seed=2, count=3_000)
     _, covariance = exact(noisy)
     np.testing.assert_allclose(drawn.std(axis=0), np.sqrt(np.diag(covariance)), rtol=0.2)
 

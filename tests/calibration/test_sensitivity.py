@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from studied import in_this_process
 
 import multicell as mc
 from multicell.calibration.indices import analyse, sample
@@ -17,7 +18,6 @@ from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 from multicell.studies import engine
 from multicell.studies.axes import parse_ranges
-from multicell.studies.task import do_run, task
 
 CELL = mc.Scene.from_dict(
     {"title": "One cell", "duration": "10 min", "coupling_step": "5 min", "initial": {"count": 1},
@@ -166,33 +166,22 @@ def test_without_values_nothing_is_claimed():
     assert any("no index is known" in note for note in result.notes)
 
 
-@pytest.fixture
-def here(monkeypatch):
-    """Carry runs out in this process, as a worker would; keep the names of those that ran."""
-    ran = []
-
-    def carry_out(runs, folder, *, progress=None, **options):
-        outcomes = []
-        for run in runs:
-            outcome = do_run(task(run, folder, False))
-            if not outcome.reused:
-                ran.append(run.name)
-            outcomes.append(outcome)
-            if progress is not None:
-                progress(outcome)
-        return outcomes
-
-    monkeypatch.setattr(engine, "carry_out", carry_out)
-    return ran
-
-
 def asked(folder, free=ONE, **options):
     given = {"size": 4, "observables": ["diameter"], "output": folder, "report": False}
     return mc.sensitivity(CELL, free, **(given | options))
 
 
-def test_the_diameter_of_one_cell_depends_on_its_size_alone(tmp_path, here):
-    result = asked(tmp_path, FREE, seeds=2)
+@pytest.fixture(scope="module")
+def analysis(tmp_path_factory):
+    """Return the analysis of one cell, over two seeds, and its folder."""
+    folder = tmp_path_factory.mktemp("analysis")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        in_this_process(monkeypatch)
+        return asked(folder, FREE, seeds=2), folder
+
+
+def test_the_diameter_of_one_cell_depends_on_its_size_alone(analysis):
+    result, _ = analysis
     # a young cell has half the volume of one that divides
     wanted = 2.0 * (8.0 - 5.0) / 2.0 ** (1.0 / 3.0)
     row = result.index("diameter", "cells.division_radius")
@@ -217,9 +206,9 @@ def test_nothing_is_computed_twice(tmp_path, here):
     assert len(here) == len(names)
 
 
-def test_an_analysis_is_a_study_whose_runs_can_be_looked_at(tmp_path, here):
-    result = asked(tmp_path, FREE)
-    study = mc.load_study(tmp_path)
+def test_an_analysis_is_a_study_whose_runs_can_be_looked_at(analysis):
+    result, folder = analysis
+    study = mc.load_study(folder)
     assert {state.state for state in study.status()} == {"done"}
     assert [run.name for run in study.runs] == [row["name"] for row in result.runs]
     ends = study.to_xarray()["diameter"].isel(time=-1).values.ravel()
@@ -323,7 +312,7 @@ def test_the_command_writes_tables_pictures_and_a_page(tmp_path, here):
     assert "http" not in html.replace("http-equiv", "")
 
 
-def test_the_command_takes_an_observable_of_the_users_own(tmp_path, here):
+def test_the_command_takes_an_observable_of_the_users_own_and_tells_the_table(tmp_path, here):
     file = tmp_path / "mine.py"
     file.write_text(
         "import multicell as mc\n\n"
@@ -331,8 +320,8 @@ def test_the_command_takes_an_observable_of_the_users_own(tmp_path, here):
         "def twice(state):\n"
         "    return 2.0 * float(state.cells.radius[0])\n"
     )
-    done = command(tmp_path, "--observable", f"{file}:twice", "--observable", "diameter",
-                   "--no-report", "--json")  # fmt: skip
+    asking = ("--observable", f"{file}:twice", "--observable", "diameter", "--no-report")
+    done = command(tmp_path, *asking, "--json")
     assert done.exit_code == 0, done.output
     rows = json.loads(done.stdout)["table"]
     own, known = (
@@ -340,10 +329,9 @@ def test_the_command_takes_an_observable_of_the_users_own(tmp_path, here):
         for name in ("twice_the_radius", "diameter")
     )
     assert own == pytest.approx(known)
-
-
-def test_the_command_tells_the_table_and_asks_nothing_of_what_is_short(tmp_path, here):
-    done = command(tmp_path, "--no-report")
+    count = len(here)
+    done = command(tmp_path, *asking)  # in words, asking nothing of what is short
+    assert len(here) == count
     assert done.exit_code == 0, done.output
     assert "division_radius" in done.stdout
     assert "one seed: the noise is unknown" in done.stdout

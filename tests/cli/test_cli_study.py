@@ -17,8 +17,8 @@ import multicell as mc
 from multicell.cli.main import main
 from multicell.cli.study_progress import Pace
 from multicell.studies import study as studies
+from multicell.studies.engine import Outcome
 from multicell.studies.runs import Run
-from multicell.studies.task import Outcome
 
 SET = [f"--set={key}={value}" for key, value in SHORT.items()]
 OXYGEN, LENGTH = "nutrients.oxygen.boundary", "growth.phases.G1.duration"

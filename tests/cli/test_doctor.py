@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from multicell import __version__
 from multicell.cli.main import main
-from multicell.host import doctor
+from multicell.host import extras as doctor
 
 
 @pytest.fixture

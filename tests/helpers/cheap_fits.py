@@ -12,7 +12,7 @@ import numpy as np
 import multicell as mc
 from multicell.calibration.data import Condition, Datum, Measured
 from multicell.calibration.fitted import Fit
-from multicell.calibration.fresh import fresh
+from multicell.calibration.likelihood import fresh
 from multicell.calibration.pool import InProcessExecutor, Pool
 from multicell.calibration.problem import Problem
 from multicell.calibration.profiles import check_ends

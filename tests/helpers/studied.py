@@ -15,7 +15,8 @@ from signals import listening
 
 import multicell as mc
 from multicell.cli.process import exit_code
-from multicell.studies.engine import carry_out
+from multicell.studies import engine
+from multicell.studies.engine import carry_out, do_run, task
 from multicell.studies.runs import Run, digest
 from multicell.studies.status import status
 
@@ -58,6 +59,25 @@ def started(folder, count, *more, **options):
         command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         start_new_session=True, preexec_fn=listening, **options,
     )  # fmt: skip
+
+
+def in_this_process(monkeypatch):
+    """Carry runs of studies out in this process, as a worker would; return the names of those."""
+    ran = []
+
+    def carried_out(runs, folder, *, progress=None, **options):
+        outcomes = []
+        for run in runs:
+            outcome = do_run(task(run, folder, False))
+            if not outcome.reused:
+                ran.append(run.name)
+            outcomes.append(outcome)
+            if progress is not None:
+                progress(outcome)
+        return outcomes
+
+    monkeypatch.setattr(engine, "carry_out", carried_out)
+    return ran
 
 
 def family(process):

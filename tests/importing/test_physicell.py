@@ -10,8 +10,8 @@ from scipy.stats import expon
 
 import multicell as mc
 from multicell.biology.durations import quantile
-from multicell.importing.account import Fate
-from multicell.importing.xml import read_xml
+from multicell.importing.files import read_xml
+from multicell.importing.imported import Fate
 from multicell.scene.pairs import pair_of
 
 MM_HG = 0.133322387415 * 0.01052

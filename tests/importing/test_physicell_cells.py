@@ -13,8 +13,8 @@ from physicell_project import writer
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.importing.account import Fate
-from multicell.importing.xml import read_xml
+from multicell.importing.files import read_xml
+from multicell.importing.imported import Fate
 
 TITLED = """x,y,z,type,volume,cycle entry,custom:GFP
 0,0,0,tumour cell,3000,skip,

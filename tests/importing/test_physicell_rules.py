@@ -11,7 +11,7 @@ from multicell.behaviours.catalogue import CROWDED
 from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm, value_of
 from multicell.biology.signals import other_signals
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.results.observables import contact_rows
 
 MM_HG = 0.133322387415 * 0.01052

@@ -20,7 +20,7 @@ from multicell.cli.main import main
 from multicell.report.exports import FORMATS, TABLES, simularium
 from multicell.results.frame import Field
 from multicell.results.quantities import unit_of
-from multicell.results.vtk_grids import field_grid
+from multicell.results.tables import field_grid
 from multicell.tables.titles import titled
 
 

@@ -9,8 +9,7 @@ import pytest
 
 import multicell as mc
 from multicell.cells import State
-from multicell.results.frame import Frame
-from multicell.results.named import Named
+from multicell.results.frame import Frame, Named
 
 SMALL = mc.load_scene("growth").with_changes({"duration": "4 h", "output.every": "1 h"})
 

@@ -5,7 +5,7 @@ import pytest
 from synthetic import cells_at
 
 from multicell.biology.initial import packed_ball
-from multicell.results.holes import largest_hole
+from multicell.results.observables import largest_hole
 
 
 def _without(inside):

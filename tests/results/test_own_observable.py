@@ -20,7 +20,7 @@ from multicell.results.measures import OBSERVABLES, observables_of
 from multicell.results.observable import OWN
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import parse_range
-from multicell.studies.observed import in_history
+from multicell.studies.readings import in_history
 
 TEXT = """
 import multicell as mc

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from multicell.errors import SceneError
 from multicell.schema import (
     Bounds,
-    Tables,
     build,
     choice,
     chosen,
@@ -67,7 +66,9 @@ class Outer:
     inner: Inner = table(Inner, default_factory=Inner, shorthand="size")
     extra: Inner | None = table(Inner, default=None)
     surface: Any = variant(SURFACES, key="type", usual="rough", default_factory=Rough)
-    many: Any = tables(Inner, default_factory=Tables)
+    many: Any = tables(
+        Inner,
+    )
 
     def check(self) -> None:
         if self.inner.size > self.length:

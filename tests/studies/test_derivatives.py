@@ -9,23 +9,11 @@ from scipy import optimize, stats
 
 import multicell as mc
 from multicell.studies import derivatives, engine
-from multicell.studies.task import do_run, task
 
 CELL = mc.Scene.from_dict({"duration": "10 min", "coupling_step": "5 min", "seed": 4})
 
 
-@pytest.fixture(autouse=True)
-def here(monkeypatch):
-    """Make runs in this process; yield the names of those that were made."""
-    made = []
-
-    def carry_out(runs, folder, *, progress=None, **options):
-        outcomes = [do_run(task(run, folder, False)) for run in runs]
-        made.extend(o.name for o in outcomes if not o.reused)
-        return outcomes
-
-    monkeypatch.setattr(engine, "carry_out", carry_out)
-    return made
+pytestmark = pytest.mark.usefixtures("here")
 
 
 def test_size_of_a_cell():

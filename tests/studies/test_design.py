@@ -13,7 +13,7 @@ from scipy.stats import qmc
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import parse_axis, parse_range
-from multicell.studies.design import Design, parse_axis_or_range, parse_column, read_points
+from multicell.studies.design import Design, parse_axis_or_range, read_points
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
 LENGTH = "growth.phases.G1.duration"
@@ -110,8 +110,8 @@ def test_what_is_no_design_is_told(make, said):
 
 def test_a_row_stands_in_a_list_once():
     columns = (
-        parse_column(GLUCOSE, ["0.8 mM", "800 uM", "1 mM"], EMT6),
-        parse_column("cells.young", [1.0, 1.0, 1.0], EMT6),
+        parse_axis(GLUCOSE, ["0.8 mM", "800 uM", "1 mM"], EMT6, repeated=True),
+        parse_axis("cells.young", [1.0, 1.0, 1.0], EMT6, repeated=True),
     )
     with pytest.raises(SceneError, match="the same point twice, as number 1 and 2"):
         Design("list", columns)

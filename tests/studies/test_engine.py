@@ -17,9 +17,8 @@ from multicell.errors import ClusterError, SceneError
 from multicell.results.documents import write_table
 from multicell.results.folder import lock_folder
 from multicell.studies import engine
-from multicell.studies.engine import carry_out
+from multicell.studies.engine import carry_out, do_run, task
 from multicell.studies.status import NOTE
-from multicell.studies.task import do_run, task
 from multicell.studies.workers import workers
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.cells import SPHERE
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _INSTANT = 1.0
 """Length of a phase that a model does not have, s."""
@@ -386,8 +386,7 @@ def _account_for_volume(model: Model, kind: Kind, cycle: Cycle, lead: Kind | Non
     for tag in _PARTS:
         account.leave_out(table.all(tag), "a cell has one volume")
     for tag in ("calcified_fraction", "calcification_rate"):
-        for one in table.all(tag):
-            account.leave_out([one], "no calcium", acts=one.number() != 0.0)
+        account.leave_out(table.all(tag), "no calcium", acts=lambda one: one.number() != 0.0)
     note = "that of each model of death counts"
     account.take_all(table.all("relative_rupture_volume"), Fate.OFF, note=note)
 

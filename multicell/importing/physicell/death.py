@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 APOPTOSIS, NECROSIS = "100", "101"
 _NAMES = {APOPTOSIS: "apoptosis", NECROSIS: "necrosis"}
@@ -128,6 +128,8 @@ def _time_to_burst(kind: Kind, dying: Dying) -> float | None:
 
     Its solids s decay, and fluid F comes in as long as there are solids: dF/dt = k (V - F) = k s.
     """
+    from scipy.optimize import brentq
+
     goal = dying.parameters["relative_rupture_volume"]
     k = dying.parameters["unlysed_fluid_change_rate"]
     fluid = kind.number_of("volume/fluid_fraction", 0.75)
@@ -144,13 +146,9 @@ def _time_to_burst(kind: Kind, dying: Dying) -> float | None:
         )
         return fluid + solid + k * came
 
-    low, high = 0.0, 1e5
-    if not 1.0 < goal <= volume(high):
+    if not 1.0 < goal <= volume(1e5):
         return None
-    for _ in range(100):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if volume(middle) < goal else (low, middle)
-    return high
+    return float(brentq(lambda t: volume(t) - goal, 0.0, 1e5, xtol=1e-9, rtol=1e-14))
 
 
 def _account_for(model: Model, kind: Kind) -> None:
@@ -201,15 +199,13 @@ def _account_for_course(model: Model, kind: Kind, one: Element, code: str) -> No
         "cytoplasmic_biomass_change_rate": "death.swelling_time",
         "nuclear_biomass_change_rate": "death.swelling_time",
     }
-    account, calcium = model.account, one.find("parameters/calcification_rate")
-    if calcium is not None:
-        account.leave_out([calcium], "no calcium", acts=calcium.number() != 0.0)
+    account, calcium = model.account, one.all("parameters/calcification_rate")
+    account.leave_out(calcium, "no calcium", acts=lambda rate: rate.number() != 0.0)
     for tag, key in keys.items():
-        for leaf in one.all(f"parameters/{tag}"):
-            if code == APOPTOSIS:
-                why = "one time constant describes how apoptotic cells shrink"
-                account.take(leaf, Fate.LEFT_OUT, note=why)
-            else:
-                account.take(leaf, Fate.APPROXIMATED, key, note)
+        leaves = one.all(f"parameters/{tag}")
+        if code == APOPTOSIS:
+            account.leave_out(leaves, "one time constant describes how apoptotic cells shrink")
+        else:
+            account.take_all(leaves, Fate.APPROXIMATED, key, note)
     for path in ("phase_durations", "phase_transition_rates", "transition_rates"):
         account.take_all(one.all(path), Fate.APPROXIMATED, fades, note)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell import run
 from multicell.importing.physicell.model import MINUTE, Model, keys_of
 from multicell.units import COMMON, oxygen_solubility
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _SLOWEST = 1e-6
 """Least diffusion coefficient of a scene, µm²/s."""
@@ -63,8 +63,7 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
     start = variable.find("initial_condition")
     level = 0.0 if start is None or not start.word() else start.number(at_least=0.0)
     made["boundary"] = level * unit
-    if start is not None:
-        model.account.take(start, Fate.MAPPED, f"nutrients.{key}.boundary")
+    model.account.take(start, Fate.MAPPED, f"nutrients.{key}.boundary")
     levels = _read_sides(model, variable, active, made)
     model.top[name] = max([level, *levels])
 
@@ -94,11 +93,9 @@ def _read_transport(model: Model, variable: Element, made: dict[str, Any]) -> No
     decay = variable.find("physical_parameter_set/decay_rate")
     value = 0.0 if diffusion is None else diffusion.number(at_least=0.0) / MINUTE
     made["diffusion"] = max(value, _SLOWEST)
-    if diffusion is not None and value < _SLOWEST:
-        note = f"{_SLOWEST:g} um^2/s, the least there is: it stays where it is"
-        account.take(diffusion, Fate.APPROXIMATED, f"nutrients.{key}.diffusion", note)
-    elif diffusion is not None:
-        account.take(diffusion, Fate.MAPPED, f"nutrients.{key}.diffusion")
+    slow = f"{_SLOWEST:g} um^2/s, the least there is: it stays where it is"
+    fate, note = (Fate.APPROXIMATED, slow) if value < _SLOWEST else (Fate.MAPPED, "")
+    account.take(diffusion, fate, f"nutrients.{key}.diffusion", note)
     if decay is not None:
         made["decay"] = decay.number(at_least=0.0) / MINUTE
         account.take(decay, Fate.MAPPED, f"nutrients.{key}.decay")
@@ -113,8 +110,7 @@ def _read_sides(model: Model, variable: Element, active: bool, made: dict[str, A
     value = all_sides.number(at_least=0.0) if all_sides is not None and on_all else 0.0
     axes = "xyz"[: model.scene["dimensions"]]
     levels = {f"{a}{e}": (on_all, value) for a in axes for e in "-+"}
-    if all_sides is not None:
-        model.account.take(all_sides, Fate.MAPPED if on_all else Fate.OFF, path if on_all else "")
+    model.account.take(all_sides, Fate.MAPPED if on_all else Fate.OFF, path if on_all else "")
     for one in variable.all("Dirichlet_options/boundary_value"):
         side = one.attributes.get("ID", "")
         face = side[:1] + {"min": "-", "max": "+"}.get(side[1:], "")
@@ -144,14 +140,12 @@ def _read_options(model: Model) -> None:
     options, account = model.root.find("microenvironment_setup/options"), model.account
     if options is None:
         return
-    account.take_all(
-        options.all("calculate_gradients"), Fate.MAPPED, note="where chemotaxis asks for them"
-    )
-    for found in options.all("track_internalized_substrates_in_each_agent"):
-        account.leave_out([found], "what a cell has taken up is not kept", acts=found.flag())
+    found, note = options.all("calculate_gradients"), "where chemotaxis asks for them"
+    account.take_all(found, Fate.MAPPED, note=note)
+    found = options.all("track_internalized_substrates_in_each_agent")
+    account.leave_out(found, "what a cell has taken up is not kept", acts=lambda one: one.flag())
     for tag, note in (
         ("initial_condition", "a field starts with one concentration everywhere"),
         ("dirichlet_nodes", "concentrations are held on sides of the box, not inside"),
     ):
-        for found in options.all(tag):
-            account.leave_out([found], note, acts=found.says("enabled"))
+        account.leave_out(options.all(tag), note, acts=lambda one: one.says("enabled"))

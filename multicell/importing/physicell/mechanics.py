@@ -6,12 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 from multicell.cells import stokes_drag
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, VISCOSITY, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _WALL = 100.0 / MINUTE
 """Strength of PhysiCell's walls, µm/s."""
@@ -155,15 +155,14 @@ def _read_adhesion(model: Model) -> None:
 def _account_for_adhesion(model: Model, kind: Kind, key: str) -> None:
     take, ruled = model.account.take, _equilibrium(kind)
     element = kind.own("mechanics/cell_cell_adhesion_strength")
-    if element is not None and ruled is not None:
+    if ruled is not None:
         take(element, Fate.OFF, note=f"set by {ruled[1].tag}")
-    elif element is not None:
+    else:
         take(element, Fate.MAPPED, key)
     for name in ("relative", "absolute"):
         one = kind.own(f"mechanics/options/set_{name}_equilibrium_distance")
-        if one is not None:
-            counts = ruled is not None and one is ruled[1]
-            take(one, Fate.MAPPED if counts else Fate.OFF, key if counts else "")
+        counts = ruled is not None and one is ruled[1]
+        take(one, Fate.MAPPED if counts else Fate.OFF, key if counts else "")
     table = kind.own("mechanics/cell_adhesion_affinities")
     for one in [] if table is None else table.all("cell_adhesion_affinity"):
         known = model.kind_named(one.attributes.get("name", "")) is not None

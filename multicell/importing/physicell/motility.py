@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _STEEP = 1e-9
 """Gradient of half the force over the largest concentration, 1/µm: any gradient is followed."""
@@ -178,9 +178,9 @@ def _step(model: Model) -> float:
 def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migration | None) -> None:
     table = kind.own("motility")
     assert table is not None
-    for one in table.all("options/use_2D"):
-        planar = one.flag() and model.scene["dimensions"] == 3 and how is not None
-        model.account.leave_out([one], "motion in a plane within three dimensions", acts=planar)
+    solid = model.scene["dimensions"] == 3 and how is not None
+    flat, why = table.all("options/use_2D"), "motion in a plane within three dimensions"
+    model.account.leave_out(flat, why, acts=lambda one: solid and one.flag())
     if how is None or lead is None:
         model.account.take_all([table], Fate.OFF)
         return
@@ -188,19 +188,19 @@ def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migratio
     other = "" if same else "types share one persistence and one gradient, those of the most cells"
     size = f"a force that gives a cell of {kind.volume:g} um^3 this speed"
     fate = Fate.MAPPED if same else Fate.APPROXIMATED
-    _take(model, table, "speed", Fate.APPROXIMATED, "motility.force", size)
-    _take(model, table, "persistence_time", fate, "motility.persistence", other)
-    _take(model, table, "options/enabled", Fate.MAPPED, "motility")
+    take, bias = model.account.take, table.find("migration_bias")
+    take(table.find("speed"), Fate.APPROXIMATED, "motility.force", size)
+    take(table.find("persistence_time"), fate, "motility.persistence", other)
+    take(table.find("options/enabled"), Fate.MAPPED, "motility")
     if not how.along:
-        _take(model, table, "migration_bias", Fate.OFF, "", "no gradient is followed")
+        take(bias, Fate.OFF, "", "no gradient is followed")
     else:
         note = "along the gradient of the moment, not that of the last change of direction"
-        bias = "motility.bias"
+        key = "motility.bias"
         if len(how.along) > 1:
             note = "random and directed part are added; in PhysiCell their sum has the full speed"
-            bias = "chemotaxis"
-        note = "; ".join(filter(None, (note, other)))
-        _take(model, table, "migration_bias", Fate.APPROXIMATED, bias, note)
+            key = "chemotaxis"
+        take(bias, Fate.APPROXIMATED, key, "; ".join(filter(None, (note, other))))
     _account_for_taxis(model, kind, how, table, other)
 
 
@@ -213,17 +213,7 @@ def _account_for_taxis(
         for one in table.all(f"options/{tag}"):
             if one is not used:
                 model.account.take_all([one], Fate.OFF)
-            elif how.summed or other:
-                note = "gradients are followed each by itself, not their sum" if how.summed else ""
-                note = "; ".join(filter(None, (note, other)))
-                model.account.take_all([one], Fate.APPROXIMATED, key, note)
-            else:
-                model.account.take_all([one], Fate.MAPPED, key)
-
-
-def _take(
-    model: Model, table: Element, path: str, fate: Fate, key: str = "", note: str = ""
-) -> None:
-    one = table.find(path)
-    if one is not None:
-        model.account.take(one, fate, key, note)
+                continue
+            summed = "gradients are followed each by itself, not their sum" if how.summed else ""
+            note = "; ".join(filter(None, (summed, other)))
+            model.account.take_all([one], Fate.APPROXIMATED if note else Fate.MAPPED, key, note)

@@ -16,15 +16,14 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.behaviours.catalogue import CONTACTS, behaviour_named
 from multicell.errors import SceneError
-from multicell.importing.account import Fate
-from multicell.importing.files import read_rows
-from multicell.importing.physicell.files import found_file
+from multicell.importing.files import found_file, read_rows
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _STEEPEST = 32.0
 """Largest Hill power of a scene."""

@@ -6,12 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 from multicell.errors import SceneError
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Model
 from multicell.scene.domain import filling
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _FARTHEST, _FINEST = 1e6, 0.1
 """Farthest place and shortest side of a voxel, µm."""
@@ -19,6 +19,11 @@ _STEPS = {
     "dt_diffusion": "fields are solved to a tolerance, in a steady state where they settle",
     "dt_mechanics": "the method of integration chooses its steps by their error",
     "dt_intracellular": "there are no models inside cells",
+}
+
+_LEGACY = {
+    "legacy_random_points_on_sphere_in_divide": "divisions have random directions on a sphere",
+    "legacy_cell_defaults_copy": "types take over what PhysiCell has taken over since 1.10",
 }
 
 
@@ -71,9 +76,7 @@ def _read_domain(model: Model) -> None:
             note = "" if was == now else f"{now:g} um: whole cubes of one size must fill the box"
             fate = Fate.MAPPED if was == now else Fate.APPROXIMATED
             take(_required(box, f"{axis}_{end}"), fate, f"domain.{axis}", note)
-    found = box.find("use_2D")
-    if found is not None:
-        take(found, Fate.MAPPED, "dimensions")
+    take(box.find("use_2D"), Fate.MAPPED, "dimensions")
     if flat:
         note = "in two dimensions PhysiCell takes dz in its place"
         model.account.take_all(box.all("z_min") + box.all("z_max"), Fate.OFF, note=note)
@@ -167,16 +170,9 @@ def _read_options(model: Model) -> None:
         _read_seed(model, seed)
     if options is None:
         return
-    for tag, note in (
-        (
-            "legacy_random_points_on_sphere_in_divide",
-            "divisions have random directions on a sphere",
-        ),
-        ("legacy_cell_defaults_copy", "types take over what PhysiCell has taken over since 1.10"),
-        ("disable_automated_spring_adhesions", ""),
-    ):
-        for found in options.all(tag):
-            account.leave_out([found], note, acts=found.flag() and bool(note))
+    account.take_all(options.all("disable_automated_spring_adhesions"), Fate.OFF)
+    for tag, note in _LEGACY.items():
+        account.leave_out(options.all(tag), note, acts=lambda one: one.flag())
 
 
 def _read_seed(model: Model, seed: Element) -> None:

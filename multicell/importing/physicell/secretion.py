@@ -12,12 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
-from multicell.importing.account import Fate
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
-    from multicell.importing.xml import Element
+    from multicell.importing.files import Element
 
 _FAR = 1e3
 """Half saturation over the largest concentration."""
@@ -189,8 +189,5 @@ def _account_for(model: Model, kind: Kind, name: str, found: Element, does: Exch
         note = "uptake at a rate that does not depend on the concentration"
         entries["net_export_rate"] = True, Fate.LEFT_OUT, "", note
     for tag, (acts, fate, to, note) in entries.items():
-        one = found.find(tag)
-        if one is not None and acts:
-            model.account.take(one, fate, to, note)
-        elif one is not None:
-            model.account.take(one, Fate.OFF)
+        said = (fate, to, note) if acts else (Fate.OFF,)
+        model.account.take(found.find(tag), *said)

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from multicell.cells import SPHERE, FloatArray
 from multicell.errors import SceneError
-from multicell.importing.account import Fate
-from multicell.importing.files import read_rows
-from multicell.importing.physicell.files import found_file
+from multicell.importing.files import found_file, read_rows
+from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import Kind, Model
 
 if TYPE_CHECKING:

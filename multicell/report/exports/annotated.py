@@ -12,8 +12,8 @@ import pandas
 from numpy.typing import NDArray
 
 from multicell.report.tables import TABLES, Frames, joined
-from multicell.results.contacts import touching
 from multicell.results.folder import versions
+from multicell.results.observables import touching
 
 if TYPE_CHECKING:
     from multicell.report.result import Result

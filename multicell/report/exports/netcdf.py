@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from multicell.report.tables import Frames
-from multicell.results.labelled import frame_arrays
+from multicell.results.tables import frame_arrays
 
 if TYPE_CHECKING:
     from multicell.report.result import Result

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
 
 from multicell.report.tables import Frames
-from multicell.results.vtk_grids import blocks
+from multicell.results.tables import blocks
 
 if TYPE_CHECKING:
     from multicell.report.result import Result
