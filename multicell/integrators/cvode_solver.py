@@ -6,15 +6,13 @@ part of the evaluations; the counts that are reported are those of :class:`Mecha
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, cast, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from numba import njit
 from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import KERNEL, typed
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
@@ -23,8 +21,7 @@ from multicell.mechanics.preconditioners import preconditioner
 if TYPE_CHECKING:
     from multicell.integrators.cvode import Cvode
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
+_jit = typed(**KERNEL)
 
 _CONTACTS = 8.0  # largest decay rate of packed cells, in stiffness of the stiffest pair over drag
 _SLOW_START = 5e-4

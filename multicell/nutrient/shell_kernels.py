@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
-
-from numba import njit
-
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import KERNEL, typed
 from multicell.nutrient.uptake import uptake_and_slope
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
+_jit = typed(**KERNEL)
 
 
 @_jit

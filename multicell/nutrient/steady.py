@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from multicell.nutrient import stencil
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
+    from multicell.nutrient.multigrid import MultigridSolver
 
 TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
@@ -135,7 +136,7 @@ def solve_steady(
 
 
 def _solve(
-    problem: _Problem, start: FloatArray, tolerance: float, solver: LinearSolver
+    problem: _Problem, start: FloatArray, tolerance: float, solver: _Linear | MultigridSolver
 ) -> tuple[FloatArray, SolveReport]:
     """Solve, first as it is and then, where that fails, over larger half saturations."""
     if not problem.source.any():
@@ -158,7 +159,9 @@ def _solve(
     return state.c, state.report(solver)
 
 
-def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_State, bool]:
+def _newton(
+    state: _State, tolerance: float, linear: _Linear | MultigridSolver
+) -> tuple[_State, bool]:
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
     # far from the solution imbalances are larger than the uptake
     near = state.size * math.sqrt(state.c.size) < state.total
@@ -177,7 +180,7 @@ def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_Sta
 
 
 def _descend(
-    problem: _Problem, start: FloatArray, tolerance: float, linear: LinearSolver
+    problem: _Problem, start: FloatArray, tolerance: float, linear: _Linear | MultigridSolver
 ) -> tuple[_State, bool]:
     """Solve with a large constant K first and then with ever smaller ones.
 
@@ -286,7 +289,7 @@ class _State:
         other.residual, other.rate = np.empty_like(self.residual), np.empty_like(self.rate)
         return other
 
-    def report(self, linear: LinearSolver) -> SolveReport:
+    def report(self, linear: _Linear | MultigridSolver) -> SolveReport:
         """Return the balance."""
         problem, op = self.problem, self.problem.operator
         left, taken, content = stencil.account(self.c, problem.sink, problem.half, self.residual)
@@ -316,22 +319,7 @@ def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
         share *= max(slope / (slope - there), 0.25)
 
 
-class LinearSolver(Protocol):
-    """Solves the linear systems of Newton's method, and counts them and its iterations."""
-
-    newton: int
-    cg: int
-
-    def solve(
-        self, rate: stencil.Floats, residual: stencil.Floats, size: float, goal: float
-    ) -> stencil.Floats:
-        """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
-
-        The result lives until the next solve.
-        """
-
-
-def _linear_solver(operator: Diffusion, team: Team) -> LinearSolver:
+def _linear_solver(operator: Diffusion, team: Team) -> _Linear | MultigridSolver:
     """Return the linear solver that is faster on the operator's grid."""
     if math.prod(operator.shape) < MANY:
         return _Linear(operator)

@@ -13,15 +13,13 @@ Else it is None, and what it needs is not compiled. ``ghost`` is (6,), ``stiffne
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INNER, KERNEL
+from multicell.compiling import INNER, KERNEL, typed
 from multicell.compiling.threads import Team
 from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
 
@@ -29,11 +27,10 @@ Weights = tuple[FloatArray, FloatArray, FloatArray] | None
 Faces = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Float32Array = NDArray[np.float32]
 Floats = FloatArray | Float32Array
-_F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, nogil=True))
-_inner = cast(Callable[[_F], _F], njit(**INNER, nogil=True))
+_jit = typed(**KERNEL, nogil=True)
+_inner = typed(**INNER, nogil=True)
 
 
 PART = 150_000

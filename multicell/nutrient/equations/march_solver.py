@@ -11,7 +11,7 @@ from pde.solvers.base import SolverBase
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import COLUMNS
-from multicell.nutrient.equations.solving import Stepped, suitable
+from multicell.nutrient.equations.solving import suitable
 from multicell.nutrient.march import March, march
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
 
         ``dt`` is the first step; absent: a tenth of the time between two jumps of the medium.
         """
-        pde: Stepped = suitable(self.pde, state, "implicit_step")
+        pde = suitable(self.pde, state, "implicit_step")
         done = March(np.zeros((len(pde.names), len(COLUMNS))))
         self.info.update(dt=dt, stochastic=False)
         self._note(done)
@@ -71,9 +71,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
 
         return stepper
 
-    def _march(
-        self, pde: Stepped, c: FloatArray, begin: float, end: float, done: March
-    ) -> FloatArray:
+    def _march(self, pde: Any, c: FloatArray, begin: float, end: float, done: March) -> FloatArray:
         """Bring the data from one time to another, between which no medium jumps."""
         last = float(np.nextafter(end, -np.inf))  # at the moment of a jump the old medium holds
         scale = pde.scales(c, begin, end)
@@ -85,7 +83,8 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         def step(c: FloatArray, dt: float, time: float) -> tuple[FloatArray, FloatArray]:
             nonlocal reached
             reached = time - dt, c
-            return pde.implicit_step(c, dt, min(time, last))
+            after, amounts = pde.implicit_step(c, dt, min(time, last))
+            return after, amounts
 
         def error(halves: FloatArray, full: FloatArray) -> float:
             apart, most = (

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import njit
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import KERNEL, typed
 from multicell.nutrient.stencil import dot
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
+_jit = typed(**KERNEL)
 
 Map = Callable[[FloatArray], FloatArray]
 
