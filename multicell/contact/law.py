@@ -103,41 +103,17 @@ class PairLaw(ABC):
         """Return √(6πσ) in (nN/µm)^½ of surface energies in nN/µm."""
         return np.asarray(np.sqrt(6.0 * np.pi * np.asarray(surface_energy, dtype=float)))
 
-    def force(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the pair force in nN, positive where it pushes apart."""
-        return self.evaluate(overlap, modulus, radius, rest=rest, touching=touching)[0]
+    def force(self, *given: ArrayLike, **named: Any) -> FloatArray:
+        """Return the pair force in nN, positive where it pushes apart; see :meth:`evaluate`."""
+        return self.evaluate(*given, **named)[0]
 
-    def stiffness(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return dF/dh in nN/µm."""
-        return self.evaluate(overlap, modulus, radius, rest=rest, touching=touching)[1]
+    def stiffness(self, *given: ArrayLike, **named: Any) -> FloatArray:
+        """Return dF/dh in nN/µm; see :meth:`evaluate`."""
+        return self.evaluate(*given, **named)[1]
 
-    def energy(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the pair energy in fJ: its slope dU/dh is the force."""
-        return self.evaluate(overlap, modulus, radius, rest=rest, touching=touching)[2]
+    def energy(self, *given: ArrayLike, **named: Any) -> FloatArray:
+        """Return the pair energy in fJ: its slope dU/dh is the force; see :meth:`evaluate`."""
+        return self.evaluate(*given, **named)[2]
 
     def evaluate(
         self,

@@ -18,9 +18,8 @@ from multicell.cells import SPHERE, FloatArray, stokes_drag
 from multicell.compiling.threads import launch
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
-from multicell.mechanics import blocks, forces, margins, neighbours, optional
+from multicell.mechanics import blocks, forces, margins, neighbours
 from multicell.mechanics.division_offset import Offsets, PairValues
-from multicell.mechanics.listed import are_listed, listed
 from multicell.mechanics.motion import Motion, StateRejected, Work
 
 if TYPE_CHECKING:
@@ -61,6 +60,14 @@ class Linearisation:
         """Return arrays of the size that a list needs, not filled yet."""
         size = len(pairs.first)
         return cls(pairs, np.empty((size, 3)), np.empty(size), np.empty(size))
+
+    def stiffened(self) -> Linearisation:
+        """Return it with pairs that stand for many-body stiffness as well."""
+        if self.coupling is None:
+            return self
+        from multicell.mechanics import compression
+
+        return compression.stiffened(self)
 
 
 @final
@@ -154,8 +161,14 @@ class Mechanics:
         self._blocks = np.empty((n, 6))
         self._inverse = np.empty((n, 6))
         if max(self.friction) > 0.0:
-            self._pair_friction = optional.friction(self.friction, n, self.drag, self.chunk)
-        self.prescribed = optional.prescribed(motion)
+            from multicell.mechanics.friction import PairFriction
+
+            self._pair_friction = PairFriction(self.friction, n, self.drag, self.chunk)
+        self.prescribed = None
+        if motion.held is not None and motion.velocity is not None:
+            from multicell.mechanics.prescribed import Prescribed
+
+            self.prescribed = Prescribed(motion.held, motion.velocity, motion.begin)
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -356,7 +369,7 @@ class Mechanics:
         return float((2.0 * largest / (self.drag * self._rows[:, 3])).max())
 
     def _fill_blocks(self, linear: Linearisation) -> None:
-        linear = optional.stiffened(linear)
+        linear = linear.stiffened()
         blocks.diagonal_blocks(
             linear.data, linear.normal, linear.along, linear.across, self._blocks
         )
@@ -458,7 +471,11 @@ class Mechanics:
             motion.bonds,
             motion.push,
         )
-        values = self._values_of(*listed(pairs)) if self.has_pair_values else (None, None, None)
+        values = (
+            self._values_of(*neighbours.listed(pairs))
+            if self.has_pair_values
+            else (None, None, None)
+        )
         self._pair_data = forces.PairData(
             pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end, *values
         )
@@ -550,7 +567,7 @@ class Mechanics:
             return sticky, None, None
         adhesion = self.law.adhesion if sticky is None else sticky
         modulus = 1.0 / (self._rows[first, 4] + self._rows[second, 4])
-        touching = are_listed(self.motion.touching, first, second, len(self))
+        touching = neighbours.are_listed(self.motion.touching, first, second, len(self))
         (begin, onset), (end, _) = (
             self.law.pair_memory(
                 adhesion, modulus, effective_radius(radius[first], radius[second]), touching
