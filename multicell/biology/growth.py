@@ -75,12 +75,7 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     apoptotic ones as V' = -V / apoptosis_time. All is integrated exactly for the given factor.
     Growth may pass the division volume within the step: the excess goes to the daughters.
 
-    - ``plan``: without ``growth`` no cell grows, without ``death`` no cell shrinks
-    - ``cells``: the population, n cells
-    - ``factor``, (n,): from :func:`growth_factor`
     - ``dt``: length of the step, s
-
-    Returns (n,) float64, µm³.
     """
     volume = cells.volume
     law = plan.law

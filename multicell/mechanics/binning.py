@@ -11,14 +11,10 @@ OffsetArray = NDArray[np.int64]
 
 
 def spatial_order(position: FloatArray, width: float) -> OffsetArray:
-    """Return the order of the cells along a Morton curve.
+    """Return the order of the cells along a Morton curve, (n,); ties keep their order.
 
-    - ``position``, (n, 3): finite centres, µm
-    - ``width``: edge of the boxes that the curve visits, µm; widened where more than 2²¹ of them
-      would be needed along an axis
-
-    Returns (n,) int64: cells that are close in space are close in this order; ties keep their
-    order.
+    ``width``, µm, is the edge of the boxes that the curve visits; it is widened where more than 2²¹
+    of them would be needed along an axis.
     """
     if len(position) == 0:
         return np.empty(0, dtype=np.int64)
