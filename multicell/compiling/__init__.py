@@ -235,9 +235,7 @@ _ADDRESSES: dict[Any, int] = {}
 def address_of(function: Any, result: Any, *arguments: Any) -> int:
     """Return where a jitted function is that takes values like these; compile it if need be.
 
-    - ``function``: a jitted function of a module
     - ``result``: a value of the type that it must return
-    - ``arguments``: values of the types of its arguments
     """
     key = (function, kind_of(result), kind_of(arguments))
     if key not in _ADDRESSES:

@@ -65,9 +65,6 @@ class Mover:
     ) -> Moved:
         """Integrate the positions through a coupling step.
 
-        - ``cells``: at its beginning
-        - ``motion``: what mechanics must know of them between its beginning and its end
-        - ``step``: its number
         - ``replays``, ``known``: what earlier steps have shown
 
         Raises StepFailed if the integrator fails, a cell leaves the domain, or the method's step is

@@ -101,13 +101,7 @@ def are_listed(
 
 
 def neighbour_pairs(position: FloatArray, cutoff: float) -> IndexArray:
-    """Return all pairs of points no further apart than ``cutoff``.
-
-    - ``position``, (n, 3): any finite points, µm
-    - ``cutoff``: largest distance, µm
-
-    Returns (m, 2) int32: each pair once, smaller index first, in lexicographic order.
-    """
+    """Return all pairs of points (n, 3) no further apart than ``cutoff``, sorted, (m, 2)."""
     radius = np.full(len(position), 0.5 * cutoff)
     return build(np.ascontiguousarray(position, dtype=float), radius, 0.0).pairs()
 
@@ -117,10 +111,6 @@ def build(
 ) -> PairList:
     """Build the list of all pairs closer than ``r_i + r_j + skin``.
 
-    - ``position``, (n, 3): finite centres, µm
-    - ``radius``, (n,): radii, µm
-    - ``skin``: added to the sum of the radii, µm
-    - ``threads``: with more than one, chunks are searched in parallel (same result)
     - ``chunk``: cells in a chunk
     """
     n = len(position)

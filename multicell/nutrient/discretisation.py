@@ -36,10 +36,6 @@ def discretisation_error(
     and which the estimate knows of in part only.
 
     - ``field``: solved already; its last solution is the first guess
-    - ``parameters``: those that ``field`` is made from
-    - ``cells``: the population
-    - ``capacity``, ``production``, (n,), amol/s: of the cells; see :meth:`NutrientField.solve`
-    - ``time``: time of the medium, s
 
     Returns float or None: the largest error at any cell, mM; None without cells, for a transient
     field, and where the grid is too small to be made coarser.

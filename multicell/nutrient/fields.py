@@ -323,8 +323,6 @@ class Feeding:
     ) -> Demand:
         """Return each cell's largest uptake and its secretion, (n,) amol/s, for other surroundings.
 
-        - ``name``: of the field
-        - ``cells``: the population
         - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: what each cell finds of all
           fields, and takes up of those that others are made from
         """

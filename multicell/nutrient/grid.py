@@ -243,9 +243,6 @@ def tissue_radius(position: FloatArray, radius: FloatArray) -> float:
 
     Weighted by volume and with the cells' own extent: half the diameter of the summary. It is
     exact for one cell and for a ball, and one cell that strays hardly changes it.
-
-    - ``position``, (n, 3), µm: n is at least 1
-    - ``radius``, (n,), µm
     """
     weight = radius**3
     away = position - np.average(position, axis=0, weights=weight)

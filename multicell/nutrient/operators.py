@@ -29,16 +29,11 @@ def shell_imbalance(
 ) -> None:
     """Write sources minus sinks of all shells (mM/s) and the sinks' derivative (1/s).
 
-    - ``c``, (n,), mM
     - ``sink``, ``source``, (n,), mM/s: largest uptake, and all that comes in without regard to c,
       over the surface too
-    - ``half``, float, mM
-    - ``linear``, float, 1/s
     - ``conductance``, (n - 1,), µm³/s: what flows through the spheres between shells for each mM of
       difference
     - ``leak``, float, µm³/s: what leaves through the surface for each mM in the last shell
-    - ``volumes``, (n,), µm³
-    - ``residual``, ``rate``, (n,): written
     """
     n = c.size
     inner = 0.0

@@ -117,15 +117,10 @@ def solve_steady(
 ) -> tuple[FloatArray, SolveReport]:
     """Solve for the steady concentration.
 
-    - ``operator``: diffusion with its boundary values
     - ``sink``, (nx, ny, nz), mM/s: largest uptake per volume at each node, not negative
-    - ``half_saturation``, float, mM
     - ``start``, (nx, ny, nz), mM: first guess; any finite values do
     - ``linear``, float, 1/s: rate m of all that goes in proportion to c, not negative
     - ``supply``, (nx, ny, nz), mM/s, optional: what the nodes gain besides diffusion, not negative
-    - ``tolerance``: see :data:`TOLERANCE`
-
-    Returns (nx, ny, nz), mM; SolveReport.
     """
     nodes = math.prod(operator.shape)
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:

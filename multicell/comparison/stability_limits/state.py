@@ -158,7 +158,6 @@ def settled_state(scene: Scene, threads: int | None = None) -> State:
     """Return a scene's first cells at rest, pushed a little along the mode that decays fastest.
 
     - ``scene``: external forces, prescribed motion and motility are left out, growth stands still
-    - ``threads``: see :class:`multicell.simulation.Simulation`
 
     Raises SceneError if the scene starts with less than two cells, or none of them touch;
     StepFailed if the reference method cannot settle them.

@@ -271,10 +271,7 @@ class PlacedSubstance:
     ) -> tuple[FloatArray, SolveReport]:
         """Solve for the state a step of backward Euler later, or at rest after an infinite one.
 
-        - ``start``, mM: first guess
         - ``level``, float, mM: concentration of the medium at the end
-        - ``dt``, float, s
-        - ``before``, mM: where the step begins
         - ``demand``, mM/s: largest uptake and secretion of the nodes, in place of those of the
           term's cells
         """

@@ -33,7 +33,6 @@ _PLACES = {"everywhere": 0, "tissue": 1, "medium": 2}
 def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
     """Return the rates of reactions that are given as parts of a scene, tables or functions.
 
-    - ``names``: of the fields
     - ``reactions``: name -> :class:`~multicell.scene.reactions.Reaction`, a table of its keys, or a
       reaction of the user's own
     """
@@ -184,16 +183,12 @@ def react(
 ) -> None:
     """Write what reactions make of each field (mM/s) and the derivative of that (1/s).
 
-    - ``c``, (m, nodes), mM
-    - ``tissue``, (nodes,): part of each place that is tissue
     - ``rate``, (r,): of each reaction, mM^(1 - n)/s or mM/s
     - ``place``, (r,): 0 everywhere, 1 in proportion to tissue, 2 to what is none
     - ``first``, (r + 1,): first factor of each reaction
     - ``field``, ``form``, ``half``, ``power``, (factors,): row of the field that a factor depends
       on, its form, K (mM) and n
     - ``change``, (r, m): how many of each field a reaction makes
-    - ``out``, (m, nodes)
-    - ``slope``, (m, m, nodes): written
     """
     m, nodes = c.shape
     value, steep = np.empty(field.size), np.empty(field.size)

@@ -20,9 +20,7 @@ _DIMENSION, _CYCLES = 20, 6
 def gmres(product: Map, near: Map, right: FloatArray, goal: float) -> tuple[FloatArray, int]:
     """Return x of A x = right, and how many products that took (Saad & Schultz 1986).
 
-    - ``product``: v -> A v
     - ``near``: v -> about the inverse of A
-    - ``right``, (n,)
     - ``goal``: part of the right-hand side's norm that may be left over; as little as was reached
       is returned where it is not
     """
