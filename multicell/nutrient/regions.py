@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def coefficients(
     layout: Layout, position: FloatArray, radius: FloatArray, nutrient: Nutrient
 ) -> FloatArray | None:
-    """Return the coefficient of diffusion at the nodes over that of tissue; None where all are one."""
+    """Return the coefficients of diffusion at the nodes over that of tissue; None for ones."""
     tissue, medium = nutrient.diffusion, nutrient.diffusion_medium
     varied = None
     if medium is not None and medium != tissue:

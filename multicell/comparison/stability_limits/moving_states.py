@@ -17,8 +17,7 @@ import numpy as np
 
 from multicell.cells import HALF, FloatArray
 from multicell.comparison.conditioning import SHIFT
-from multicell.comparison.stability_limits.decay import largest_decay
-from multicell.comparison.stability_limits.instability import unstable_modes
+from multicell.comparison.stability_limits.modes import largest_decay, unstable_modes
 from multicell.comparison.stability_limits.state import (
     MAX_UNNOTICED,
     State,

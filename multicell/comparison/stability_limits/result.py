@@ -107,13 +107,13 @@ class StabilityMap(Comparison):
 
     def pictures(self) -> Pictures:
         """Return the map."""
-        from multicell.comparison.stability_limits.page import CAPTION
+        from multicell.comparison.stability_limits.charts import CAPTION
 
         return {"stability.png": (self.figure, CAPTION)}
 
     def page(self) -> dict[str, Any]:
         """Return what the template of the page asks for."""
-        from multicell.comparison.stability_limits.page import context
+        from multicell.comparison.stability_limits.charts import context
 
         return context(self)
 

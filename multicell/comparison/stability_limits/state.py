@@ -14,8 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from multicell.cells import FloatArray, IntArray
-from multicell.comparison.stability_limits.decay import largest_decay
-from multicell.comparison.stability_limits.instability import Unstable
+from multicell.comparison.stability_limits.modes import Unstable, largest_decay
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics.motion import Motion, Work
