@@ -123,7 +123,7 @@ class Mover:
         was_beyond, suspect = known.rate > product, False
         if not was_beyond and stability.may_glance(known, n):
             known = stability.add_glance(known, n)
-            suspect = stability.suspect(system, end, position, product)
+            suspect = stability.glance(system, end, position) > stability.NEAR * product
         if not was_beyond and not suspect:
             return known
         rate = stability.rate_at(system, end, position, self._dimensions)

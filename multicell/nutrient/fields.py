@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -236,7 +237,7 @@ class Feeding:
         """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
         return {
             "fields": {name: field.kept() for name, field in self.fields.items()},
-            "ledger": {name: account.copy() for name, account in self.ledger.items()},
+            "ledger": {name: copy(account) for name, account in self.ledger.items()},
             "concentrations": dict(self.concentrations),
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),

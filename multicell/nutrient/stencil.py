@@ -101,6 +101,31 @@ def _fill_varied(
         diagonal[k] = a + b + c + d + e + f
 
 
+@_inner
+def _sums(
+    p: FloatArray, ghost: FloatArray, weights: Weights, i: int, j: int, row: FloatArray,
+    diagonal: FloatArray,
+) -> None:  # fmt: skip
+    """Write sums of neighbours to ``row``, and with weights those of the weights."""
+    if weights is None:
+        _fill_row(p, ghost, i, j, row)
+    else:
+        _fill_varied(p, ghost, weights, i, j, row, diagonal)
+
+
+@_inner
+def _weight(weights: Weights, face: int, i: int, j: int, k: int) -> float:
+    """Return the coefficient at a face of a node."""
+    if weights is None:
+        return 1.0
+    axis, high = face // 2, face % 2
+    if axis == 0:
+        return float(weights[0][i + high, j, k])
+    if axis == 1:
+        return float(weights[1][i, j + high, k])
+    return float(weights[2][i, j, k + high])
+
+
 @_jit
 def apply_operator(
     p: FloatArray,
@@ -121,10 +146,7 @@ def apply_operator(
     product = 0.0
     for i in range(nx):
         for j in range(ny):
-            if weights is None:
-                _fill_row(p, ghost, i, j, row)
-            else:
-                _fill_varied(p, ghost, weights, i, j, row, diagonal)
+            _sums(p, ghost, weights, i, j, row, diagonal)
             e, r, o = p[i, j], rate[i, j], out[i, j]
             for k in range(nz):  # no sum, for the vector units
                 o[k] = stiffness * (diagonal[k] * e[k] - row[k]) + r[k] * e[k]
@@ -203,10 +225,7 @@ def imbalance_of_planes(
         if i % block == 0:
             squares, total, size = 0.0, 0.0, 0.0
         for j in range(ny):
-            if weights is None:
-                _fill_row(c, ghost, i, j, row)
-            else:
-                _fill_varied(c, ghost, weights, i, j, row, diagonal)
+            _sums(c, ghost, weights, i, j, row, diagonal)
             e, most, brought = c[i, j], sink[i, j], source[i, j]
             left, slopes = residual[i, j], rate[i, j]
             for k in range(nz):  # no sums, for the vector units
@@ -258,15 +277,7 @@ def balance_negative(
                 continue
             gain, loss = source[i, j, k], linear
             for face in range(6):
-                w = 1.0
-                if weights is not None:
-                    axis, high = face // 2, face % 2
-                    if axis == 0:
-                        w = weights[0][i + high, j, k]
-                    elif axis == 1:
-                        w = weights[1][i, j + high, k]
-                    else:
-                        w = weights[2][i, j, k + high]
+                w = _weight(weights, face, i, j, k)
                 step = 2 * (face % 2) - 1
                 a = i + step if face // 2 == 0 else i
                 b = j + step if face // 2 == 1 else j
@@ -388,17 +399,7 @@ def flows(c: FloatArray, ghost: FloatArray, const: Faces, weights: Weights) -> t
     inward, outward = 0.0, 0.0
     for face in range(6):
         axis, high = face // 2, face % 2
-        across = const[0]
-        if face == 1:
-            across = const[1]
-        elif face == 2:
-            across = const[2]
-        elif face == 3:
-            across = const[3]
-        elif face == 4:
-            across = const[4]
-        elif face == 5:
-            across = const[5]
+        across = const[face]
         for a in range(across.shape[0]):
             for b in range(across.shape[1]):
                 if axis == 0:
@@ -408,13 +409,7 @@ def flows(c: FloatArray, ghost: FloatArray, const: Faces, weights: Weights) -> t
                 else:
                     i, j, k = a, b, high * (nz - 1)
                 step = across[a, b] + (ghost[face] - 1.0) * c[i, j, k]
-                if weights is not None:
-                    if axis == 0:
-                        step *= weights[0][i + high, j, k]
-                    elif axis == 1:
-                        step *= weights[1][i, j + high, k]
-                    else:
-                        step *= weights[2][i, j, k + high]
+                step *= _weight(weights, face, i, j, k)
                 inward += max(step, 0.0)
                 outward += max(-step, 0.0)
     return inward, outward

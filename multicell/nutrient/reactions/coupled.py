@@ -91,10 +91,6 @@ class Coupled:
         faces = np.array([brought(op).ravel() for op in self.operators])
         return faces + self.supplies
 
-    def rates(self, c: FloatArray) -> FloatArray:
-        """Return ∂c/∂t, (m, nodes) mM/s."""
-        return self._balance(c, self.sources())[0]
-
     def step(self, before: FloatArray, start: FloatArray, dt: float) -> FloatArray:
         """Return the state a step of ``dt`` s later, or the steady state where that is infinite.
 
@@ -241,7 +237,7 @@ def settle(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArray:
     Steps of implicit Euler that lengthen from one to the next, the last one without end: from where
     they start they follow the true course, and do not end in states that are unstable.
     """
-    rates = np.sum(np.abs(coupled.rates(c)) * coupled.volumes, axis=1)
+    rates = np.sum(np.abs(coupled._balance(c, coupled.sources())[0]) * coupled.volumes, axis=1)
     held = np.sum(np.abs(c) * coupled.volumes, axis=1)
     quick = float((rates / np.where(held > 0.0, held, held.max() or 1.0)).max())
     dt = 0.1 / quick if quick > 0.0 else math.inf
