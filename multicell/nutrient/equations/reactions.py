@@ -12,7 +12,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.placed import PlacedSubstance
-from multicell.nutrient.march import StepRefused
+from multicell.nutrient.equations.solving import StepRefused
 from multicell.nutrient.reactions.coupled import Coupled, settle
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
 from multicell.nutrient.reactions.kinetics import (

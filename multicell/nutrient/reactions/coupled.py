@@ -25,7 +25,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.march import StepRefused
+from multicell.nutrient.equations.solving import StepRefused
 from multicell.nutrient.operators import (
     AnyOperator,
     brought,
