@@ -75,8 +75,7 @@ def test_a_choice_knows_candidates_and_all_of_them(part, atol):
 
 
 @pytest.mark.parametrize("left_out", sorted(CANDIDATES))
-@pytest.mark.parametrize("viscosity", [5.0, 0.5, 0.001])
-@pytest.mark.parametrize("count", [30, 300])
+@pytest.mark.parametrize(("viscosity", "count"), [(5.0, 30), (0.5, 300), (0.001, 30)])
 def test_no_branch_of_auto_takes_a_method_that_refuses_the_scene(
     left_out, viscosity, count, monkeypatch
 ):
