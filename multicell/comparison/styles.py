@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from multicell.comparison.files import Row
+from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import find

@@ -18,7 +18,7 @@ from multicell.cells import SPHERE, FloatArray, stokes_drag
 from multicell.compiling.threads import launch
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
-from multicell.mechanics import blocks, forces, margins, neighbours
+from multicell.mechanics import blocks, forces, neighbours
 from multicell.mechanics.division_offset import Offsets, PairValues
 from multicell.mechanics.motion import Motion, StateRejected, Work
 
@@ -451,7 +451,7 @@ class Mechanics:
         self.work.list_builds += 1
         reference = np.array(position)
         last = self._cells.reference if self._pairs is not None else np.full((len(self), 3), np.nan)
-        reach = margins.widened(
+        reach = neighbours.widened(
             reference, last, self._list_radius, self._least_margin, self._margin
         )
         try:

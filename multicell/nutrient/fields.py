@@ -82,7 +82,7 @@ class Feeding:
         self.order = solving_order(scene.nutrients, known, scene.responses)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
-            from multicell.nutrient.reacting import joined
+            from multicell.nutrient.group import joined
 
             parameters |= joined(scene, parameters, reactions)
         self.fields = {
@@ -90,7 +90,7 @@ class Feeding:
         }
         self.groups: list[FieldGroup] = []
         if known:
-            from multicell.nutrient.reacting import together
+            from multicell.nutrient.group import together
 
             self.groups = together(self.fields, self.order, known)
         else:

@@ -75,6 +75,10 @@ SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
 
 
+class StepRefused(Exception):  # noqa: N818 - a shorter step may do
+    """A step in time whose equations were not solved."""
+
+
 @final
 @dataclass(frozen=True)
 class SolveReport:

@@ -21,7 +21,7 @@ from multicell.integrators.loops.chebyshev import coefficients, spectral_radius,
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.runge_kutta import AdaptiveEuler, Dopri5, Euler, Heun, RungeKutta4
 from multicell.mechanics import forces as kernels
-from multicell.mechanics import margins, neighbours
+from multicell.mechanics import neighbours
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
@@ -395,7 +395,7 @@ def test_the_type_of_what_loops_take_changes_with_the_files_that_are_compiled_in
     one, other = fingerprint_of(loaded("x = 1")), fingerprint_of(loaded("x = 2"))
     assert one != other
     assert fingerprint_of(loaded("x = 1")) == one
-    files = loops, kernels, fused, margins, neighbours
+    files = loops, kernels, fused, neighbours
     assert loops.Source.__name__ == f"Source_{fingerprint_of(*files)}"
     # numba names types in its files: those of other versions are read, and are others
     assert pickle.loads(pickle.dumps(loops.Source)) is loops.Source

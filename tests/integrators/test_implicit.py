@@ -17,8 +17,8 @@ from multicell.integrators.restarts import Run, StepImpossible
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.scipy import Scipy
-from multicell.mechanics.binning import spatial_order
 from multicell.mechanics.jacobian import Pattern, limited, sparse_jacobian
+from multicell.mechanics.neighbours import spatial_order
 from multicell.mechanics.preconditioners import PRECONDITIONERS, preconditioner
 from multicell.mechanics.system import Linearisation
 from multicell.scene.parts import IntegratorOptions

@@ -9,9 +9,9 @@ from scipy import integrate
 import multicell as mc
 from multicell.errors import SceneError
 from multicell.nutrient.cartesian import departure, round_enough
-from multicell.nutrient.discretisation import discretisation_error
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.fields import dependence
+from multicell.nutrient.fitness import discretisation_error
 from multicell.nutrient.grid import BoxLayout, ShellLayout, restored
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order

@@ -13,7 +13,7 @@ from multicell.report.plots.style import blank, styled
 from multicell.report.wording import cell_count, clock
 
 if TYPE_CHECKING:
-    from multicell.comparison.files import Row
+    from multicell.comparison.base import Row
     from multicell.comparison.stability_limits.result import StabilityMap
 
 CAPTION: Final = (

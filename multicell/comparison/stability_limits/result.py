@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
-from multicell.comparison.base import Comparison, Pictures
-from multicell.comparison.files import Row
+from multicell.comparison.base import Comparison, Pictures, Row
 from multicell.comparison.stability_limits.trial import KINDS, STABLE
 from multicell.scene.scene import Scene
 

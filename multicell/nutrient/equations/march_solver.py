@@ -18,7 +18,8 @@ from pde.solvers.base import SolverBase
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import COLUMNS
-from multicell.nutrient.equations.solving import StepRefused, suitable
+from multicell.nutrient.equations.solving import suitable
+from multicell.nutrient.steady import StepRefused
 
 if TYPE_CHECKING:
     from collections.abc import Callable

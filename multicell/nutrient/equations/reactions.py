@@ -12,7 +12,6 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.placed import PlacedSubstance
-from multicell.nutrient.equations.solving import StepRefused
 from multicell.nutrient.reactions.coupled import Coupled, settle
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
 from multicell.nutrient.reactions.kinetics import (
@@ -21,7 +20,7 @@ from multicell.nutrient.reactions.kinetics import (
     growth_rate,
     kinetics_of,
 )
-from multicell.nutrient.steady import SolveReport
+from multicell.nutrient.steady import SolveReport, StepRefused
 from multicell.scene.nutrient import MOST
 
 Nodes = Mapping[str, FloatArray]

@@ -19,11 +19,6 @@ from multicell.errors import NutrientFailed, SceneError
 if TYPE_CHECKING:
     from pde.pdes.base import PDEBase
 
-
-class StepRefused(Exception):  # noqa: N818 - a shorter step may do
-    """A step whose equations were not solved."""
-
-
 Inverse = Callable[[FloatArray, float], FloatArray]
 """(r, shift) -> about (shift - J)⁻¹ r, arrays like a state's data."""
 

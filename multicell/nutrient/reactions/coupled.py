@@ -25,7 +25,6 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.equations.solving import StepRefused
 from multicell.nutrient.operators import (
     AnyOperator,
     brought,
@@ -37,6 +36,7 @@ from multicell.nutrient.operators import (
 )
 from multicell.nutrient.reactions.inverse import apply_blocks, inverse_of_blocks
 from multicell.nutrient.reactions.krylov import gmres
+from multicell.nutrient.steady import StepRefused
 
 if TYPE_CHECKING:
     from multicell.nutrient.reactions.kinetics import Kinetics
