@@ -103,17 +103,23 @@ class PairLaw(ABC):
         """Return √(6πσ) in (nN/µm)^½ of surface energies in nN/µm."""
         return np.asarray(np.sqrt(6.0 * np.pi * np.asarray(surface_energy, dtype=float)))
 
-    def force(self, *given: ArrayLike, **named: Any) -> FloatArray:
+    def force(
+        self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, **further: Any
+    ) -> FloatArray:
         """Return the pair force in nN, positive where it pushes apart; see :meth:`evaluate`."""
-        return self.evaluate(*given, **named)[0]
+        return self.evaluate(overlap, modulus, radius, **further)[0]
 
-    def stiffness(self, *given: ArrayLike, **named: Any) -> FloatArray:
+    def stiffness(
+        self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, **further: Any
+    ) -> FloatArray:
         """Return dF/dh in nN/µm; see :meth:`evaluate`."""
-        return self.evaluate(*given, **named)[1]
+        return self.evaluate(overlap, modulus, radius, **further)[1]
 
-    def energy(self, *given: ArrayLike, **named: Any) -> FloatArray:
+    def energy(
+        self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, **further: Any
+    ) -> FloatArray:
         """Return the pair energy in fJ: its slope dU/dh is the force; see :meth:`evaluate`."""
-        return self.evaluate(*given, **named)[2]
+        return self.evaluate(overlap, modulus, radius, **further)[2]
 
     def evaluate(
         self,

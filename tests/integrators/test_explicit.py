@@ -91,7 +91,7 @@ def test_stability_limit(settled, kind):
     assert largest_stable_step(kind, settled, limit, 200) == pytest.approx(limit, rel=0.05)
 
 
-@pytest.mark.parametrize("stages", [4, 5, 8, 12, 20])
+@pytest.mark.parametrize("stages", [5, 20])
 def test_stability_of_rkc2_grows_with_the_square_of_its_stages(settled, stages):
     law = 2.0 / 3.0 * (stages**2 - 1) * (1.0 - 2.0 / 15.0 * 2.0 / 13.0)
     assert stable_length(stages) == pytest.approx(law, rel=0.01)
