@@ -102,18 +102,6 @@ def _fill_varied(
 
 
 @_inner
-def _sums(
-    p: FloatArray, ghost: FloatArray, weights: Weights, i: int, j: int, row: FloatArray,
-    diagonal: FloatArray,
-) -> None:  # fmt: skip
-    """Write sums of neighbours to ``row``, and with weights those of the weights."""
-    if weights is None:
-        _fill_row(p, ghost, i, j, row)
-    else:
-        _fill_varied(p, ghost, weights, i, j, row, diagonal)
-
-
-@_inner
 def _weight(weights: Weights, face: int, i: int, j: int, k: int) -> float:
     """Return the coefficient at a face of a node."""
     if weights is None:
@@ -146,7 +134,10 @@ def apply_operator(
     product = 0.0
     for i in range(nx):
         for j in range(ny):
-            _sums(p, ghost, weights, i, j, row, diagonal)
+            if weights is None:
+                _fill_row(p, ghost, i, j, row)
+            else:
+                _fill_varied(p, ghost, weights, i, j, row, diagonal)
             e, r, o = p[i, j], rate[i, j], out[i, j]
             for k in range(nz):  # no sum, for the vector units
                 o[k] = stiffness * (diagonal[k] * e[k] - row[k]) + r[k] * e[k]
@@ -225,7 +216,10 @@ def imbalance_of_planes(
         if i % block == 0:
             squares, total, size = 0.0, 0.0, 0.0
         for j in range(ny):
-            _sums(c, ghost, weights, i, j, row, diagonal)
+            if weights is None:
+                _fill_row(c, ghost, i, j, row)
+            else:
+                _fill_varied(c, ghost, weights, i, j, row, diagonal)
             e, most, brought = c[i, j], sink[i, j], source[i, j]
             left, slopes = residual[i, j], rate[i, j]
             for k in range(nz):  # no sums, for the vector units
