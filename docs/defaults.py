@@ -29,7 +29,7 @@ import numpy as np
 from defaults_tables import candidate_table, default_table
 
 import multicell as mc
-from multicell.comparison.files import Row
+from multicell.comparison.base import Row
 from multicell.errors import MulticellError
 from multicell.integrators import registry
 from multicell.tables.text import table_text

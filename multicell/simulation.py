@@ -33,7 +33,7 @@ from multicell.coupling.mover import Mover
 from multicell.coupling.state import RunState
 from multicell.errors import NutrientFailed, StepFailed
 from multicell.host.interrupts import STEP
-from multicell.mechanics import binning
+from multicell.mechanics import neighbours
 from multicell.results import summary
 from multicell.results.frame import Frame
 from multicell.results.lineage import Lineage
@@ -315,7 +315,7 @@ class Simulation(RunState):
         """Sort the cells in space when many are new: neighbours then share memory."""
         if self.unsorted > _STALE_ORDER * len(self.cells):
             width = 2.0 * float(self.cells.radius.max(initial=1.0))
-            self.cells = self.cells.take(binning.spatial_order(self.cells.position, width))
+            self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
             self.unsorted = 0
 
     def _decide(self, dt: float) -> None:

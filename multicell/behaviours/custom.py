@@ -11,18 +11,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from inspect import signature
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from multicell.behaviours.laws import OWN, ResponseLaw
-from multicell.contact.custom import declaration, mark_of
+from multicell.contact.custom import law_of, refuse_names
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import own_code
-from multicell.schema import parameters as declare
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -83,30 +81,11 @@ def response(*, parameters: Mapping[str, Any]) -> Callable[[Callable[..., Any]],
     """
 
     def make(function: Callable[..., Any]) -> type[Any]:
-        taken = [name for name in parameters if hasattr(UserResponse, name)]
-        if taken:
-            raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")
+        refuse_names(UserResponse, parameters)
         *signals, last = list(signature(function).parameters) or [""]
         if last != "p" or not signals:
             raise TypeError(f"{function.__qualname__!r} must have signals and then p as arguments")
-        declared = {name: declaration(entry) for name, entry in parameters.items()}
-        source = f"{os.path.basename(function.__code__.co_filename)}:{function.__qualname__}"
-        mark = mark_of([function], declared)
-        if f"{source}@{mark}" in OWN:
-            return cast("type[UserResponse]", OWN[f"{source}@{mark}"])
-        attributes = {
-            "__doc__": function.__doc__,
-            "__module__": function.__module__,
-            "__qualname__": function.__qualname__,
-            **declared,
-            "__annotations__": dict.fromkeys(parameters, float),
-            "source": source,
-            "fingerprint": mark,
-            "signals": len(signals),
-            "_function": staticmethod(function),
-        }
-        law: type[UserResponse] = declare(type(function.__name__, (UserResponse,), attributes))
-        OWN.add(source, mark, law)
-        return law
+        own = {"signals": len(signals), "_function": staticmethod(function)}
+        return law_of(UserResponse, function, parameters, OWN, [function], own)
 
     return make

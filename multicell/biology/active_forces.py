@@ -36,9 +36,6 @@ def active_force(
     number of the interval, so that no state has to be kept. A bias along a gradient follows the
     gradient of the moment.
 
-    - ``plan``: with ``motility``
-    - ``cells``: the population, n cells
-    - ``time``: simulated time, s
     - ``gradients``, name -> (n, 3), mM/µm: at the cells; of the field that a bias is towards
     - ``found``, name -> (n,): signals at the cells, to which the bias may respond
     """
@@ -90,8 +87,6 @@ def chemotactic_force(
 
     F = force ∇c / (|∇c| + half): proportional to small gradients, and of constant size in steep
     ones, where receptors are saturated.
-
-    - ``gradients``, name -> (n, 3), mM/µm: at the cells
     """
     total = np.zeros((len(cells), 3))
     for name, law in plan.chemotaxis.items():

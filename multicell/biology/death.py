@@ -35,11 +35,7 @@ def apoptotic(
     noticed. With a rate that responds to signals each cell dies in a step with the probability
     1 - exp(-k dt).
 
-    - ``plan``: gives the rate
-    - ``cells``: the population; identities and ages are read
-    - ``found``, name -> (n,): signals at the cells
     - ``step``, ``dt``: number of the coupling step that ends, and its length, s
-    - ``time``: since the start of the run, s
     """
     rate = plan.base_rates["apoptosis rate"]
     hazard = value_of(plan, "apoptosis rate", rate, found, cells)
@@ -60,10 +56,7 @@ def necrotic(
     All with an infinite rate; with another rate k each cell dies in a time dt with the probability
     1 - exp(-k dt). Times until death are distributed exponentially whatever the coupling step.
 
-    - ``plan``: gives the seed
-    - ``cells``: the population; the identities are read
     - ``hazard``, (n,), 1/s: from :func:`multicell.biology.responding.rate_of_harm`
-    - ``step``: number of the coupling step, which the random numbers depend on
     - ``dt``: time since the last decision, s
     """
     dies = np.isinf(hazard)
@@ -82,9 +75,6 @@ def damage_after(
     dD/dt = k/θ - D/τ in closed form, with the damage rate k held for the step, the tolerance θ of
     the cell (gamma, mean 1, drawn once by its identity) and the time τ of repair. D changes
     monotonically, so that who is below one at the end was so throughout. The dead keep theirs.
-
-    - ``plan``: gives responses and ``death``; without ``death`` nothing varies, nor is repaired
-    - ``found``, name -> (n,): signals at the cells
     """
     rate = rate_of_harm(plan, "damage rate", found, cells)
     death, dead = plan.death, cells.dead
@@ -105,13 +95,7 @@ def damage_after(
 
 
 def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
-    """Remove dead cells smaller than ``removal_fraction`` of the birth volume.
-
-    - ``plan``: without ``death`` no cell is removed
-    - ``cells``: the population; it is not changed
-
-    Returns cells: the cells that remain, in their old order; removed: number of cells removed.
-    """
+    """Remove dead cells smaller than ``removal_fraction`` of the birth volume; return how many."""
     if plan.death is None:
         return cells, 0
     dead = cells.dead

@@ -64,11 +64,8 @@ def divide(
     Random numbers depend on seed and identity only, and identities are given in the order in which
     mothers came to divide, so that other coupling steps leave draws as they are.
 
-    - ``plan``: a scene without ``growth`` has no divisions
-    - ``cells``: the population; it is not changed
     - ``next_id``: first identity that is free
     - ``dt``: length of the coupling step that has ended, s: no mother can have waited for longer
-    - ``found``, name -> (n,): signals at the cells, for what responds to them
     - ``factor``, (n,) or one for all: part of unlimited growth at which they have grown in the step
 
     Returns cells: the cells that did not divide, in their old order, followed by the daughters in

@@ -45,8 +45,6 @@ def named_at_start(plan: BiologyPlan, cells: Cells) -> dict[str, IntArray]:
 def pass_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
     """Return the lists after events.
 
-    - ``named``: the lists before
-    - ``cells``: the population after the events
     - ``first``: first identity that was free before: the daughters' identities count from there,
       two by two, the first daughter's first
     """

@@ -24,37 +24,18 @@ def growth_factor(
     pressure: FloatArray,
     cells: Cells | None = None,
 ) -> FloatArray:
-    """Return how fast cells would grow here, as a fraction of unlimited growth.
+    """Return how fast cells would grow here, as a fraction of unlimited growth, (n,).
 
     The factor combines all responses of the growth rate (:mod:`multicell.biology.responding`).
-    Those of the short forms: Monod's c / (K + c) of nutrients that growth needs, and of
-    the ATP made in place of c where the scene has ``energy`` limit it,
-    I / (I + c) of those that inhibit it, and min(1, max(0, 1 - p / p_crit)): pressure slows
-    growth linearly and stops it at the critical pressure, tension does not speed it up. It
-    describes the surroundings only; which cells do grow is decided by their state in
-    :func:`volumes_after`.
+    Those of the short forms: Monod's c / (K + c) of nutrients that growth needs, and of the ATP
+    made in place of c where the scene has ``energy`` limit it, I / (I + c) of those that inhibit
+    it, and min(1, max(0, 1 - p / p_crit)): pressure slows growth linearly and stops it at the
+    critical pressure, tension does not speed it up (J. Monod, Annu. Rev. Microbiol. 3 (1949) 371;
+    A. N. Malmi-Kakkada et al., Phys. Rev. X 8 (2018) 021025). It describes the surroundings only;
+    which cells do grow is decided by their state in :func:`volumes_after`.
 
-    Parameters
-    ----------
-    plan
-        One without growth gives zeros.
-    concentrations : mapping of (n,), mM
-        Concentration at the cells, for every nutrient of the scene.
-    pressure : (n,), kPa
-        Compression by the neighbours, tension negative.
-    cells
-        Whose growth it is; without them responses of single types, or to the age or size of a
-        cell, are left out.
-
-    Returns
-    -------
-    (n,) float64
-        In [0, 1] unless a response stimulates growth.
-
-    References
-    ----------
-    J. Monod, Annu. Rev. Microbiol. 3 (1949) 371; A. N. Malmi-Kakkada et al., Phys. Rev. X 8
-    (2018) 021025 for growth that stops at a critical pressure.
+    Concentrations are in mM, the ``pressure`` of the neighbours in kPa, tension negative. Without
+    ``cells`` responses of single types, or to the age or size of a cell, are left out.
     """
     pressure = np.asarray(pressure, dtype=np.float64)
     if plan.growth is None:
@@ -75,12 +56,7 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     apoptotic ones as V' = -V / apoptosis_time. All is integrated exactly for the given factor.
     Growth may pass the division volume within the step: the excess goes to the daughters.
 
-    - ``plan``: without ``growth`` no cell grows, without ``death`` no cell shrinks
-    - ``cells``: the population, n cells
-    - ``factor``, (n,): from :func:`growth_factor`
     - ``dt``: length of the step, s
-
-    Returns (n,) float64, µm³.
     """
     volume = cells.volume
     law = plan.law

@@ -20,12 +20,10 @@ if TYPE_CHECKING:
 
 
 def packed_ball(count: int) -> FloatArray:
-    """Return ``count`` sites of a hexagonal close packing, cut to a ball.
+    """Return (count, 3) sites of a hexagonal close packing, cut to a ball.
 
     Nearest neighbours are at distance 1. The sites are those nearest to a site of the lattice,
     in the order of their distance from it; their centroid is then moved to the origin.
-
-    Returns (count, 3) float64.
     """
     # a close packing has sqrt(2) sites a unit volume; 2 more cover the surface of small balls
     reach = (3.0 * count / (4.0 * np.pi * np.sqrt(2.0))) ** (1.0 / 3.0) + 2.0
@@ -45,12 +43,7 @@ def packed_ball(count: int) -> FloatArray:
 
 
 def packed_disc(count: int) -> FloatArray:
-    """Return ``count`` sites of a hexagonal packing in the plane z = 0, cut to a disc.
-
-    Like :func:`packed_ball` in two dimensions.
-
-    Returns (count, 3) float64.
-    """
+    """Return (count, 3) sites of a hexagonal packing in the plane z = 0, cut to a disc."""
     half = int(np.ceil(np.sqrt(count))) + 2
     i, j = np.indices((2 * half + 1, 2 * half + 1)).reshape(2, -1) - half
     sites = np.stack([i + 0.5 * (j % 2), np.sqrt(0.75) * j, np.zeros(len(i))], axis=1)

@@ -40,12 +40,8 @@ def motion_of(
 
     - ``cells``: at ``begin``, n of them
     - ``radius``, (n,), µm: at ``end``
-    - ``begin``, ``end``: time, s
-    - ``concentrations``, name -> (n,), mM: at the cells, and other signals; none before there are
-      fields
     - ``gradients``, name -> (n, 3), mM/µm: of the fields that chemotaxis follows, at the cells
     - ``contacts``, (m, 2): identities of the cells that have touched
-    - ``named``: cells that are driven from outside; see :mod:`multicell.biology.driven`
     """
     length = end - begin
     rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))

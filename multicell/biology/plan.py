@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,13 @@ class BiologyPlan:
     motions: Mapping[str, PrescribedMotion]
 
 
+_OF_SCENE: Final = (
+    "seed", "dimensions", "types", "radiation", "contact", "domain", "death", "adhesion",
+    "motility", "chemotaxis", "haptotaxis", "pull", "forces", "motions",
+)  # fmt: skip
+_OF_CELLS: Final = ("young", "young_variation", "heritable", "reaction_time")
+
+
 def biology_plan(scene: Scene) -> BiologyPlan:
     """Return what biology needs of a scene."""
     growth, cells, kinds = scene.growth, scene.cells, list(scene.types.values())
@@ -127,8 +134,6 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     ratio = [1.0 if young is None else young / cells.young for young in own]
     oxygen = [part.oxygen for part in scene.radiation.values() if part.oxygen]
     return BiologyPlan(
-        seed=scene.seed,
-        dimensions=scene.dimensions,
         step=scene.coupling_step,
         birth_volume=birth_volume(scene),
         division_volume=division_volume(scene),
@@ -145,31 +150,17 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         changing=any(name.startswith("change to") for name in known),
         growth_follows_state=not growth_signals <= {"pressure", *scene.nutrients},
         elsewhere=missing_signals(known),
-        young=cells.young,
-        young_variation=cells.young_variation,
-        heritable=cells.heritable,
         drift=cells.drift or {},
         inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,
         surface_tension=0.0 if scene.surface is None else scene.surface.tension,
-        reaction_time=cells.reaction_time,
-        types=scene.types,
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,
         motility_scale=np.array([kind.motility_scale for kind in kinds]) if kinds else None,
         young_ratio=np.array(ratio) if any(own) else None,
         energies=surface_energies(scene),
         solubility={name: oxygen_solubility(scene.nutrients[name].temperature) for name in oxygen},
-        radiation=scene.radiation,
-        contact=scene.contact,
-        domain=scene.domain,
         growth=growth,
-        death=scene.death,
-        adhesion=scene.adhesion,
-        motility=scene.motility,
-        chemotaxis=scene.chemotaxis,
-        haptotaxis=scene.haptotaxis,
-        pull=scene.pull,
-        forces=scene.forces,
-        motions=scene.motions,
+        **{name: getattr(scene, name) for name in _OF_SCENE},
+        **{name: getattr(cells, name) for name in _OF_CELLS},
     )
 
 

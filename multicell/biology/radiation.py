@@ -29,7 +29,6 @@ def irradiate(
     Each living cell is hit by each fraction with a random number of its own, which knows nothing of
     the coupling step. One that does not survive dies at once, or has so many divisions left.
 
-    - ``found``, name -> (n,), mM: fields at the cells
     - ``begin``, ``end``, s: fractions fall due after the first and up to the second
     """
     after = cells.shared()

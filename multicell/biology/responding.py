@@ -200,7 +200,6 @@ def value_of(
     """Return the value of a behaviour of each cell, (n,), or None where nothing changes it.
 
     - ``behaviour``: its full name, such as ``"uptake of oxygen"``
-    - ``own``: its value without responses
     - ``found``, name -> (n,): fields at the cells, and other signals that cells do not carry
       themselves
     - ``early``: whether fields may not be there yet: what responds to them then has no effect

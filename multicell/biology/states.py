@@ -47,13 +47,8 @@ def update_states(
     (:func:`multicell.biology.responding.wants_rest`), and proliferates if none does. Where nothing
     lets cells rest, their states stay as they are.
 
-    - ``plan``: gives the thresholds and ``cells.reaction_time``
-    - ``cells``: the population, n cells; its states, pressures, ages and identities are read
-    - ``concentrations``, mapping of (n,), mM: concentration at the cells, for every nutrient of the
-      scene
     - ``step``: number of the coupling step that has ended
     - ``dt``: its length, s; 0 at the start of a run
-    - ``time``: at its end, since the start of the run, s
 
     Returns (n,) int8: values of :class:`multicell.cells.State`; ``cells`` is not changed.
     """

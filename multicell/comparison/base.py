@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.comparison.files import Row
 from multicell.host.extras import needs
-from multicell.results.folder import file_errors, write_text
+from multicell.results.folder import file_errors, make_folder, remove, write_text
 from multicell.scene.scene import Scene
 from multicell.tables.text import table_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+Row = dict[str, Any]  # one row of a table: column -> value
+
+DONE, FAILED, SKIPPED = "done", "failed", "skipped"  # how a solve went
+
+CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
+"""Column of the table that may judge -> what it is."""
 
 Pictures = dict[str, tuple[Callable[[], "Figure"], str]]
 """Name of a file -> the function that draws it, and its caption."""
@@ -99,3 +105,15 @@ class Comparison(ABC):
             folder / "report.html", self.template, scene=self.scene, result=self,
             pictures=self.pictures(), **self.page(),
         )  # fmt: skip
+
+
+def prepare(output: str | Path | None, names: Iterable[str], overwrite: bool) -> None:
+    """Make sure that results can be written, before they are computed; without output do nothing.
+
+    - ``names``: files of an earlier comparison, which are removed if ``overwrite``; nothing else is
+    - ``overwrite``: whether the folder may hold something
+
+    Raises OutputError if the folder cannot be used.
+    """
+    if output is not None:
+        remove(make_folder(output, overwrite=overwrite), names)

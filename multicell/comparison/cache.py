@@ -57,7 +57,6 @@ def key(scene: Scene, cells: Cells | None, pair: Any) -> str:
     """Return what a reference depends on as one hash: versions, scene, cells, pair of methods.
 
     - ``scene``: its output and integrator have no part in a reference
-    - ``cells``: cells to start from, if not the scene's own
     - ``pair``: how the reference is computed, as JSON can hold it
     """
     entries = scene.to_dict()

@@ -16,7 +16,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.comparison.files import Row
+from multicell.comparison.base import Row
 from multicell.comparison.norms import Norm, Observed, displacements, errors
 from multicell.comparison.replay import Problem
 from multicell.integrators import shift as online

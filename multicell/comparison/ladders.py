@@ -67,7 +67,6 @@ def find_method(method: Any, scene: Scene, radius: float) -> Method:
       ``"file.py:Name"``; a class; or an integrator, of which all but the tolerance or step stays
       as it is. What takes neither is compared as it is.
     - ``scene``: its ``integrator.max_displacement`` holds for all methods
-    - ``radius``: mean radius of the cells, µm
 
     Raises SceneError if there is no such method.
     """

@@ -10,7 +10,7 @@ from functools import partial
 from statistics import median
 from typing import Any, NamedTuple, final
 
-from multicell.comparison.files import DONE, FAILED, SKIPPED, Row
+from multicell.comparison.base import DONE, FAILED, SKIPPED, Row
 from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import WORST_CELL, errors, observe
 from multicell.comparison.reference import Reference

@@ -173,8 +173,6 @@ def displacements(
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far cells are from other places at each of m times.
 
-    - ``positions``, ``others``: (n, 3) µm each, m of them; n may differ from time to time
-
     Returns (m,) µm: root mean square over the cells; (m,) µm: the worst cell.
     """
     pairs = list(zip(positions, others, strict=True))

@@ -95,8 +95,6 @@ class MotionScale:
     def errors(self, found: FloatArray, exact: FloatArray) -> tuple[float, float]:
         """Return how far an end is off, dimensionless: all cells, and the worst cell.
 
-        - ``found``, ``exact``: positions at the end of the step, (n, 3) µm
-
         Of all cells the root mean square of their distances counts, over :attr:`rms`; of the
         worst one its distance, over :attr:`largest`.
         """

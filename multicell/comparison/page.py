@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.comparison.files import CLOCKS
+from multicell.comparison.base import CLOCKS
 from multicell.comparison.styles import appearance
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.wording import time_unit

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from multicell.comparison.files import Row
+from multicell.comparison.base import Row
 from multicell.comparison.styles import Point, Style
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import INK, QUIET, RED, few_decades

@@ -114,14 +114,10 @@ def record(
     Coupling steps in which nothing can move (no cell, or one on which nothing acts) are left out:
     the problem begins with the first step that a method has to solve.
 
-    - ``scene``: what to simulate; its own integrator is not used
     - ``integrator``: the method that moves the cells; of a sample it decides which states occur,
       and has no part in any error
     - ``samples``: None for the whole run; or the number of steps of a step-wise problem, one from
       the middle of each of so many equal parts of the run (all steps if there are fewer)
-    - ``cells``: cells to start from instead of the scene's initial ones
-    - ``threads``: see :class:`multicell.simulation.Simulation`
-    - ``progress``: called after each coupling step with the part of the duration that is done
 
     Raises StepFailed if a step cannot be solved; SceneError if there is nothing to move in any
     step.

@@ -77,7 +77,6 @@ def reference(
 ) -> Reference:
     """Return the reference solution of a scene, from the cache if it is there.
 
-    - ``scene``: the scene; its integrator is not used
     - ``pair``: two methods with their settings, by default :func:`default_pairs`. The first one
       records the events and gives the reference, the second one replays them. Step-wise both solve
       every step from its recorded state.
@@ -86,13 +85,10 @@ def reference(
       ``cvode`` leads to with a tolerance of a hundredth of a cell radius.
     - ``shift``: size in µm of the shift that shows the conditioning of single steps, root mean
       square of each coordinate; 0 to leave it out
-    - ``cells``: cells to start from instead of the scene's initial ones
     - ``cache``: folder of the cache; True for that of the user
       (:func:`multicell.comparison.cache.cache_folder`), False for none
     - ``norms``: in which errors are measured; a reference with a norm of the user's own is not
       kept, since what it measures has no name
-    - ``threads``: see :class:`multicell.simulation.Simulation`
-    - ``progress``: called with a few words about what is being done
 
     Raises StepFailed if one of the two cannot be computed; OutputError if the cache cannot be
     written.

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Self, final
 
 import numpy as np
 
-from multicell.comparison.base import Comparison, Pictures
+from multicell.comparison.base import DONE, FAILED, Comparison, Pictures, Row
 from multicell.comparison.conditioning import Conditioning
-from multicell.comparison.files import DONE, FAILED, Row
 from multicell.comparison.norms import NORMS, WORST_CELL, Norm, described
 from multicell.errors import OutputError
 from multicell.host.extras import needs

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from multicell.comparison.files import Row
+from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import find
@@ -42,12 +42,7 @@ class Point(NamedTuple):
 
 
 def points(result: WorkPrecision, norm: str, cost: str, method: str = "") -> list[Point]:
-    """Return the solves of a method, or of all, that have a place on logarithmic axes.
-
-    - ``norm``: one of :data:`multicell.comparison.norms.NORMS`
-    - ``cost``: ``"wall"``, ``"cpu"`` or ``"cost"``
-    - ``method``: name of a method; empty for all
-    """
+    """Return the solves of a method, or of all, that have a place on logarithmic axes."""
     methods = [method] if method else result.methods
     found = [_point(row, norm, cost) for name in methods for row in result.rows(name)]
     # an error of exactly zero has no place on a logarithmic axis

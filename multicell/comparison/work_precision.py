@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from multicell.cells import Cells
+from multicell.comparison.base import CLOCKS, Row, prepare
 from multicell.comparison.conditioning import SHIFT
-from multicell.comparison.files import CLOCKS, Row, prepare
 from multicell.comparison.ladders import (
     Ladder,
     Method,

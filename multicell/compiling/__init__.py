@@ -14,7 +14,7 @@ import time as clock
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any, final
+from typing import Any, TypeVar, cast, final
 
 import numpy as np
 from llvmlite import ir
@@ -82,6 +82,13 @@ INNER: dict[str, Any] = {**ADDRESSED, "cache": False, "pipeline_class": _PieceCo
 disk neither, where those are that have taken it in."""
 INLINED: dict[str, Any] = {**INNER, "forceinline": True}
 """Options of small functions of one pair, which must not cost a call."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def typed(**options: Any) -> Callable[[_F], _F]:
+    """Return ``numba.njit`` with options, for functions that state their types."""
+    return cast(Callable[[_F], _F], njit(**options))
 
 
 @final
@@ -228,9 +235,7 @@ _ADDRESSES: dict[Any, int] = {}
 def address_of(function: Any, result: Any, *arguments: Any) -> int:
     """Return where a jitted function is that takes values like these; compile it if need be.
 
-    - ``function``: a jitted function of a module
     - ``result``: a value of the type that it must return
-    - ``arguments``: values of the types of its arguments
     """
     key = (function, kind_of(result), kind_of(arguments))
     if key not in _ADDRESSES:

@@ -58,8 +58,6 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     name of its own, ``…_parallel``, so that each has its own file in numba's disk cache. Chunks
     that write to their own cells only give the same bits in both. Neither is compiled before it
     is called.
-
-    - ``body``: a module-level function that numba can compile
     """
     from numba import njit
 

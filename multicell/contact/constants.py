@@ -70,8 +70,6 @@ def constants_of(
 ) -> Any:
     """Return the type of a law's constants: a NamedTuple of floats with these fields.
 
-    - ``function``: the function of the law
-    - ``fields``: names of the constants
     - ``without_energy``, ``force_alone``: see :class:`LawFunction`
     """
     for name in fields:

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING
 from inspect import signature
 from numbers import Real
-from typing import TYPE_CHECKING, Any, ClassVar, cast, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +26,7 @@ from multicell.contact.derived import Scalar, force_alone, whole_law, with_argum
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
-from multicell.plugins.laws import OwnLaw
+from multicell.plugins.laws import Laws, OwnLaw
 from multicell.plugins.named import load_object, own_code
 from multicell.schema import number, quantity, specs
 from multicell.schema import parameters as declare
@@ -186,9 +186,7 @@ def pair_law(
     """
 
     def make(force: Scalar) -> type[UserLaw]:
-        taken = [n for n in parameters if hasattr(UserLaw, n) and n not in _HIDDEN]
-        if taken:
-            raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")
+        refuse_names(UserLaw, parameters, hidden=_HIDDEN)
         parts = {"force": force, "stiffness": stiffness, "energy": energy, "reach": reach}
         push = with_arguments(force)
         slope = None if stiffness is None else with_arguments(stiffness)
@@ -200,27 +198,13 @@ def pair_law(
             without_energy=without_energy(push, slope, reach),
             force_alone=force_alone(push, reach),
         )
-        declared = {name: declaration(entry) for name, entry in parameters.items()}
-        source = f"{os.path.basename(force.__code__.co_filename)}:{force.__qualname__}"
-        mark = mark_of([whole], declared)
-        if f"{source}@{mark}" in LAWS:
-            return cast("type[UserLaw]", LAWS[f"{source}@{mark}"])
-        attributes = {
-            "__doc__": force.__doc__,
-            "__module__": force.__module__,
-            "__qualname__": force.__qualname__,
-            **declared,
-            "__annotations__": dict.fromkeys(parameters, float),
-            "source": source,
-            "fingerprint": mark,
+        own = {
             "_type_of_constants": constants,
             "_reach": None if reach is None else staticmethod(reach),
             "_parts": {name: part for name, part in parts.items() if part is not None},
             "_asks_rest": reach is not None or "rest" in further_arguments(force),
         }
-        law: type[UserLaw] = declare(type(force.__name__, (UserLaw,), attributes))
-        LAWS.add(law.source, law.fingerprint, law)
-        return law
+        return law_of(UserLaw, force, parameters, LAWS, [whole], own)
 
     return make
 
@@ -257,7 +241,42 @@ def load_law(spec: str) -> type[OwnLaw]:
     return found
 
 
-def mark_of(functions: Sequence[Any], declared: Mapping[str, Any]) -> str:
+def refuse_names(base: type[OwnLaw], names: Iterable[str], hidden: Sequence[str] = ()) -> None:
+    """Refuse parameters with a name that laws of a kind have, unless they may hide it."""
+    taken = [name for name in names if hasattr(base, name) and name not in hidden]
+    if taken:
+        raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")
+
+
+def law_of(
+    base: type[OwnLaw], function: Any, parameters: Mapping[str, Any], laws: Laws[Any],
+    read: Sequence[Any], attributes: Mapping[str, Any],
+) -> type[Any]:  # fmt: skip
+    """Return the class of laws that a user's function stands for: the same one for the same code.
+
+    - ``base``: of what kind it is, with ``attributes`` of its own
+    - ``laws``: where it is entered
+    - ``read``: the functions that its fingerprint is of
+    """
+    declared = {name: _declaration(entry) for name, entry in parameters.items()}
+    source = f"{os.path.basename(function.__code__.co_filename)}:{function.__qualname__}"
+    mark = _mark_of(read, declared)
+    if f"{source}@{mark}" in laws:
+        return laws[f"{source}@{mark}"]
+    members = {
+        **{name: getattr(function, name) for name in ("__doc__", "__module__", "__qualname__")},
+        **declared,
+        "__annotations__": dict.fromkeys(parameters, float),
+        "source": source,
+        "fingerprint": mark,
+        **attributes,
+    }
+    law: type[Any] = declare(type(function.__name__, (base,), members))
+    laws.add(source, mark, law)
+    return law
+
+
+def _mark_of(functions: Sequence[Any], declared: Mapping[str, Any]) -> str:
     """Return the fingerprint of a law: of its functions and of its declared parameters."""
     stated = []
     for name, column in declared.items():
@@ -268,7 +287,7 @@ def mark_of(functions: Sequence[Any], declared: Mapping[str, Any]) -> str:
     return given.hexdigest()[:12]
 
 
-def declaration(entry: Any) -> Any:
+def _declaration(entry: Any) -> Any:
     """Return the declaration of a parameter that is given by its unit."""
     if not isinstance(entry, str):
         return entry

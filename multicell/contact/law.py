@@ -104,40 +104,22 @@ class PairLaw(ABC):
         return np.asarray(np.sqrt(6.0 * np.pi * np.asarray(surface_energy, dtype=float)))
 
     def force(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
+        self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, **further: Any
     ) -> FloatArray:
-        """Return the pair force in nN, positive where it pushes apart."""
-        return self.evaluate(overlap, modulus, radius, rest=rest, touching=touching)[0]
+        """Return the pair force in nN, positive where it pushes apart; see :meth:`evaluate`."""
+        return self.evaluate(overlap, modulus, radius, **further)[0]
 
     def stiffness(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
+        self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, **further: Any
     ) -> FloatArray:
-        """Return dF/dh in nN/µm."""
-        return self.evaluate(overlap, modulus, radius, rest=rest, touching=touching)[1]
+        """Return dF/dh in nN/µm; see :meth:`evaluate`."""
+        return self.evaluate(overlap, modulus, radius, **further)[1]
 
     def energy(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
+        self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, **further: Any
     ) -> FloatArray:
-        """Return the pair energy in fJ: its slope dU/dh is the force."""
-        return self.evaluate(overlap, modulus, radius, rest=rest, touching=touching)[2]
+        """Return the pair energy in fJ: its slope dU/dh is the force; see :meth:`evaluate`."""
+        return self.evaluate(overlap, modulus, radius, **further)[2]
 
     def evaluate(
         self,

@@ -84,7 +84,6 @@ def rest_overlap(
 
     By Newton's method from above, kept in a bracket by bisection.
 
-    - ``law``: the contact law of all these pairs
     - ``modulus``, ``radius``, ``rest``, ``bonds``: see :class:`Pair`
     """
     arrays = [np.asarray(part, dtype=float) for part in (modulus, radius, rest, bonds)]

@@ -65,9 +65,6 @@ class Mover:
     ) -> Moved:
         """Integrate the positions through a coupling step.
 
-        - ``cells``: at its beginning
-        - ``motion``: what mechanics must know of them between its beginning and its end
-        - ``step``: its number
         - ``replays``, ``known``: what earlier steps have shown
 
         Raises StepFailed if the integrator fails, a cell leaves the domain, or the method's step is
@@ -126,7 +123,7 @@ class Mover:
         was_beyond, suspect = known.rate > product, False
         if not was_beyond and stability.may_glance(known, n):
             known = stability.add_glance(known, n)
-            suspect = stability.suspect(system, end, position, product)
+            suspect = stability.glance(system, end, position) > stability.NEAR * product
         if not was_beyond and not suspect:
             return known
         rate = stability.rate_at(system, end, position, self._dimensions)

@@ -112,8 +112,8 @@ class RunState(ABC):
         self.named = {path: np.array(ids, np.int64) for path, ids in known.driven.items()}
         for name in _NOTED:
             setattr(self, name, getattr(known, name))
-        self.replays = Replays.of(known.replays)
-        self.stability = Stability.of(known.stability)
+        self.replays = Replays(**known.replays)
+        self.stability = Stability(**known.stability)
         self._count(known.work)
         self._fields.resume(frame)
 

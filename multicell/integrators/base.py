@@ -224,14 +224,9 @@ class MethodInfo:
         return None
 
 
-def refusal(info: MethodInfo, system: Mechanics) -> tuple[str, str] | None:
-    """Return why a method cannot hold a system, and what to try, or None if it can."""
-    return info.refusal(len(system), friction=max(system.friction) > 0.0)
-
-
 def hold(info: MethodInfo, system: Mechanics) -> None:
     """Raise ``SceneError`` if a method cannot hold the cells of a system."""
-    refused = refusal(info, system)
+    refused = info.refusal(len(system), friction=max(system.friction) > 0.0)
     if refused is not None:
         raise SceneError("integrator.method", *refused)
 

@@ -6,15 +6,13 @@ part of the evaluations; the counts that are reported are those of :class:`Mecha
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, cast, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from numba import njit
 from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import KERNEL, typed
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
@@ -23,8 +21,7 @@ from multicell.mechanics.preconditioners import preconditioner
 if TYPE_CHECKING:
     from multicell.integrators.cvode import Cvode
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
+_jit = typed(**KERNEL)
 
 _CONTACTS = 8.0  # largest decay rate of packed cells, in stiffness of the stiffest pair over drag
 _SLOW_START = 5e-4
@@ -59,6 +56,17 @@ def _divide(out: FloatArray, before: FloatArray, share: float) -> None:
         out[n] = (out[n] - before[n]) / share
 
 
+def _cvode(method: Cvode, run: Run, predictor: Predictor, **options: Any) -> CVODE:
+    """Return a solver at the last accepted state, with what both kinds have in common."""
+    solver = CVODE(
+        predictor.velocity, method=method.formula, rtol=run.share * method.rtol,
+        atol=run.share * method.atol, max_order=method.max_order, max_nonlin_iters=method.newton,
+        linsolver=method.linear, **options,
+    )  # fmt: skip
+    solver.init_step(0.0, run.position.ravel())
+    return solver
+
+
 @final
 class Light:
     """CVODE as it comes: products by difference quotients, each of which is an evaluation."""
@@ -71,19 +79,10 @@ class Light:
         self._moved = np.empty(3 * len(run.position))
         self._probed: list[tuple[float, FloatArray, float]] = []
         self._predictor = Predictor(run)
-        self.solver = CVODE(
-            self._predictor.velocity,
-            method=method.formula,
-            rtol=run.share * method.rtol,
-            atol=run.share * method.atol,
-            max_order=method.max_order,
-            max_nonlin_iters=method.newton,
-            linsolver=method.linear,
-            krylov_dim=_LIGHT_KRYLOV,
-            first_step=_FIRST * run.left,
+        self.solver = _cvode(
+            method, run, self._predictor, krylov_dim=_LIGHT_KRYLOV, first_step=_FIRST * run.left,
             jactimes=CVODEJacTimes(None, self.product),
-        )
-        self.solver.init_step(0.0, run.position.ravel())
+        )  # fmt: skip
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step; ask for the full method where the last ones took many evaluations."""
@@ -167,20 +166,10 @@ class Krylov:
             self._preconditioner = preconditioner(method.preconditioner, run.system)
             options["precond"] = CVODEPrecond(self.setup, self.solve, side=method.side)
         self._predictor = Predictor(run)
-        self.solver = CVODE(
-            self._predictor.velocity,
-            method=method.formula,
-            rtol=run.share * method.rtol,
-            atol=run.share * method.atol,
-            max_step=ceiling,
-            max_order=method.max_order,
-            max_nonlin_iters=method.newton,
-            linsolver=method.linear,
-            krylov_dim=method.krylov_dim,
-            jactimes=CVODEJacTimes(self.linearise, self.product),
-            **options,
-        )
-        self.solver.init_step(0.0, run.position.ravel())
+        self.solver = _cvode(
+            method, run, self._predictor, krylov_dim=method.krylov_dim, max_step=ceiling,
+            jactimes=CVODEJacTimes(self.linearise, self.product), **options,
+        )  # fmt: skip
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""

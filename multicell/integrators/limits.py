@@ -48,22 +48,16 @@ def stiffness_scale(system: Mechanics) -> float:
     their effective radius. Found once for a coupling step, since with few cells it costs as much as
     some evaluations.
     """
-    if system.stiffness_scale is None:
-        system.stiffness_scale = _stiffness_scale(system)
-    return system.stiffness_scale
-
-
-def _stiffness_scale(system: Mechanics) -> float:
+    if len(system) < 2 or system.stiffness_scale is not None:
+        return system.stiffness_scale or 0.0
     motion = system.motion
-    if len(system) < 2:
-        return 0.0
     radius = float(motion.radius.mean())
     at = int((motion.young / (1.0 - motion.poisson**2)).argmax())
     young, poisson = motion.young.item(at), motion.poisson.item(at)
     modulus = effective_modulus(young, poisson, young, poisson)
     _, slope, _ = system.law.evaluate(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
-    stiffness = _CONTACTS * abs(float(slope))
-    return stiffness / (system.drag * radius)
+    system.stiffness_scale = _CONTACTS * abs(float(slope)) / (system.drag * radius)
+    return system.stiffness_scale
 
 
 def beyond(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcome | None:

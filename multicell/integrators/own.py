@@ -42,7 +42,6 @@ def own_integrator(method: Any, options: IntegratorOptions) -> tuple[IntegratorO
     that they have in a scene, and the others in brackets behind its name.
 
     - ``method``: ``file.py:Name``, a class, which is made with the options, or an object
-    - ``options``: of the scene
 
     Raises SceneError if there is no such method, it is no integrator or cannot be made.
     """

@@ -8,14 +8,12 @@ every search direction p, ⟨p, A p⟩ / ⟨p, p⟩ is a lower bound on the larg
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, cast, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
-from numba import njit
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import KERNEL, typed
 from multicell.integrators.base import Outcome
 from multicell.integrators.driver import control
 from multicell.integrators.stepping import (
@@ -36,8 +34,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
+_jit = typed(**KERNEL)
 
 _D = 1.0 / (2.0 + math.sqrt(2.0))
 _E = 6.0 + math.sqrt(2.0)  # coefficients of Shampine & Reichelt (1997)

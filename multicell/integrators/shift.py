@@ -9,7 +9,6 @@ depends on counted costs, not on clocks.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 import numpy as np
@@ -44,11 +43,6 @@ class Replays(NamedTuple):
     total: float = 0.0
     spent: float = 0.0
     step: float = 0.0
-
-    @classmethod
-    def of(cls, noted: Mapping[str, float]) -> Replays:
-        """Return what a frame's progress noted; nothing yet where it noted nothing."""
-        return cls(**noted)
 
     @property
     def due(self) -> bool:

@@ -10,7 +10,6 @@ the limit at both ends of a coupling step is refused; one at one end only is mar
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
@@ -31,7 +30,7 @@ _FIRST = 2
 """Coupling steps at the beginning of a run before each of which λ is measured: cells that are
 placed anew hardly press each other in the first."""
 _GLANCE = 5  # evaluations that |J v| / |v| costs
-_NEAR = 0.8
+NEAR = 0.8
 """|J v| / |v| over the limit from which on λ is measured; rattling cells have 0.88 to 0.96."""
 _SAFE = 0.9  # part of the limit that is recommended
 
@@ -56,11 +55,6 @@ class Stability(NamedTuple):
     total: float = 0.0
     spent: float = 0.0
     looked: float = 0.0
-
-    @classmethod
-    def of(cls, noted: Mapping[str, float]) -> Stability:
-        """Return what a frame's progress noted; nothing yet where it noted nothing."""
-        return cls(**noted)
 
     def notes(self, name: str) -> list[str]:
         """Return the remark on a run some of whose steps were beyond the limit, for a person."""
@@ -132,11 +126,6 @@ def rate_at(system: Mechanics, time: float, position: FloatArray, dimensions: in
     vars(system.work).update(counts)
     system.begin(system.motion)
     return rate if rate > 0.0 else 0.0
-
-
-def suspect(system: Mechanics, time: float, position: FloatArray, product: float) -> bool:
-    """Return whether cells seem to rattle at a state; ``product`` as in :func:`is_due`."""
-    return glance(system, time, position) > _NEAR * product
 
 
 def glance(system: Mechanics, time: float, position: FloatArray) -> float:

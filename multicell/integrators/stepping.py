@@ -36,7 +36,7 @@ from multicell.compiling import (
     kind_of,
 )
 from multicell.integrators import fused
-from multicell.mechanics import forces, margins, neighbours
+from multicell.mechanics import forces, neighbours
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
@@ -79,7 +79,7 @@ class Source(NamedTuple):
 # numba's cache on disk compares the date of a loop's own file only, but code of these files is
 # compiled into it: after a change of one of them the loops take arguments of another type
 Source.__name__ = Source.__qualname__ = "Source_" + fingerprint_of(
-    sys.modules[__name__], forces, fused, margins, neighbours
+    sys.modules[__name__], forces, fused, neighbours
 )
 globals()[Source.__name__] = Source
 
@@ -177,7 +177,7 @@ def _evaluation(source, pairs, elapsed, position, out):
         if not _is_finite(position):
             return NOT_FINITE, pairs
         source.counts[LIST_BUILDS] += 1
-        reach = margins.widened(
+        reach = neighbours.widened(
             position, cells.reference, source.reach, source.least_margin, cells.margin
         )
         crowded, first, second, start, inner_end, outer_end = _rebuild_at(

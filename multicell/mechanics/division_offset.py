@@ -48,8 +48,6 @@ class Offsets:
     ) -> Offsets:
         """Return the pairs with an offset of a coupling step among ``n`` cells.
 
-        - ``n``: number of cells
-        - ``pairs``, ``offset``: see :class:`~multicell.mechanics.motion.Motion`
         - ``values``: returns for the two cells of each pair what the law keeps for it
         """
         if pairs is None and offset is None:

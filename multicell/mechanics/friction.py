@@ -359,7 +359,6 @@ class FrictionMatrix:
         """Take Γ from centres and radii.
 
         - ``rows``, (n, 4 or more): centre and radius of each cell in the first four columns, µm
-        - ``pairs``: every pair that may touch
         - ``shared``: whether chunks are shared among threads, here and in what follows; same bits
         - ``offset``: part of the overlap of each pair of the list that makes no contact, µm; empty
           for none
@@ -396,11 +395,9 @@ class FrictionMatrix:
     ) -> int:
         """Solve Γ v = F and return the number of iterations.
 
-        - ``force``: F, nN
         - ``velocity``: the guess that the iteration starts from, replaced by the solution, µm/s.
           The last velocity of the same cells is a good one; the result depends on it within the
           tolerance.
-        - ``tolerance``: relative tolerance, if not that of the parameters
         - ``warm``: whether ``velocity`` holds a guess; if not, the iteration starts from rest
         - ``held``: cells that stand still: theirs are no unknowns, and have zero force and velocity
         """

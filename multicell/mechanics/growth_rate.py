@@ -67,8 +67,6 @@ def largest_growth_rate(
     systems are solved as dense matrices.
 
     - ``system``: made ready for the coupling step; its last linearisation is replaced
-    - ``time``: within the coupling step, s
-    - ``position``: (n, 3) µm
     - ``products``: largest number of products J·v, 5 or more. After division 20 give μ to many
       digits; that it is zero they only tell within some hundredths of the largest decay rate.
     - ``dimensions``: 2 for cells that stay in a plane: motions out of it do not count

@@ -108,9 +108,7 @@ class Pattern:
     def near(cls, position: FloatArray, system: Mechanics, margin: float) -> Pattern:
         """Return the pattern with room for pairs whose surfaces are closer than a margin.
 
-        - ``position``: (n, 3) µm
         - ``system``: the largest radii of its coupling step count
-        - ``margin``: in mean radii
         """
         motion = system.motion
         length = motion.end - motion.begin
@@ -121,9 +119,7 @@ class Pattern:
     def fill(self, system: Mechanics, values: FloatArray, linear: Linearisation) -> int:
         """Write J at a linearisation, 1/s; return how many blocks have no place.
 
-        - ``system``: its ``rows`` belong to the same state
         - ``values``: (9 b,), the entries in the order of ``index``
-        - ``linear``: the pairs' stiffness
         """
         place, inner = _places(linear.pairs)
         along, across = linear.along[place], -linear.across[place]

@@ -52,11 +52,6 @@ class Work:
             + _LIST * self.list_builds
         )
 
-    def add(self, other: Work) -> None:
-        """Add the counts of ``other`` to these."""
-        for name, count in vars(other).items():
-            setattr(self, name, getattr(self, name) + count)
-
 
 @final
 @dataclass

@@ -23,7 +23,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INLINED, INNER
+from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
 
 IndexArray = NDArray[np.int32]
@@ -36,6 +36,10 @@ _SPARE_BINS = 4096
 _SPARE_PAIRS = 4_000_000
 _BLOCK = 512  # candidates that are tested in one go
 _SLICES = 4  # bins along x for each along y and z
+
+
+_WIDEST = 8.0  # largest margin of a cell over the least
+_FORESIGHT = 6.0  # how many times as far as since the last list a cell may move until the next one
 
 
 class TooManyPairsError(Exception):
@@ -78,14 +82,30 @@ class PairList:
         return np.unique(both, axis=0).reshape(-1, 2)
 
 
+def listed(pairs: PairList) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the cells of all places of a list; spare room stands for cell 0 twice."""
+    used = np.zeros(len(pairs.first), dtype=np.bool_)
+    for start, end in zip(pairs.start, pairs.outer_end, strict=True):
+        used[start:end] = True
+    first = np.where(used, pairs.first, 0).astype(np.int64)
+    return first, np.where(used, pairs.second, 0).astype(np.int64)
+
+
+def are_listed(
+    pairs: IndexArray | OffsetArray | None,
+    first: NDArray[np.int64],
+    second: NDArray[np.int64],
+    n: int,
+) -> NDArray[np.bool_]:
+    """Tell which pairs of the cells ``first`` and ``second`` are among ``pairs``, (m, 2)."""
+    if pairs is None:
+        return np.zeros(len(first), dtype=np.bool_)
+    known = pairs[:, 0] * np.int64(n) + pairs[:, 1]
+    return np.isin(np.minimum(first, second) * np.int64(n) + np.maximum(first, second), known)
+
+
 def neighbour_pairs(position: FloatArray, cutoff: float) -> IndexArray:
-    """Return all pairs of points no further apart than ``cutoff``.
-
-    - ``position``, (n, 3): any finite points, µm
-    - ``cutoff``: largest distance, µm
-
-    Returns (m, 2) int32: each pair once, smaller index first, in lexicographic order.
-    """
+    """Return all pairs of points (n, 3) no further apart than ``cutoff``, sorted, (m, 2)."""
     radius = np.full(len(position), 0.5 * cutoff)
     return build(np.ascontiguousarray(position, dtype=float), radius, 0.0).pairs()
 
@@ -95,10 +115,6 @@ def build(
 ) -> PairList:
     """Build the list of all pairs closer than ``r_i + r_j + skin``.
 
-    - ``position``, (n, 3): finite centres, µm
-    - ``radius``, (n,): radii, µm
-    - ``skin``: added to the sum of the radii, µm
-    - ``threads``: with more than one, chunks are searched in parallel (same result)
     - ``chunk``: cells in a chunk
     """
     n = len(position)
@@ -496,3 +512,65 @@ def _rebuild(position, radius, skin, chunk, first, second):
 
 
 rebuild, rebuild_parallel = two_drivers(_rebuild)
+
+
+@njit(**KERNEL)
+def widened(position, reference, reach, least, margin):
+    """Adapt the margins of the cells to how they move; return the radii to build a list with.
+
+    A list lasts until some cell has drifted by its margin. Where few cells move it is they for
+    whom it is built again and again, and room round them costs little: each cell's margin is a
+    multiple of its drift since the last list, but not below half of what it was.
+
+    - ``position``, ``reference``, (n, 3), µm: now, and at the last list; not a number where there
+      was none
+    - ``reach``, (n,), µm: half of the distance within which a pair matters
+    - ``least``, float, µm: smallest margin
+    - ``margin``, (n,), µm: how far each cell may drift; changed in place
+
+    Returns (n,), µm: ``reach`` + ``margin``.
+    """
+    wide = np.empty_like(reach)
+    for i in range(reach.size):
+        square = 0.0
+        for a in range(3):
+            square += (position[i, a] - reference[i, a]) ** 2
+        # not a number where there was no list: the margin stays
+        wanted = _FORESIGHT * math.sqrt(square)
+        if wanted == wanted:
+            margin[i] = max(least, min(max(wanted, 0.5 * margin[i]), _WIDEST * least))
+        wide[i] = reach[i] + margin[i]
+    return wide
+
+
+def spatial_order(position: FloatArray, width: float) -> OffsetArray:
+    """Return the order of the cells along a Morton curve, (n,); ties keep their order.
+
+    ``width``, µm, is the edge of the boxes that the curve visits; it is widened where more than 2²¹
+    of them would be needed along an axis.
+    """
+    if len(position) == 0:
+        return np.empty(0, dtype=np.int64)
+    low = position.min(axis=0)
+    # halves, because the extent itself may overflow
+    extent = 2.0 * float((0.5 * position.max(axis=0) - 0.5 * low).max())
+    width = max(width, min(extent, np.finfo(float).max) / 2.0**20)
+    box = ((0.5 * position - 0.5 * low) * (2.0 / width)).astype(np.uint64)
+    key = (
+        _spread(box[:, 0]) | _spread(box[:, 1]) << np.uint64(1) | _spread(box[:, 2]) << np.uint64(2)
+    )
+    return np.argsort(key, kind="stable")
+
+
+def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Put two zero bits between the 21 lowest bits (Morton code by magic masks)."""
+    value = value & np.uint64(0x1FFFFF)
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
+    return value

@@ -28,7 +28,6 @@ from numba import njit, prange
 from multicell.compiling import KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.blocks import NEARLY_SINGULAR, add_block, invert_by_pivots
-from multicell.mechanics.optional import stiffened
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -244,7 +243,7 @@ class Sweeps:
     def setup(self, system: Mechanics, gamma: float, linear: Linearisation) -> None:
         """Prepare for (I - γJ) at a linearisation."""
         system.work.preconditioner_setups += 1
-        linear = stiffened(linear)
+        linear = linear.stiffened()
         pairs = linear.pairs
         if len(self._near) < len(pairs.first):
             self._near = np.empty(len(pairs.first), dtype=np.int32)

@@ -18,9 +18,8 @@ from multicell.cells import SPHERE, FloatArray, stokes_drag
 from multicell.compiling.threads import launch
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
-from multicell.mechanics import blocks, forces, margins, neighbours, optional
+from multicell.mechanics import blocks, forces, neighbours
 from multicell.mechanics.division_offset import Offsets, PairValues
-from multicell.mechanics.listed import are_listed, listed
 from multicell.mechanics.motion import Motion, StateRejected, Work
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.walls import Walls
 
 
-_NOTHING = np.empty((0, 0))
+_NOTHING, _NO_OFFSET = np.empty((0, 0)), np.empty(0)
 _ROOM = 50
 """Places of a list for each cell up to which it is kept for the next: twice what is usual."""
 
@@ -61,6 +60,14 @@ class Linearisation:
         """Return arrays of the size that a list needs, not filled yet."""
         size = len(pairs.first)
         return cls(pairs, np.empty((size, 3)), np.empty(size), np.empty(size))
+
+    def stiffened(self) -> Linearisation:
+        """Return it with pairs that stand for many-body stiffness as well."""
+        if self.coupling is None:
+            return self
+        from multicell.mechanics import compression
+
+        return compression.stiffened(self)
 
 
 @final
@@ -154,8 +161,14 @@ class Mechanics:
         self._blocks = np.empty((n, 6))
         self._inverse = np.empty((n, 6))
         if max(self.friction) > 0.0:
-            self._pair_friction = optional.friction(self.friction, n, self.drag, self.chunk)
-        self.prescribed = optional.prescribed(motion)
+            from multicell.mechanics.friction import PairFriction
+
+            self._pair_friction = PairFriction(self.friction, n, self.drag, self.chunk)
+        self.prescribed = None
+        if motion.held is not None and motion.velocity is not None:
+            from multicell.mechanics.prescribed import Prescribed
+
+            self.prescribed = Prescribed(motion.held, motion.velocity, motion.begin)
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -179,11 +192,8 @@ class Mechanics:
             raise StateRejected(str(error)) from error
         self.work.friction_iterations += iterations
 
-    def linearise(self, time: float, position: FloatArray) -> None:
-        """Prepare :meth:`jacobian_product` at a state."""
-        self._linearise(time, position)
-
-    def _linearise(self, time: float, position: FloatArray) -> Linearisation:
+    def linearise(self, time: float, position: FloatArray) -> Linearisation:
+        """Prepare :meth:`jacobian_product` at a state; return the pairs' stiffness there."""
         self.work.linearisations += 1
         pairs = self._settle(time, position)
         if self._linear is None or self._linear.pairs is not pairs:
@@ -225,7 +235,9 @@ class Mechanics:
     @property
     def linearisation(self) -> Linearisation:
         """The pairs' stiffness at the last state given to :meth:`linearise`."""
-        return self._linearised()
+        if self._linear is None:
+            raise RuntimeError("linearise() must come first")
+        return self._linear
 
     @property
     def weighed_rows(self) -> FloatArray:
@@ -242,7 +254,7 @@ class Mechanics:
     ) -> None:
         """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation, or at one."""
         self.work.jacobian_products += 1
-        linear = self._linearised() if linear is None else linear
+        linear = self.linearisation if linear is None else linear
         given = self.prescribed
         if given is not None:
             vector = given.released(vector)
@@ -274,7 +286,7 @@ class Mechanics:
     def setup_preconditioner(self, gamma: float, linear: Linearisation | None = None) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""
         self.work.preconditioner_setups += 1
-        self._fill_blocks(self._linearised() if linear is None else linear)
+        self._fill_blocks(self.linearisation if linear is None else linear)
         if self._pair_friction is not None:
             # the drag that the blocks are divided by is that of Γ's diagonal
             stokes = self.drag * self._rows[:, 3]
@@ -349,14 +361,14 @@ class Mechanics:
         """
         if len(self) == 0:
             return 0.0
-        self._fill_blocks(self._linearise(time, position))
+        self._fill_blocks(self.linearise(time, position))
         xx, yy, zz, xy, xz, yz = self._blocks.T
         full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
         largest = np.linalg.eigvalsh(full)[:, -1]
         return float((2.0 * largest / (self.drag * self._rows[:, 3])).max())
 
     def _fill_blocks(self, linear: Linearisation) -> None:
-        linear = optional.stiffened(linear)
+        linear = linear.stiffened()
         blocks.diagonal_blocks(
             linear.data, linear.normal, linear.along, linear.across, self._blocks
         )
@@ -439,26 +451,22 @@ class Mechanics:
         self.work.list_builds += 1
         reference = np.array(position)
         last = self._cells.reference if self._pairs is not None else np.full((len(self), 3), np.nan)
-        reach = margins.widened(
+        reach = neighbours.widened(
             reference, last, self._list_radius, self._least_margin, self._margin
         )
         try:
-            pairs = neighbours.build(reference, reach, 0.0, self._list_threads(), self.chunk)
+            threads = self.threads if len(self) >= self.shared_chunks * self.chunk else 1
+            pairs = neighbours.build(reference, reach, 0.0, threads, self.chunk)
         except neighbours.TooManyPairsError as error:
             # the old list does not fit the new margins
             self._pairs = None
             raise StateRejected(f"cells lie on top of each other ({error})") from error
-        motion = self.motion
-        self._cells = forces.CellData(
-            self.chunk,
-            self._margin,
-            reference,
-            motion.radius,
-            motion.radius_rate,
-            motion.bonds,
-            motion.push,
+        self._cells = self._cell_data(reference)
+        values = (
+            self._values_of(*neighbours.listed(pairs))
+            if self.has_pair_values
+            else (None, None, None)
         )
-        values = self._values_of(*listed(pairs)) if self.has_pair_values else (None, None, None)
         self._pair_data = forces.PairData(
             pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end, *values
         )
@@ -490,7 +498,7 @@ class Mechanics:
 
         The list is a copy; :meth:`take_list` takes the one that the loop has built last.
         """
-        motion, chunks = self.motion, -(-len(self) // self.chunk)
+        chunks = -(-len(self) // self.chunk)
         if self._pairs is None:
             ends = np.zeros(chunks, dtype=np.int64)
             pairs = forces.PairData(*self.spare, ends, ends, ends, None, None, None)
@@ -498,13 +506,17 @@ class Mechanics:
             reference = np.full((len(self), 3), np.nan)
         else:
             pairs, reference = self._pair_data, np.array(self._cells.reference)
-        cells = forces.CellData(
+        return KernelData(
+            self._cell_data(reference), pairs, self._offsets.data, self._law, self._list_radius,
+            self._least_margin, self._rows, self.threads > 1 and chunks >= self.shared_chunks,
+        )  # fmt: skip
+
+    def _cell_data(self, reference: FloatArray) -> forces.CellData:
+        """Return what is known of the cells, with the positions that a list was built at."""
+        motion = self.motion
+        return forces.CellData(
             self.chunk, self._margin, reference, motion.radius, motion.radius_rate, motion.bonds,
             motion.push,
-        )  # fmt: skip
-        return KernelData(
-            cells, pairs, self._offsets.data, self._law, self._list_radius, self._least_margin,
-            self._rows, self.threads > 1 and chunks >= self.shared_chunks,
         )  # fmt: skip
 
     def take_list(self, cells: forces.CellData, pairs: forces.PairData) -> None:
@@ -527,7 +539,7 @@ class Mechanics:
     def _listed_offsets(self, time: float) -> FloatArray:
         """Return the offset of each place of the list, µm, or nothing where there is none."""
         found = self._offset_list(time)
-        return np.empty(0) if found is None else found
+        return _NO_OFFSET if found is None else found
 
     def _add_offset_virials(self, elapsed: float, virials: FloatArray) -> float:
         """Add what offsets change in virials, nN µm; return their part of the energy, fJ."""
@@ -550,7 +562,7 @@ class Mechanics:
             return sticky, None, None
         adhesion = self.law.adhesion if sticky is None else sticky
         modulus = 1.0 / (self._rows[first, 4] + self._rows[second, 4])
-        touching = are_listed(self.motion.touching, first, second, len(self))
+        touching = neighbours.are_listed(self.motion.touching, first, second, len(self))
         (begin, onset), (end, _) = (
             self.law.pair_memory(
                 adhesion, modulus, effective_radius(radius[first], radius[second]), touching
@@ -560,14 +572,6 @@ class Mechanics:
         length = self.motion.end - self.motion.begin
         rate = (end - begin) / length if length > 0.0 else np.zeros(len(first))
         return sticky, np.stack([begin, rate]), onset
-
-    def _linearised(self) -> Linearisation:
-        if self._linear is None:
-            raise RuntimeError("linearise() must come first")
-        return self._linear
-
-    def _list_threads(self) -> int:
-        return self.threads if len(self) >= self.shared_chunks * self.chunk else 1
 
     def _shared(self, pairs: neighbours.PairList) -> bool:
         return self.threads > 1 and len(pairs.start) >= self.shared_chunks

@@ -133,12 +133,6 @@ class Ledger:
             and (name not in _WHERE_ANY or value is not None)
         }
 
-    def copy(self) -> Ledger:
-        """Return an account of its own with the same totals."""
-        other = object.__new__(Ledger)
-        other.__dict__.update(self.__dict__)
-        return other
-
     def note(self, medium: WellMixed) -> None:
         """Take over the account of a finite medium."""
         self.held, self.level = medium.amount, medium.concentration

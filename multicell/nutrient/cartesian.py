@@ -127,7 +127,6 @@ def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None
     - ``low``, ``high``, (3,), µm: its corners; where ``height`` is given the third axis is not
       looked at
     - ``spacing``, float, µm: largest edge of a cube; see :func:`multicell.scene.domain.filling`
-    - ``height``, float, µm, optional: of the layer in two dimensions
     """
     axes = 3 if height is None else 2
     lengths = (high - low)[:axes]
@@ -235,9 +234,6 @@ def departure(position: FloatArray, radius: FloatArray) -> float:
     The tensor of gyration of the cells, weighted by volume and with the cells' own extent, has
     the principal radii a >= b >= c, those of the ellipsoid with the same tensor. The departure
     is (a - c) / a.
-
-    - ``position``, (n, 3), µm
-    - ``radius``, (n,), µm
     """
     if len(position) == 0:
         return 0.0
@@ -377,15 +373,10 @@ def scatter(
     spacing: float,
     shape: tuple[int, int, int],
 ) -> FloatArray:
-    """Spread an amount of each cell over the nodes as a density.
+    """Spread an amount of each cell, (n,), over the nodes as a density, amount per µm³.
 
-    - ``position``, (n, 3), µm
-    - ``amount``, (n,): for example a largest uptake in amol/s
-    - ``origin``, µm: lower corner of the grid's box
-    - ``spacing``, float, µm
-    - ``shape``, (nx, ny, nz)
-
-    Returns (nx, ny, nz): amount per µm³; its sum times ``spacing**3`` is the sum of ``amount``.
+    Its sum times ``spacing**3`` is the sum of ``amount``. ``position`` is (n, 3) and ``origin`` the
+    lower corner of the grid's box, µm.
     """
     points = _points(position)
     amounts = np.ascontiguousarray(amount, dtype=np.float64)
@@ -398,15 +389,10 @@ def scatter(
 
 
 def gather(position: FloatArray, values: FloatArray, origin: Triple, spacing: float) -> FloatArray:
-    """Interpolate node values at the cells.
+    """Interpolate node values (nx, ny, nz) at the cells, (n,).
 
-    - ``position``, (n, 3), µm
-    - ``values``, (nx, ny, nz)
-    - ``origin``, µm: lower corner of the grid's box
-    - ``spacing``, float, µm
-
-    Returns (n,): in the unit of ``values``; never outside the range of the eight nodes around a
-    point.
+    They are never outside the range of the eight nodes around a point; arguments as for
+    :func:`scatter`.
     """
     return gathered(position, values, origin, spacing)[0]
 

@@ -12,21 +12,19 @@ Sums are made in a fixed order: the result has the same bits on all machines.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, TypeVar, cast, final
+from typing import final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INNER, KERNEL
+from multicell.compiling import INNER, KERNEL, typed
 
 Float32Array = NDArray[np.float32]
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
-_inner = cast(Callable[[_F], _F], njit(**INNER))
+_jit = typed(**KERNEL)
+_inner = typed(**INNER)
 
 MOST = 48
 """Nodes along an axis up to which its transform is a matrix product."""

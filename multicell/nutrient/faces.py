@@ -34,10 +34,7 @@ def by_condition(
 ) -> FloatArray:
     """Return the values with a node more at both ends of the named axes, by the conditions.
 
-    - ``values``, (nx, ny, nz)
     - ``conditions``: on the faces ``"x-"``, ``"x+"`` ... of these axes, in py-pde's terms.
-    - ``spacing``, float, µm
-    - ``axes``: for example ``"xy"``
     """
     for axis, name in enumerate(axes):
         v = np.moveaxis(values, axis, 0)

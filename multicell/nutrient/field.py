@@ -83,12 +83,10 @@ class NutrientField:
         Cell i takes up ``capacity_i * sum_g w_ig c_g / (K + c_g)``, with the linear weights w_ig
         of the nodes g around it. The last solution is the first guess.
 
-        - ``position``, (n, 3), µm
         - ``capacity``, (n,), amol/s: largest uptake of each cell, not negative
         - ``production``, (n,), amol/s, optional: secretion of each cell, not negative
         - ``radius``, (n,), µm, optional: of the cells; needed where diffusion differs outside
           tissue, and for shells
-        - ``time``, float, s
         """
         demand = {self.name: (capacity, production)}
         return self.group.solve(position, demand, radius=radius, time=time)[self.name]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -81,7 +82,7 @@ class Feeding:
         self.order = solving_order(scene.nutrients, known, scene.responses)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
-            from multicell.nutrient.reacting import joined
+            from multicell.nutrient.group import joined
 
             parameters |= joined(scene, parameters, reactions)
         self.fields = {
@@ -89,7 +90,7 @@ class Feeding:
         }
         self.groups: list[FieldGroup] = []
         if known:
-            from multicell.nutrient.reacting import together
+            from multicell.nutrient.group import together
 
             self.groups = together(self.fields, self.order, known)
         else:
@@ -236,7 +237,7 @@ class Feeding:
         """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
         return {
             "fields": {name: field.kept() for name, field in self.fields.items()},
-            "ledger": {name: account.copy() for name, account in self.ledger.items()},
+            "ledger": {name: copy(account) for name, account in self.ledger.items()},
             "concentrations": dict(self.concentrations),
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),
@@ -323,8 +324,6 @@ class Feeding:
     ) -> Demand:
         """Return each cell's largest uptake and its secretion, (n,) amol/s, for other surroundings.
 
-        - ``name``: of the field
-        - ``cells``: the population
         - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: what each cell finds of all
           fields, and takes up of those that others are made from
         """

@@ -419,10 +419,7 @@ class _Root:
     ) -> FloatArray:
         """Return the concentrations; the last evaluation is that of the result.
 
-        - ``excess``: it rises with each concentration
-        - ``guess``, (k,) mM
         - ``fixed``, (k,) µm³: the part of its derivative that is known
-        - ``volume``, (k,) µm³: of the media
         - ``dt``, float, s: what the slope of the exchange is multiplied with
         """
         first = fixed + dt * self.slope

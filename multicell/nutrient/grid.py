@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,8 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import cartesian, faces
 from multicell.nutrient.cartesian import Box, extent, fill, lay, mesh, moved, overlaps
-from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.spherical import Shells
 
 if TYPE_CHECKING:
-    from multicell.nutrient.steady import SolveReport
     from multicell.results.frame import Field
     from multicell.scene.nutrient import Side
     from multicell.scene.parts import Domain
@@ -40,85 +37,6 @@ _CUBE = 1.14445
 The harmonic function with the values 1/|x| on the faces is 1 / 1.14445 there (half edge 1; by its
 series of sines).
 """
-
-
-class Operator(Protocol):
-    """Solves for a field on the nodes of a layout."""
-
-    def set_boundary(self, boundary: Mapping[str, Any]) -> None:
-        """Take other conditions, in py-pde's terms."""
-
-    def solve(
-        self,
-        sink: FloatArray,
-        half_saturation: float,
-        start: FloatArray,
-        *,
-        linear: float = 0.0,
-        supply: FloatArray | None = None,
-    ) -> tuple[FloatArray, SolveReport]:
-        """Solve; see :func:`multicell.nutrient.steady.solve_steady`."""
-
-
-class Layout(Protocol):
-    """Nodes in space."""
-
-    @property
-    def kind(self) -> str:
-        """``"box"`` or ``"radial"``."""
-
-    @property
-    def spacing(self) -> float:
-        """Distance of neighbouring nodes, µm."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of an array of the nodes."""
-
-    @property
-    def volumes(self) -> FloatArray | float:
-        """Volumes of the nodes, µm³; one number where they are equal."""
-
-    @property
-    def whole(self) -> float:
-        """Volume of all nodes, µm³."""
-
-    def nearest(self, position: FloatArray) -> FloatArray:
-        """Return the points of the grid nearest to positions (n, 3) in µm; those inside stay."""
-
-    def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
-        """Spread amounts of the cells, (n,), over the nodes as densities."""
-
-    def gather(self, position: FloatArray, values: FloatArray) -> FloatArray:
-        """Interpolate at positions (n, 3) in µm, with the weights of :meth:`scatter`."""
-
-    def read(
-        self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
-    ) -> FloatArray:
-        """Do the same, but between the last nodes and the faces by the conditions there."""
-
-    def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
-        """Return the gradient at positions (n, 3) in µm: differences over one spacing."""
-
-    def filled(self, value: float) -> FloatArray:
-        """Return an array of the nodes."""
-
-    def guess(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
-        """Return the values of another layout, interpolated smoothly, and ``fill`` outside it."""
-
-    def carried(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
-        """Return the values of another layout, each as often as it overlaps: amounts stay."""
-
-    def conditions(self, sides: Mapping[str, Side]) -> dict[str, Any]:
-        """Return the conditions on the faces in py-pde's terms."""
-
-    def operator(
-        self, diffusion: float, conditions: Mapping[str, Any], varied: FloatArray | None
-    ) -> Operator:
-        """Return the operator on these nodes."""
-
-    def field(self, name: str, values: FloatArray) -> Field:
-        """Return a field for frames."""
 
 
 def _condition(side: Side) -> dict[str, Any]:
@@ -305,13 +223,6 @@ class BoxLayout:
         axes = "xyz" if self.box.height is None else "xy"
         return {axis + end: _condition(sides[axis + end]) for axis in axes for end in "-+"}
 
-    def operator(
-        self, diffusion: float, conditions: Mapping[str, Any], varied: FloatArray | None
-    ) -> Operator:
-        """Return the operator on these nodes."""
-        box = self.box
-        return Diffusion(box, diffusion, conditions, height=box.height, varied=varied)
-
     def field(self, name: str, values: FloatArray) -> Field:
         """Return a field for frames."""
         from multicell.results.frame import Field
@@ -332,9 +243,6 @@ def tissue_radius(position: FloatArray, radius: FloatArray) -> float:
 
     Weighted by volume and with the cells' own extent: half the diameter of the summary. It is
     exact for one cell and for a ball, and one cell that strays hardly changes it.
-
-    - ``position``, (n, 3), µm: n is at least 1
-    - ``radius``, (n,), µm
     """
     weight = radius**3
     away = position - np.average(position, axis=0, weights=weight)
@@ -525,12 +433,6 @@ class ShellLayout:
         """Return the condition on the surface in py-pde's terms."""
         return _condition(sides["r+"])
 
-    def operator(
-        self, diffusion: float, conditions: Mapping[str, Any], varied: FloatArray | None
-    ) -> Operator:
-        """Return the operator on these shells."""
-        return Shells(self.radius, self.count, diffusion, conditions, varied=varied)
-
     def field(self, name: str, values: FloatArray) -> Field:
         """Return a field for frames."""
         from multicell.results.frame import Field
@@ -543,6 +445,10 @@ class ShellLayout:
             values=values.reshape(-1, 1, 1),
             kind="radial",
         )
+
+
+Layout = BoxLayout | ShellLayout
+"""Nodes in space."""
 
 
 def relative_diffusion(

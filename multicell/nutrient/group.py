@@ -9,6 +9,7 @@ the same values as the step, so that what one field loses to a reaction the othe
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -19,12 +20,14 @@ from multicell.nutrient.balance import FADED, Exchange
 from multicell.nutrient.course import Course, Demand, substance
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.grid import Layout, tissue_share
+from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.parameters import FieldParameters
     from multicell.nutrient.reactions.kinetics import Kinetics
     from multicell.scene.nutrient import Nutrient
+    from multicell.scene.scene import Scene
 
 
 @final
@@ -151,3 +154,37 @@ class FieldGroup:
 def _stands_still(nutrient: Nutrient) -> bool:
     """Return whether what a field is made of depends on where its grid and cells are."""
     return bool(nutrient.sources or nutrient.regions or nutrient.diffusion_medium is not None)
+
+
+def joined(
+    scene: Scene, parameters: Mapping[str, FieldParameters], reactions: Mapping[str, Any]
+) -> dict[str, FieldParameters]:
+    """Return the parameters of fields that reactions of the user's own join."""
+    from multicell.scene.checks import check_own
+
+    check_own(scene, reactions)
+    found: dict[str, FieldParameters] = {}
+    for names in groups(scene.nutrients, {**scene.reactions, **reactions}):
+        given = [scene.nutrients[name].regime for name in names]
+        regime = next((x for x in given if x != "auto"), "transient")
+        found |= {name: replace(parameters[name], regime=regime) for name in names}
+    return found
+
+
+def together(
+    fields: Mapping[str, NutrientField], order: list[str], reactions: Mapping[str, Any]
+) -> list[FieldGroup]:
+    """Return the fields in the groups that are solved for together, in an order of the fields."""
+    from multicell.nutrient.reactions.kinetics import kinetics_of
+
+    joined = groups(fields, reactions)
+    found = []
+    for name in order:
+        names = next((group for group in joined if name in group), None)
+        if names is None:
+            found.append(fields[name].group)
+        elif name == names[0]:
+            own = {n: r for n, r in reactions.items() if r.fields[0] in names}
+            members = {member: fields[member] for member in names}
+            found.append(FieldGroup(members, kinetics_of(names, own)))
+    return found

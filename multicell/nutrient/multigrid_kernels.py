@@ -15,18 +15,15 @@ Products are summed plane by plane: the same bits for any number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
-from numba import njit
 
-from multicell.compiling import INLINED, KERNEL
+from multicell.compiling import INLINED, KERNEL, typed
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, nogil=True))
+_jit = typed(**KERNEL, nogil=True)
 # calls for each row would take as long as what they do
-_inline = cast(Callable[[_F], _F], njit(**INLINED, nogil=True))
+_inline = typed(**INLINED, nogil=True)
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.cells import Cells, FloatArray
 from multicell.errors import SceneError
@@ -89,7 +89,7 @@ def field_problem(
     for name in names:
         parameters = FieldParameters.of(scene, name)
         medium = _medium(parameters, frame, name)
-        demand = demands.of_frame(name)
+        demand = demands.demand(name)
         substances[name] = substance(parameters, layout, position, cells.radius, demand, medium)
     equation = FieldEquation(
         together.grid, substances, position, layout=layout,
@@ -140,6 +140,9 @@ def _medium(parameters: FieldParameters, frame: Frame, name: str) -> Schedule:
     return Schedule.steady(account["level"])
 
 
+_NONE: Final[Mapping[str, FloatArray]] = {}
+
+
 @final
 class _Demands:
     """What the cells of a frame take up and secrete, given what they find."""
@@ -167,17 +170,14 @@ class _Demands:
                 raise SceneError("frame", f"holds no field {name!r}, from which others are made")
             field = self._feeding.fields[name]
             field.restore(frame.fields[name], frame.time)
-            capacity, _ = self.demand(name, {}, {})
+            capacity, _ = self.demand(name)
             self._taken[name] = field.uptake(self.cells.position, capacity)
 
-    def of_frame(self, name: str) -> tuple[FloatArray, FloatArray | None]:
-        """Return largest uptake and secretion of each cell as the frame's fields have it."""
-        return self.demand(name, {}, {})
-
     def demand(
-        self, name: str, concentrations: Mapping[str, FloatArray], taken: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, FloatArray | None]:
-        """Return them with these concentrations and uptakes in place of the frame's."""
+        self, name: str, concentrations: Mapping[str, FloatArray] = _NONE,
+        taken: Mapping[str, FloatArray] = _NONE,
+    ) -> tuple[FloatArray, FloatArray | None]:  # fmt: skip
+        """Return largest uptake and secretion of each cell, with these in place of the frame's."""
         return self._feeding.demand(
             name, self.cells, {**self._found, **concentrations}, {**self._taken, **taken}
         )

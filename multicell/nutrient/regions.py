@@ -23,13 +23,7 @@ if TYPE_CHECKING:
 def coefficients(
     layout: Layout, position: FloatArray, radius: FloatArray, nutrient: Nutrient
 ) -> FloatArray | None:
-    """Return the coefficient of diffusion at the nodes over that of tissue; None where all are one.
-
-    - ``layout``: where the nodes are; regions need a box
-    - ``position``, (n, 3), µm
-    - ``radius``, (n,), µm: of the cells
-    - ``nutrient``: with ``diffusion``, ``diffusion_medium`` and ``regions``
-    """
+    """Return the coefficients of diffusion at the nodes over that of tissue; None for ones."""
     tissue, medium = nutrient.diffusion, nutrient.diffusion_medium
     varied = None
     if medium is not None and medium != tissue:

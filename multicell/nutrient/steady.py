@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from multicell.nutrient import stencil
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
+    from multicell.nutrient.multigrid import MultigridSolver
 
 TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
@@ -72,6 +73,10 @@ MANY = 50_000
 
 SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
+
+
+class StepRefused(Exception):  # noqa: N818 - a shorter step may do
+    """A step in time whose equations were not solved."""
 
 
 @final
@@ -116,15 +121,10 @@ def solve_steady(
 ) -> tuple[FloatArray, SolveReport]:
     """Solve for the steady concentration.
 
-    - ``operator``: diffusion with its boundary values
     - ``sink``, (nx, ny, nz), mM/s: largest uptake per volume at each node, not negative
-    - ``half_saturation``, float, mM
     - ``start``, (nx, ny, nz), mM: first guess; any finite values do
     - ``linear``, float, 1/s: rate m of all that goes in proportion to c, not negative
     - ``supply``, (nx, ny, nz), mM/s, optional: what the nodes gain besides diffusion, not negative
-    - ``tolerance``: see :data:`TOLERANCE`
-
-    Returns (nx, ny, nz), mM; SolveReport.
     """
     nodes = math.prod(operator.shape)
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
@@ -135,7 +135,7 @@ def solve_steady(
 
 
 def _solve(
-    problem: _Problem, start: FloatArray, tolerance: float, solver: LinearSolver
+    problem: _Problem, start: FloatArray, tolerance: float, solver: _Linear | MultigridSolver
 ) -> tuple[FloatArray, SolveReport]:
     """Solve, first as it is and then, where that fails, over larger half saturations."""
     if not problem.source.any():
@@ -158,7 +158,9 @@ def _solve(
     return state.c, state.report(solver)
 
 
-def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_State, bool]:
+def _newton(
+    state: _State, tolerance: float, linear: _Linear | MultigridSolver
+) -> tuple[_State, bool]:
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
     # far from the solution imbalances are larger than the uptake
     near = state.size * math.sqrt(state.c.size) < state.total
@@ -177,7 +179,7 @@ def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_Sta
 
 
 def _descend(
-    problem: _Problem, start: FloatArray, tolerance: float, linear: LinearSolver
+    problem: _Problem, start: FloatArray, tolerance: float, linear: _Linear | MultigridSolver
 ) -> tuple[_State, bool]:
     """Solve with a large constant K first and then with ever smaller ones.
 
@@ -286,7 +288,7 @@ class _State:
         other.residual, other.rate = np.empty_like(self.residual), np.empty_like(self.rate)
         return other
 
-    def report(self, linear: LinearSolver) -> SolveReport:
+    def report(self, linear: _Linear | MultigridSolver) -> SolveReport:
         """Return the balance."""
         problem, op = self.problem, self.problem.operator
         left, taken, content = stencil.account(self.c, problem.sink, problem.half, self.residual)
@@ -316,22 +318,7 @@ def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
         share *= max(slope / (slope - there), 0.25)
 
 
-class LinearSolver(Protocol):
-    """Solves the linear systems of Newton's method, and counts them and its iterations."""
-
-    newton: int
-    cg: int
-
-    def solve(
-        self, rate: stencil.Floats, residual: stencil.Floats, size: float, goal: float
-    ) -> stencil.Floats:
-        """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
-
-        The result lives until the next solve.
-        """
-
-
-def _linear_solver(operator: Diffusion, team: Team) -> LinearSolver:
+def _linear_solver(operator: Diffusion, team: Team) -> _Linear | MultigridSolver:
     """Return the linear solver that is faster on the operator's grid."""
     if math.prod(operator.shape) < MANY:
         return _Linear(operator)

@@ -13,15 +13,13 @@ Else it is None, and what it needs is not compiled. ``ghost`` is (6,), ``stiffne
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INNER, KERNEL
+from multicell.compiling import INNER, KERNEL, typed
 from multicell.compiling.threads import Team
 from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
 
@@ -29,11 +27,10 @@ Weights = tuple[FloatArray, FloatArray, FloatArray] | None
 Faces = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Float32Array = NDArray[np.float32]
 Floats = FloatArray | Float32Array
-_F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, nogil=True))
-_inner = cast(Callable[[_F], _F], njit(**INNER, nogil=True))
+_jit = typed(**KERNEL, nogil=True)
+_inner = typed(**INNER, nogil=True)
 
 
 PART = 150_000
@@ -102,6 +99,19 @@ def _fill_varied(
         total += f * (p[i, j, k + 1] if k < nz - 1 else ghost[5] * v)
         row[k] = total
         diagonal[k] = a + b + c + d + e + f
+
+
+@_inner
+def _weight(weights: Weights, face: int, i: int, j: int, k: int) -> float:
+    """Return the coefficient at a face of a node."""
+    if weights is None:
+        return 1.0
+    axis, high = face // 2, face % 2
+    if axis == 0:
+        return float(weights[0][i + high, j, k])
+    if axis == 1:
+        return float(weights[1][i, j + high, k])
+    return float(weights[2][i, j, k + high])
 
 
 @_jit
@@ -261,15 +271,7 @@ def balance_negative(
                 continue
             gain, loss = source[i, j, k], linear
             for face in range(6):
-                w = 1.0
-                if weights is not None:
-                    axis, high = face // 2, face % 2
-                    if axis == 0:
-                        w = weights[0][i + high, j, k]
-                    elif axis == 1:
-                        w = weights[1][i, j + high, k]
-                    else:
-                        w = weights[2][i, j, k + high]
+                w = _weight(weights, face, i, j, k)
                 step = 2 * (face % 2) - 1
                 a = i + step if face // 2 == 0 else i
                 b = j + step if face // 2 == 1 else j
@@ -391,17 +393,7 @@ def flows(c: FloatArray, ghost: FloatArray, const: Faces, weights: Weights) -> t
     inward, outward = 0.0, 0.0
     for face in range(6):
         axis, high = face // 2, face % 2
-        across = const[0]
-        if face == 1:
-            across = const[1]
-        elif face == 2:
-            across = const[2]
-        elif face == 3:
-            across = const[3]
-        elif face == 4:
-            across = const[4]
-        elif face == 5:
-            across = const[5]
+        across = const[face]
         for a in range(across.shape[0]):
             for b in range(across.shape[1]):
                 if axis == 0:
@@ -411,13 +403,7 @@ def flows(c: FloatArray, ghost: FloatArray, const: Faces, weights: Weights) -> t
                 else:
                     i, j, k = a, b, high * (nz - 1)
                 step = across[a, b] + (ghost[face] - 1.0) * c[i, j, k]
-                if weights is not None:
-                    if axis == 0:
-                        step *= weights[0][i + high, j, k]
-                    elif axis == 1:
-                        step *= weights[1][i, j + high, k]
-                    else:
-                        step *= weights[2][i, j, k + high]
+                step *= _weight(weights, face, i, j, k)
                 inward += max(step, 0.0)
                 outward += max(-step, 0.0)
     return inward, outward

@@ -22,9 +22,6 @@ def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:
     outermost cells of the tissue. The result is continuous in all positions: a cell that leaves
     pulls the border along up to a gap of 1.5 diameters, and the border then returns until the gap
     is twice as wide. Without strays it is the same array.
-
-    - ``position``, (n, 3), µm
-    - ``radius``, (n,), µm
     """
     few = _few(len(position))
     if few < 1.0 or not np.isfinite(position).all():

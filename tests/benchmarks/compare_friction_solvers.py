@@ -33,8 +33,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 from strategies import cluster, mechanics
 
-from multicell.mechanics import binning
 from multicell.mechanics import forces as kernels
+from multicell.mechanics import neighbours
 from multicell.mechanics.friction import Friction
 
 
@@ -104,7 +104,7 @@ class Problem:
     def begin(self) -> None:
         position, radius, young = cluster(self.n - self.divided, 1, spacing=0.8)
         position, radius, young = divide(position, radius, young, self.divided)
-        order = binning.spatial_order(position, 10.0)
+        order = neighbours.spatial_order(position, 10.0)
         self.position, radius, young = position[order], radius[order], young[order]
         self.system = mechanics(radius, young, duration=self.duration, viscosity=self.viscosity)
         self.stokes = self.system.drag * radius[:, None]

@@ -46,7 +46,7 @@ with measured(30):
 """
 TISSUE = """
 import numpy as np
-from multicell.mechanics import binning, neighbours
+from multicell.mechanics import neighbours
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 n, rng = 100_000, np.random.default_rng(0)
@@ -54,7 +54,7 @@ side = round(n ** (1 / 3)) + 1
 grid = np.stack(np.meshgrid(*3 * [np.arange(side)], indexing="ij"), -1).reshape(-1, 3)[:n] * 1.0
 grid[:, 0] += 0.5 * (grid[:, 1] % 2)
 position = 8.2 * grid * [1.0, 0.93, 0.93] + rng.normal(0.0, 0.6, (n, 3))
-position = position[binning.spatial_order(position, 10.0)]
+position = position[neighbours.spatial_order(position, 10.0)]
 radius, nothing = rng.uniform(4.3, 5.2, n), np.zeros(n)
 system, out = Mechanics(mc.JKR(surface_energy=0.1), 5.0, 1), np.empty((n, 3))
 system.begin(Motion(radius, nothing, nothing + 1.0, nothing + 0.5, 0.0, 60.0))

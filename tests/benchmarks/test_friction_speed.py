@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from strategies import cluster, mechanics
 
-from multicell.mechanics import binning
+from multicell.mechanics import neighbours
 from multicell.mechanics.friction import Friction
 
 pytestmark = pytest.mark.benchmark
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.benchmark
 @pytest.mark.parametrize(("normal", "tangential"), [(0.1, 0.1), (0.2, 0.05)])
 def test_right_hand_side_with_friction(benchmark, viscosity, normal, tangential):
     position, radius, young = cluster(10_000, 1)
-    order = binning.spatial_order(position, 10.0)
+    order = neighbours.spatial_order(position, 10.0)
     position, radius, young = position[order], radius[order], young[order]
     system = mechanics(radius, young, viscosity=viscosity)
     gamma = Friction(normal, tangential).matrix(10_000, system.drag, system.chunk)

@@ -35,7 +35,7 @@ from strategies import cluster
 from multicell import JKR
 from multicell.integrators.base import Outcome
 from multicell.integrators.cvode import Cvode
-from multicell.mechanics import binning, preconditioners
+from multicell.mechanics import neighbours, preconditioners
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
@@ -64,7 +64,7 @@ class Case:
 
 def ball(n, spacing, viscosity, duration):
     position, radius, young = cluster(n, 1, spacing=spacing)
-    order = binning.spatial_order(position, 10.0)
+    order = neighbours.spatial_order(position, 10.0)
     return Case(position[order], radius[order], young[order], np.zeros(n), viscosity, duration)
 
 
@@ -83,7 +83,7 @@ def settled(n, viscosity, duration, divided, growth):
     position = np.concatenate([position, case.position[mothers] - shift])
     radius = np.concatenate([radius, radius[mothers]])
     young = np.concatenate([case.young, case.young[mothers]])
-    order = binning.spatial_order(position, 10.0)
+    order = neighbours.spatial_order(position, 10.0)
     rate = np.full(len(order), growth)
     return Case(position[order], radius[order], young[order], rate, viscosity, duration)
 

@@ -12,7 +12,7 @@ from picture_texts import check_texts
 from multicell import OutputError, SceneError
 from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.stability_limits.charts import COLOURS
-from multicell.comparison.stability_limits.decay import largest_decay
+from multicell.comparison.stability_limits.modes import largest_decay
 from multicell.comparison.stability_limits.moving_states import state_of
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.search import (

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
 from scipy.optimize import brentq, minimize_scalar
-from strategies import energies, moduli, poissons, radii
 
 from multicell import JKR, Hertz
 from multicell.contact.law import effective_modulus, effective_radius
@@ -31,15 +29,6 @@ def test_jkr_values_of_figure_3_4(curve):
     assert law.equilibrium_overlap(modulus, radius) == pytest.approx(rest, rel=1e-12)
     least = minimize_scalar(lambda h: float(law.force(h, modulus, radius)), bounds=(0, rest))
     assert least.fun == pytest.approx(deepest, abs=5e-5)
-
-
-@given(radii, radii, moduli, moduli, poissons, energies)
-def test_deepest_attraction_is_the_pull_off_of_jkr_theory(ri, rj, ei, ej, nu, sigma):
-    modulus, radius = effective_modulus(ei, nu, ej, nu), effective_radius(ri, rj)
-    law = JKR(surface_energy=sigma)
-    deepest = law.equilibrium_overlap(modulus, radius) / 2.0 ** (4.0 / 3.0)
-    expected = -1.5 * np.pi * sigma * radius
-    assert law.force(deepest, modulus, radius) == pytest.approx(expected, rel=1e-10, abs=1e-14)
 
 
 def test_no_contact_no_force():

@@ -5,7 +5,6 @@ from decimal import Decimal, getcontext
 import formulas
 import numpy as np
 import pytest
-from formulas import cbmos_cubic, cbmos_linear, chaste_nodes
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
@@ -328,21 +327,6 @@ def test_a_smoothing_that_is_no_length_is_refused(value):
 
 
 # springs
-
-
-@pytest.mark.parametrize(
-    ("law", "published"),
-    [
-        (Linear(stiffness_at_rest=1.0), cbmos_linear),
-        (Cubic(stiffness_at_rest=12.5), cbmos_cubic),
-        (GeneralisedLinear(stiffness_at_rest=15.0), chaste_nodes),
-    ],
-)
-def test_springs_are_those_of_the_other_programs(law, published):
-    r = np.linspace(0.05, 1.8, 400)
-    # their forces are positive where they attract
-    got = -law.force(1.0 - r, 1.0, 0.25, rest=1.0)
-    np.testing.assert_allclose(got, published(r), rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("law", SPRINGS, ids=lambda law: type(law).__name__)

@@ -19,6 +19,13 @@ laws = st.one_of(st.just(Hertz()), energies.map(lambda s: JKR(surface_energy=s))
 seeds = st.integers(0, 2**32 - 1)
 
 
+ONE_OF_A_KIND = (
+    "euler", "rk4-adaptive", "ab2-adaptive", "multirate-euler", "rkc2", "backward-euler", "cvode",
+    "rosenbrock", "scipy-bdf",
+)  # fmt: skip
+"""A method of each loop and solver."""
+
+
 def cluster(n, seed, spacing=0.85, variation=0.05):
     """Return centres, radii and moduli of a jittered close-packed ball, in random order."""
     rng = np.random.default_rng(seed)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from strategies import cluster, seeds
 
-from multicell.mechanics import binning, neighbours
+from multicell.mechanics import neighbours
 
 
 def oracle(position, cutoff):
@@ -99,7 +99,7 @@ def test_too_many_pairs_is_an_error_and_not_a_full_memory():
 
 def test_spatial_order_keeps_neighbours_together():
     position = cluster(5000, 5)[0]
-    order = binning.spatial_order(position, 10.0)
+    order = neighbours.spatial_order(position, 10.0)
     assert np.array_equal(np.sort(order), np.arange(5000))
     steps = np.linalg.norm(np.diff(position[order], axis=0), axis=1)
     assert np.median(steps) < 12.0
@@ -110,6 +110,6 @@ def test_spatial_order_keeps_neighbours_together():
 def test_spatial_order_of_any_finite_input():
     big = np.finfo(float).max
     position = np.array([[big, 0, 0], [-big, 1, 2], [0, 0, 0], [big, 0, 0]])
-    assert sorted(binning.spatial_order(position, 1.0)) == [0, 1, 2, 3]
-    assert len(binning.spatial_order(np.zeros((0, 3)), 1.0)) == 0
-    assert binning.spatial_order(np.zeros((4, 3)), 1.0).tolist() == [0, 1, 2, 3]
+    assert sorted(neighbours.spatial_order(position, 1.0)) == [0, 1, 2, 3]
+    assert len(neighbours.spatial_order(np.zeros((0, 3)), 1.0)) == 0
+    assert neighbours.spatial_order(np.zeros((4, 3)), 1.0).tolist() == [0, 1, 2, 3]

@@ -132,17 +132,26 @@ def test_virial_and_wall_pressure_agree_at_rest(shear, felt):
 METHODS = ("auto", "cvode", "rosenbrock", "rkc2", "backward-euler", "dopri5")
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_methods_agree_with_scipy_on_a_right_hand_side_of_our_own(method):
+def spread():
+    """Return cells that are spread: so many press on the gel only then."""
     system, position = confined(30, rest=REST)
-    young = system.motion.young
     system.walls.rest = REST
-    # so many cells press on the gel only if they are spread
-    position = position * 1.25
-    settled = end_of(
+    return system, position * 1.25
+
+
+@pytest.fixture(scope="module")
+def settled():
+    system, position = spread()
+    young = system.motion.young
+    return end_of(
         position, system.motion.radius, young, Hertz(), 50.0, rate=0.001,
         outer=lambda x, r: wall_force(x, r, young, SHEAR)[0],
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_methods_agree_with_scipy_on_a_right_hand_side_of_our_own(method, settled):
+    system, position = spread()
     options = IntegratorOptions(method=method, rtol=1e-9, atol=1e-6, step=0.25)
     outcome = integrators.from_options(options).integrate(system, position)
     assert outcome.done, outcome.problem

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from formulas import Pairs, pair, product_of, reduced, slope, velocity_of
+from formulas import pair, product_of, reduced, slope, velocity_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -11,15 +11,6 @@ from strategies import cluster, laws, mechanics, radii, seeds
 from multicell import JKR, Hertz
 from multicell.mechanics import neighbours
 from multicell.mechanics.motion import StateRejected
-
-
-@pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1)])
-@pytest.mark.parametrize("n", [2, 700, 2 * neighbours.CHUNK + 10])
-def test_forces_are_sums_of_the_pair_law(law, n):
-    position, radius, young = cluster(n, 1)
-    found = mechanics(radius, young, law).force(0.0, position)
-    expected = Pairs(position, radius, young, law).forces()
-    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
 @given(seeds, laws, st.integers(2, 40))

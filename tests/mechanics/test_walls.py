@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 from formulas import end_of
-from strategies import cluster
+from strategies import ONE_OF_A_KIND, cluster
 
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import compliance
 from multicell.integrators import registry as integrators
 from multicell.integrators.auto import decay_rate
-from multicell.integrators.registry import METHODS
 from multicell.mechanics import forces as kernels
 from multicell.mechanics.jacobian import limited, sparse_jacobian
 from multicell.mechanics.motion import Motion
@@ -180,7 +179,7 @@ def test_a_wall_presses_like_a_neighbour_in_the_mirror():
     assert rigid.energy(0.0, position) == pytest.approx(0.5 * pair.energy(0.0, mirror))
 
 
-@pytest.mark.parametrize("method", list(METHODS))
+@pytest.mark.parametrize("method", ONE_OF_A_KIND)
 def test_a_cell_under_a_constant_force_rests_at_the_closed_form(method):
     """F = E √r h^{3/2} at rest, so h = (F/(E √r))^{2/3}; here the cell is alone."""
     push = np.array([[1.7, 0.0, -0.4, 0.0, 0.0, 0.0]])
@@ -218,8 +217,8 @@ def settled():
     return reference(system, position, 50.0)
 
 
-@pytest.mark.parametrize("method", list(METHODS))
-def test_all_methods_agree_with_scipy_on_a_right_hand_side_of_our_own(method, settled):
+@pytest.mark.parametrize("method", ONE_OF_A_KIND)
+def test_methods_agree_with_scipy_on_a_right_hand_side_of_our_own(method, settled):
     """Compressed growing cells in a box; first order to its order, the others to tolerance."""
     first = ("euler", "backward-euler", "euler-adaptive", "multirate-euler")
     bounds = dict.fromkeys(first, 0.01)

@@ -63,8 +63,7 @@ def test_a_box_that_no_cubes_fill():
     assert filling([100.0, 40.0], 30.0) == (5, 2)
 
 
-@pytest.mark.parametrize("flat", [False, True])
-@pytest.mark.parametrize("regime", ["steady", "transient"])
+@pytest.mark.parametrize(("flat", "regime"), [(False, "steady"), (True, "transient")])
 def test_faces_lie_on_the_sides_and_stay_there_while_tissue_grows(flat, regime):
     changes = {"dimensions": 2, "domain": FLAT} if flat else {}
     described = scene(

@@ -60,9 +60,10 @@ def test_the_inverse_is_that_of_scipy(shape, values):
     assert product == pytest.approx(float(np.sum(y * spectrum)), rel=1e-5)
 
 
-@pytest.mark.parametrize("first", SIDES)
-@pytest.mark.parametrize("second", SIDES)
-@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize(
+    ("first", "second", "dimensions"),
+    [*((one, other, 3) for one in SIDES for other in SIDES), *((one, one, 2) for one in SIDES)],
+)
 def test_a_box_has_the_conditions_of_pde(first, second, dimensions):
     shape, h = (4, 5, 6)[:dimensions], 7.0
     axes = "xyz"[:dimensions]

@@ -195,8 +195,11 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize("regime", ["steady", "transient"])
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(
+    ("place", "regime"),
+    [*((place, "transient") for place in PLACES), ("cubes that follow", "steady"),
+     ("shells", "steady")],
+)  # fmt: skip
 def test_medium_field_and_cells_hold_what_was_brought(place, regime):
     described = scene({"regime": regime, "spacing": 20.0}, **PLACES[place])
     simulation = mc.Simulation(described)

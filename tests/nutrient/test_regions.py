@@ -1,5 +1,7 @@
 """Gels and membranes: boxes with a diffusion coefficient of their own, against closed forms."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -48,8 +50,7 @@ LAYERS = {
 }
 
 
-@pytest.mark.parametrize("axis", "xyz")
-@pytest.mark.parametrize("case", LAYERS)
+@pytest.mark.parametrize(("axis", "case"), zip(itertools.cycle("xyz"), LAYERS))
 def test_a_slab_of_layers(axis, case):
     """Resistances add up wherever the faces lie, and beyond the layers c is exact."""
     regions = {f"layer_{k}": {axis: x[:2], "diffusion": x[2]} for k, x in enumerate(LAYERS[case])}
@@ -97,8 +98,9 @@ def scene(nutrient, **changes):
 GEL = {"gel": {"x": ["8 um", "100 um"], "diffusion": "50 um^2/s"}}
 
 
-@pytest.mark.parametrize("regime", ["steady", "transient"])
-@pytest.mark.parametrize("medium", [{}, {"diffusion_medium": "3000 um^2/s"}])
+@pytest.mark.parametrize(
+    ("regime", "medium"), [("steady", {}), ("transient", {"diffusion_medium": "3000 um^2/s"})]
+)
 def test_cells_behind_a_gel_starve_and_nothing_is_lost(regime, medium):
     behind, open_to = (
         mc.Simulation(scene({"regime": regime, "regions": regions, **medium}))

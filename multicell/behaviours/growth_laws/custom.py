@@ -11,20 +11,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from inspect import signature
-from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
 from multicell.behaviours.growth_laws.law import GrowthLaw
 from multicell.behaviours.growth_laws.registry import LAWS
-from multicell.contact.custom import declaration, mark_of
+from multicell.contact.custom import law_of, refuse_names
 from multicell.errors import SceneError
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import own_code
-from multicell.schema import parameters as declare
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -143,30 +141,11 @@ def growth_law(
     """
 
     def make(rate: Rate) -> type[UserGrowthLaw]:
-        taken = [name for name in parameters if hasattr(UserGrowthLaw, name)]
-        if taken:
-            raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")
+        refuse_names(UserGrowthLaw, parameters)
         if list(signature(rate).parameters) != ["volume", "p"]:
             raise TypeError(f"{rate.__qualname__!r} must have the arguments volume, p")
         parts = {"rate": rate, "volume": volume, "share": share}
         given = {name: part for name, part in parts.items() if part is not None}
-        declared = {name: declaration(entry) for name, entry in parameters.items()}
-        source = f"{os.path.basename(rate.__code__.co_filename)}:{rate.__qualname__}"
-        mark = mark_of(list(given.values()), declared)
-        if f"{source}@{mark}" in LAWS:
-            return cast("type[UserGrowthLaw]", LAWS[f"{source}@{mark}"])
-        attributes = {
-            "__doc__": rate.__doc__,
-            "__module__": rate.__module__,
-            "__qualname__": rate.__qualname__,
-            **declared,
-            "__annotations__": dict.fromkeys(parameters, float),
-            "source": source,
-            "fingerprint": mark,
-            "_parts": given,
-        }
-        law: type[UserGrowthLaw] = declare(type(rate.__name__, (UserGrowthLaw,), attributes))
-        LAWS.add(source, mark, law)
-        return law
+        return law_of(UserGrowthLaw, rate, parameters, LAWS, [*given.values()], {"_parts": given})
 
     return make

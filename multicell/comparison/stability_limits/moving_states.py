@@ -17,8 +17,7 @@ import numpy as np
 
 from multicell.cells import HALF, FloatArray
 from multicell.comparison.conditioning import SHIFT
-from multicell.comparison.stability_limits.decay import largest_decay
-from multicell.comparison.stability_limits.instability import unstable_modes
+from multicell.comparison.stability_limits.modes import largest_decay, unstable_modes
 from multicell.comparison.stability_limits.state import (
     MAX_UNNOTICED,
     State,
@@ -59,7 +58,6 @@ def state_of(kind: str, scene: Scene, threads: int | None = None) -> State:
     - ``kind``: ``"settled"`` (:func:`multicell.comparison.stability_limits.state.settled_state`),
       or one of the others, which are made by the functions of this module
     - ``scene``: the scene. What acts beside contacts, bonds and walls is left out.
-    - ``threads``: see :class:`multicell.simulation.Simulation`
 
     Raises SceneError if there is no such state, or the scene cannot have it; StepFailed if the
     cells cannot be settled or grown, or the true course cannot be computed.
@@ -171,7 +169,6 @@ def snapping_state(scene: Scene, threads: int | None = None) -> State:
 def complete_state(state: State, length: float, shift: float | None = None) -> State:
     """Return a state with what its true course tells: decay rate, unstable modes, twins.
 
-    - ``state``: motion and start are used
     - ``length``: shortest length of a trial, s
     - ``shift``: what the cells of twins are displaced by, µm, root mean square over the cells; by
       default each coordinate by :data:`multicell.comparison.conditioning.SHIFT`

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
-from multicell.comparison.base import Comparison, Pictures
-from multicell.comparison.files import Row
+from multicell.comparison.base import Comparison, Pictures, Row
 from multicell.comparison.stability_limits.trial import KINDS, STABLE
 from multicell.scene.scene import Scene
 
@@ -107,13 +106,13 @@ class StabilityMap(Comparison):
 
     def pictures(self) -> Pictures:
         """Return the map."""
-        from multicell.comparison.stability_limits.page import CAPTION
+        from multicell.comparison.stability_limits.charts import CAPTION
 
         return {"stability.png": (self.figure, CAPTION)}
 
     def page(self) -> dict[str, Any]:
         """Return what the template of the page asks for."""
-        from multicell.comparison.stability_limits.page import context
+        from multicell.comparison.stability_limits.charts import context
 
         return context(self)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from multicell.comparison.files import Row, prepare
+from multicell.comparison.base import Row, prepare
 from multicell.comparison.ladders import Method, capable_methods, select_methods
 from multicell.comparison.replay import solve_compiled
 from multicell.comparison.stability_limits.moving_states import check, state_of

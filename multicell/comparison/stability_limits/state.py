@@ -14,8 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from multicell.cells import FloatArray, IntArray
-from multicell.comparison.stability_limits.decay import largest_decay
-from multicell.comparison.stability_limits.instability import Unstable
+from multicell.comparison.stability_limits.modes import Unstable, largest_decay
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics.motion import Motion, Work
@@ -158,7 +157,6 @@ def settled_state(scene: Scene, threads: int | None = None) -> State:
     """Return a scene's first cells at rest, pushed a little along the mode that decays fastest.
 
     - ``scene``: external forces, prescribed motion and motility are left out, growth stands still
-    - ``threads``: see :class:`multicell.simulation.Simulation`
 
     Raises SceneError if the scene starts with less than two cells, or none of them touch;
     StepFailed if the reference method cannot settle them.

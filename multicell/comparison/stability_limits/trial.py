@@ -134,7 +134,6 @@ def run_trial(state: State, method: Method, setting: float, patience: float = 20
     under error control and multistep methods start anew for each of a few observation times, as
     one coupling step to its end.
 
-    - ``state``, ``method``, ``setting``: what, by what, and with which tolerance or step
     - ``patience``: wall time in s after which a trial counts as a stall
     """
     fixed = method.control == "step"

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from pde.grids.base import GridBase
 
-    from multicell.nutrient.equations.placed import Flowing
+    from multicell.nutrient.equations.placed import Flows
     from multicell.nutrient.reactions.kinetics import Kinetics
     from multicell.nutrient.steady import SolveReport
 
@@ -339,7 +339,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             each.place(layout, position, *demands[name])
 
     def exchanges(
-        self, data: FloatArray, t: float, reports: Mapping[str, Flowing] | None = None
+        self, data: FloatArray, t: float, reports: Mapping[str, SolveReport] | None = None
     ) -> FloatArray:
         """Return what happens to each substance at a time in s, (m, columns) amol/s.
 
@@ -353,7 +353,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             made = dict(zip(self.substances, self.reactions.made(nodes), strict=True))
         for name, each in self.substances.items():
             c, level, (sink, secreted) = nodes[name], each.schedule.at(t), demands[name]
-            flows: Flowing | None = None if reports is None else reports[name]
+            flows: Flows | SolveReport | None = None if reports is None else reports[name]
             if flows is None:
                 flows = each.flows(c, level, sink, made.get(name))
             rows.append(each.account(c, level, flows, secreted if self.coupling else None))

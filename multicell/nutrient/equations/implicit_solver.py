@@ -13,7 +13,6 @@ from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.solving import (
     Inverse,
-    Invertible,
     labels,
     refuse_runaway,
     suitable,
@@ -84,7 +83,7 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         SceneError
             For an equation or a state that it cannot solve.
         """
-        equation: Invertible = suitable(self.pde, state, "shifted_inverse")
+        equation = suitable(self.pde, state, "shifted_inverse")
         names = labels(state)
         if self.atol is not None and np.size(self.atol) not in (1, len(names)):
             raise SceneError("atol", f"has {np.size(self.atol)} numbers for {len(names)} fields")
@@ -108,7 +107,7 @@ class _March:
     def __init__(
         self,
         solver: ImplicitFieldSolver,
-        equation: Invertible,
+        equation: Any,
         names: list[str],
         first: float | None,
     ) -> None:
@@ -146,7 +145,8 @@ class _March:
 
     def _jumps(self, begin: float, end: float) -> list[float]:
         """Return when the rates jump from ``begin`` on, itself included, up to ``end``."""
-        return self.equation.switches(float(np.nextafter(begin, -np.inf)), end)
+        found: list[float] = self.equation.switches(float(np.nextafter(begin, -np.inf)), end)
+        return found
 
     def _start(self, y: FloatArray, begin: float) -> None:
         from sksundae.cvode import CVODE, CVODEPrecond

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
@@ -27,33 +27,13 @@ if TYPE_CHECKING:
 _ROUNDING = 1e-9
 
 
-class Flowing(Protocol):
-    """What solvers know of the balance of a substance on a grid, amol/s."""
-
-    @property
-    def inflow(self) -> float:
-        """Over the sides, net."""
-
-    @property
-    def outflow(self) -> float:
-        """Over the sides, what leaves."""
-
-    @property
-    def uptake(self) -> float:
-        """By cells."""
-
-    @property
-    def made(self) -> float:
-        """By reactions, where in the sum of them they make some."""
-
-    @property
-    def used(self) -> float:
-        """By reactions, where in the sum of them they take some."""
-
-
 @final
 class Flows(NamedTuple):
-    """The same of any state; see :class:`Flowing`."""
+    """What a state exchanges, amol/s.
+
+    ``inflow`` over the sides, net; ``outflow``, what leaves over them; ``uptake`` by cells;
+    ``made`` and ``used`` by reactions, where in the sum of them one or the other prevails.
+    """
 
     inflow: float
     outflow: float
@@ -291,10 +271,7 @@ class PlacedSubstance:
     ) -> tuple[FloatArray, SolveReport]:
         """Solve for the state a step of backward Euler later, or at rest after an infinite one.
 
-        - ``start``, mM: first guess
         - ``level``, float, mM: concentration of the medium at the end
-        - ``dt``, float, s
-        - ``before``, mM: where the step begins
         - ``demand``, mM/s: largest uptake and secretion of the nodes, in place of those of the
           term's cells
         """
@@ -325,7 +302,11 @@ class PlacedSubstance:
         return Flows(inward - outward, outward, float(np.sum(volumes * taken)), gained, lost)
 
     def account(
-        self, c: FloatArray, level: float, flows: Flowing, secreted: FloatArray | None = None
+        self,
+        c: FloatArray,
+        level: float,
+        flows: Flows | SolveReport,
+        secreted: FloatArray | None = None,
     ) -> list[float]:
         """Return all that happens to a state (mM), amol/s: the columns :data:`COLUMNS`.
 

@@ -12,7 +12,6 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.placed import PlacedSubstance
-from multicell.nutrient.march import StepRefused
 from multicell.nutrient.reactions.coupled import Coupled, settle
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
 from multicell.nutrient.reactions.kinetics import (
@@ -21,7 +20,7 @@ from multicell.nutrient.reactions.kinetics import (
     growth_rate,
     kinetics_of,
 )
-from multicell.nutrient.steady import SolveReport
+from multicell.nutrient.steady import SolveReport, StepRefused
 from multicell.scene.nutrient import MOST
 
 Nodes = Mapping[str, FloatArray]
@@ -104,13 +103,17 @@ class Reactions:
                 names = ", ".join(each.name for each in self.substances)
                 problem = f"one of {names} became denser than water"
                 raise NutrientFailed(problem, "Look at what is secreted and made of it")
-        reports = {}
-        for i, (each, a) in enumerate(zip(self.substances, coupled.account(c), strict=True)):
-            spent = each.linear * a.mass
-            left = abs(a.inflow + a.supplied + a.made - a.used - a.uptake - spent)
+        reports, (made, _) = {}, self.kinetics.evaluate(c, self.tissue)
+        volumes = coupled.volumes
+        for i, each in enumerate(self.substances):
+            nodes, own = (x[i].reshape(each.shape) for x in (c, made))
+            a = each.flows(nodes, each.schedule.at(t), each.sink, own)
+            spent = each.linear * float(np.sum(volumes * c[i]))
+            supplied = float(np.sum(volumes * coupled.supplies[i]))
+            left = abs(a.inflow + supplied + a.made - a.used - a.uptake - spent)
             newton, linear = (coupled.newton, coupled.linear_steps) if i == 0 else (0, 0)
             reports[each.name] = SolveReport(
-                newton, linear, left, a.inflow, a.uptake, spent, a.supplied, a.outflow, a.made,
+                newton, linear, left, a.inflow, a.uptake, spent, supplied, a.outflow, a.made,
                 a.used,
             )  # fmt: skip
         return c, reports

@@ -1,14 +1,14 @@
 """What our solvers of py-pde's kind need of an equation.
 
 py-pde's own implicit solvers are fixed-point iterations, which fail beyond about the largest step
-of an explicit one. Ours know more of an equation than its rates, which it offers by methods:
-:class:`Invertible`, :class:`Stepped`, :class:`Steady`.
+of an explicit one. Ours know more of an equation than its rates, which it offers by methods as
+those of :class:`multicell.FieldEquation`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pde.fields.collection import FieldCollection
@@ -21,52 +21,6 @@ if TYPE_CHECKING:
 
 Inverse = Callable[[FloatArray, float], FloatArray]
 """(r, shift) -> about (shift - J)⁻¹ r, arrays like a state's data."""
-
-
-class Invertible(Protocol):
-    """An equation that about inverts the derivative of its rates."""
-
-    def rates(self, data: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
-        """Return the rates, and the local part of their derivative with opposite sign."""
-
-    def shifted_inverse(self, data: FloatArray, t: float) -> Inverse:
-        """Return about (shift - J)⁻¹ near a state."""
-
-    def switches(self, begin: float, end: float) -> list[float]:
-        """Return the times strictly between two at which the rates jump."""
-
-    def growing(self, data: FloatArray) -> str:
-        """Return in words which field grows without bound; empty if none does."""
-
-
-class Stepped(Protocol):
-    """An equation that takes steps of backward Euler, whatever their length."""
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the substances in its account."""
-
-    def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
-        """Return the data at the end of a step, and what happened in it, (m, columns)."""
-
-    def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
-        """Return the concentration of each field that errors are small beside, (m,)."""
-
-    def growing(self, data: FloatArray) -> str:
-        """Return in words which field grows without bound; empty if none does."""
-
-    def switches(self, begin: float, end: float) -> list[float]:
-        """Return the times strictly between two at which the rates jump."""
-
-
-class Steady(Protocol):
-    """An equation that knows the state in which it rests."""
-
-    def steady_state(self, data: FloatArray, t: float) -> tuple[FloatArray, dict[str, Any]]:
-        """Return the state that rests with the conditions of a time, and what it took."""
-
-    def exchanges(self, data: FloatArray, t: float, reports: dict[str, Any]) -> FloatArray:
-        """Return what happens in that state, (m, columns)."""
 
 
 def suitable(pde: PDEBase, state: Any, method: str) -> Any:

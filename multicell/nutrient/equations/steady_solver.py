@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from pde.solvers.base import SolverBase
 
-from multicell.nutrient.equations.solving import Steady, suitable
+from multicell.nutrient.equations.solving import suitable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,7 +43,7 @@ class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         SceneError
             For an equation that has no steady solver, and a state of another one.
         """
-        equation: Steady = suitable(self.pde, state, "steady_state")
+        equation = suitable(self.pde, state, "steady_state")
         self.info.update(dt=None, steps=0, stochastic=False)
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:

@@ -18,7 +18,6 @@ balance of all is judged anew. Nothing is clipped: a step that does not come out
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -26,7 +25,6 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.march import StepRefused
 from multicell.nutrient.operators import (
     AnyOperator,
     brought,
@@ -38,7 +36,7 @@ from multicell.nutrient.operators import (
 )
 from multicell.nutrient.reactions.inverse import apply_blocks, inverse_of_blocks
 from multicell.nutrient.reactions.krylov import gmres
-from multicell.nutrient.uptake import uptake_and_slope
+from multicell.nutrient.steady import StepRefused
 
 if TYPE_CHECKING:
     from multicell.nutrient.reactions.kinetics import Kinetics
@@ -53,24 +51,6 @@ _POLISH = 2  # more steps where rounding would let a state pass whose sums are n
 _SWEEPS = 1000
 _FORCING = 1e-3
 _LARGEST = 1e12  # mM, beyond anything: where an iterate is lost
-
-
-@final
-@dataclass(frozen=True)
-class Account:
-    """One field in all, amol/s but for ``mass`` (amol).
-
-    ``inflow`` over the sides, net; ``uptake`` by cells; ``supplied``; ``outflow`` over the sides;
-    ``made`` and ``used`` by reactions, where in the sum of them one or the other prevails.
-    """
-
-    inflow: float
-    uptake: float
-    supplied: float
-    outflow: float
-    mass: float
-    made: float
-    used: float
 
 
 @final
@@ -111,37 +91,12 @@ class Coupled:
         faces = np.array([brought(op).ravel() for op in self.operators])
         return faces + self.supplies
 
-    def rates(self, c: FloatArray) -> FloatArray:
-        """Return ∂c/∂t, (m, nodes) mM/s."""
-        return self._balance(c, self.sources())[0]
-
     def step(self, before: FloatArray, start: FloatArray, dt: float) -> FloatArray:
         """Return the state a step of ``dt`` s later, or the steady state where that is infinite.
 
         - ``before``, ``start``, (m, nodes), mM: state before, not negative, and first guess
         """
         return _Newton(self, before, dt).solve(start)
-
-    def account(self, c: FloatArray) -> list[Account]:
-        """Return what happens to each field in all."""
-        made, _ = self.kinetics.evaluate(c, self.tissue)
-        found, v = [], self.volumes
-        for i, op in enumerate(self.operators):
-            nodes = c[i].reshape(self.shape)
-            inward, outward = _flows(op, nodes)
-            taken, _ = uptake_and_slope(self.sinks[i], c[i], self.half[i])
-            found.append(
-                Account(
-                    inward - outward,
-                    _total(v, taken),
-                    _total(v, self.supplies[i]),
-                    outward,
-                    _total(v, c[i]),
-                    _total(v, np.maximum(made[i], 0.0)),
-                    _total(v, np.maximum(-made[i], 0.0)),
-                )
-            )
-        return found
 
     def _balance(
         self, c: FloatArray, sources: FloatArray
@@ -154,18 +109,6 @@ class Coupled:
             rate, each = imbalance(op, nodes, sink, source, self.half[i], self.linear[i])
             out[i], sinks[i] = rate.ravel() + made[i], each.ravel()
         return out, sinks, made, slope
-
-
-def _total(volumes: FloatArray, values: FloatArray) -> float:
-    return float(np.sum(volumes * values))
-
-
-def _flows(operator: AnyOperator, c: FloatArray) -> tuple[float, float]:
-    """Return what flows in and out over the sides, amol/s."""
-    if isinstance(operator, Diffusion):
-        return operator.flows(c)
-    found = operator.inflow(c)
-    return max(found, 0.0), max(-found, 0.0)
 
 
 @final
@@ -294,7 +237,7 @@ def settle(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArray:
     Steps of implicit Euler that lengthen from one to the next, the last one without end: from where
     they start they follow the true course, and do not end in states that are unstable.
     """
-    rates = np.sum(np.abs(coupled.rates(c)) * coupled.volumes, axis=1)
+    rates = np.sum(np.abs(coupled._balance(c, coupled.sources())[0]) * coupled.volumes, axis=1)
     held = np.sum(np.abs(c) * coupled.volumes, axis=1)
     quick = float((rates / np.where(held > 0.0, held, held.max() or 1.0)).max())
     dt = 0.1 / quick if quick > 0.0 else math.inf

@@ -14,20 +14,17 @@ On shells the block-tridiagonal system is solved itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import njit
 from scipy.linalg import solve_banded
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import KERNEL, typed
 from multicell.nutrient.diffusion import Diffusion, _transform
 from multicell.nutrient.operators import AnyOperator, leak
 from multicell.nutrient.spherical import Shells
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
+_jit = typed(**KERNEL)
 
 Solve = Callable[[FloatArray], FloatArray]
 

@@ -8,67 +8,42 @@ reaction would have taken too much comes back.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar, cast, final, runtime_checkable
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from numba import njit
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import KERNEL, typed
 from multicell.errors import SceneError
 from multicell.scene.reactions import Reaction
 from multicell.schema import build, near_miss
 from multicell.units import shown
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
+if TYPE_CHECKING:
+    from multicell.nutrient.reactions.own import OwnReaction
+
+_jit = typed(**KERNEL)
 
 POWER, RISING, FALLING = 0, 1, 2
 """Forms of a factor."""
 _PLACES = {"everywhere": 0, "tissue": 1, "medium": 2}
 
 
-class Kinetics(Protocol):
-    """Rates of reactions between the fields of a grid."""
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the fields, in the order of the rows of all arrays."""
-
-    @property
-    def needs_tissue(self) -> bool:
-        """Whether rates depend on what cells fill of a place."""
-
-    def evaluate(
-        self, c: FloatArray, tissue: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return what reactions make of each field and the derivative of that.
-
-        - ``c``, (m, nodes), mM
-        - ``tissue``, (nodes,): part of each place that is tissue, 0 to 1; needed where
-          ``needs_tissue``
-
-        Returns (m, nodes), mM/s; (m, m, nodes), 1/s: of the rate of the first by the concentration
-        of the second.
-        """
-
-
 def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
     """Return the rates of reactions that are given as parts of a scene, tables or functions.
 
-    - ``names``: of the fields
     - ``reactions``: name -> :class:`~multicell.scene.reactions.Reaction`, a table of its keys, or a
       reaction of the user's own
     """
     fixed: dict[str, Reaction] = {}
-    own: list[Own] = []
+    own: list[OwnReaction] = []
     for name, given in reactions.items():
         path = f"reactions.{name}"
         reaction: Any = given
         if isinstance(given, Mapping):
             reaction = build(Reaction, given, path)
-        if not isinstance(reaction, Reaction | Own):
+        if not isinstance(reaction, Reaction) and not hasattr(reaction, "evaluate"):
             problem = f"is {shown(given)}, must be a reaction"
             raise SceneError(path, problem, "A function becomes one by multicell.reaction.")
         for field in reaction.fields:
@@ -84,23 +59,11 @@ def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
     return Together(forms, own) if own else forms
 
 
-@runtime_checkable
-class Own(Protocol):
-    """A reaction between some of the fields (:class:`multicell.nutrient.reactions.own`)."""
-
-    fields: tuple[str, ...]
-
-    def evaluate(
-        self, c: FloatArray, tissue: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return rates and their derivative for its own fields."""
-
-
 @final
 class Together:
     """Reactions of fixed forms and others, added up."""
 
-    def __init__(self, forms: FixedForms, own: Sequence[Own]) -> None:
+    def __init__(self, forms: FixedForms, own: Sequence[OwnReaction]) -> None:
         self.names, self._forms = forms.names, forms
         self._own = [(each, [self.names.index(name) for name in each.fields]) for each in own]
         self.needs_tissue = True
@@ -108,7 +71,7 @@ class Together:
     def evaluate(
         self, c: FloatArray, tissue: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return rates and their derivative; see :class:`Kinetics`."""
+        """Return rates and their derivative; see :meth:`FixedForms.evaluate`."""
         out, slope = self._forms.evaluate(c, tissue)
         for each, rows in self._own:
             rates, derivative = each.evaluate(np.asarray(c)[rows], tissue)
@@ -146,7 +109,15 @@ class FixedForms:
     def evaluate(
         self, c: FloatArray, tissue: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return rates and their derivative; see :class:`Kinetics`."""
+        """Return what reactions make of each field and the derivative of that.
+
+        - ``c``, (m, nodes), mM
+        - ``tissue``, (nodes,): part of each place that is tissue, 0 to 1; needed where
+          ``needs_tissue``
+
+        Returns (m, nodes), mM/s; (m, m, nodes), 1/s: of the rate of the first by the concentration
+        of the second.
+        """
         c = np.ascontiguousarray(c, dtype=np.float64)
         m, nodes = c.shape
         filled = np.zeros(nodes) if tissue is None else np.ascontiguousarray(tissue).ravel()
@@ -156,6 +127,10 @@ class FixedForms:
             self._power, self._change, out, slope,
         )  # fmt: skip
         return out, slope
+
+
+Kinetics = FixedForms | Together
+"""Rates of reactions between the fields of a grid."""
 
 
 def _factors(reaction: Reaction, names: list[str]) -> list[tuple[int, int, float, float]]:
@@ -208,16 +183,12 @@ def react(
 ) -> None:
     """Write what reactions make of each field (mM/s) and the derivative of that (1/s).
 
-    - ``c``, (m, nodes), mM
-    - ``tissue``, (nodes,): part of each place that is tissue
     - ``rate``, (r,): of each reaction, mM^(1 - n)/s or mM/s
     - ``place``, (r,): 0 everywhere, 1 in proportion to tissue, 2 to what is none
     - ``first``, (r + 1,): first factor of each reaction
     - ``field``, ``form``, ``half``, ``power``, (factors,): row of the field that a factor depends
       on, its form, K (mM) and n
     - ``change``, (r, m): how many of each field a reaction makes
-    - ``out``, (m, nodes)
-    - ``slope``, (m, m, nodes): written
     """
     m, nodes = c.shape
     value, steep = np.empty(field.size), np.empty(field.size)

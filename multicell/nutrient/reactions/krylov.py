@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import njit
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import KERNEL, typed
 from multicell.nutrient.stencil import dot
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
+_jit = typed(**KERNEL)
 
 Map = Callable[[FloatArray], FloatArray]
 
@@ -23,9 +20,7 @@ _DIMENSION, _CYCLES = 20, 6
 def gmres(product: Map, near: Map, right: FloatArray, goal: float) -> tuple[FloatArray, int]:
     """Return x of A x = right, and how many products that took (Saad & Schultz 1986).
 
-    - ``product``: v -> A v
     - ``near``: v -> about the inverse of A
-    - ``right``, (n,)
     - ``goal``: part of the right-hand side's norm that may be left over; as little as was reached
       is returned where it is not
     """
