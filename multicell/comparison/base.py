@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]  # one row of a table: column -> value
 
-DONE, FAILED, SKIPPED = "done", "failed", "skipped"  # how a solve went
+DONE: str = "done"  # how a solve went
+FAILED, SKIPPED = "failed", "skipped"
 
 CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
 """Column of the table that may judge -> what it is."""

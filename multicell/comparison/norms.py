@@ -209,7 +209,7 @@ def _pair_distance(found: Observed, exact: Observed, radius: float) -> float:
     return float(distance.mean()) / radius if len(distance) else 0.0
 
 
-NORMS: Final = {
+NORMS: Final[dict[str, Norm]] = {
     norm.name: norm
     for norm in (
         Norm("position", "positions", "worst", "mean radius", _position(np.max)),
