@@ -120,12 +120,12 @@ def test_runs_are_counted(corrected):
 
 
 @pytest.mark.slow
-def test_intervals_cover_although_coarse_runs_are_off():
-    inside = 0
-    for seed in range(1, 21):
+def test_intervals_cover_although_coarse_runs_are_off(request):
+    count, inside = request.config.getoption("--calibrations") or 6, 0
+    for seed in range(1, count + 1):
         interval = asked(seed, budget=160).intervals(0.95)["cycle_time"]
         inside += interval.low < truth()["cycle_time"] < interval.high
-    assert inside >= 16
+    assert inside >= 0.8 * count
 
 
 def test_runs_of_scenes_are_made_coarse():
