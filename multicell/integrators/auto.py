@@ -44,16 +44,16 @@ if TYPE_CHECKING:
 _ITERATIONS = 6
 PATIENCE = 300  # evaluations that Adams-Bashforth may expect to take, by many cells
 _CHOICE = 2.0e3  # evaluations times cells that calls of Python cost when λ is measured
-_SUSPECT = 25.0  # λΔt, by the order of magnitude of λ, from which on λ is measured
+_SUSPECT = 60.0  # λΔt, by the order of magnitude of λ, from which on λ is measured
 MILD_TO, _STILL = 150.0, 0.3
 """λΔt up to which Adams-Bashforth costs less than RKC2, and the part of it up to which it does in
 tissue at rest, which RKC2 goes through in a few steps."""
 EXACT_FROM, EXACT_TO = 60.0, 500.0
 """λΔt from which on stability limits the steps of Adams-Bashforth at tight tolerances, and up to
 which a method of order 4 costs less than RKC2 there."""
-_TIGHT, _VERY_TIGHT = 0.015, 0.0015
-"""Tolerances in µm up to which a method of order 4 is taken: where stability limits the steps of
-Adams-Bashforth, so that it costs little more, and where it does not."""
+_TIGHT, _MILDER = 0.015, 1.3
+"""Tolerance in µm up to which a method of order 4 is taken where stability limits the steps of
+Adams-Bashforth, so that it costs little more; and the power of λΔt by which it falls below that."""
 _QUIET, _SHAKEN = 1e-3, 0.3
 """The way that fast modes carry the fastest cell, its speed over λ in tolerances: up to which there
 are no fast modes to follow, and from which on there are."""
@@ -119,9 +119,10 @@ class Auto(ErrorControl):
         from multicell.integrators.limits import stiffness_scale
 
         scale = stiffness_scale(system) * (system.motion.end - system.motion.begin)
-        able = candidates(system)
-        mild = EXACT if _tolerance(system, self.rtol, self.atol) <= _VERY_TIGHT else MILD
-        if scale <= _SUSPECT + _CHOICE / max(len(system), 1) and mild in able:
+        able, n = candidates(system), max(len(system), 1)
+        tolerance = _tolerance(system, self.rtol, self.atol)
+        mild = EXACT if tolerance <= exact_below(scale) else MILD
+        if scale <= _SUSPECT + _CHOICE / n and mild in able:
             return Choice(scale, _first(mild, able))
         return choose(system, position, self.rtol, self.atol, able=able)
 
@@ -189,7 +190,7 @@ def choose(
     tolerance = _tolerance(system, rtol, atol)
     rate = decay_rate(system, position)
     z = rate * (system.motion.end - system.motion.begin)
-    if z <= EXACT_TO and tolerance <= (_TIGHT if z > EXACT_FROM else _VERY_TIGHT):
+    if z <= EXACT_TO and tolerance <= exact_below(z):
         return Choice(z, _first(EXACT, able))
     shaken = 1.0
     if z > _STILL * MILD_TO:
@@ -202,6 +203,11 @@ def choose(
     stable = [name for name in _STABLE if name in able and CANDIDATES[name].info.implicit]
     name = stable[0] if implicit and stable else Rkc2.info.name
     return Choice(z, _first(name, able), float(_AS_EXACT**shaken))
+
+
+def exact_below(z: float) -> float:
+    """Return the tolerance in µm up to which a method of order 4 is taken in a mild step."""
+    return _TIGHT * min(1.0, z / EXACT_FROM) ** _MILDER
 
 
 def implicit_from(n: int, shaken: float, *, python: bool = False) -> float:
