@@ -87,7 +87,7 @@ INVENTED: dict[str, tuple[str, dict[str, Any]]] = {
         "drag.viscosity": 0.2, "duration": "6 h"}),
     "box at 0.5": ("growth", {
         "initial.count": 100, "initial.stage": "uniform", "drag.viscosity": 0.5,
-        "domain": {axis: ["-21 um", "21 um"] for axis in "xyz"}, "duration": "8 h"}),
+        "domain": {axis: ["-25 um", "25 um"] for axis in "xyz"}, "duration": "8 h"}),
     "pulled pair at 0.05": ("doublet", {
         "drag.viscosity": 0.05, "coupling_step": "2 min", "duration": "1 h"}),
     "driven, Hertz": ("compression", {
