@@ -44,16 +44,19 @@ if TYPE_CHECKING:
 _ITERATIONS = 6
 PATIENCE = 300  # evaluations that Adams-Bashforth may expect to take, by many cells
 _CHOICE = 2.0e3  # evaluations times cells that calls of Python cost when λ is measured
-_SUSPECT = 60.0  # λΔt, by the order of magnitude of λ, from which on λ is measured
+_SUSPECT, _MOVES = 25.0, 60.0
+"""λΔt, by the order of magnitude of λ, from which on λ is measured in tissue at rest, and in tissue
+that moves, which Adams-Bashforth goes through where its stability allows it."""
 MILD_TO, _STILL = 150.0, 0.3
 """λΔt up to which Adams-Bashforth costs less than RKC2, and the part of it up to which it does in
 tissue at rest, which RKC2 goes through in a few steps."""
 EXACT_FROM, EXACT_TO = 60.0, 500.0
 """λΔt from which on stability limits the steps of Adams-Bashforth at tight tolerances, and up to
 which a method of order 4 costs less than RKC2 there."""
-_TIGHT, _MILDER = 0.015, 1.3
-"""Tolerance in µm up to which a method of order 4 is taken where stability limits the steps of
-Adams-Bashforth, so that it costs little more; and the power of λΔt by which it falls below that."""
+_TIGHT, _VERY_TIGHT, _MILDER = 0.015, 0.0015, 1.3
+"""Tolerances in µm up to which a method of order 4 is taken: where stability limits the steps of
+Adams-Bashforth, so that it costs little more, and in any step; and the power of λΔt by which the
+first falls below that."""
 _QUIET, _SHAKEN = 1e-3, 0.3
 """The way that fast modes carry the fastest cell, its speed over λ in tolerances: up to which there
 are no fast modes to follow, and from which on there are."""
@@ -122,8 +125,12 @@ class Auto(ErrorControl):
         able, n = candidates(system), max(len(system), 1)
         tolerance = _tolerance(system, self.rtol, self.atol)
         mild = EXACT if tolerance <= exact_below(scale) else MILD
-        if scale <= _SUSPECT + _CHOICE / n and mild in able:
-            return Choice(scale, _first(mild, able))
+        if mild in able:
+            rate = stiffness_scale(system)
+            if scale <= _SUSPECT + _CHOICE / n or (
+                scale <= _MOVES and _shaken(system, position, rate, tolerance) > 0.5
+            ):
+                return Choice(scale, _first(mild, able))
         return choose(system, position, self.rtol, self.atol, able=able)
 
     def method(self, name: str, finer: float = 1.0, cells: int = 1) -> Integrator:
@@ -194,9 +201,7 @@ def choose(
         return Choice(z, _first(EXACT, able))
     shaken = 1.0
     if z > _STILL * MILD_TO:
-        span = math.log(_SHAKEN / _QUIET)
-        fast = max(_fastest(system, position) / rate / tolerance, _QUIET)
-        shaken = min(math.log(fast / _QUIET) / span, 1.0)
+        shaken = _shaken(system, position, rate, tolerance)
     if z <= MILD_TO * _STILL ** (1.0 - shaken):
         return Choice(z, _first(MILD, able))
     implicit = z > implicit_from(len(system), shaken, python=needs_python(system))
@@ -207,7 +212,7 @@ def choose(
 
 def exact_below(z: float) -> float:
     """Return the tolerance in µm up to which a method of order 4 is taken in a mild step."""
-    return _TIGHT * min(1.0, z / EXACT_FROM) ** _MILDER
+    return max(_VERY_TIGHT, _TIGHT * min(1.0, z / EXACT_FROM) ** _MILDER)
 
 
 def implicit_from(n: int, shaken: float, *, python: bool = False) -> float:
@@ -219,6 +224,12 @@ def implicit_from(n: int, shaken: float, *, python: bool = False) -> float:
     """
     dear = (1.0 + _STAGE / n) / (1.0 + _PRODUCT / n) if python else 1.0
     return float(_IMPLICIT_FROM * _MOVING**shaken * (n / 100.0) ** 0.25 / dear**2)
+
+
+def _shaken(system: Mechanics, position: FloatArray, rate: float, tolerance: float) -> float:
+    """Return 0 where there are no fast modes to follow, up to 1 where there are."""
+    fast = max(_fastest(system, position) / rate / tolerance, _QUIET)
+    return float(min(math.log(fast / _QUIET) / math.log(_SHAKEN / _QUIET), 1.0))
 
 
 def _fastest(system: Mechanics, position: FloatArray) -> float:
