@@ -212,7 +212,7 @@ def choose(
 
 def exact_below(z: float) -> float:
     """Return the tolerance in µm up to which a method of order 4 is taken in a mild step."""
-    return max(_VERY_TIGHT, _TIGHT * min(1.0, z / EXACT_FROM) ** _MILDER)
+    return float(max(_VERY_TIGHT, _TIGHT * min(1.0, z / EXACT_FROM) ** _MILDER))
 
 
 def implicit_from(n: int, shaken: float, *, python: bool = False) -> float:
@@ -229,7 +229,7 @@ def implicit_from(n: int, shaken: float, *, python: bool = False) -> float:
 def _shaken(system: Mechanics, position: FloatArray, rate: float, tolerance: float) -> float:
     """Return 0 where there are no fast modes to follow, up to 1 where there are."""
     fast = max(_fastest(system, position) / rate / tolerance, _QUIET)
-    return float(min(math.log(fast / _QUIET) / math.log(_SHAKEN / _QUIET), 1.0))
+    return min(math.log(fast / _QUIET) / math.log(_SHAKEN / _QUIET), 1.0)
 
 
 def _fastest(system: Mechanics, position: FloatArray) -> float:
