@@ -121,16 +121,16 @@ class Auto(ErrorControl):
         """Return what to do in a coupling step; λ is not measured in one that is surely mild."""
         from multicell.integrators.limits import stiffness_scale
 
-        scale = stiffness_scale(system) * (system.motion.end - system.motion.begin)
+        rate = stiffness_scale(system)
+        scale = rate * (system.motion.end - system.motion.begin)
         able, n = candidates(system), max(len(system), 1)
         tolerance = _tolerance(system, self.rtol, self.atol)
         mild = EXACT if tolerance <= exact_below(scale) else MILD
-        if mild in able:
-            rate = stiffness_scale(system)
-            if scale <= _SUSPECT + _CHOICE / n or (
-                scale <= _MOVES and _shaken(system, position, rate, tolerance) > 0.5
-            ):
-                return Choice(scale, _first(mild, able))
+        if mild in able and (
+            scale <= _SUSPECT + _CHOICE / n
+            or (scale <= _MOVES and _shaken(system, position, rate, tolerance) > 0.5)
+        ):
+            return Choice(scale, _first(mild, able))
         return choose(system, position, self.rtol, self.atol, able=able)
 
     def method(self, name: str, finer: float = 1.0, cells: int = 1) -> Integrator:
