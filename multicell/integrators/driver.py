@@ -114,7 +114,7 @@ def _run(
     refused = beyond(system, state, atol)
     if refused is not None:
         return refused, None
-    counts = np.zeros(4, dtype=np.int64)
+    counts = np.zeros(5, dtype=np.int64)
     common = (state, length, motion.radius, counts)
     if needs_python(system):
         source: Any = stepping.Called(system)
@@ -126,6 +126,7 @@ def _run(
     work = system.work
     work.evaluations += int(counts[stepping.EVALUATIONS])
     work.list_builds += int(counts[stepping.LIST_BUILDS])
+    work.list_repairs += int(counts[stepping.LIST_REPAIRS])
     work.steps += int(counts[stepping.STEPS])
     work.rejections += int(counts[stepping.REJECTIONS])
     if report.status == stepping.DONE:

@@ -42,7 +42,7 @@ from multicell.mechanics.system import Mechanics
 
 DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
 """How a loop, or one evaluation, ended."""
-EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)  # places in the array of counts
+EVALUATIONS, LIST_BUILDS, LIST_REPAIRS, STEPS, REJECTIONS = range(5)  # in the array of counts
 ELAPSED, STEP, PREVIOUS, HELD = range(4)
 """Places in the state of error control: time since the beginning and next step, s; size of the last
 error; steps refused since the last accepted one."""
@@ -57,9 +57,9 @@ _BLOCK = 1024  # numbers of an array that are worked on at a time
 class Source(NamedTuple):
     """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
 
-    ``forces_at`` and ``rebuild_at`` are the addresses of the kernels, for one thread or for all,
-    ``evaluation_at`` that of the function that calls them. ``foresee_at`` and ``assess_at`` are
-    those of :mod:`.fused`, for loops that use it.
+    ``forces_at``, ``rebuild_at`` and ``repair_at`` (0: lists are not repaired) are the addresses of
+    the kernels, for one thread or for all, ``evaluation_at`` that of the function that calls them.
+    ``foresee_at`` and ``assess_at`` are those of :mod:`.fused`, for loops that use it.
     """
 
     cells: forces.CellData
@@ -71,6 +71,7 @@ class Source(NamedTuple):
     counts: NDArray[np.int64]
     forces_at: int = 0
     rebuild_at: int = 0
+    repair_at: int = 0
     evaluation_at: int = 0
     foresee_at: int = 0
     assess_at: int = 0
@@ -176,6 +177,19 @@ def _evaluation(source, pairs, elapsed, position, out):
     ):  # fmt: skip
         if not _is_finite(position):
             return NOT_FINITE, pairs
+        if source.repair_at != 0:
+            repaired, inner_end, outer_end = _repair_at(
+                source.repair_at, position, cells.reference, source.reach, cells.margin,
+                source.least_margin, cells.chunk, pairs.first, pairs.second, pairs.start,
+                pairs.inner_end, pairs.outer_end,
+            )  # fmt: skip
+            if repaired:
+                source.counts[LIST_REPAIRS] += 1
+                pairs = forces.PairData(
+                    pairs.first, pairs.second, pairs.start, inner_end, outer_end, pairs.sticky,
+                    pairs.unit, pairs.onset,
+                )  # fmt: skip
+                continue
         source.counts[LIST_BUILDS] += 1
         reach = neighbours.widened(
             position, cells.reference, source.reach, source.least_margin, cells.margin
@@ -210,6 +224,19 @@ def _rebuild_at(context, address, position, radius, skin, chunk, first, second):
     return call_at(listed, address, position, radius, skin, chunk, first, second)
 
 
+@intrinsic
+def _repair_at(
+    context, address, position, reference, reach, margin, least, chunk, first, second, start,
+    inner_end, outer_end,
+):  # fmt: skip
+    """Call ``neighbours.repair``, or what shares its loops, at an address."""
+    ends = types.int64[::1]
+    return call_at(
+        types.Tuple((types.boolean, ends, ends)), address, position, reference, reach, margin,
+        least, chunk, first, second, start, inner_end, outer_end,
+    )  # fmt: skip
+
+
 def with_addresses(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool = False
 ) -> Source:
@@ -218,7 +245,7 @@ def with_addresses(
     - ``shared``: whether threads share them
     - ``passes``: whether the loop uses :mod:`.fused`
     """
-    key = kind_of((source, pairs)), shared, passes
+    key = kind_of((source, pairs)), shared, passes, len(source.reach) >= neighbours.REPAIRED
     if key not in _PLACES:
         _PLACES[key] = _addresses(source, pairs, shared=shared, passes=passes)
     return source._replace(**_PLACES[key])
@@ -232,9 +259,10 @@ def _addresses(
 ) -> dict[str, Any]:
     """Return the addresses of the kernels by their names in :class:`Source`."""
     place, found = np.empty((0, 3)), (True, *pairs[:5])
-    run, build = forces.forces, neighbours.rebuild
+    run, build, repair = forces.forces, neighbours.rebuild, neighbours.repair
     if shared:
         run, build = forces.forces_parallel, neighbours.rebuild_parallel
+        repair = neighbours.repair_parallel
     known = {
         "forces_at": address_of(
             run, True, source.cells, pairs, source.offsets, source.law, place, 0.0, True,
@@ -245,6 +273,11 @@ def _addresses(
         ),
         "evaluation_at": address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }  # fmt: skip
+    if len(source.reach) >= neighbours.REPAIRED:
+        known["repair_at"] = address_of(
+            repair, (True, *pairs[3:5]), place, place, source.reach, source.cells.margin, 0.0,
+            source.cells.chunk, *pairs[:5],
+        )  # fmt: skip
     if passes:
         known |= fused.addresses(source.cells.radius, shared=shared)
     return known

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 
-_LIST = 7  # evaluations that a neighbour list costs
+_LIST = 7  # evaluations that a neighbour list costs; one for a repair
 
 
 class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, not a fault
@@ -27,6 +27,7 @@ class Work:
     preconditioner_setups: int = 0
     preconditioner_solves: int = 0
     list_builds: int = 0
+    list_repairs: int = 0
     steps: int = 0
     rejections: int = 0
     newton_iterations: int = 0
@@ -50,6 +51,7 @@ class Work:
             + self.preconditioner_solves
             + self.friction_iterations
             + _LIST * self.list_builds
+            + self.list_repairs
         )
 
 

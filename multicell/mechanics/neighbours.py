@@ -38,6 +38,11 @@ _BLOCK = 512  # candidates that are tested in one go
 _SLICES = 4  # bins along x for each along y and z
 
 
+REPAIRED = 1000  # cells from which on lists are repaired, which takes seconds to compile
+_USED = (0.25, 0.5)  # of the square of a margin: a repair gives new ones to cells beyond
+_FEW = 8  # a list is repaired where one cell in so many has drifted, or fewer
+_FOUND = 64  # pairs of a cell that a repair has room for
+
 _WIDEST = 8.0  # largest margin of a cell over the least
 _FORESIGHT = 6.0  # how many times as far as since the last list a cell may move until the next one
 
@@ -514,6 +519,222 @@ def _rebuild(position, radius, skin, chunk, first, second):
 rebuild, rebuild_parallel = two_drivers(_rebuild)
 
 
+@njit(**INLINED)
+def _next_margin(square, least, margin):
+    """Return a cell's margin after it has drifted by the root of ``square``, µm."""
+    return max(least, min(max(_FORESIGHT * math.sqrt(square), 0.5 * margin), _WIDEST * least))
+
+
+@njit(**INNER)
+def _sum_up(c, chunk, position, reference, sums):
+    """Write sums over a chunk to ``sums[c]``: those of :func:`_together` beside the first cell."""
+    for k in range(8):
+        sums[c, k] = 0.0
+    for i in range(c * chunk, min((c + 1) * chunk, position.shape[0])):
+        for a in range(3):
+            x, r = position[i, a] - reference[0, a], reference[i, a] - reference[0, a]
+            sums[c, a] += x
+            sums[c, 3 + a] += r
+            sums[c, 6] += x * r
+            sums[c, 7] += r * r
+
+
+@njit(**INNER)
+def _together(sums, reference):
+    """Return how all cells move and spread together, x = s r + (x, y, z), by least squares.
+
+    A list stays valid where its reference moves so: with s above one no pair comes closer, and
+    below it is left out. Drifts are then those of a cell among the others.
+    """
+    total, n = np.zeros(8), reference.shape[0]
+    for c in range(sums.shape[0]):
+        for k in range(8):
+            total[k] += sums[c, k]
+    both, own = total[6], total[7]
+    for a in range(3):
+        both -= total[a] * total[3 + a] / n
+        own -= total[3 + a] * total[3 + a] / n
+    spread = max(both / own, 1.0) if own > 0.0 else 1.0
+    for a in range(3):
+        total[a] = (total[a] - spread * total[3 + a]) / n + (1.0 - spread) * reference[0, a]
+    return spread, total[0], total[1], total[2]
+
+
+@njit(**INNER)
+def _mark(c, chunk, position, reference, way, margin, moved, counts):
+    """Mark and count the cells of a chunk that have used up the parts :data:`_USED` of a margin.
+
+    Two marks for references as they are, and two for such as go ``way``, that of all together.
+    Where there was no list each cell has all marks.
+    """
+    for k in range(4):
+        counts[c, k] = 0
+    spread, ahead = way[0], (way[1], way[2], way[3])
+    for i in range(c * chunk, min((c + 1) * chunk, margin.size)):
+        rest, along = 0.0, 0.0
+        for a in range(3):
+            rest += (position[i, a] - reference[i, a]) ** 2
+            along += (position[i, a] - spread * reference[i, a] - ahead[a]) ** 2
+        moved[i], whole = 0, margin[i] * margin[i]
+        for k in range(4):
+            beyond = not (rest if k < 2 else along) <= _USED[k % 2] * whole
+            moved[i] |= np.uint8(beyond) << np.uint8(k)
+            counts[c, k] += beyond
+
+
+@njit(**INNER)
+def _pairs_of(cell, moved, bins, first, second):
+    """Write all pairs of some cells, those among them once; return how many, or -1 without room."""
+    cells, row, shape, low, count = bins.cells, bins.row, bins.shape, bins.low, 0
+    hits = np.empty(_BLOCK, np.int32)
+    width, scale = 2.0 * bins.largest, 0.5 * _SLICES / bins.largest
+    for i in cell:
+        a = np.int64(bins.place[i])
+        reach = cells[a, 3] + bins.largest
+        for neighbour in range(9):
+            dy, dz = neighbour % 3 - 1, neighbour // 3 - 1
+            v, w = row[i, 0] + dy, row[i, 1] + dz
+            if v < 0 or v >= shape[1] or w < 0 or w >= shape[2]:
+                continue
+            y, z = cells[a, 1] - low[1], cells[a, 2] - low[2]
+            y = 0.0 if dy == 0 else y - (row[i, 0] + max(dy, 0)) * width
+            z = 0.0 if dz == 0 else z - (row[i, 1] + max(dz, 0)) * width
+            rest = reach * reach * 1.000001 - y * y - z * z
+            if rest <= 0.0:
+                continue
+            begin, end = _range(
+                1, (w * shape[1] + v) * shape[0], bins.start, shape[0],
+                cells[a, 0] - low[0], math.sqrt(rest), scale, a,
+            )  # fmt: skip
+            for block in range(begin, end, _BLOCK):
+                found = _collect(cells, block, min(block + _BLOCK, end), a, hits, np.int64(0))
+                for h in range(found):
+                    j = bins.order[hits[h]]
+                    if j == i or (moved[j] and j < i):
+                        continue
+                    if count == first.size:
+                        return -1
+                    first[count], second[count] = i, j
+                    count += 1
+    return count
+
+
+@njit(**INNER)
+def _keep(c, moved, first, second, start, inner_end, outer_end, extra, at):
+    """Close the gaps that pairs of cells that have moved leave in a chunk's part of the list.
+
+    Between inner and outer pairs ``extra[c, 0]`` places are left for new ones. Writes to ``at[c]``
+    where these and new outer pairs go.
+    """
+    ends = (start[c], inner_end[c], outer_end[c])
+    for side in range(2):
+        # a branch would mispredict
+        k = ends[side]
+        for p in range(ends[side], ends[side + 1]):
+            i, j = first[p], second[p]
+            first[k], second[k] = i, j
+            k += np.int64((moved[i] | moved[j]) == 0)
+        at[c, side] = k
+    begin, count, to = ends[1], at[c, 1] - ends[1], at[c, 0] + extra[c, 0]
+    for k in range(count):
+        p = k if to < begin else count - 1 - k
+        first[to + p], second[to + p] = first[begin + p], second[begin + p]
+    at[c, 1] = to + count
+
+
+def _repair(
+    position, reference, reach, margin, least, chunk, first, second, start, inner_end, outer_end
+):
+    """Bring a list up to date where few cells have drifted; return whether, and its new ends.
+
+    Only cells that have used up most of their margin are looked at, after :func:`_together`: their
+    pairs are taken out of the list and found anew, and they get new margins as in :func:`widened`.
+    The list then holds what one built at ``reference`` would, and perhaps pairs that have moved
+    apart since. It is for a new list to be built, and of margins and list nothing is changed, where
+    too many have drifted, where they are too far apart for a dense grid, or without room.
+
+    - ``position``, (n, 3), µm: now
+    - ``reference``, (n, 3), µm, ``margin``, (n,), µm, and the list: changed in place
+    - the rest as in :func:`widened` and :class:`PairList`
+    """
+    chunks, moved = start.size, np.empty(margin.size, np.uint8)
+    counts, sums = np.empty((chunks, 4), np.int64), np.empty((chunks, 8))
+    for c in prange(chunks):
+        _sum_up(c, chunk, position, reference, sums)
+    way = _together(sums, reference)
+    for c in prange(chunks):
+        _mark(c, chunk, position, reference, way, margin, moved, counts)
+    # those who will soon have drifted too far are repaired ahead where they are few
+    total, mark = margin.size, 0
+    for part in range(2):
+        for k in (part, 2 + part):
+            count = 0
+            for c in range(chunks):
+                count += counts[c, k]
+            if count < total:
+                total, mark = count, k
+        if total * _FEW <= margin.size:
+            break
+    if total * _FEW > margin.size:
+        return False, inner_end, outer_end
+    if mark > 1:
+        for i in range(margin.size):
+            for a in range(3):
+                reference[i, a] = way[0] * reference[i, a] + way[1 + a]
+    cell, before, wide = np.empty(total, np.int32), np.empty((total, 4)), np.empty(margin.size)
+    k = 0
+    for i in range(margin.size):
+        moved[i] = (moved[i] >> np.uint8(mark)) & np.uint8(1)
+        if moved[i]:
+            cell[k], before[k, 3], square = i, margin[i], 0.0
+            for a in range(3):
+                before[k, a] = reference[i, a]
+                square += (position[i, a] - reference[i, a]) ** 2
+                reference[i, a] = position[i, a]
+            margin[i] = _next_margin(square, least, margin[i])
+            k += 1
+        wide[i] = reach[i] + margin[i]
+    bins = _dense_bins(reference, wide, 0.0)
+    new_first = np.empty(_FOUND * total, np.int32)
+    new_second = np.empty(_FOUND * total, np.int32)
+    found = -1
+    if bins.shape[0] > 0:
+        found = _pairs_of(cell, moved, bins, new_first, new_second)
+    extra, at = np.zeros((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
+    for p in range(found):
+        c, d = new_first[p] // chunk, new_second[p] // chunk
+        extra[c, np.int64(c != d)] += 1
+        extra[d, 1] += np.int64(c != d)
+    enough = found >= 0
+    for c in range(chunks):
+        room = start[c + 1] if c + 1 < chunks else first.size
+        enough &= outer_end[c] + extra[c, 0] + extra[c, 1] <= room
+    if not enough:
+        for k in range(total):
+            margin[cell[k]] = before[k, 3]
+            for a in range(3):
+                reference[cell[k], a] = before[k, a]
+        return False, inner_end, outer_end
+    for c in prange(chunks):
+        _keep(c, moved, first, second, start, inner_end, outer_end, extra, at)
+    inner, outer = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
+    for c in range(chunks):
+        inner[c], outer[c] = at[c, 0] + extra[c, 0], at[c, 1] + extra[c, 1]
+    for p in range(found):
+        i, j = new_first[p], new_second[p]
+        c, d = i // chunk, j // chunk
+        side = np.int64(c != d)
+        first[at[c, side]], second[at[c, side]] = i, j
+        at[c, side] += 1
+        if c != d:
+            first[at[d, 1]], second[at[d, 1]] = j, i
+            at[d, 1] += 1
+    return True, inner, outer
+
+
+repair, repair_parallel = two_drivers(_repair)
+
+
 @njit(**KERNEL)
 def widened(position, reference, reach, least, margin):
     """Adapt the margins of the cells to how they move; return the radii to build a list with.
@@ -536,9 +757,8 @@ def widened(position, reference, reach, least, margin):
         for a in range(3):
             square += (position[i, a] - reference[i, a]) ** 2
         # not a number where there was no list: the margin stays
-        wanted = _FORESIGHT * math.sqrt(square)
-        if wanted == wanted:
-            margin[i] = max(least, min(max(wanted, 0.5 * margin[i]), _WIDEST * least))
+        if square == square:
+            margin[i] = _next_margin(square, least, margin[i])
         wide[i] = reach[i] + margin[i]
     return wide
 

@@ -448,6 +448,10 @@ class Mechanics:
         """Build the neighbour list at a state, and what the law keeps for each pair."""
         if not np.isfinite(position).all():
             raise StateRejected("a position is not a number")
+        pairs = self._repaired(position)
+        if pairs is not None:
+            self.work.list_repairs += 1
+            return self._listing(pairs)
         self.work.list_builds += 1
         reference = np.array(position)
         last = self._cells.reference if self._pairs is not None else np.full((len(self), 3), np.nan)
@@ -462,6 +466,26 @@ class Mechanics:
             self._pairs = None
             raise StateRejected(f"cells lie on top of each other ({error})") from error
         self._cells = self._cell_data(reference)
+        return self._listing(pairs)
+
+    def _repaired(self, position: FloatArray) -> neighbours.PairList | None:
+        """Return the list brought up to date, if there is one and few cells have drifted."""
+        last = self._pairs
+        if last is None or len(self) < neighbours.REPAIRED:
+            return None
+        run = neighbours.repair_parallel if self._shared(last) else neighbours.repair
+        # whoever has linearised with the last list still needs it
+        first, second = last.first.copy(), last.second.copy()
+        repaired, inner_end, outer_end = run(
+            position, self._cells.reference, self._list_radius, self._margin, self._least_margin,
+            self.chunk, first, second, last.start, last.inner_end, last.outer_end,
+        )  # fmt: skip
+        if not repaired:
+            return None
+        return replace(last, first=first, second=second, inner_end=inner_end, outer_end=outer_end)
+
+    def _listing(self, pairs: neighbours.PairList) -> neighbours.PairList:
+        """Take over a list, with what the law keeps for each pair; return it."""
         values = (
             self._values_of(*neighbours.listed(pairs))
             if self.has_pair_values

@@ -23,8 +23,8 @@ _AMOUNTS: Final = (
 """Entries of a ledger that are no observables."""
 _COUNTS: Final = (
     "evaluations", "linearisations", "jacobian_products", "preconditioner_setups",
-    "preconditioner_solves", "list_builds", "steps", "rejections", "newton_iterations",
-    "linear_iterations", "factorisations", "friction_iterations", "steps_*",
+    "preconditioner_solves", "list_builds", "list_repairs", "steps", "rejections",
+    "newton_iterations", "linear_iterations", "factorisations", "friction_iterations", "steps_*",
 )  # fmt: skip
 
 _RATIOS: Final = (

@@ -52,7 +52,7 @@ def everything(n, position, radius, young, chunk):
 def test_velocities_of_a_part_are_those_of_the_whole(fast, chunk):
     position, radius, young = cluster(80, 4)
     system = everything(80, position, radius, young, chunk)
-    whole, counts = np.empty_like(position), np.zeros(4, np.int64)
+    whole, counts = np.empty_like(position), np.zeros(5, np.int64)
     system.velocity(30.0, position, whole)
     source, pairs = driver.source_of(system, counts)
     is_fast = np.random.default_rng(1).uniform(size=80) < fast
@@ -159,7 +159,7 @@ def test_a_refused_step_is_not_made_longer_by_another_grouping():
 
 def test_steps_that_are_refused_without_end_end_a_loop():
     control = driver.control(MultirateEuler(), mechanics(np.ones(2), np.ones(2)), 2.0, lower=1)
-    walk, counts = stepping.control_state(10.0), np.zeros(4, np.int64)
+    walk, counts = stepping.control_state(10.0), np.zeros(5, np.int64)
     tried = 0
     while stepping.stop_reason(walk, counts, control, 600.0) == stepping.DONE:
         assert stepping.refuse_step(walk, counts, control, stepping.MOVED, 1.0)

@@ -28,6 +28,7 @@ from multicell.integrators.stepping import (
     ELAPSED,
     EVALUATIONS,
     LIST_BUILDS,
+    LIST_REPAIRS,
     STEP,
     Report,
     Source,
@@ -367,7 +368,7 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
         if ratio == 1:
             displace(position, step, slope, trial)
         else:
-            if built != counts[LIST_BUILDS]:
+            if built != counts[LIST_BUILDS] + counts[LIST_REPAIRS]:
                 part = _part(source, pairs, is_fast)
             status, pairs, part, share = _short_steps(
                 source, pairs, part, is_fast, position, slope, elapsed, step, ratio, trial, new
@@ -375,7 +376,7 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
             spent += share
             counts[EVALUATIONS] += int(spent)
             spent -= int(spent)
-            built = counts[LIST_BUILDS]
+            built = counts[LIST_BUILDS] + counts[LIST_REPAIRS]
         if status == DONE:
             status, pairs = evaluate(source, pairs, elapsed + step, trial, new)
         cell, moved = furthest_move(position, trial, radius)
