@@ -48,6 +48,8 @@ def pass_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
     - ``first``: first identity that was free before: the daughters' identities count from there,
       two by two, the first daughter's first
     """
+    if not named:
+        return {}
     eldest = cells.id[(cells.id >= first) & ((cells.id - first) % 2 == 0)]
     mothers = cells.parent[cells.rows_of(eldest)]
     after = {}
