@@ -179,8 +179,8 @@ class Feeding:
         """
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
-        if before is not None:
-            marched = [name for name in self.order if not self._rests(name)]
+        marched = [name for name in self.order if not self._rests(name)]
+        if before is not None and marched:
             if any(self._nutrients[name].secretion_from for name in marched):
                 for name, field in self.fields.items():
                     self._uptake[name] = field.uptake(before.position, self._capacity(name, before))

@@ -145,7 +145,9 @@ class FieldGroup:
         """
         assert self._equation is not None
         if self._state is not None and self._state.grid is self._equation.grid:
-            self._state.data[...] = np.reshape(values, self._state.data.shape)
+            data = self._state.data  # a view of py-pde's array, which has ghost cells round it
+            for row, own in zip(data if len(values) > 1 else data[None], values, strict=True):
+                row[...] = own.reshape(row.shape)
         else:
             self._state = self._equation.state_of(values)
         return self._state

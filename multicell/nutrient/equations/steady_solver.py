@@ -47,7 +47,7 @@ class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         self.info.update(dt=None, steps=0, stochastic=False)
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
-            found, reports = equation.steady_state(np.array(state.data), float(t_end))
+            found, reports = equation.steady_state(state.data, float(t_end))
             state.data[...] = found
             self.info["reports"] = reports
             self.info["rates"] = equation.exchanges(found, float(t_end), reports)
