@@ -263,7 +263,7 @@ def _axis(n: int, low: float, high: float) -> tuple[_Axis, ...]:
     """Return what all levels have along an axis, from ``n`` nodes of width one down to one node.
 
     ``low`` and ``high`` are the resistances of the faces at its ends beyond the one between node
-    and face, over spacing / D; inf for walls. A grid that follows the cells asks for the same again.
+    and face, over spacing / D; inf for walls. A grid that follows the cells asks for it again.
     """
     width, found = np.ones(n), []
     while True:

@@ -392,6 +392,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         ------
         SceneError
         """
+        if getattr(state, "equation", None) is self:  # a run's state, which follows its equation
+            return
         fields = [state] if isinstance(state, ScalarField) else list(state)
         if len(fields) != len(self.substances) or any(
             not isinstance(f, ScalarField) for f in fields

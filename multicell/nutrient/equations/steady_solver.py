@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, final
 
-import numpy as np
 from pde.solvers.base import SolverBase
 
 from multicell.nutrient.equations.solving import suitable
