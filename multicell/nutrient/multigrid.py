@@ -94,23 +94,11 @@ class _Level:
         """Run a kernel over the planes of this level."""
         self.team.share(kernel, self.shape[0], *arguments)
 
-    def begin(self) -> None:
-        """Take the first damped Jacobi step from zero."""
-        damping = _SMOOTHER[0]
-        self.share(kernels.first, self.b, self.rate, self.along, self.weights, damping, self.x)
-
-    def relax(self, damping: np.float32) -> None:
-        """Take a damped Jacobi step."""
-        self.share(
-            kernels.relax, self.x, self.b, self.rate, self.along, self.weights, damping, self.spare
-        )
-        self.x, self.spare = self.spare, self.x
-
     def restrict(self, coarse: _Level) -> None:
-        """Give what is left to be solved to the next level."""
+        """Take two damped Jacobi steps from zero, and give what they leave to the next level."""
         self.team.share(
-            kernels.restrict, coarse.shape[0], self.x, self.b, self.rate, self.along, self.weights,
-            self.shares, coarse.b,
+            kernels.down, coarse.shape[0], self.b, self.rate, self.along, self.weights, _SMOOTHER,
+            self.shares, self.x, coarse.b,
         )  # fmt: skip
 
     def average(self, values: Float32Array, out: Float32Array) -> None:
@@ -118,8 +106,12 @@ class _Level:
         self.team.share(kernels.average, len(out), values, self.shares, out)
 
     def correct(self, coarse: _Level) -> None:
-        """Add the solution of the next level."""
-        self.share(kernels.prolong, coarse.x, self.others, self.nearness, self.x)
+        """Add the solution of the next level, and take two damped Jacobi steps."""
+        self.share(
+            kernels.up, coarse.x, self.others, self.nearness, self.x, self.b, self.rate, self.along,
+            self.weights, _SMOOTHER, self.spare,
+        )  # fmt: skip
+        self.x, self.spare = self.spare, self.x
 
     def solve(self) -> None:
         """Solve exactly for a single node."""
@@ -177,14 +169,10 @@ class Hierarchy:
     def cycle(self) -> Float32Array:
         """Solve A x = b approximately on the finest level; the result lives until the next call."""
         for level, coarse in self._pairs:
-            level.begin()
-            level.relax(_SMOOTHER[1])
             level.restrict(coarse)
         self.levels[-1].solve()
         for level, coarse in reversed(self._pairs):
             level.correct(coarse)
-            for damping in _SMOOTHER:
-                level.relax(damping)
         return self.levels[0].x
 
 

@@ -311,8 +311,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
                 before=None if earlier is None else earlier[name],
                 demand=None if self.coupling is None else self.demands(nodes, t)[name],
             )  # fmt: skip
-        found = [nodes[name] for name in self.names]
-        return found[0][None] if len(found) == 1 else np.array(found), reports
+        states = [nodes[name] for name in self.names]
+        return states[0][None] if len(states) == 1 else np.array(states), reports
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return the concentration of each substance that errors are small beside, (m,) mM."""
