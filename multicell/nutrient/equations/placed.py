@@ -97,7 +97,8 @@ class PlacedSubstance:
                 self._scale()
         none = np.zeros(len(position))
         self.sink = self.spread(position, none if capacity is None else capacity)
-        self.secreted, self._production = _nothing(self.shape), 0.0
+        self.secreted = self._none = _nothing(self.shape)
+        self._production = 0.0
         if production is not None:
             self.secreted = self.spread(position, production)
             self._production = float(np.sum(production))
@@ -209,7 +210,7 @@ class PlacedSubstance:
         """
         secreted = self.secreted if secreted is None else secreted
         gain = self._gain(level)
-        if gain == 0.0 and self.supplied is _nothing(self.shape):
+        if gain == 0.0 and self.substance.supply is None:
             return secreted
         return self.supplied + gain + secreted
 
@@ -280,7 +281,7 @@ class PlacedSubstance:
         """
         sink, secreted = (self.sink, None) if demand is None else demand
         supply: FloatArray | None = self.supply(level, secreted)
-        if supply is _nothing(self.shape):
+        if supply is self._none:
             supply = None
         linear = self.linear
         if before is not None:
