@@ -161,11 +161,6 @@ class Diffusion:
         scale = self.stiffness * self.volume
         return scale * inward, scale * outward
 
-    def inflow(self, c: FloatArray) -> float:
-        """Return the net flow in through the faces, amol/s."""
-        inward, outward = self.flows(c)
-        return inward - outward
-
     def solve(
         self,
         sink: FloatArray,

@@ -30,7 +30,7 @@ import math
 from collections.abc import Callable, Iterable
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,18 +59,8 @@ _SMOOTHER = tuple(
 """Inverse roots of the Chebyshev polynomial: the weights of two damped Jacobi steps."""
 
 
-class _Axis(NamedTuple):
-    """What a level has along an axis of n nodes.
-
-    - ``along``, (4, n): see :func:`_along`
-    - ``share``, (n,): the nodes' widths over that of the one of the next level they lie in
-    - ``other``, ``nearness``, (n,): see :func:`_between`
-    """
-
-    along: Float32Array
-    share: Float32Array
-    other: NDArray[np.int64]
-    nearness: Float32Array
+_Axis = tuple[Float32Array, Float32Array, NDArray[np.int64], Float32Array]
+"""What a level has along an axis, see :func:`_axis`."""
 
 
 @final
@@ -250,6 +240,9 @@ class MultigridSolver:
 def _axis(n: int, low: float, high: float) -> tuple[_Axis, ...]:
     """Return what all levels have along an axis, from ``n`` nodes of width one down to one node.
 
+    That is its :func:`_along`, the nodes' widths over those of the ones of the next level that they
+    lie in, (n,), and :func:`_between`.
+
     ``low`` and ``high`` are the resistances of the faces at its ends beyond the one between node
     and face, over spacing / D; inf for walls. A grid that follows the cells asks for it again.
     """
@@ -257,7 +250,7 @@ def _axis(n: int, low: float, high: float) -> tuple[_Axis, ...]:
     while True:
         coarser = np.add.reduceat(width, np.arange(0, len(width), 2))
         share = _single(width / np.repeat(coarser, 2)[: len(width)])
-        found.append(_Axis(_along(width, low, high), share, *_between(width, coarser)))
+        found.append((_along(width, low, high), share, *_between(width, coarser)))
         if len(width) == 1:
             return tuple(found)
         width = coarser
