@@ -252,12 +252,11 @@ def up(
     for front in range(max(begin - 2, 0), end + 2):
         if front < nx:
             _prolong(front, coarse, others, nearness, between, x, added[front % 3])
-        i = front - 1
-        if max(begin - 1, 0) <= i < nx:
-            _relax(i, added, b, rate, along, weights, damping[0], row, diagonal, once[i % 3])
-        i = front - 2
-        if begin <= i < end:
-            _relax(i, once, b, rate, along, weights, damping[1], row, diagonal, out[i])
+        for step in range(2):  # written once: it is what takes long to compile
+            i, beside = front - 1 - step, 1 - step
+            if max(begin - beside, 0) <= i < min(end + beside, nx):
+                given, made = (added, once[i % 3]) if step == 0 else (once, out[i])
+                _relax(i, given, b, rate, along, weights, damping[step], row, diagonal, made)
 
 
 @_jit
