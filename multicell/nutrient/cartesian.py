@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 _FARTHEST = 1e9  # spacings from the origin; beyond, rounding would eat into the grid's spacing
 
+_COLUMNS = 500
+"""Positions from which on NumPy is faster column by column, of many twenty times."""
+
 _NEARLY = 0.75  # an axis longer than this part of the longest gets as many nodes
 
 
@@ -73,13 +76,20 @@ class Box:
         return box_grid(self.origin, self.shape, self.spacing, flat=self.height is not None)
 
 
+def corners(position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the corners (3,), (3,) in µm of the box that just holds one cell or more."""
+    if len(position) < _COLUMNS:
+        return position.min(axis=0), position.max(axis=0)
+    low, high = zip(*((x.min(), x.max()) for x in position.T), strict=True)
+    return np.array(low), np.array(high)
+
+
 def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
     """Return the corners (3,), (3,) in µm of the box that holds all cells and the margin."""
     if len(position) == 0:
         position = np.zeros((1, 3))
-    # column by column: NumPy takes twenty times as long for all three at once
-    low = np.array([position[:, axis].min() for axis in range(3)]) - margin
-    high = np.array([position[:, axis].max() for axis in range(3)]) + margin
+    low, high = corners(position)
+    low, high = low - margin, high + margin
     if not all(map(math.isfinite, (*low.tolist(), *high.tolist()))):
         raise NutrientFailed(
             "a cell's position is not a finite number, so no nutrient grid can be laid",

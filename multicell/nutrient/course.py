@@ -83,7 +83,8 @@ class Course:
         take = self.layout.carried if carry else self.layout.guess
         # on shells what is carried are differences of contents, which rounding may leave below
         # zero where there is nothing; what that adds is counted as relaid
-        return np.maximum(take(field.values, field.layout, level), 0.0)
+        found = take(field.values, field.layout, level)
+        return found if found is field.values else np.maximum(found, 0.0)
 
     def masses(self) -> FloatArray:
         """Return what each field holds, (m,) amol."""

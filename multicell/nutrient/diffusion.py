@@ -102,7 +102,8 @@ class Diffusion:
             self._sides = self._by_pde(self._grid, boundary)
         self.ghost, self.const = self._sides.ghost, self._sides.const
         brought = self._sides.brought
-        self.source = self.stiffness * (_brought(self.const) if brought is None else brought)
+        self.source = _brought(self.const) if brought is None else brought.copy()
+        self.source *= self.stiffness
         self._leak = self.stiffness * self._sides.leak
         halves = self._sides.halves
         self._dense = dense.Inverse(halves, self.stiffness) if halves else None
@@ -159,11 +160,6 @@ class Diffusion:
         inward, outward = stencil.flows(c, self.ghost, self.const, self.weights)
         scale = self.stiffness * self.volume
         return scale * inward, scale * outward
-
-    def inflow(self, c: FloatArray) -> float:
-        """Return the net flow in through the faces, amol/s."""
-        inward, outward = self.flows(c)
-        return inward - outward
 
     def solve(
         self,

@@ -95,6 +95,7 @@ class Feeding:
             self.groups = together(self.fields, self.order, known)
         else:
             self.groups = [self.fields[name].group for name in self.order]
+        self._resting = {name for name in self.order if self._rests(name)}
         around = circles(scene.nutrients, known, scene.responses)
         self._circles = {x[-1]: x for x in map(tuple, around.values()) if len(x) > 1}
         self._changes: dict[str, tuple[float, float]] = {}  # of geometry: number, time of the last
@@ -116,7 +117,7 @@ class Feeding:
     def _settle(self, group: FieldGroup, cells: Cells, time: float) -> None:
         """Solve in turn for the steady fields of a circle that ends with this one."""
         names = self._circles.get(group.names[-1], ())
-        if not names or not all(map(self._rests, names)):
+        if not names or not self._resting.issuperset(names):
             return  # others depend on what the last step has left
         for _ in range(_MAX_TURNS):
             change = 0.0
@@ -179,8 +180,8 @@ class Feeding:
         """
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
-        if before is not None:
-            marched = [name for name in self.order if not self._rests(name)]
+        marched = [name for name in self.order if name not in self._resting]
+        if before is not None and marched:
             if any(self._nutrients[name].secretion_from for name in marched):
                 for name, field in self.fields.items():
                     self._uptake[name] = field.uptake(before.position, self._capacity(name, before))
@@ -210,7 +211,7 @@ class Feeding:
         """
         demand = {name: self.demand_now(name, cells) for name in group.names}
         shells = {name: self._on_shells(name) for name in group.names}
-        if self._rests(group.names[0]):
+        if group.names[0] in self._resting:
             for name in group.names:
                 self.ledger[name].add(self.reports[name], end - begin)
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=end)

@@ -105,15 +105,19 @@ class BoxLayout:
 
     def nearest(self, position: FloatArray) -> FloatArray:
         """Return the points of the box nearest to positions (n, 3) in µm; those inside stay."""
-        axes = self._axes
-        low, high = np.array(self.box.origin[:axes]), np.array(self.box.upper[:axes])
-        inside = (position[:, :axes] >= low) & (position[:, :axes] <= high)
-        if inside.all():
+        if len(position) == 0:
             return position
-        rounding = _ROUNDING * self.spacing  # which must leave no point outside
-        found = position.copy()
-        clipped = np.clip(position[:, :axes], low + rounding, high - rounding)
-        found[:, :axes] = np.where(inside, position[:, :axes], clipped)
+        lowest, highest = cartesian.corners(position)
+        rounding, found = _ROUNDING * self.spacing, position  # which must leave no point outside
+        for axis, low, high in zip(
+            range(self._axes), self.box.origin, self.box.upper, strict=False
+        ):
+            if lowest[axis] >= low and highest[axis] <= high:
+                continue
+            found = position.copy() if found is position else found
+            x = position[:, axis]
+            clipped = np.clip(x, low + rounding, high - rounding)
+            found[:, axis] = np.where((x >= low) & (x <= high), x, clipped)
         return found
 
     def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
+from pde.fields.scalar import ScalarField
 
 from multicell.cells import FloatArray
 from multicell.nutrient import finite
@@ -23,6 +24,8 @@ from multicell.nutrient.grid import Layout, tissue_share
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:
+    from pde.grids.base import GridBase
+
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.parameters import FieldParameters
     from multicell.nutrient.reactions.kinetics import Kinetics
@@ -143,12 +146,36 @@ class FieldGroup:
 
         - ``values``, mM: at the nodes, for each field
         """
-        assert self._equation is not None
-        if self._state is not None and self._state.grid is self._equation.grid:
-            self._state.data[...] = np.reshape(values, self._state.data.shape)
+        equation, last = self._equation, self._state
+        assert equation is not None
+        if len(values) == 1:
+            (own,) = values
+            if last is None or last.nodes != own.shape:
+                self._state = last = _Following(equation.grid, label=self.names[0])
+                last.nodes = own.shape
+            last.equation = equation
+            last.data[...] = own.reshape(last.data.shape)
+        elif last is not None and last.grid is equation.grid:
+            last.data[...] = np.reshape(values, last.data.shape)
         else:
-            self._state = self._equation.state_of(values)
+            self._state = equation.state_of(values)
         return self._state
+
+
+@final
+class _Following(ScalarField):  # type: ignore[no-untyped-call]
+    """A state on the grid that its equation has at the moment, which is made if asked for.
+
+    - ``nodes``: shape of the equation's layout
+    """
+
+    equation: FieldEquation | None = None
+    nodes: tuple[int, ...] = ()
+
+    @property
+    def grid(self) -> GridBase:
+        """py-pde's grid."""
+        return self._grid if self.equation is None else self.equation.grid
 
 
 def _stands_still(nutrient: Nutrient) -> bool:

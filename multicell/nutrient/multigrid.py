@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, final
 
@@ -58,51 +59,36 @@ _SMOOTHER = tuple(
 """Inverse roots of the Chebyshev polynomial: the weights of two damped Jacobi steps."""
 
 
+_Axis = tuple[Float32Array, Float32Array, NDArray[np.int64], Float32Array]
+"""What a level has along an axis, see :func:`_axis`."""
+
+
 @final
 class _Level:
     """The operator, the transfer to the next level, and the arrays of one level.
 
-    - ``widths``, three of (n,): of the nodes along each axis, over the spacing of the finest level
-    - ``resistance``, (6,): of the faces beyond the one between node and face, over spacing / D; inf
-      for walls
+    - ``axes``, three of _Axis
     - ``team``: threads that share the loops, as many as there is work for (:data:`.stencil.PART`)
     """
 
-    def __init__(self, widths: list[FloatArray], resistance: FloatArray, team: Team) -> None:
-        self.shape = (len(widths[0]), len(widths[1]), len(widths[2]))
-        ends = resistance.reshape(3, 2)
-        self.along = _triple(_along(w, pair) for w, pair in zip(widths, ends, strict=True))
+    def __init__(self, axes: list[_Axis], team: Team) -> None:
+        self.along, self.shares, self.others, self.nearness = map(_triple, zip(*axes, strict=True))
+        nx, ny, nz = map(len, self.shares)
+        self.shape = (nx, ny, nz)
         self.weights: Triple | None = None
-        self.team = team.at_most(math.prod(self.shape) // stencil.PART)
-        self.rate, self.b, self.x, self.spare = (np.empty(self.shape, np.float32) for _ in range(4))
-        self.coarser = [np.add.reduceat(w, np.arange(0, len(w), 2)) for w in widths]
-        pairs = list(zip(widths, self.coarser, strict=True))
-        self.shares = _triple(_single(w / np.repeat(c, 2)[: len(w)]) for w, c in pairs)
-        found = [_between(w, c) for w, c in pairs]
-        self.others = _triple(other for other, _ in found)
-        self.nearness = _triple(weight for _, weight in found)
+        self.team = team.at_most(nx * ny * nz // stencil.PART)
+        # one block: of many arrays malloc returns more to the system, which has to clear it again
+        self.rate, self.b, self.x, self.spare, *self.work = np.empty((7, *self.shape), np.float32)
 
     def share(self, kernel: Callable[..., Any], *arguments: Any) -> None:
         """Run a kernel over the planes of this level."""
         self.team.share(kernel, self.shape[0], *arguments)
 
-    def begin(self) -> None:
-        """Take the first damped Jacobi step from zero."""
-        damping = _SMOOTHER[0]
-        self.share(kernels.first, self.b, self.rate, self.along, self.weights, damping, self.x)
-
-    def relax(self, damping: np.float32) -> None:
-        """Take a damped Jacobi step."""
-        self.share(
-            kernels.relax, self.x, self.b, self.rate, self.along, self.weights, damping, self.spare
-        )
-        self.x, self.spare = self.spare, self.x
-
     def restrict(self, coarse: _Level) -> None:
-        """Give what is left to be solved to the next level."""
+        """Take two damped Jacobi steps from zero, and give what they leave to the next level."""
         self.team.share(
-            kernels.restrict, coarse.shape[0], self.x, self.b, self.rate, self.along, self.weights,
-            self.shares, coarse.b,
+            kernels.down, coarse.shape[0], self.b, self.rate, self.along, self.weights, _SMOOTHER,
+            self.shares, self.x, coarse.b,
         )  # fmt: skip
 
     def average(self, values: Float32Array, out: Float32Array) -> None:
@@ -110,8 +96,12 @@ class _Level:
         self.team.share(kernels.average, len(out), values, self.shares, out)
 
     def correct(self, coarse: _Level) -> None:
-        """Add the solution of the next level."""
-        self.share(kernels.prolong, coarse.x, self.others, self.nearness, self.x)
+        """Add the solution of the next level, and take two damped Jacobi steps."""
+        self.share(
+            kernels.up, coarse.x, self.others, self.nearness, self.x, self.b, self.rate, self.along,
+            self.weights, _SMOOTHER, self.spare,
+        )  # fmt: skip
+        self.x, self.spare = self.spare, self.x
 
     def solve(self) -> None:
         """Solve exactly for a single node."""
@@ -141,9 +131,14 @@ class Hierarchy:
         with np.errstate(divide="ignore"):
             # a node at a face lets 1 - ghost through; half a spacing of that is its own
             resistance = np.maximum(1.0 / (1.0 - ghost) - 0.5, 0.0)
-        self.levels = [_Level([np.ones(n) for n in shape], resistance, team)]
-        while max(self.levels[-1].shape) > 1:
-            self.levels.append(_Level(self.levels[-1].coarser, resistance, team))
+        axes = [
+            _axis(n, *ends)
+            for n, ends in zip(shape, resistance.reshape(3, 2).tolist(), strict=True)
+        ]
+        depth = max(map(len, axes))
+        self.levels = [
+            _Level([axis[min(k, len(axis) - 1)] for axis in axes], team) for k in range(depth)
+        ]
         self._pairs = list(pairwise(self.levels))
         if varied is not None:
             self._vary(_single(varied))
@@ -164,14 +159,10 @@ class Hierarchy:
     def cycle(self) -> Float32Array:
         """Solve A x = b approximately on the finest level; the result lives until the next call."""
         for level, coarse in self._pairs:
-            level.begin()
-            level.relax(_SMOOTHER[1])
             level.restrict(coarse)
         self.levels[-1].solve()
         for level, coarse in reversed(self._pairs):
             level.correct(coarse)
-            for damping in _SMOOTHER:
-                level.relax(damping)
         return self.levels[0].x
 
 
@@ -196,7 +187,7 @@ class MultigridSolver:
         varied = None if operator.varied is None else self._turned(operator.varied)
         self._hierarchy = Hierarchy(shape, ghost, team, varied)
         self._finest = self._hierarchy.levels[0]
-        self._x, self._p, self._q = (np.zeros(shape, np.float32) for _ in range(3))
+        self._x, self._p, self._q = self._finest.work
         self._r = self._finest.b
         self._parts = np.empty((2, shape[0]))
 
@@ -245,19 +236,38 @@ class MultigridSolver:
         return np.ascontiguousarray(np.moveaxis(values, 2, 0)) if self._flat else values
 
 
-def _along(width: FloatArray, resistance: FloatArray) -> Float32Array:
+@lru_cache(maxsize=64)
+def _axis(n: int, low: float, high: float) -> tuple[_Axis, ...]:
+    """Return what all levels have along an axis, from ``n`` nodes of width one down to one node.
+
+    That is its :func:`_along`, the nodes' widths over those of the ones of the next level that they
+    lie in, (n,), and :func:`_between`.
+
+    ``low`` and ``high`` are the resistances of the faces at its ends beyond the one between node
+    and face, over spacing / D; inf for walls. A grid that follows the cells asks for it again.
+    """
+    width, found = np.ones(n), []
+    while True:
+        coarser = np.add.reduceat(width, np.arange(0, len(width), 2))
+        share = _single(width / np.repeat(coarser, 2)[: len(width)])
+        found.append((_along(width, low, high), share, *_between(width, coarser)))
+        if len(width) == 1:
+            return tuple(found)
+        width = coarser
+
+
+def _along(width: FloatArray, low: float, high: float) -> Float32Array:
     """Return the coefficients of minus the second difference along an axis, (4, n).
 
     Of the lower and of the upper neighbour, and what the node has by its lower and by its upper
-    face. ``width`` (n,) are the nodes' widths, ``resistance`` (2,) is that of what lies beyond the
-    two outer faces.
+    face. ``width`` (n,) are the nodes' widths.
     """
     table = np.zeros((4, len(width)))
     distance = 0.5 * (width[1:] + width[:-1])
     table[0, 1:], table[1, :-1] = 1.0 / distance, 1.0 / distance
     table[2:] = table[:2]
-    table[2, 0] = 1.0 / (0.5 * width[0] + resistance[0])
-    table[3, -1] = 1.0 / (0.5 * width[-1] + resistance[1])
+    table[2, 0] = 1.0 / (0.5 * width[0] + low)
+    table[3, -1] = 1.0 / (0.5 * width[-1] + high)
     return _single(table / width)
 
 

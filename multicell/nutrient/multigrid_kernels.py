@@ -37,17 +37,21 @@ def _across(along: Any, i: int, j: int) -> Any:
 
 
 @_inline
-def _neighbours(x: Any, along: Any, weights: Any, i: int, j: int, row: Any, diagonal: Any) -> Any:
+def _neighbours(
+    x: Any, at: Any, along: Any, weights: Any, i: int, j: int, row: Any, diagonal: Any
+) -> Any:
     """Write the weighted sums of the six neighbours of the nodes (i, j, :) to ``row``, (nz,).
 
-    The coefficients of the nodes themselves are what is returned plus ``diagonal``, (nz,), which
-    is written where it is not the same for all rows.
+    Plane i of ``x`` and those beside it are the three that ``at`` says. The coefficients of the
+    nodes themselves are what is returned plus ``diagonal``, (nz,), which is written where it is not
+    the same for all rows.
     """
-    nx, ny, nz = x.shape
+    ny, nz = x.shape[1:]
     ax, ay, az = along
-    a, b = x[max(i - 1, 0), j], x[min(i + 1, nx - 1), j]
-    c, d = x[i, max(j - 1, 0)], x[i, min(j + 1, ny - 1)]
-    e, low, high = x[i, j], az[0], az[1]
+    below, here, above = at
+    a, b = x[below, j], x[above, j]
+    c, d = x[here, max(j - 1, 0)], x[here, min(j + 1, ny - 1)]
+    e, low, high = x[here, j], az[0], az[1]
     wa, wb, wc, wd = ax[0, i], ax[1, i], ay[0, j], ay[1, j]
     if weights is None:
         for k in range(1, nz - 1):
@@ -70,6 +74,18 @@ def _neighbours(x: Any, along: Any, weights: Any, i: int, j: int, row: Any, diag
 
 
 @_inline
+def _beside(i: int, nx: int) -> Any:
+    """Return the planes below, at and above plane i; at a face the plane itself."""
+    return max(i - 1, 0), i, min(i + 1, nx - 1)
+
+
+@_inline
+def _ring(i: int, nx: int) -> Any:
+    """Return the places of these planes among three that are kept by turns."""
+    return max(i - 1, 0) % 3, i % 3, min(i + 1, nx - 1) % 3
+
+
+@_inline
 def _rows(along: Any) -> Any:
     """Return two rows to work in; the second holds the coefficients along the last axis."""
     table = along[2]
@@ -88,38 +104,22 @@ def _sum(values: Any) -> float:
     return total
 
 
-@_jit
-def first(
-    begin: int, end: int, b: Any, rate: Any, along: Any, weights: Any, damping: Any, out: Any
-) -> None:
-    """Write the first damped Jacobi step from zero, ``damping b / diagonal``, to ``out``."""
-    ny, nz = b.shape[1:]
-    row, diagonal = _rows(along)
-    for i in range(begin, end):
-        for j in range(ny):
-            if weights is None:
-                base = _across(along, i, j)
-            else:
-                base = _neighbours(b, along, weights, i, j, row, diagonal)
-            right, r, o = b[i, j], rate[i, j], out[i, j]
-            for k in range(nz):
-                o[k] = damping * right[k] / (base + diagonal[k] + r[k])
-
-
-@_jit
-def relax(
-    begin: int, end: int, x: Any, b: Any, rate: Any, along: Any, weights: Any, damping: Any,
-    out: Any,
+@_inline
+def _relax(
+    i: int, x: Any, b: Any, rate: Any, along: Any, weights: Any, damping: Any, row: Any,
+    diagonal: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Write ``x + damping (b - A x) / diagonal``, a damped Jacobi step, to ``out``."""
-    ny, nz = x.shape[1:]
-    row, diagonal = _rows(along)
-    for i in range(begin, end):
-        for j in range(ny):
-            base = _neighbours(x, along, weights, i, j, row, diagonal)
-            e, right, r, o = x[i, j], b[i, j], rate[i, j], out[i, j]
-            for k in range(nz):
-                o[k] = e[k] + damping * ((right[k] + row[k]) / (base + diagonal[k] + r[k]) - e[k])
+    """Write plane i of ``x + damping (b - A x) / diagonal``, a damped Jacobi step, to ``out``.
+
+    ``x`` are three planes by turns, see :func:`_ring`.
+    """
+    nx, ny, nz = b.shape
+    at = _ring(i, nx)
+    for j in range(ny):
+        base = _neighbours(x, at, along, weights, i, j, row, diagonal)
+        e, right, r, o = x[at[1], j], b[i, j], rate[i, j], out[j]
+        for k in range(nz):
+            o[k] = e[k] + damping * ((right[k] + row[k]) / (base + diagonal[k] + r[k]) - e[k])
 
 
 @_inline
@@ -133,29 +133,59 @@ def _pair(total: Any, share: Any, out: Any) -> None:
 
 
 @_jit
-def restrict(
-    begin: int, end: int, x: Any, b: Any, rate: Any, along: Any, weights: Any, shares: Any,
-    out: Any,
+def down(
+    begin: int, end: int, b: Any, rate: Any, along: Any, weights: Any, damping: Any, shares: Any,
+    x: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Write the mean of ``b - A x`` over the up to eight nodes in each node of the next level.
+    """Take two damped Jacobi steps from zero to ``x``, and write to ``out`` what they leave.
 
-    ``shares`` (n,) of each axis are the nodes' widths over that of the one they lie in.
+    That is the mean of ``b - A x`` over the up to eight nodes in each node of the next level, of
+    which the planes from ``begin`` to ``end`` are made. ``shares`` (n,) of each axis are the nodes'
+    widths over that of the one they lie in. A step follows the one before at a distance of one
+    plane, while that is in the nearest memory; those beside the own planes are made once more.
     """
-    nx, ny, nz = x.shape
+    nx, ny, nz = b.shape
     sx, sy, sz = shares
     row, diagonal = _rows(along)
-    total = np.empty(nz, np.float32)
-    for coarse in range(begin, end):
-        for across in range(out.shape[1]):
-            for k in range(nz):
-                total[k] = _NONE
-            for i in range(2 * coarse, min(2 * coarse + 2, nx)):
-                for j in range(2 * across, min(2 * across + 2, ny)):
-                    base = _neighbours(x, along, weights, i, j, row, diagonal)
-                    e, right, r, share = x[i, j], b[i, j], rate[i, j], sx[i] * sy[j]
+    start, stop = 2 * begin, min(2 * end, nx)
+    once, twice = np.empty((3, ny, nz), np.float32), np.empty((3, ny, nz), np.float32)
+    total = np.empty((out.shape[1], nz), np.float32)
+    for front in range(max(start - 2, 0), stop + 2):
+        if front < nx:
+            for j in range(ny):
+                if weights is None:
+                    base = _across(along, front, j)
+                else:
+                    at = _beside(front, nx)
+                    base = _neighbours(b, at, along, weights, front, j, row, diagonal)
+                right, r, o = b[front, j], rate[front, j], once[front % 3, j]
+                for k in range(nz):
+                    o[k] = damping[0] * right[k] / (base + diagonal[k] + r[k])
+        i = front - 1
+        if max(start - 1, 0) <= i < nx:
+            made = twice[i % 3]
+            _relax(i, once, b, rate, along, weights, damping[1], row, diagonal, made)
+            if start <= i < stop:
+                for j in range(ny):
+                    o, e = x[i, j], made[j]
                     for k in range(nz):
-                        total[k] += share * (right[k] + row[k] - (base + diagonal[k] + r[k]) * e[k])
-            _pair(total, sz, out[coarse, across])
+                        o[k] = e[k]
+        i = front - 2
+        if not start <= i < stop:
+            continue
+        at = _ring(i, nx)
+        for j in range(ny):
+            left = total[j // 2]
+            if i % 2 == 0 and j % 2 == 0:
+                for k in range(nz):
+                    left[k] = _NONE
+            base = _neighbours(twice, at, along, weights, i, j, row, diagonal)
+            e, right, r, share = twice[at[1], j], b[i, j], rate[i, j], sx[i] * sy[j]
+            for k in range(nz):
+                left[k] += share * (right[k] + row[k] - (base + diagonal[k] + r[k]) * e[k])
+        if i % 2 == 1 or i == nx - 1:
+            for j in range(out.shape[1]):
+                _pair(total[j], sz, out[i // 2, j])
 
 
 @_jit
@@ -176,36 +206,57 @@ def average(begin: int, end: int, values: Any, shares: Any, out: Any) -> None:
             _pair(total, sz, out[coarse, across])
 
 
-@_jit
-def prolong(begin: int, end: int, coarse: Any, others: Any, nearness: Any, out: Any) -> None:
-    """Add the linear interpolation between the nodes of the next level to ``out``.
+@_inline
+def _prolong(i: int, coarse: Any, others: Any, nearness: Any, row: Any, x: Any, out: Any) -> None:
+    """Write plane i of ``x``, and of the interpolation between nodes of the next level, to ``out``.
 
     Node i of an axis lies in i // 2; the second one that it lies between is ``others[i]``, with
     the weight ``nearness[i]``.
     """
-    ny, nz = out.shape[1:]
+    ny, nz = out.shape
     ox, oy, oz = others
     wx, wy, wz = nearness
     n = coarse.shape[2]
-    for i in range(begin, end):
-        row = np.empty(n, np.float32)
-        for j in range(ny):
-            a, b = coarse[i // 2, j // 2], coarse[ox[i], j // 2]
-            c, d = coarse[i // 2, oy[j]], coarse[ox[i], oy[j]]
-            u, v = wx[i], wy[j]
-            wa, wb, wc, wd = (_ONE - u) * (_ONE - v), u * (_ONE - v), (_ONE - u) * v, u * v
-            for k in range(n):
-                row[k] = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
-            o = out[i, j]
-            inner = max(nz // 2 - 1, 1)
-            for k in range(1, inner):
-                m = 2 * k
-                o[m] += (_ONE - wz[m]) * row[k] + wz[m] * row[k - 1]
-                o[m + 1] += (_ONE - wz[m + 1]) * row[k] + wz[m + 1] * row[k + 1]
-            for k in range(min(2, nz)):
-                o[k] += (_ONE - wz[k]) * row[k // 2] + wz[k] * row[oz[k]]
-            for k in range(2 * inner, nz):
-                o[k] += (_ONE - wz[k]) * row[k // 2] + wz[k] * row[oz[k]]
+    for j in range(ny):
+        a, b = coarse[i // 2, j // 2], coarse[ox[i], j // 2]
+        c, d = coarse[i // 2, oy[j]], coarse[ox[i], oy[j]]
+        u, v = wx[i], wy[j]
+        wa, wb, wc, wd = (_ONE - u) * (_ONE - v), u * (_ONE - v), (_ONE - u) * v, u * v
+        for k in range(n):
+            row[k] = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
+        e, o = x[i, j], out[j]
+        inner = max(nz // 2 - 1, 1)
+        for k in range(1, inner):
+            m = 2 * k
+            o[m] = e[m] + ((_ONE - wz[m]) * row[k] + wz[m] * row[k - 1])
+            o[m + 1] = e[m + 1] + ((_ONE - wz[m + 1]) * row[k] + wz[m + 1] * row[k + 1])
+        for k in range(min(2, nz)):
+            o[k] = e[k] + ((_ONE - wz[k]) * row[k // 2] + wz[k] * row[oz[k]])
+        for k in range(2 * inner, nz):
+            o[k] = e[k] + ((_ONE - wz[k]) * row[k // 2] + wz[k] * row[oz[k]])
+
+
+@_jit
+def up(
+    begin: int, end: int, coarse: Any, others: Any, nearness: Any, x: Any, b: Any, rate: Any,
+    along: Any, weights: Any, damping: Any, out: Any,
+) -> None:  # fmt: skip
+    """Add what the next level has found to ``x``, and write two damped Jacobi steps to ``out``.
+
+    They follow each other as in :func:`down`.
+    """
+    nx, ny, nz = x.shape
+    row, diagonal = _rows(along)
+    between = np.empty(coarse.shape[2], np.float32)
+    added, once = np.empty((3, ny, nz), np.float32), np.empty((3, ny, nz), np.float32)
+    for front in range(max(begin - 2, 0), end + 2):
+        if front < nx:
+            _prolong(front, coarse, others, nearness, between, x, added[front % 3])
+        for step in range(2):  # written once: it is what takes long to compile
+            i, beside = front - 1 - step, 1 - step
+            if max(begin - beside, 0) <= i < min(end + beside, nx):
+                given, made = (added, once[i % 3]) if step == 0 else (once, out[i])
+                _relax(i, given, b, rate, along, weights, damping[step], row, diagonal, made)
 
 
 @_jit
@@ -229,7 +280,7 @@ def apply(
     for i in range(begin, end):
         total = np.zeros(nz)
         for j in range(ny):
-            base = _neighbours(p, along, weights, i, j, row, diagonal)
+            base = _neighbours(p, _beside(i, len(p)), along, weights, i, j, row, diagonal)
             e, r, o = p[i, j], rate[i, j], out[i, j]
             for k in range(nz):
                 w = (base + diagonal[k] + r[k]) * e[k] - row[k]

@@ -35,11 +35,6 @@ def injected(layout: Layout, sources: Mapping[str, Source]) -> FloatArray:
     return total
 
 
-def rate(layout: Layout, sources: Mapping[str, Source]) -> float:
-    """Return what all sources give, amol/s."""
-    return float(np.sum(layout.volumes * injected(layout, sources)))
-
-
 def _plane(box: Box, source: Source) -> FloatArray:
     """Return what a plane gives to the nodes, mM/s, in a shape that fills the box."""
     ((axis, place),) = source.place.items()

@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import math
 import sys
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
@@ -282,10 +283,12 @@ class _State:
         return problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
 
     def empty_copy(self) -> _State:
-        """Return the same problem with arrays of its own, not filled yet."""
-        other = object.__new__(_State)
-        other.problem, other.c = self.problem, np.empty_like(self.c)
-        other.residual, other.rate = np.empty_like(self.residual), np.empty_like(self.rate)
+        """Return the same problem at another concentration, not filled yet.
+
+        It overwrites imbalance and derivative: nobody asks for those of two states at a time.
+        """
+        other = copy(self)
+        other.c = np.empty_like(self.c)
         return other
 
     def report(self, linear: _Linear | MultigridSolver) -> SolveReport:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INNER, KERNEL, typed
+from multicell.compiling import INLINED, KERNEL, typed
 from multicell.compiling.threads import Team
 from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
 
@@ -30,7 +30,7 @@ Floats = FloatArray | Float32Array
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
 _jit = typed(**KERNEL, nogil=True)
-_inner = typed(**INNER, nogil=True)
+_inner = typed(**INLINED, nogil=True)
 
 
 PART = 150_000
@@ -45,31 +45,25 @@ def face_means(varied: NDArray[Any], axis: int) -> NDArray[Any]:
 
 
 @_inner
-def _around(p: FloatArray, ghost: FloatArray, i: int, j: int, k: int) -> float:
-    """Return the sum of the six neighbours of a node."""
-    nx, ny, nz = p.shape
-    v = p[i, j, k]
-    total = 0.0
-    total += p[i - 1, j, k] if i > 0 else ghost[0] * v
-    total += p[i + 1, j, k] if i < nx - 1 else ghost[1] * v
-    total += p[i, j - 1, k] if j > 0 else ghost[2] * v
-    total += p[i, j + 1, k] if j < ny - 1 else ghost[3] * v
-    total += p[i, j, k - 1] if k > 0 else ghost[4] * v
-    total += p[i, j, k + 1] if k < nz - 1 else ghost[5] * v
-    return float(total)
-
-
-@_inner
 def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray) -> None:
     """Write the sums of neighbours along the last axis to ``row``."""
     nx, ny, nz = p.shape
-    outer = i == 0 or i == nx - 1 or j == 0 or j == ny - 1
-    for k in range(0, nz, 1 if outer else max(nz - 1, 1)):
-        row[k] = _around(p, ghost, i, j, k)
-    if outer:
+    e = p[i, j]
+    a, wa = (p[i - 1, j], 1.0) if i > 0 else (e, ghost[0])
+    b, wb = (p[i + 1, j], 1.0) if i < nx - 1 else (e, ghost[1])
+    c, wc = (p[i, j - 1], 1.0) if j > 0 else (e, ghost[2])
+    d, wd = (p[i, j + 1], 1.0) if j < ny - 1 else (e, ghost[3])
+    for k in range(0, nz, max(nz - 1, 1)):
+        across = wa * a[k] + wb * b[k] + wc * c[k] + wd * d[k]
+        across += e[k - 1] if k > 0 else ghost[4] * e[k]
+        row[k] = across + (e[k + 1] if k < nz - 1 else ghost[5] * e[k])
+    # no branches in these loops, for the vector units
+    if i == 0 or i == nx - 1 or j == 0 or j == ny - 1:
+        for k in range(1, nz - 1):
+            across = wa * a[k] + wb * b[k] + wc * c[k] + wd * d[k]
+            row[k] = across + e[k - 1] + e[k + 1]
         return
-    a, b, c, d, e = p[i - 1, j], p[i + 1, j], p[i, j - 1], p[i, j + 1], p[i, j]
-    for k in range(1, nz - 1):  # no branches, for the vector units
+    for k in range(1, nz - 1):
         row[k] = (a[k] + b[k]) + (c[k] + d[k]) + (e[k - 1] + e[k + 1])
 
 
@@ -306,22 +300,19 @@ def begin(
     without ``weight``, and ``r`` the residual over its ``size``. Return the sum of
     ``scale² rate``.
     """
-    total = 0.0
-    for n in range(rate.size):
-        square, s = 1.0, 1.0
-        if weight is not None:
-            square = 1.0 / (weight[n] + time * rate[n])
-            s = np.sqrt(square)
-        elif rate[n] != 0.0:
-            square = 1.0 / (1.0 + time * rate[n])
-            s = np.sqrt(square)
+    for n in range(rate.size):  # no sum, for the vector units
+        square = 1.0 / ((1.0 if weight is None else weight[n]) + time * rate[n])
+        s = np.sqrt(square)
         v = residual[n] / size
-        x[n] = 0.0
+        x[n] = square * rate[n]
         p[n] = 0.0
         r[n] = v
         scale[n] = s
         y[n] = s * v
-        total += square * rate[n]
+    total = 0.0
+    for n in range(rate.size):
+        total += x[n]
+        x[n] = 0.0
     return total
 
 

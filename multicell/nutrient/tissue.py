@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from multicell.cells import FloatArray
@@ -27,11 +29,11 @@ def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:
     if few < 1.0 or not np.isfinite(position).all():
         return position
     gap = _GAP * 2.0 * float(radius.max())
-    last = _last(np.concatenate([-position.T, position.T]), few)
-    if (last[:, 1:] - last[:, :-1] <= gap).all():
+    last, first = _ends(position, few)
+    if max((last[1:] - last[:-1]).max(), (first[:-1] - first[1:]).max()) <= gap:
         return position
-    reached = np.array([_outermost(one, gap, few) for one in last])
-    low, high = -reached[:3], reached[3:]
+    low = -np.array([_outermost(x, gap, few) for x in -first.T])
+    high = np.array([_outermost(x, gap, few) for x in last.T])
     inside = (position >= low) & (position <= high)
     return position if inside.all() else np.clip(position, low, high)
 
@@ -44,7 +46,8 @@ def drawn_to_ball(position: FloatArray, radius: FloatArray) -> FloatArray:
     middle = np.average(position, axis=0, weights=radius**3)
     away = position - middle
     distance = np.sqrt(np.square(away).sum(axis=1))
-    surface = _outermost(_last(distance[None], few)[0], _GAP * 2.0 * float(radius.max()), few)
+    last, _ = _ends(distance[:, None], few)
+    surface = _outermost(last[:, 0], _GAP * 2.0 * float(radius.max()), few)
     if distance.max() <= surface:
         return position
     return np.asarray(middle + away * (surface / np.maximum(distance, surface))[:, None])
@@ -55,11 +58,18 @@ def _few(count: int) -> float:
     return min(_PART * count, _FEW)
 
 
-def _last(along: FloatArray, few: float) -> FloatArray:
-    """Return the places of the outermost cells along coordinates (k, n) µm, sorted: (k, m)."""
-    count = min(int(2.0 * few) + 1, along.shape[1])
-    outer = np.partition(along, along.shape[1] - count, axis=1)[:, along.shape[1] - count :]
-    return np.sort(outer, axis=1)
+def _ends(position: FloatArray, few: float) -> tuple[FloatArray, FloatArray]:
+    """Return the highest coordinates along each axis, rising, and the lowest, falling: (m, k)."""
+    count = min(int(2.0 * few) + 1, len(position))
+    step = math.isqrt(len(position) // (6 * count))  # of a sample: what is sorted is then least
+    if step > 1:  # all that lie as far out as so many of a sample are as many or more
+        sample = np.sort(position[::step], axis=0)
+        outer = np.zeros(len(position), dtype=np.bool_)
+        for x, low, high in zip(position.T, sample[count - 1], sample[-count], strict=True):
+            outer |= (x <= low) | (x >= high)
+        position = position[np.flatnonzero(outer)]
+    ordered = np.sort(position, axis=0)
+    return ordered[-count:], ordered[count - 1 :: -1]
 
 
 def _outermost(last: FloatArray, gap: float, few: float) -> float:

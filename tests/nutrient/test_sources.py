@@ -10,7 +10,7 @@ from multicell.nutrient.cartesian import Box
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import BoxLayout
 from multicell.nutrient.parameters import FieldParameters
-from multicell.nutrient.sources import rate
+from multicell.nutrient.sources import injected
 from multicell.report.explain.scene import explain
 from multicell.scene.nutrient import Nutrient, Source
 from multicell.scene.parts import Domain
@@ -94,7 +94,7 @@ def test_a_plane_between_two_sides(axis, place):
 def test_a_plane_gives_as_much_wherever_it_lies():
     layout = BoxLayout(Box((0.0, 0.0, 0.0), (4, 5, 6), 10.0))
     for z in (0.0, 2.0, 5.0, 33.3, 58.0, 60.0):
-        found = rate(layout, {"dish": Source(z=z, flux=0.5)})
+        found = np.sum(layout.volumes * injected(layout, {"dish": Source(z=z, flux=0.5)}))
         assert found == pytest.approx(0.5 * 40.0 * 50.0, rel=1e-12)
 
 

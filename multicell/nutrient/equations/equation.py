@@ -311,7 +311,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
                 before=None if earlier is None else earlier[name],
                 demand=None if self.coupling is None else self.demands(nodes, t)[name],
             )  # fmt: skip
-        return np.array([nodes[name] for name in self.names]), reports
+        states = [nodes[name] for name in self.names]
+        return states[0][None] if len(states) == 1 else np.array(states), reports
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return the concentration of each substance that errors are small beside, (m,) mM."""
@@ -391,6 +392,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         ------
         SceneError
         """
+        if getattr(state, "equation", None) is self:  # a run's state, which follows its equation
+            return
         fields = [state] if isinstance(state, ScalarField) else list(state)
         if len(fields) != len(self.substances) or any(
             not isinstance(f, ScalarField) for f in fields

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
@@ -97,7 +97,8 @@ class PlacedSubstance:
                 self._scale()
         none = np.zeros(len(position))
         self.sink = self.spread(position, none if capacity is None else capacity)
-        self.secreted, self._production = self.layout.filled(0.0), 0.0
+        self.secreted = self._none = _nothing(self.shape)
+        self._production = 0.0
         if production is not None:
             self.secreted = self.spread(position, production)
             self._production = float(np.sum(production))
@@ -127,7 +128,7 @@ class PlacedSubstance:
         """Return what nodes gain from what stands still, mM/s."""
         supply = self.substance.supply
         if supply is None:
-            return self.layout.filled(0.0)
+            return _nothing(self.shape)
         if np.size(supply) != np.prod(self.shape):
             problem = f"has the shape {np.shape(supply)}, the grid has {self.shape}"
             raise SceneError(f"substances.{self.name}.supply", problem)
@@ -208,7 +209,10 @@ class PlacedSubstance:
         ``secreted`` stands in place of what cells secrete.
         """
         secreted = self.secreted if secreted is None else secreted
-        return self.supplied + self._gain(level) + secreted
+        gain = self._gain(level)
+        if gain == 0.0 and self.substance.supply is None:
+            return secreted
+        return self.supplied + gain + secreted
 
     def source(self, t: float, secreted: FloatArray | None = None) -> FloatArray:
         """Return what nodes gain at a time in s, mM/s; ``secreted`` in place of what cells do."""
@@ -276,10 +280,13 @@ class PlacedSubstance:
           term's cells
         """
         sink, secreted = (self.sink, None) if demand is None else demand
-        supply, linear = self.supply(level, secreted), self.linear
+        supply: FloatArray | None = self.supply(level, secreted)
+        if supply is self._none:
+            supply = None
+        linear = self.linear
         if before is not None:
             linear += 1.0 / dt
-            supply = before / dt + supply
+            supply = before / dt if supply is None else before / dt + supply
         return self.at(level).solve(
             sink, self.substance.half_saturation, start, linear=linear, supply=supply
         )
@@ -331,7 +338,8 @@ class PlacedSubstance:
     @cached_property
     def _injected(self) -> float:
         """What stands still gives, amol/s."""
-        return float(np.sum(self.layout.volumes * self.supplied))
+        none = self.substance.supply is None
+        return 0.0 if none else float(np.sum(self.layout.volumes * self.supplied))
 
     def inverse(self, r: FloatArray, shift: FloatArray) -> FloatArray:
         """Return about (shift - D L)⁻¹ r with ``shift`` (1/s) at the nodes, exactly on shells."""
@@ -339,3 +347,11 @@ class PlacedSubstance:
         if isinstance(op, Diffusion):
             return np.asarray(op.invert(r, float(shift.mean()))[0])
         return op.solve_linear(shift * op.volumes, r * op.volumes)
+
+
+@lru_cache(maxsize=4)
+def _nothing(shape: tuple[int, ...]) -> FloatArray:
+    """Return zeros at the nodes, the same array for all that is not there: read-only."""
+    found = np.zeros(shape)
+    found.flags.writeable = False
+    return found

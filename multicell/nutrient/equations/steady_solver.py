@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, final
 
-import numpy as np
 from pde.solvers.base import SolverBase
 
 from multicell.nutrient.equations.solving import suitable
@@ -47,7 +46,7 @@ class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         self.info.update(dt=None, steps=0, stochastic=False)
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
-            found, reports = equation.steady_state(np.array(state.data), float(t_end))
+            found, reports = equation.steady_state(state.data, float(t_end))
             state.data[...] = found
             self.info["reports"] = reports
             self.info["rates"] = equation.exchanges(found, float(t_end), reports)
