@@ -169,38 +169,36 @@ def _fill(target: Any, whole: Whole, sink: Sink) -> None:
 
 
 @cache
-def _storage(chunks: tuple[int, ...]) -> Any:
+def _storage(chunks: tuple[int, ...], level: int) -> Any:
     """Return how data sets are stored; h5py takes longer to find that than to write a small one."""
     settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     settings.set_chunk(chunks)
     settings.set_shuffle()
-    settings.set_deflate(_LEVEL)
+    settings.set_deflate(level)
     settings.set_fletcher32()
     settings.set_obj_track_times(False)
     return settings
 
 
-@cache
-def _parents() -> Any:
-    """Return that the groups of a path are made with it."""
-    settings = h5py.h5p.create(h5py.h5p.LINK_CREATE)
-    settings.set_create_intermediate_group(True)
-    return settings
+_type = cache(h5py.h5t.py_create)
+_PARENTS: Final = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+_PARENTS.set_create_intermediate_group(True)
 
 
 def _create(target: Any, path: str, kind: Kind, rows: NDArray[Any]) -> None:
     """Create a data set with its first rows, and its unit."""
-    tail = rows.shape[1:]
-    space = h5py.h5s.create_simple(rows.shape, (h5py.h5s.UNLIMITED, *tail))
+    # a chunk that is nearly empty is as small at level 1, in a quarter of the time
+    storage = _storage((kind.chunk, *rows.shape[1:]), _LEVEL if 8 * len(rows) > kind.chunk else 1)
+    space = h5py.h5s.create_simple(rows.shape, (h5py.h5s.UNLIMITED, *rows.shape[1:]))
     column = h5py.h5d.create(
-        target.id, path.encode(), h5py.h5t.py_create(rows.dtype, logical=True), space,
-        dcpl=_storage((kind.chunk, *tail)), lcpl=_parents(),
-    )  # fmt: skip
+        target.id, path.encode(), _type(rows.dtype), space, dcpl=storage, lcpl=_PARENTS
+    )
     if len(rows):
         column.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(rows))
     text = h5py.string_dtype()
-    scalar = h5py.h5s.create(h5py.h5s.SCALAR)
-    unit = h5py.h5a.create(column, b"unit", h5py.h5t.py_create(text, logical=True), scalar)
+    unit = h5py.h5a.create(
+        column, b"unit", _type(text, logical=True), h5py.h5s.create(h5py.h5s.SCALAR)
+    )
     unit.write(np.array(kind.unit, text))
 
 
