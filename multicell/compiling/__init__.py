@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import sys
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
@@ -23,9 +24,21 @@ from numba.core import boxing, cgutils, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.pythonapi import _boxers
+from numba.np import linalg
 from numba.np.numpy_support import as_dtype
 
 from multicell.host.interrupts import UNCUT
+
+_ensure_blas = linalg.ensure_blas
+
+
+def _assume_blas() -> None:
+    """Load nothing of scipy.linalg until a kernel calls it; numba asks once whether it is there."""
+    linalg.ensure_blas = _ensure_blas
+
+
+if "numba.np.arraymath" not in sys.modules:
+    linalg.ensure_blas = _assume_blas
 
 
 @final

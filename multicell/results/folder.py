@@ -51,9 +51,10 @@ def package_version(package: str = "multicell") -> str:
     if package == "multicell":
         return __version__
     try:
-        return metadata.version(package)
+        text = metadata.distribution(package).read_text("METADATA") or ""
     except metadata.PackageNotFoundError:
         return "not installed"
+    return text.partition("\nVersion: ")[2].partition("\n")[0]  # not all of it is parsed
 
 
 def versions() -> dict[str, str]:

@@ -224,7 +224,7 @@ class _Log:
         self._sets = {path: kind for path, kind in sets.items() if path not in SPARSE}
         self._sparse = {path: sets[path] for path in SPARSE}
         self._sink = sink
-        self._pieces = {path: [_zeros(kind, int(kind.pool == "ends"))] for path, kind in sets.items()}
+        self._pieces = {p: [_zeros(kind, int(kind.pool == "ends"))] for p, kind in sets.items()}
         self._ends = {path: 0 for path, kind in sets.items() if kind.pool == "ends"}
         self._lengths: dict[str, int] = {}
         self._made: set[str] = set()

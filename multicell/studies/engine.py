@@ -130,7 +130,7 @@ def _carry_out(
 
 
 def _do_here(tasks: Sequence[Task], report: Callable[[Outcome], None]) -> None:
-    """Do tasks in this process; in the end those that other processes have had, and have no more."""
+    """Do tasks in this process; wait in the end for those that other processes have."""
     with STEP:
         while tasks:
             held = []

@@ -17,7 +17,7 @@ from multicell.errors import ClusterError, SceneError
 from multicell.results.documents import write_table
 from multicell.results.folder import lock_folder
 from multicell.studies import engine
-from multicell.studies.engine import carry_out, do_run, task
+from multicell.studies.engine import carry_out, do_run
 from multicell.studies.status import NOTE
 from multicell.studies.workers import workers
 
