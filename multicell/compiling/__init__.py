@@ -23,7 +23,10 @@ from numba import njit, typeof, types
 from numba.core import boxing, cgutils, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.cpu import CPUContext
 from numba.core.pythonapi import _boxers
+from numba.core.targetconfig import TargetConfig
+from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.np import linalg
 from numba.np.numpy_support import as_dtype
 
@@ -84,6 +87,46 @@ class _PieceCompiler(Compiler):
     ) -> None:  # fmt: skip
         library = _Piece(target.codegen(), "piece")  # type: ignore[no-untyped-call]
         super().__init__(typing, target, library, arguments, result, flags, local)  # type: ignore[no-untyped-call]
+
+
+def _jit_of_overloads(template: Any) -> Callable[..., Any]:
+    """Return what compiles numba's own functions, such as ``np.empty``: as pieces of their callers.
+
+    Each of them would be optimised and turned into machine code that nothing calls.
+    """
+    compiles = _plain_jit(template)
+    return lambda **options: compiles(
+        **{"pipeline_class": _PieceCompiler, "no_cfunc_wrapper": True, **options}
+    )
+
+
+_plain_jit = _OverloadFunctionTemplate._get_jit_decorator
+_OverloadFunctionTemplate._get_jit_decorator = _jit_of_overloads
+
+
+def _same_options(one: TargetConfig, other: Any) -> Any:
+    """Return whether options of two functions are equal; numba asks so for each call in a kernel."""
+    if not isinstance(other, TargetConfig):
+        return NotImplemented
+    return one._values == other._values or one.values() == other.values()
+
+
+TargetConfig.__eq__ = _same_options
+TargetConfig.__hash__ = lambda options: hash(type(options))
+
+
+_SIZES: dict[str, int] = {}
+
+
+def _size_of(context: Any, kind: Any) -> int:
+    """Return the size of a type in bytes, for which numba has LLVM read a program each time."""
+    name = str(kind)
+    if name not in _SIZES:
+        _SIZES[name] = kind.get_abi_size(context.target_data)
+    return _SIZES[name]
+
+
+CPUContext.get_abi_sizeof = _size_of
 
 
 KERNEL: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
