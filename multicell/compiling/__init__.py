@@ -100,19 +100,11 @@ def _jit_of_overloads(template: Any) -> Callable[..., Any]:
     )
 
 
-_plain_jit = _OverloadFunctionTemplate._get_jit_decorator
-_OverloadFunctionTemplate._get_jit_decorator = _jit_of_overloads
-
-
-def _same_options(one: TargetConfig, other: Any) -> Any:
-    """Return whether options of two functions are equal; numba asks so for each call in a kernel."""
-    if not isinstance(other, TargetConfig):
+def _same_options(one: Any, other: Any) -> Any:
+    """Return whether options of functions are equal, which numba asks for each call in a kernel."""
+    if not isinstance(other, type(one)):
         return NotImplemented
     return one._values == other._values or one.values() == other.values()
-
-
-TargetConfig.__eq__ = _same_options
-TargetConfig.__hash__ = lambda options: hash(type(options))
 
 
 _SIZES: dict[str, int] = {}
@@ -126,7 +118,13 @@ def _size_of(context: Any, kind: Any) -> int:
     return _SIZES[name]
 
 
-CPUContext.get_abi_sizeof = _size_of
+_templates: Any = _OverloadFunctionTemplate
+_options: Any = TargetConfig
+_context: Any = CPUContext
+_plain_jit = _templates._get_jit_decorator
+_templates._get_jit_decorator = _jit_of_overloads
+_options.__eq__, _options.__hash__ = _same_options, lambda options: hash(type(options))
+_context.get_abi_sizeof = _size_of
 
 
 KERNEL: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
