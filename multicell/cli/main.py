@@ -17,16 +17,7 @@ import click
 
 from multicell import __version__
 from multicell.cli import options as shared
-from multicell.cli.analyses import dose_response, sensitivity
-from multicell.cli.compare import compare, stability
-from multicell.cli.doctor import doctor
-from multicell.cli.fit import fit
-from multicell.cli.importing import importing
-from multicell.cli.play import play
 from multicell.cli.process import Commands, complain, print_json
-from multicell.cli.scenes import coarsen, init, scenes, schema
-from multicell.cli.show import movie, plot, view
-from multicell.cli.study import study
 from multicell.cli.tables import filled_table, key_table, plain, time_text
 from multicell.errors import OutputError, StepFailed
 
@@ -37,7 +28,21 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+_ELSEWHERE = {
+    "compare": "compare:compare", "stability": "compare:stability", "doctor": "doctor:doctor",
+    "dose-response": "analyses:dose_response", "sensitivity": "analyses:sensitivity",
+    "fit": "fit:fit", "import": "importing:importing", "play": "play:play", "study": "study:study",
+    "scenes": "scenes:scenes", "init": "scenes:init", "coarsen": "scenes:coarsen",
+    "schema": "scenes:schema", "plot": "show:plot", "view": "show:view", "movie": "show:movie",
+}  # fmt: skip
+"""Commands of other modules, which are loaded with them."""
+
+
+@click.group(
+    cls=Commands,
+    elsewhere=_ELSEWHERE,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(__version__, message="multicell %(version)s")
 def main() -> None:
     """Simulate multicellular tissue cell by cell.
@@ -180,14 +185,6 @@ def export(folder: Path, output: Path, tables: str | None, as_json: bool, **opti
         return
     for path in paths:
         click.echo(path, file=sys.stdout)
-
-
-for added in (
-    scenes, init, coarsen, schema, plot, view, play, movie, compare, stability, study, sensitivity,
-    doctor, dose_response, fit,
-):  # fmt: skip
-    main.add_command(added)
-main.add_command(importing)
 
 
 def _simulate(

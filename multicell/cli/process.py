@@ -12,8 +12,9 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from threading import Timer
 from typing import Any, NoReturn, final
 
@@ -54,7 +55,25 @@ DEBUG = "MULTICELL_DEBUG"  # environment variable that shows the traceback of an
 
 @final
 class Commands(click.Group):
-    """The group of all commands, which ends the process in words."""
+    """The group of all commands, which ends the process in words.
+
+    - ``elsewhere``, name -> ``module:function``: commands whose modules are loaded with them
+    """
+
+    def __init__(self, *arguments: Any, elsewhere: Mapping[str, str], **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._elsewhere = elsewhere
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all commands."""
+        return sorted({*self.commands, *self._elsewhere})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command; None if there is no such one."""
+        if cmd_name in self._elsewhere and cmd_name not in self.commands:
+            module, function = self._elsewhere[cmd_name].split(":")
+            self.add_command(getattr(import_module(f"multicell.cli.{module}"), function))
+        return super().get_command(ctx, cmd_name)
 
     def main(
         self,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import sys
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
@@ -22,10 +23,25 @@ from numba import njit, typeof, types
 from numba.core import boxing, cgutils, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.cpu import CPUContext
 from numba.core.pythonapi import _boxers
+from numba.core.targetconfig import TargetConfig
+from numba.core.typing.templates import _OverloadFunctionTemplate
+from numba.np import linalg
 from numba.np.numpy_support import as_dtype
 
 from multicell.host.interrupts import UNCUT
+
+_ensure_blas = linalg.ensure_blas
+
+
+def _assume_blas() -> None:
+    """Load nothing of scipy.linalg until a kernel calls it; numba asks once whether it is there."""
+    linalg.ensure_blas = _ensure_blas
+
+
+if "numba.np.arraymath" not in sys.modules:
+    linalg.ensure_blas = _assume_blas
 
 
 @final
@@ -71,6 +87,44 @@ class _PieceCompiler(Compiler):
     ) -> None:  # fmt: skip
         library = _Piece(target.codegen(), "piece")  # type: ignore[no-untyped-call]
         super().__init__(typing, target, library, arguments, result, flags, local)  # type: ignore[no-untyped-call]
+
+
+def _jit_of_overloads(template: Any) -> Callable[..., Any]:
+    """Return what compiles numba's own functions, such as ``np.empty``: as pieces of their callers.
+
+    Each of them would be optimised and turned into machine code that nothing calls.
+    """
+    compiles = _plain_jit(template)
+    return lambda **options: compiles(
+        **{"pipeline_class": _PieceCompiler, "no_cfunc_wrapper": True, **options}
+    )
+
+
+def _same_options(one: Any, other: Any) -> Any:
+    """Return whether options of functions are equal, which numba asks for each call in a kernel."""
+    if not isinstance(other, type(one)):
+        return NotImplemented
+    return one._values == other._values or one.values() == other.values()
+
+
+_SIZES: dict[str, int] = {}
+
+
+def _size_of(context: Any, kind: Any) -> int:
+    """Return the size of a type in bytes, for which numba has LLVM read a program each time."""
+    name = str(kind)
+    if name not in _SIZES:
+        _SIZES[name] = kind.get_abi_size(context.target_data)
+    return _SIZES[name]
+
+
+_templates: Any = _OverloadFunctionTemplate
+_options: Any = TargetConfig
+_context: Any = CPUContext
+_plain_jit = _templates._get_jit_decorator
+_templates._get_jit_decorator = _jit_of_overloads
+_options.__eq__, _options.__hash__ = _same_options, lambda options: hash(type(options))
+_context.get_abi_sizeof = _size_of
 
 
 KERNEL: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy"}

@@ -32,9 +32,13 @@ def _settings_file() -> str:
 
 
 def _without_file(code: CodeType) -> CodeType:
-    """Return the code of numba's settings with no name of a file in the working folder."""
-    names = tuple("" if part == ".numba_config.yaml" else part for part in code.co_consts)
-    return code.replace(co_consts=names)
+    """Return the code of numba's settings with no name of a file in the working folder.
+
+    Nothing is there to be read, so that PyYAML need not be loaded.
+    """
+    consts = tuple("" if part == ".numba_config.yaml" else part for part in code.co_consts)
+    names = tuple("_no_yaml" if name == "yaml" else name for name in code.co_names)
+    return code.replace(co_consts=consts, co_names=names)
 
 
 def _elsewhere(code: CodeType) -> CodeType:

@@ -1,7 +1,7 @@
 """Fields of nutrients and signals: what cells take up and secrete, grids, solvers, balance.
 
-Every run with a field loads py-pde, which imports ``scipy.integrate`` and ``scipy.optimize`` for
-grids that no field here lives on. They take three quarters of its time, so they are loaded when
+Every run with a field loads py-pde, which imports ``scipy.integrate``, ``optimize`` and ``sparse``
+for grids that no field here lives on. They take three quarters of its time, so they are loaded when
 something of them is used. This stands here because modules of this room import py-pde themselves,
 before those of ``equations``.
 """
@@ -28,5 +28,5 @@ def _load_when_used(name: str) -> None:
 
 
 if "pde" not in sys.modules:
-    for _name in ("integrate", "optimize"):
+    for _name in ("integrate", "optimize", "sparse"):
         _load_when_used(_name)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from multicell.results.measures import OBSERVABLES
 from multicell.results.quantities import entry, title_of, unit_of
 from multicell.scene.parts import own_names
@@ -76,8 +78,12 @@ def diagnostics(summary: Mapping[str, Any], scene: Scene) -> Iterator[tuple[str,
         yield "wall time", clock(total)
     if summary.get("peak_memory") is not None:
         from multicell.report.explain.cost import predict
+        from multicell.report.explain.course import Course
 
-        expected = predict(scene).memory / 1e6
+        # of the population that there is: to predict one takes longer than a short run
+        cells, radius = summary["cells"], 0.5 * (summary.get("diameter") or 0.0)
+        reached = Course(np.array([0.0, 1.0]), np.full(2, float(cells)), np.full(2, radius))
+        expected = predict(scene, reached).memory / 1e6
         yield "peak memory", f"{summary['peak_memory']:,.0f} MB (expected {expected:,.0f} MB)"
     balance = (summary.get("ledger") or {}).get("relative_remainder")
     if balance is not None:

@@ -51,9 +51,10 @@ def package_version(package: str = "multicell") -> str:
     if package == "multicell":
         return __version__
     try:
-        return metadata.version(package)
+        text = metadata.distribution(package).read_text("METADATA") or ""
     except metadata.PackageNotFoundError:
         return "not installed"
+    return text.partition("\nVersion: ")[2].partition("\n")[0]  # not all of it is parsed
 
 
 def versions() -> dict[str, str]:
@@ -142,10 +143,12 @@ def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
 
 def remove(folder: Path, names: Iterable[str]) -> None:
     """Remove files of a run, also half-written ones; of links the links, not what they lead to."""
+    with file_errors("read", folder):
+        there = set(os.listdir(folder))
     for name in names:
-        for path in (folder / name, folder / f"{name}.part"):
-            with file_errors("remove", path):
-                path.unlink(missing_ok=True)
+        for file in there & {name, f"{name}.part"}:
+            with file_errors("remove", folder / file):
+                (folder / file).unlink(missing_ok=True)
 
 
 def new_file(path: Path) -> int:

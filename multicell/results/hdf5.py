@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import IO, Any, Final, final
 
@@ -147,44 +148,62 @@ def write(path: Path, whole: Whole) -> None:
 
 def _fill(target: Any, whole: Whole, sink: Sink) -> None:
     """Write everything to an open file."""
-    sets = layout(whole.nutrients)
     target.attrs.update(format=FORMAT, multicell=package_version())
     target.attrs["identity"] = np.bytes_(whole.identity)
     target.attrs["absorbed"] = np.bytes_(whole.absorbed)
     target.create_group("fields")
-    for path, kind in sets.items():
-        if path not in SPARSE:
-            _create(target, path, kind)
     scene = np.frombuffer(whole.scene.encode(), "|u1")
-    _create(target, "scene", of_rows("|u1"))
-    _append(target["scene"], [scene])
-    log = _Log(target, sets, whole.nutrients, sink)
+    _create(target, "scene", of_rows("|u1"), scene)
+    log = _Log(target, whole.nutrients, sink)
     for frame in whole.frames:
         log.add(*frame)
     log.flush()
-    _finish(target, log.count, sets, whole.history)
+    group = target.create_group("history")
+    for name, column in whole.history.items():
+        kind = of_rows("<f8", known_unit(name))
+        _create(target, f"history/{name}", kind, np.asarray(column, "<f8"))
+    group.attrs["digest"] = np.uint32(digest(dict(sorted(whole.history.items()))))
+    target.attrs["frames"] = np.int64(log.count)
+    shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
+    target.attrs["digest"] = np.uint32(digest({"scene": scene, **shared}))
 
 
-def _create(target: Any, path: str, kind: Kind) -> None:
-    """Create an empty data set."""
-    tail = () if kind.width is None else (kind.width,)
-    column = target.create_dataset(
-        path,
-        (0, *tail),
-        kind.dtype,
-        maxshape=(None, *tail),
-        chunks=(kind.chunk, *tail),
-        shuffle=True,
-        compression="gzip",
-        compression_opts=_LEVEL,
-        fletcher32=True,
+@cache
+def _storage(chunks: tuple[int, ...], level: int) -> Any:
+    """Return how data sets are stored; h5py takes longer to find that than to write a small one."""
+    settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    settings.set_chunk(chunks)
+    settings.set_shuffle()
+    settings.set_deflate(level)
+    settings.set_fletcher32()
+    settings.set_obj_track_times(False)
+    return settings
+
+
+_type = cache(h5py.h5t.py_create)
+_PARENTS: Final = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+_PARENTS.set_create_intermediate_group(True)
+
+
+def _create(target: Any, path: str, kind: Kind, rows: NDArray[Any]) -> None:
+    """Create a data set with its first rows, and its unit."""
+    # a chunk that is nearly empty is as small at level 1, in a quarter of the time
+    storage = _storage((kind.chunk, *rows.shape[1:]), _LEVEL if 8 * len(rows) > kind.chunk else 1)
+    space = h5py.h5s.create_simple(rows.shape, (h5py.h5s.UNLIMITED, *rows.shape[1:]))
+    column = h5py.h5d.create(
+        target.id, path.encode(), _type(rows.dtype), space, dcpl=storage, lcpl=_PARENTS
     )
-    column.attrs["unit"] = kind.unit
+    if len(rows):
+        column.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(rows))
+    text = h5py.string_dtype()
+    unit = h5py.h5a.create(
+        column, b"unit", _type(text, logical=True), h5py.h5s.create(h5py.h5s.SCALAR)
+    )
+    unit.write(np.array(kind.unit, text))
 
 
-def _append(column: Any, pieces: Sequence[NDArray[Any]]) -> None:
+def _append(column: Any, rows: NDArray[Any]) -> None:
     """Add rows at the end of a data set."""
-    rows = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
     start = column.shape[0]
     column.resize(start + len(rows), axis=0)
     if len(rows):
@@ -193,24 +212,25 @@ def _append(column: Any, pieces: Sequence[NDArray[Any]]) -> None:
 
 @final
 class _Log:
-    """Rows on their way into a file: HDF5 is quick with few large writes, slow with many."""
+    """Rows on their way into a file: HDF5 is quick with few large writes, slow with many.
 
-    def __init__(
-        self, target: Any, sets: Mapping[str, Kind], nutrients: Sequence[str], sink: Sink
-    ) -> None:
+    - ``shared``, path -> pieces: what belongs to no single frame
+    """
+
+    def __init__(self, target: Any, nutrients: Sequence[str], sink: Sink) -> None:
+        sets = layout(nutrients)
         self._target = target
         self._nutrients = nutrients
         self._sets = {path: kind for path, kind in sets.items() if path not in SPARSE}
         self._sparse = {path: sets[path] for path in SPARSE}
         self._sink = sink
-        self._pieces: dict[str, list[NDArray[Any]]] = {path: [] for path in sets}
+        self._pieces = {p: [_zeros(kind, int(kind.pool == "ends"))] for p, kind in sets.items()}
         self._ends = {path: 0 for path, kind in sets.items() if kind.pool == "ends"}
         self._lengths: dict[str, int] = {}
+        self._made: set[str] = set()
         self._size = 0
         self.count = 0
-        for path, kind in sets.items():
-            if kind.pool == "ends":
-                self._pieces[path].append(np.zeros(1, "<i8"))
+        self.shared: dict[str, list[NDArray[Any]]] = {path: [] for path in _shared(sets)}
 
     def add(self, arrays: Arrays, check: int, log: Arrays) -> None:
         """Add a frame."""
@@ -219,9 +239,8 @@ class _Log:
         rows["frames/digest"] = np.array(check)
         for path, kind in self._sparse.items():
             if path in rows and path not in self._sets:  # a frame is the first to have it
-                _create(self._target, path, kind)
                 self._sets[path] = kind
-                self._pieces[path].append(np.zeros(self._ends[kind.pool], kind.dtype))
+                self._pieces[path] = [_zeros(kind, self._ends[kind.pool])]
             rows.setdefault(path, np.zeros(len(rows["cells/id"]), kind.dtype))
         for path, kind in self._sets.items():
             if kind.pool == "frames":
@@ -242,35 +261,40 @@ class _Log:
 
     def flush(self) -> None:
         """Hand what was collected to HDF5."""
-        for path, pieces in self._pieces.items():
-            if pieces:
-                _append(self._target[path], pieces)
-                pieces.clear()
+        for path, kind in self._sets.items():
+            pieces = self._pieces[path]
+            if not pieces:
+                continue
+            rows = np.concatenate(pieces)
+            if path in self._made:
+                _append(self._target[path], rows)
+            else:
+                _create(self._target, path, kind, rows)
+                self._made.add(path)
+            if path in self.shared:
+                self.shared[path].append(rows)
+            pieces.clear()
         self._size = 0
         self._sink.check()
 
 
-def _finish(
-    target: Any, count: int, sets: Mapping[str, Kind], history: Mapping[str, NDArray[np.float64]]
-) -> None:
-    """Write the history, and the checksums of all that belongs to no single frame."""
-    group = target.create_group("history")
-    for name, column in history.items():
-        _create(target, f"history/{name}", of_rows("<f8", known_unit(name)))
-        _append(group[name], [np.asarray(column, "<f8")])
-    group.attrs["digest"] = np.uint32(digest(dict(sorted(history.items()))))
-    target.attrs["frames"] = np.int64(count)
-    target.attrs["digest"] = np.uint32(digest(_shared_arrays(target, sets)))
+def _zeros(kind: Kind, rows: int) -> NDArray[Any]:
+    """Return rows of a data set."""
+    return np.zeros((rows,) if kind.width is None else (rows, kind.width), kind.dtype)
 
 
-def _shared_arrays(file: Any, sets: Mapping[str, Kind]) -> Arrays:
-    """Read what belongs to no single frame: scene, offsets, times and the lineage."""
-    paths = [
+def _shared(sets: Mapping[str, Kind]) -> list[str]:
+    """Return the data sets of what belongs to no single frame: offsets, times and the lineage."""
+    return [
         path
         for path, kind in sets.items()
         if path.startswith(("frames/", "lineage/")) or kind.pool == "ends"
     ]
-    return {"scene": file["scene"][()], **{path: file[path][()] for path in paths}}
+
+
+def _shared_arrays(file: Any, sets: Mapping[str, Kind]) -> Arrays:
+    """Read the scene, and what else belongs to no single frame."""
+    return {"scene": file["scene"][()], **{path: file[path][()] for path in _shared(sets)}}
 
 
 @contextmanager

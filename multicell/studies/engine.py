@@ -36,6 +36,9 @@ _POLL: Final = 0.2  # s between checks for Ctrl-C
 _RECOUNT: Final = 2.0  # s between counts of workers
 _RECHECK: Final = 1.0  # s between checks of runs that another process does
 _MAX_STOP: Final = 60.0  # s that runs have to end between two steps
+_SHORT: Final = 10.0
+"""Runs of no more s are done by this process where there is one core for them: to start another
+takes longer, and they need too little memory to be ended for want of it."""
 
 
 def carry_out(
@@ -92,7 +95,8 @@ def carry_out(
     if left:
         ordered = [run for _, run in sorted(left, key=lambda entry: -entry[0])]
         tasks = [task(run, folder, retry) for run in ordered]
-        _carry_out(tasks, folder, cores, scheduler, report)
+        short = not any(run.expected > _SHORT or run.integrator for run in ordered)
+        _carry_out(tasks, folder, cores, scheduler, report, short)
     return [outcomes[run.name] for run in runs]
 
 
@@ -102,12 +106,16 @@ def _carry_out(
     cores: int | None,
     scheduler: str | None,
     report: Callable[[Outcome], None],
+    short: bool,
 ) -> None:
-    """Have workers do tasks, in their order."""
+    """Have workers do tasks, in their order; ``short`` ones need none on one core."""
     check_cores(cores)
     if scheduler is None and cores is None:
         cores = own_cores()
     most = None if cores is None else min(cores, len(tasks))
+    if most == 1 and short:
+        _do_here(tasks, report)
+        return
     with STEP, workers(most, scheduler) as client:
         if scheduler is not None:
             check_folder(client, folder)
@@ -119,6 +127,23 @@ def _carry_out(
         except KeyboardInterrupt:
             work.stop()
             raise
+
+
+def _do_here(tasks: Sequence[Task], report: Callable[[Outcome], None]) -> None:
+    """Do tasks in this process; wait in the end for those that other processes have."""
+    with STEP:
+        while tasks:
+            held = []
+            for work in tasks:
+                STEP.deliver()
+                outcome = do_run(work)
+                if outcome.state == "held":
+                    held.append(work)
+                else:
+                    report(outcome)
+            tasks = held
+            if held:
+                clock.sleep(_RECHECK)
 
 
 @final

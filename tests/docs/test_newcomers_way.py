@@ -28,7 +28,7 @@ def test_every_command_has_its_options(newcomer, tmp_path):
     asked = {"run", "init", "study", "fit", "dose-response", "export", "plot"}
     assert {name for name, *_ in ours} == asked
     for name, *options in ours:
-        command = main.commands[name]
+        command = main.get_command(None, name)
         if name == "study":
             command, options = command.commands[options[0]], options[1:]
         with command.make_context(name, options) as context:

@@ -172,8 +172,9 @@ def command_of(words: list[str]) -> click.Command:
     for word in words:
         if not isinstance(found, click.Group):
             break
-        if word in found.commands:
-            found = found.commands[word]
+        inner = found.get_command(click.Context(found), word)
+        if inner is not None:
+            found = inner
         elif not word.startswith("-"):
             raise LookupError(f"multicell has no command {word!r}")
     return found

@@ -17,7 +17,7 @@ from multicell.errors import ClusterError, SceneError
 from multicell.results.documents import write_table
 from multicell.results.folder import lock_folder
 from multicell.studies import engine
-from multicell.studies.engine import carry_out, do_run, task
+from multicell.studies.engine import carry_out, do_run
 from multicell.studies.status import NOTE
 from multicell.studies.workers import workers
 
@@ -93,22 +93,21 @@ def test_a_study_is_done_once_and_each_run_is_what_it_would_be_alone(tmp_path):
     assert min(s.wall for s in found) > 0.0
 
 
-def test_what_is_done_needs_no_dask(tmp_path):
-    runs = short_runs(2)
-    for run in runs:
-        assert do_run(task(run, tmp_path, retry=False)).state == "done"
-    stamps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
-    code = (
-        "import sys; from studied import short_runs; from multicell.studies.engine import carry_out"
-        f"; done = carry_out(short_runs(2), {str(tmp_path)!r})"
-        "; assert [(o.state, o.reused) for o in done] == [('done', True)] * 2"
-        "; assert not {'dask', 'distributed'} & set(sys.modules)"
-    )
+def test_short_runs_on_one_core_and_what_is_done_need_no_dask(tmp_path):
     helpers = Path(__file__).parents[1] / "helpers"
     package = Path(mc.__file__).parents[1]
-    places = f"import sys; sys.path[:0] = {[str(helpers), str(package)]!r}; "
-    subprocess.run([sys.executable, "-c", places + code], check=True, timeout=60)
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == stamps
+    stamps = []
+    for reused in (False, True):
+        code = (
+            f"import sys; sys.path[:0] = {[str(helpers), str(package)]!r}"
+            "; from studied import short_runs; from multicell.studies.engine import carry_out"
+            f"; done = carry_out(short_runs(2), {str(tmp_path)!r}, cores={None if reused else 1})"
+            f"; assert [(o.state, o.reused) for o in done] == [('done', {reused})] * 2"
+            "; assert not {'dask', 'distributed'} & set(sys.modules)"
+        )
+        subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+        stamps.append({path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")})
+    assert stamps[0] == stamps[1]
 
 
 def test_the_longest_come_first(tmp_path, monkeypatch):
@@ -325,7 +324,7 @@ def test_a_script_needs_no_guard(tmp_path):
         "print('script', flush=True)\n"
         "from multicell.studies.engine import carry_out\n"
         "from studied import short_runs\n"
-        f"outcomes = carry_out(short_runs(2), {str(tmp_path / 'study')!r}, cores=1)\n"
+        f"outcomes = carry_out(short_runs(2), {str(tmp_path / 'study')!r}, cores=2)\n"
         "print([outcome.state for outcome in outcomes], __file__)\n"
     )
     command = [sys.executable, str(script)]
@@ -347,8 +346,8 @@ def test_a_worker_that_cannot_begin_a_run_is_a_reason_that_does_not_last(tmp_pat
 
 def test_an_answer_that_is_lost_is_found_in_the_folder(tmp_path, monkeypatch):
     in_this_process(monkeypatch, TimeoutError)
-    (outcome,) = carry_out(short_runs(1), tmp_path)
-    assert (outcome.state, outcome.reused) == ("done", True)
+    outcomes = carry_out(short_runs(2), tmp_path)
+    assert [(o.state, o.reused) for o in outcomes] == [("done", True), ("done", False)]
 
 
 def test_a_scheduler_that_goes_is_an_error_that_keeps_all(tmp_path, monkeypatch):

@@ -67,9 +67,12 @@ class Prediction:
     file: float
 
 
-def predict(scene: Scene) -> Prediction:
-    """Return what a run of a scene with an output folder is expected to take."""
-    found = course(scene)
+def predict(scene: Scene, found: Course | None = None) -> Prediction:
+    """Return what a run of a scene with an output folder is expected to take.
+
+    - ``found``: how the population grows; by default as it is expected to
+    """
+    found = found or course(scene)
     end = float(found.times[-1])
     steps = max(1.0, end / scene.coupling_step)
     frames = min(math.ceil(end / scene.output.every), steps) + 1.0
