@@ -50,12 +50,15 @@ import numpy as np
 from multicell.mechanics import neighbours
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
+if not hasattr(neighbours, "spatial_order"):  # trees of before November 25
+    from multicell.mechanics import binning as neighbours
 n, rng = 100_000, np.random.default_rng(0)
 side = round(n ** (1 / 3)) + 1
 grid = np.stack(np.meshgrid(*3 * [np.arange(side)], indexing="ij"), -1).reshape(-1, 3)[:n] * 1.0
 grid[:, 0] += 0.5 * (grid[:, 1] % 2)
 position = 8.2 * grid * [1.0, 0.93, 0.93] + rng.normal(0.0, 0.6, (n, 3))
 position = position[neighbours.spatial_order(position, 10.0)]
+from multicell.mechanics import neighbours
 radius, nothing = rng.uniform(4.3, 5.2, n), np.zeros(n)
 system, out = Mechanics(mc.JKR(surface_energy=0.1), 5.0, 1), np.empty((n, 3))
 system.begin(Motion(radius, nothing, nothing + 1.0, nothing + 0.5, 0.0, 60.0))
@@ -149,6 +152,7 @@ def measured(times):
 def measure(row: str, tree: Path) -> dict[str, float]:
     """Measure a row in a checkout: s of wall and CPU time, and bytes of memory."""
     environment = {**os.environ, "PYTHONPATH": str(tree)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # as for an installed package
     if row in ROWS:
         command = [sys.executable, "-c", AROUND + ROWS[row]]
         done = subprocess.run(
