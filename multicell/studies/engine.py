@@ -113,7 +113,7 @@ def _carry_out(
     if scheduler is None and cores is None:
         cores = own_cores()
     most = None if cores is None else min(cores, len(tasks))
-    if most == 1 and short:
+    if scheduler is None and most == 1 and short:
         _do_here(tasks, report)
         return
     with STEP, workers(most, scheduler) as client:
