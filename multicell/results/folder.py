@@ -54,7 +54,8 @@ def package_version(package: str = "multicell") -> str:
         text = metadata.distribution(package).read_text("METADATA") or ""
     except metadata.PackageNotFoundError:
         return "not installed"
-    return text.partition("\nVersion: ")[2].partition("\n")[0]  # not all of it is parsed
+    # not all of it is parsed; an older kind of installation has another file
+    return text.partition("\nVersion: ")[2].partition("\n")[0] or metadata.version(package)
 
 
 def versions() -> dict[str, str]:
