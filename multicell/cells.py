@@ -11,7 +11,9 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from multicell.vectors import FloatArray as FloatArray
+from multicell.vectors import cubes
+
 IntArray = NDArray[np.int64]
 
 SPHERE = 4.0 * np.pi / 3.0
@@ -152,7 +154,7 @@ class Cells:
     @property
     def volume(self) -> FloatArray:
         """Volume of each cell as a free sphere, (n,), µm³."""
-        return np.asarray(SPHERE * self.radius**3)
+        return np.asarray(SPHERE * cubes(self.radius))
 
     @property
     def dead(self) -> NDArray[np.bool_]:

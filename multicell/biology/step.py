@@ -22,6 +22,7 @@ from multicell.biology.splitting import corrected_factor
 from multicell.biology.states import deciding, update_states
 from multicell.cells import SPHERE, Cells, FloatArray
 from multicell.scene.domain import check_inside
+from multicell.vectors import cubes
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -94,7 +95,7 @@ def age_cells(
     if not dead.any():
         return after, 0.0
     # what the dead took up when they swelled counts against what they lose
-    lost = cells.radius[dead] ** 3 - grown.radius[dead] ** 3
+    lost = cubes(cells.radius[dead]) - cubes(grown.radius[dead])
     return after, SPHERE * float(lost.sum())
 
 

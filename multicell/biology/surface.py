@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, IntArray
+from multicell.vectors import corners, cubes, weighted_mean
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -39,9 +40,9 @@ def surface_force(plan: BiologyPlan, cells: Cells) -> FloatArray | None:
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     volume = cells.volume
-    diameter = 2.0 * np.cbrt(np.average(cells.radius**3, weights=volume))
+    diameter = 2.0 * np.cbrt(weighted_mean(cubes(cells.radius), volume))
     spacing = diameter / _SMOOTHING
-    low = cells.position.min(axis=0) - _MARGIN * diameter
+    low = corners(cells.position)[0] - _MARGIN * diameter
     at = (cells.position - low) / spacing
     shape = np.ceil(at.max(axis=0)).astype(int) + int(_MARGIN * _SMOOTHING)
     density = gaussian_filter(_spread(at, volume, shape), _SMOOTHING, mode="constant")

@@ -36,6 +36,7 @@ from multicell.integrators.cvode import Cvode
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.runge_kutta import AdaptiveRungeKutta4
+from multicell.vectors import squares
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -241,7 +242,7 @@ def _fastest(system: Mechanics, position: FloatArray) -> float:
         system.velocity(system.motion.begin, position, velocity)
     except StateRejected:
         return 0.0
-    return float(np.sqrt(np.square(velocity).sum(axis=1).max())) if len(position) else 0.0
+    return float(np.sqrt(squares(velocity).max())) if len(position) else 0.0
 
 
 def decay_rate(system: Mechanics, position: FloatArray) -> float:

@@ -260,7 +260,8 @@ def build(info: MethodInfo, **options: Any) -> Integrator:
 
     Raises SceneError if it cannot be made with them.
     """
-    made = {name: value for name, value in options.items() if name in info.settings}
+    settings = info.settings
+    made = {name: value for name, value in options.items() if name in settings}
     try:
         return info.make(**made)  # type: ignore[misc]
     except (TypeError, ValueError) as error:

@@ -267,10 +267,12 @@ class Walk:
             try:
                 size = self._step(step)
             except (StateRejected, Refused) as error:
-                refused = error if isinstance(error, Refused) else Refused(str(error), 0.25)
-                self._problem, self._cell = str(refused), refused.cell
+                # the error itself is not kept: its traceback holds this frame and all arrays in it
+                factor, self._problem, self._cell = 0.25, str(error), None
+                if isinstance(error, Refused):
+                    factor, self._cell = error.factor, error.cell
                 self.system.work.rejections += 1
-                step, held = refused.factor * step, True
+                step, held = factor * step, True
                 continue
             wanted = next_step(step, size, previous, _ORDER)
             # no growth right after a refusal

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from multicell.random import Purpose, normal
+from multicell.vectors import lengths
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray, IntArray
@@ -104,5 +105,5 @@ def replay_step(
     system.begin(system.motion)
     if not outcome.done:
         return None, cost
-    away = np.sqrt(np.square(outcome.position - end).sum(axis=1))
+    away = lengths(outcome.position - end)
     return float((away if held is None else away[~held]).max(initial=0.0)), cost

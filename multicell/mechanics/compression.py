@@ -39,6 +39,7 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics import forces, neighbours
+from multicell.vectors import cubes
 
 if TYPE_CHECKING:
     from multicell.mechanics.sphere import Sphere
@@ -241,7 +242,7 @@ class Compression:
         if contacts is not None:
             caps = np.pi * rows[contacts.cell, 3] * contacts.overlap**2
             np.add.at(taken, contacts.cell, caps)
-        taken /= SPHERE * rows[:, 3] ** 3
+        taken /= SPHERE * cubes(rows[:, 3])
         return Pressed(taken, self.law(taken)[1], contacts)
 
     def add_forces(
@@ -276,7 +277,7 @@ class Compression:
 
     def energy(self, rows: FloatArray, pressed: Pressed) -> float:
         """Return Σ V_i f(s_i), fJ."""
-        return float(SPHERE * (rows[:, 3] ** 3 * self.law(pressed.compression)[0]).sum())
+        return float(SPHERE * (cubes(rows[:, 3]) * self.law(pressed.compression)[0]).sum())
 
     def linearise(
         self, rows: FloatArray, offset: FloatArray | None, pressed: Pressed,
@@ -287,7 +288,7 @@ class Compression:
         _SOFTEN[shared](
             rows, linear.data, offset, pressed.pressure, slope, linear.along, linear.across
         )
-        weight = self.law(pressed.compression)[2] / (SPHERE * rows[:, 3] ** 3)
+        weight = self.law(pressed.compression)[2] / (SPHERE * cubes(rows[:, 3]))
         area = np.empty(0)
         if found is not None:
             area = areas(rows, found)

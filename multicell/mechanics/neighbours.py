@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
+from multicell.vectors import corners
 
 IndexArray = NDArray[np.int32]
 OffsetArray = NDArray[np.int64]
@@ -116,21 +117,26 @@ def neighbour_pairs(position: FloatArray, cutoff: float) -> IndexArray:
 
 
 def build(
-    position: FloatArray, radius: FloatArray, skin: float, threads: int = 1, chunk: int = CHUNK
+    position: FloatArray,
+    radius: FloatArray,
+    skin: float,
+    threads: int = 1,
+    chunk: int = CHUNK,
+    room: tuple[IndexArray, IndexArray] | None = None,
 ) -> PairList:
     """Build the list of all pairs closer than ``r_i + r_j + skin``.
 
     - ``chunk``: cells in a chunk
+    - ``room``: ``first`` and ``second`` of a list that nobody needs any more, which may be taken
     """
     n = len(position)
+    none = np.empty(0, dtype=np.int32)
     if n < 2:
         empty = np.zeros(-(-n // chunk), dtype=np.int64)
-        none = np.empty(0, dtype=np.int32)
         return PairList(none, none, empty, empty.copy(), empty.copy(), chunk, n)
     run = rebuild_parallel if threads > 1 and n > chunk else rebuild
-    none = np.empty(0, dtype=np.int32)
     crowded, first, second, start, inner_end, outer_end = run(
-        position, radius, skin, chunk, none, none
+        position, radius, skin, chunk, *(room or (none, none))
     )
     if crowded:
         raise TooManyPairsError(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
@@ -771,9 +777,9 @@ def spatial_order(position: FloatArray, width: float) -> OffsetArray:
     """
     if len(position) == 0:
         return np.empty(0, dtype=np.int64)
-    low = position.min(axis=0)
+    low, high = corners(position)
     # halves, because the extent itself may overflow
-    extent = 2.0 * float((0.5 * position.max(axis=0) - 0.5 * low).max())
+    extent = 2.0 * float((0.5 * high - 0.5 * low).max())
     width = max(width, min(extent, np.finfo(float).max) / 2.0**20)
     box = ((0.5 * position - 0.5 * low) * (2.0 / width)).astype(np.uint64)
     key = (

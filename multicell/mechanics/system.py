@@ -21,6 +21,7 @@ from multicell.contact.springs import Spring
 from multicell.mechanics import blocks, forces, neighbours
 from multicell.mechanics.division_offset import Offsets, PairValues
 from multicell.mechanics.motion import Motion, StateRejected, Work
+from multicell.vectors import cubes
 
 if TYPE_CHECKING:
     from multicell.mechanics.compression import Compression, Coupling, Pressed
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 
 _NOTHING, _NO_OFFSET = np.empty((0, 0)), np.empty(0)
+_NOWHERE = np.empty(0, dtype=np.int32)
 _ROOM = 50
 """Places of a list for each cell up to which it is kept for the next: twice what is usual."""
 
@@ -128,7 +130,7 @@ class Mechanics:
         self.drag = stokes_drag(self.viscosity)
         self._pairs: neighbours.PairList | None = None
         # room for a list: that of the last coupling step
-        self.spare = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int32)
+        self.spare = _NOWHERE, _NOWHERE
         self._cells: forces.CellData
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
@@ -158,8 +160,7 @@ class Mechanics:
             self.spare = self._pairs.first, self._pairs.second
         self._pairs = self._linear = None
         self._offsets = Offsets.of(n, motion.offset_pairs, motion.offset, self._values_of)
-        self._blocks = np.empty((n, 6))
-        self._inverse = np.empty((n, 6))
+        self._blocks = self._inverse = np.empty((0, 6))  # few methods use them
         if max(self.friction) > 0.0:
             from multicell.mechanics.friction import PairFriction
 
@@ -291,6 +292,8 @@ class Mechanics:
             # the drag that the blocks are divided by is that of Γ's diagonal
             stokes = self.drag * self._rows[:, 3]
             self._blocks *= (stokes / self._pair_friction.diagonal())[:, None]
+        if len(self._inverse) < len(self):
+            self._inverse = np.empty((len(self), 6))
         blocks.invert_blocks(self._rows, self._blocks, gamma, self.drag, self._inverse)
 
     def precondition(self, vector: FloatArray, out: FloatArray) -> None:
@@ -350,7 +353,7 @@ class Mechanics:
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
         self._resist(time, pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
-        return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
+        return np.asarray(virials / (3.0 * SPHERE * cubes(self._rows[:, 3])))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
         """Return an upper bound on the decay rates of the linearised motion, 1/s.
@@ -369,6 +372,8 @@ class Mechanics:
 
     def _fill_blocks(self, linear: Linearisation) -> None:
         linear = linear.stiffened()
+        if len(self._blocks) < len(self):
+            self._blocks = np.empty((len(self), 6))
         blocks.diagonal_blocks(
             linear.data, linear.normal, linear.along, linear.across, self._blocks
         )
@@ -460,7 +465,8 @@ class Mechanics:
         )
         try:
             threads = self.threads if len(self) >= self.shared_chunks * self.chunk else 1
-            pairs = neighbours.build(reference, reach, 0.0, threads, self.chunk)
+            room, self.spare = self.spare, (_NOWHERE, _NOWHERE)
+            pairs = neighbours.build(reference, reach, 0.0, threads, self.chunk, room)
         except neighbours.TooManyPairsError as error:
             # the old list does not fit the new margins
             self._pairs = None
@@ -525,7 +531,8 @@ class Mechanics:
         chunks = -(-len(self) // self.chunk)
         if self._pairs is None:
             ends = np.zeros(chunks, dtype=np.int64)
-            pairs = forces.PairData(*self.spare, ends, ends, ends, None, None, None)
+            room, self.spare = self.spare, (_NOWHERE, _NOWHERE)
+            pairs = forces.PairData(*room, ends, ends, ends, None, None, None)
             # no cell is close to a place that is not a number: the first evaluation builds
             reference = np.full((len(self), 3), np.nan)
         else:

@@ -17,15 +17,13 @@ from multicell.compiling import INNER, KERNEL
 from multicell.errors import NutrientFailed
 from multicell.scene.domain import filling
 from multicell.scene.scales import MAX_NODES
+from multicell.vectors import corners, cubes, second_moments, weighted_mean
 
 if TYPE_CHECKING:
     from pde.grids.cartesian import CartesianGrid
 
 
 _FARTHEST = 1e9  # spacings from the origin; beyond, rounding would eat into the grid's spacing
-
-_COLUMNS = 500
-"""Positions from which on NumPy is faster column by column, of many twenty times."""
 
 _NEARLY = 0.75  # an axis longer than this part of the longest gets as many nodes
 
@@ -74,14 +72,6 @@ class Box:
         from multicell.results.pde_fields import box_grid
 
         return box_grid(self.origin, self.shape, self.spacing, flat=self.height is not None)
-
-
-def corners(position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (3,), (3,) in µm of the box that just holds one cell or more."""
-    if len(position) < _COLUMNS:
-        return position.min(axis=0), position.max(axis=0)
-    low, high = zip(*((x.min(), x.max()) for x in position.T), strict=True)
-    return np.array(low), np.array(high)
 
 
 def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
@@ -247,10 +237,10 @@ def departure(position: FloatArray, radius: FloatArray) -> float:
     """
     if len(position) == 0:
         return 0.0
-    weight = radius**3
-    away = position - np.average(position, axis=0, weights=weight)
-    tensor = np.einsum("i,ij,ik->jk", weight, away, away) / weight.sum()
-    own = 0.2 * float(np.average(radius**2, weights=weight))
+    weight = cubes(radius)
+    away = position - weighted_mean(position, weight)
+    tensor = second_moments(away, weight) / weight.sum()
+    own = 0.2 * float(weighted_mean(radius**2, weight))
     squares = np.linalg.eigvalsh(tensor) + own
     return float(1.0 - np.sqrt(squares[0] / squares[-1]))
 

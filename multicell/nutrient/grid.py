@@ -17,6 +17,7 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import cartesian, faces
 from multicell.nutrient.cartesian import Box, extent, fill, lay, mesh, moved, overlaps
+from multicell.vectors import corners, cubes, lengths, squares, weighted_mean
 
 if TYPE_CHECKING:
     from multicell.results.frame import Field
@@ -107,7 +108,7 @@ class BoxLayout:
         """Return the points of the box nearest to positions (n, 3) in µm; those inside stay."""
         if len(position) == 0:
             return position
-        lowest, highest = cartesian.corners(position)
+        lowest, highest = corners(position)
         rounding, found = _ROUNDING * self.spacing, position  # which must leave no point outside
         for axis, low, high in zip(
             range(self._axes), self.box.origin, self.box.upper, strict=False
@@ -217,7 +218,7 @@ class BoxLayout:
         box = self.box
         points = mesh(box.axes())
         assert isinstance(old, ShellLayout)
-        inside = np.linalg.norm(points - old.centre, axis=1) <= old.radius
+        inside = lengths(points - old.centre) <= old.radius
         out = np.full(len(points), fill)
         out[inside] = old.gather(points[inside], values)
         return out.reshape(box.shape)
@@ -248,10 +249,10 @@ def tissue_radius(position: FloatArray, radius: FloatArray) -> float:
     Weighted by volume and with the cells' own extent: half the diameter of the summary. It is
     exact for one cell and for a ball, and one cell that strays hardly changes it.
     """
-    weight = radius**3
-    away = position - np.average(position, axis=0, weights=weight)
-    square = np.square(away).sum(axis=1) + 0.6 * radius**2
-    return float(np.sqrt(np.average(square, weights=weight) / 0.6))
+    weight = cubes(radius)
+    away = position - weighted_mean(position, weight)
+    square = squares(away) + 0.6 * radius**2
+    return float(np.sqrt(weighted_mean(square, weight) / 0.6))
 
 
 @final
@@ -285,8 +286,8 @@ class ShellLayout:
             return cls.to(np.zeros(3), margin if layer is None else layer, spacing)
         if not np.isfinite(position).all():
             extent(position, margin)  # raises with words
-        centre = np.average(position, axis=0, weights=radius**3)
-        outermost = float(np.sqrt(np.square(position - centre).sum(axis=1).max()))
+        centre = weighted_mean(position, cubes(radius))
+        outermost = float(np.sqrt(squares(position - centre).max()))
         if layer is None:
             low, high = extent(position, margin)
             outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
@@ -396,7 +397,7 @@ class ShellLayout:
         return np.asarray(((ahead - behind) / h)[:, None] * outward)
 
     def _distance(self, position: FloatArray) -> FloatArray:
-        return np.asarray(np.sqrt(np.square(position - self.centre).sum(axis=1)))
+        return lengths(position - self.centre)
 
     def filled(self, value: float) -> FloatArray:
         """Return an array of the nodes."""
@@ -425,7 +426,7 @@ class ShellLayout:
             return np.asarray(np.diff(inside + beyond) / self.volumes)
         assert isinstance(old, BoxLayout)
         points = mesh(old.box.axes())
-        distance = np.linalg.norm(points - self.centre, axis=1)
+        distance = lengths(points - self.centre)
         number, _ = np.histogram(distance, faces)
         total, _ = np.histogram(distance, faces, weights=values.ravel())
         filled = number > 0
@@ -469,7 +470,7 @@ def relative_diffusion(
 
 def tissue_share(layout: Layout, position: FloatArray, radius: FloatArray) -> FloatArray:
     """Return the part of each node that counts as tissue: all of one that cells fill by half."""
-    filling = layout.scatter(position, SPHERE * radius**3)
+    filling = layout.scatter(position, SPHERE * cubes(radius))
     return np.asarray(np.minimum(filling / _TISSUE, 1.0))
 
 

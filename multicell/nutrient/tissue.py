@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from multicell.cells import FloatArray
+from multicell.vectors import FloatArray, cubes, lengths, weighted_mean
 
 _GAP = 1.5
 """Width of a gap, in diameters of the largest cell, up to which the tissue continues beyond it."""
@@ -43,9 +43,9 @@ def drawn_to_ball(position: FloatArray, radius: FloatArray) -> FloatArray:
     few = _few(len(position))
     if few < 1.0 or not np.isfinite(position).all():
         return position
-    middle = np.average(position, axis=0, weights=radius**3)
+    middle = weighted_mean(position, cubes(radius))
     away = position - middle
-    distance = np.sqrt(np.square(away).sum(axis=1))
+    distance = lengths(away)
     last, _ = _ends(distance[:, None], few)
     surface = _outermost(last[:, 0], _GAP * 2.0 * float(radius.max()), few)
     if distance.max() <= surface:

@@ -7,6 +7,7 @@ their own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from multicell.behaviours.catalogue import needs_contacts
 from multicell.cells import Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import compliance
+from multicell.vectors import cubes, lengths, squares, weighted_mean
 
 if TYPE_CHECKING:
     from multicell.mechanics.compression import Compression
@@ -37,12 +39,12 @@ def centre(cells: Cells, dimensions: int) -> FloatArray:
     """Return the centroid of all cells, weighted by :func:`sizes`: (3,), µm."""
     if len(cells) == 0:
         raise ValueError("a population of no cells has no centre")
-    return np.average(cells.position, axis=0, weights=sizes(cells, dimensions))
+    return weighted_mean(cells.position, sizes(cells, dimensions))
 
 
 def distances(cells: Cells, origin: FloatArray) -> FloatArray:
     """Return the distance of every cell's centre from ``origin``: (n,), µm."""
-    return np.asarray(np.linalg.norm(cells.position - origin, axis=1))
+    return lengths(cells.position - origin)
 
 
 @final
@@ -58,20 +60,31 @@ class Extent:
         self._dimensions = dimensions
         self._weights = sizes(cells, dimensions)
         self._squares = np.empty(0)
+        self._state = cells.state
+        self._known: dict[tuple[State, ...], float] = {}
         if len(cells):
             if origin is None:
-                origin = np.average(cells.position, axis=0, weights=self._weights)
+                origin = weighted_mean(cells.position, self._weights)
             share = dimensions / (dimensions + 2)
-            self._squares = distances(cells, origin) ** 2 + share * cells.radius**2
+            self._squares = squares(cells.position - origin) + share * cells.radius**2
 
     def radius(self, mask: Mask | None = None) -> float:
         """Return the :func:`uniform_radius` of all cells, or of those of a mask, µm; 0 of none."""
-        chosen = slice(None) if mask is None else mask
-        squares, weights = self._squares[chosen], self._weights[chosen]
+        if mask is None:
+            return self.radius_of(*State)
+        squares, weights = self._squares[mask], self._weights[mask]
         if len(squares) == 0:
             return 0.0
         d = self._dimensions
-        return float(np.sqrt((d + 2) / d * np.average(squares, weights=weights)))
+        return math.sqrt((d + 2) / d * weighted_mean(squares, weights))
+
+    def radius_of(self, *states: State) -> float:
+        """Return the :func:`uniform_radius` of the cells in some states, µm; computed once."""
+        if states not in self._known:
+            chosen = np.zeros(len(State), dtype=bool)
+            chosen[list(states)] = True
+            self._known[states] = self.radius(chosen[self._state])
+        return self._known[states]
 
 
 def uniform_radius(
@@ -107,7 +120,7 @@ def necrotic_radius(cells: Cells, dimensions: int, extent: Extent | None = None)
     The formula of :func:`uniform_radius` over necrotic cells about the centre of all cells; a
     core that is hollow, because its oldest cells were removed, is measured somewhat too large.
     """
-    return (extent or Extent(cells, dimensions)).radius(cells.state == State.NECROTIC)
+    return (extent or Extent(cells, dimensions)).radius_of(State.NECROTIC)
 
 
 def viable_volume(cells: Cells) -> float:
@@ -132,7 +145,7 @@ def rim(
     outside them.
     """
     extent = extent or Extent(cells, dimensions)
-    core = extent.radius(np.isin(cells.state, inside))
+    core = extent.radius_of(*inside)
     thickness = extent.radius() - core
     # rounding must not take the rim of a population that is all core
     lost = thickness < -1e-12 * core
@@ -187,7 +200,8 @@ def packing_ratio(cells: Cells, dimensions: int, extent: Extent | None = None) -
     if len(cells) == 0:
         return float("nan")
     radius = (extent or Extent(cells, dimensions)).radius()
-    return float(((cells.radius / radius) ** dimensions).sum())
+    ratio = cells.radius / radius
+    return float((cubes(ratio) if dimensions == 3 else ratio * ratio).sum())
 
 
 def volume_fraction(cells: Cells, walls: Walls | Sphere) -> float:
@@ -278,7 +292,7 @@ def core_pressure(cells: Cells) -> float:
     dead = cells.state == State.NECROTIC
     if not dead.any():
         return float("nan")
-    return float(np.average(cells.pressure[dead], weights=cells.volume[dead]))
+    return float(weighted_mean(cells.pressure[dead], cells.volume[dead]))
 
 
 @final

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, Final
 
 from multicell.results.measures import OBSERVABLES
@@ -87,6 +87,12 @@ def _patterns() -> list[tuple[re.Pattern[str], str]]:
     ]
 
 
+@lru_cache(maxsize=1024)  # each run of a study asks for the same names
+def _unit_with_star(name: str) -> str | None:
+    """Return the unit of a name that matches one with a star, None if it matches none."""
+    return next((unit for pattern, unit in _patterns() if pattern.fullmatch(name)), None)
+
+
 def unit_of(name: str) -> str:
     """Return the unit of a number by its name, ``""`` for a count, a ratio or a text.
 
@@ -104,9 +110,9 @@ def unit_of(name: str) -> str:
         schema = Cells.schema()
         if column in schema:
             return str(schema[column]["unit"])
-    for pattern, unit in _patterns():
-        if pattern.fullmatch(name):
-            return unit
+    unit = _unit_with_star(name)
+    if unit is not None:
+        return unit
     own = {o.unit for o in OWN.values() if o.name == name} or own_units(name)
     if own:
         return own.pop() if len(own) == 1 else ""
@@ -119,7 +125,7 @@ def is_taken(name: str) -> bool:
     return (
         name in first
         or name in ("title", "notes", "versions", "units", "interrupted", "point", "reason")
-        or any(pattern.fullmatch(name) for pattern, _ in _patterns())
+        or _unit_with_star(name) is not None
     )
 
 

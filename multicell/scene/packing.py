@@ -21,7 +21,7 @@ M. R. D'Orsogna et al., Phys. Rev. Lett. 96 (2006) 104302 for the collapse of th
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, NamedTuple, final
 
@@ -60,6 +60,7 @@ def _nodes() -> tuple[FloatArray, FloatArray]:
     return 0.5 * (node + 1.0), 0.5 * weight
 
 
+@lru_cache(maxsize=256)  # the runs of a study have the same pairs
 def moments(pair: Pair, dimensions: int) -> tuple[float, float]:
     """Return the repulsive and the attractive part of ∫F x^d dx, x the distance of the centres.
 

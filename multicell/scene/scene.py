@@ -247,7 +247,8 @@ class Scene:
         SceneError
             For a key that does not exist and for any value that is refused.
         """
-        entries = self.to_dict()
+        changed = {str(key).partition(".")[0] for key in changes}
+        entries = plain(self, changed)  # the other parts are checked already
         for key, value in changes.items():
             _change(entries, key, value)
         return build(type(self), entries)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from typing import Any, Final, TypeVar, final
 
@@ -172,14 +172,18 @@ def leaves(
                 yield inner, entry, spec
 
 
-def plain(part: Any) -> dict[str, Any]:
-    """Return a part as a dict of plain values in base units; what is absent has no key."""
+def plain(part: Any, names: Container[str] | None = None) -> dict[str, Any]:
+    """Return a part as a dict of plain values in base units; what is absent has no key.
+
+    Parts in it that have none of the ``names`` stay as they are.
+    """
     result = {}
     for name, spec in specs(part).items():
         value = getattr(part, name)
         empty = isinstance(value, Tables) and not value
         if value is not None and not empty:
-            result[name] = spec.plain(value)
+            kept = names is not None and name not in names and is_dataclass(value)
+            result[name] = value if kept else spec.plain(value)
     return result
 
 

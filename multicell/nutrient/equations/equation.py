@@ -10,6 +10,7 @@ solver's error can bring c, uptake and reactions go on along their tangent.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, final
@@ -132,10 +133,15 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         self.position = np.zeros((0, 3)) if position is None else np.asarray(position, dtype=float)
         if self.position.ndim != 2 or self.position.shape[1] != 3:
             raise SceneError("position", f"has the shape {self.position.shape}, expected (n, 3)")
+        owner = weakref.ref(self)  # a circle would keep the arrays of all cells for many steps
+
+        def owners_grid() -> GridBase:
+            equation = owner()
+            assert equation is not None
+            return equation.grid
+
         self.substances = {
-            name: PlacedSubstance(
-                name, substance, layout, lambda: self.grid, self.position, threads
-            )
+            name: PlacedSubstance(name, substance, layout, owners_grid, self.position, threads)
             for name, substance in substances.items()
         }
         self.reactions = None

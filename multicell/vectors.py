@@ -1,0 +1,50 @@
+"""Arithmetic on tables of three columns, such as positions.
+
+NumPy's reductions along a short axis, and over a long axis of several columns at once, take five to
+fifteen times as long as those of one column after the other.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def cubes(values: FloatArray) -> FloatArray:
+    """Return the third powers; ``**`` calls a function for each that takes thirty times as long."""
+    return values * values * values
+
+
+def squares(vectors: FloatArray) -> FloatArray:
+    """Return the squares of the lengths of vectors (n, 3): (n,)."""
+    x, y, z = vectors.T
+    return np.asarray(x * x + y * y + z * z)
+
+
+def lengths(vectors: FloatArray) -> FloatArray:
+    """Return the lengths of vectors (n, 3): (n,)."""
+    return np.sqrt(squares(vectors))
+
+
+def corners(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and the highest coordinates of points (n, 3), n > 0: two of (3,)."""
+    columns = np.ascontiguousarray(points.T)
+    return columns.min(axis=1), columns.max(axis=1)
+
+
+def weighted_mean(values: FloatArray, weights: FloatArray) -> Any:
+    """Return the mean of a column, (n,), or of each column of a table, (n, k), by weights, (n,)."""
+    return np.multiply(values.T, weights, order="C").sum(axis=-1) / weights.sum()
+
+
+def second_moments(vectors: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the sum of w v vᵀ over vectors v (n, 3) with weights w (n,): (3, 3)."""
+    columns = np.ascontiguousarray(vectors.T)
+    row, column = np.triu_indices(3)
+    found = np.empty((3, 3))
+    found[row, column] = found[column, row] = (columns[row] * columns[column] * weights).sum(axis=1)
+    return found
