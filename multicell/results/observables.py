@@ -39,7 +39,7 @@ def centre(cells: Cells, dimensions: int) -> FloatArray:
     """Return the centroid of all cells, weighted by :func:`sizes`: (3,), µm."""
     if len(cells) == 0:
         raise ValueError("a population of no cells has no centre")
-    return weighted_mean(cells.position, sizes(cells, dimensions))
+    return np.asarray(weighted_mean(cells.position, sizes(cells, dimensions)))
 
 
 def distances(cells: Cells, origin: FloatArray) -> FloatArray:

@@ -248,7 +248,8 @@ class Scene:
             For a key that does not exist and for any value that is refused.
         """
         changed = {str(key).partition(".")[0] for key in changes}
-        entries = plain(self, changed)  # the other parts are checked already
+        # the other parts are checked already; an unknown key is looked for in all
+        entries = plain(self, changed if changed <= specs(Scene).keys() else None)
         for key, value in changes.items():
             _change(entries, key, value)
         return build(type(self), entries)
