@@ -384,6 +384,9 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         if value is None and name not in node:
             problem = f"cannot be removed: the scene has no '{'.'.join(parents[:depth])}'"
             raise SceneError(key, problem)
+        table = specs(Scene).get(parents[0])
+        if depth == 2 and table is not None and table.kind == "tables":
+            _refuse_misspelt(node, key)
         node = node.setdefault(name, {})
         if not isinstance(node, dict):
             problem = f"is not a key: '{'.'.join(parents[:depth])}' is a value, not a table"
@@ -430,6 +433,23 @@ def _refuse_unknown(entries: Mapping[str, Any], key: str) -> None:
             inner = ".boundary" if name == "nutrients" and "." not in key else ""
             hint = f"Did you mean '{name}.{key}{inner}'?"
             raise SceneError(key, "is not a key at the top of a scene", hint)
+
+
+def _refuse_misspelt(named: Mapping[str, Any], key: str) -> None:
+    """Refuse a key in a table whose name is that of another one with a letter less, more or moved.
+
+    It would make a second field beside ``oxygen``. A number at the end is no slip.
+    """
+    first, name, rest = key.split(".", 2)
+    swapped = {name[:i] + name[i + 1] + name[i] + name[i + 2 :] for i in range(len(name) - 1)}
+    for known in () if name in named else named:
+        short, long = sorted((name, known), key=len)
+        shorter = {long[:i] + long[i + 1 :] for i, c in enumerate(long) if not c.isdigit()}
+        if known in swapped or short in shorter:
+            hint = (
+                f"Did you mean '{first}.{known}.{rest}'? A further one is added by its whole table."
+            )
+            raise SceneError(f"{first}.{name}", "is not there", hint)
 
 
 _KEY = re.compile(r'("(?:[^"\\]|\\.)*"|[\w-]+) = ')
