@@ -384,8 +384,8 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         if value is None and name not in node:
             problem = f"cannot be removed: the scene has no '{'.'.join(parents[:depth])}'"
             raise SceneError(key, problem)
-        table = specs(Scene).get(parents[0])
-        if depth == 2 and table is not None and table.kind == "tables":
+        declared = specs(Scene).get(parents[0])
+        if depth == 2 and declared is not None and declared.kind == "tables":
             _refuse_misspelt(node, key)
         node = node.setdefault(name, {})
         if not isinstance(node, dict):
