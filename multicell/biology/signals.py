@@ -8,6 +8,7 @@ import numpy as np
 
 from multicell.behaviours.catalogue import CONTACTS, CROWDED
 from multicell.results.observables import contact_rows
+from multicell.vectors import lengths
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -49,7 +50,7 @@ def other_signals(
 
 def _overlap(cells: Cells, first: IntArray, second: IntArray) -> FloatArray:
     """Return the overlap of pairs of cells over the sum of their radii, (m,), zero if apart."""
-    distance = np.linalg.norm(cells.position[first] - cells.position[second], axis=1)
+    distance = lengths(cells.position[first] - cells.position[second])
     reach = cells.radius[first] + cells.radius[second]
     return np.asarray(np.maximum(1.0 - distance / reach, 0.0))
 
@@ -65,7 +66,7 @@ def _of_newborn(cells: Cells) -> IntArray:
     near = cKDTree(cells.position).query_ball_point(cells.position[born], reach)
     first = np.repeat(born, [len(rows) for rows in near])
     second = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near])
-    distance = np.linalg.norm(cells.position[first] - cells.position[second], axis=1)
+    distance = lengths(cells.position[first] - cells.position[second])
     newborn = np.isin(second, born)
     # a pair of two newborn cells is found from both sides
     keep = (distance < cells.radius[first] + cells.radius[second]) & (first != second)

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from multicell.mechanics.walls import Contacts
+from multicell.vectors import lengths
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -60,7 +61,7 @@ class Sphere:
         """Find R for cells at a state; ``taken`` is half of their lenses, µm³."""
         if self.shear is None:
             return
-        reach = np.linalg.norm(rows[:, :3], axis=1) + rows[:, 3]
+        reach = lengths(rows[:, :3]) + rows[:, 3]
         near = reach > self.rest
         reach, radius, soft = reach[near], rows[near, 3], rows[near, 4]
         lenses = None if taken is None else taken[near]
@@ -101,7 +102,7 @@ class Sphere:
 
     def contacts(self, rows: FloatArray) -> Contacts:
         """Return the contacts of cells at the last radius."""
-        distance = np.linalg.norm(rows[:, :3], axis=1)
+        distance = lengths(rows[:, :3])
         cell = np.flatnonzero(distance + rows[:, 3] > self.radius)
         inverse = 1.0 / (distance[cell] + _TINY)
         gap = self.radius - distance[cell]

@@ -72,11 +72,11 @@ class Extent:
         """Return the :func:`uniform_radius` of all cells, or of those of a mask, µm; 0 of none."""
         if mask is None:
             return self.radius_of(*State)
-        squares, weights = self._squares[mask], self._weights[mask]
-        if len(squares) == 0:
+        taken = self._squares[mask]
+        if len(taken) == 0:
             return 0.0
         d = self._dimensions
-        return math.sqrt((d + 2) / d * weighted_mean(squares, weights))
+        return math.sqrt((d + 2) / d * weighted_mean(taken, self._weights[mask]))
 
     def radius_of(self, *states: State) -> float:
         """Return the :func:`uniform_radius` of the cells in some states, µm; computed once."""
