@@ -9,10 +9,11 @@ without any evaluation; where that is small, or z as measured, the step is mild:
 - ``rk4-adaptive`` takes steps up to :data:`EXACT_TO` at tight tolerances, where order pays;
 - ``rkc2`` takes what is stiffer: its stages grow as √z;
 - ``rosenbrock``, or ``cvode`` where friction between cells rules it out or tissue resists
-  compression, takes what is stiffer than :func:`implicit_from`. With m steps RKC2 needs √(1.54 m z) evaluations and an implicit method
-  some products for each, so that the limit grows with m: where fresh daughters move it is forty
-  times that of quiet tissue. Implicit methods get a tenth of the tolerances there, at which they
-  are about as exact as RKC2, and the whole in quiet tissue.
+  compression, takes what is stiffer than :func:`implicit_from`. With m steps RKC2 needs
+  √(1.54 m z) evaluations and an implicit method some products for each, so that the limit grows
+  with m: where fresh daughters move it is forty times that of quiet tissue. Implicit methods get a
+  tenth of the tolerances there, at which they are about as exact as RKC2, and the whole in quiet
+  tissue.
 
 The limits are those of ``tests/benchmarks/auto_regret.py`` and of the tiles of
 docs/which-integrator.md. A method that cannot continue, or finds a mild step to be none, leaves the
