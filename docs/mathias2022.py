@@ -1,4 +1,4 @@
-"""Figures 4 and 5 of Mathias, Coulier and Hellander (2022): forward and backward Euler of CBMOS.
+"""Figures 3 to 5 of Mathias, Coulier and Hellander (2022): forward and backward Euler of CBMOS.
 
 Problems  two daughters at 0.3 cell diameters; two adhering cells at 1.15; 19 cells that all divide
           at once; 400 cells of a hexagonal sheet at 0.8 of the rest distance
@@ -6,7 +6,8 @@ Laws      cubic, piecewise quadratic and generalised linear spring (GLS), drag c
 Error     of each coordinate: norm of its error over the trajectory / norm of the trajectory,
           trajectories interpolated linearly between steps; mean over the cells, sum over x and y
 Points    chart-data/mathias2022-published.csv: every third step, means of the ten repetitions that
-          lie behind the paper's figures in github.com/somathias/cbmos, tag exp-Mathias2022
+          lie behind the paper's figures in github.com/somathias/cbmos, tag exp-Mathias2022;
+          chart-data/mathias2022-daughters.csv: figure 3, as that repository computes it
 Cost      three minutes
 Command   python docs/mathias2022.py             (--tables: from what is stored)
 """
@@ -27,7 +28,9 @@ from papers import HERE, Array, mechanics, motion, order, pick, reached, solve, 
 from multicell.integrators.registry import METHODS
 from multicell.report.plots.style import blank, save, styled
 
-DATA, PUBLISHED = (HERE / "chart-data" / f"mathias2022{part}.csv" for part in ("", "-published"))
+DATA, PUBLISHED, DAUGHTERS = (
+    HERE / "chart-data" / f"mathias2022{part}.csv" for part in ("", "-published", "-daughters")
+)
 STEPS = 0.001 * 1.25 ** np.arange(0, 31, 3)
 OVER_STEP = ("euler", "heun", "rk4", "backward-euler", "theirs")
 """Methods with fixed steps; "theirs" is the backward Euler of the paper, written anew."""
@@ -100,6 +103,21 @@ def limits(published: pd.DataFrame) -> str:
             left.append(float(off.iloc[0]) if len(off) else np.nan)
         rows.append([problem, limit(start, dim), limit(last, dim), *left])
     head = ["problem", "2/λ at the start", "2/λ at the end", "forward Euler", "backward Euler"]
+    return table(head, rows)
+
+
+def daughters(published: pd.DataFrame) -> str:
+    """Return the table of figure 3: separations of two daughters, and how far ours are off."""
+    start = problems()["daughters"][0]
+    rows: list[list[Any]] = []
+    for (law, method, step), given in published.groupby(["law", "method", "step"], sort=False):
+        name = "euler" if method == "euler" else "backward-euler"
+        times = np.arange(0.0, 1.0, step)
+        path = solve(LAWS[law], start, times, name, step).path
+        ours = np.linalg.norm(path[:, 1] - path[:, 0], axis=1)
+        theirs = given["separation"].to_numpy()[: len(ours)]
+        rows.append([law, name, step, ours[1], ours[-1], np.abs(ours - theirs).max()])
+    head = ["law", "method", "step / h", "after a step", "at the end", "largest difference"]
     return table(head, rows)
 
 
@@ -217,7 +235,8 @@ def main() -> None:
     for frame, column in ((data, "setting"), (published, "step")):
         # the step's number on the papers' ladder: stored steps are rounded
         frame["row"] = np.round(np.log(frame[column] / 1e-3) / np.log(1.25)).astype(int)
-    print(tables(data, published))
+    title = "Separation of two daughters, in cell diameters (figure 3)"
+    print(f"{title}\n\n{daughters(pd.read_csv(DAUGHTERS))}\n\n{tables(data, published)}")
     save(draw(data, published), HERE / "figures" / "mathias2022.png")
 
 
