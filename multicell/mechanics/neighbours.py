@@ -43,6 +43,7 @@ REPAIRED = 1000  # cells from which on lists are repaired, which takes seconds t
 _USED = (0.25, 0.5)  # of the square of a margin: a repair gives new ones to cells beyond
 _FEW = 8  # a list is repaired where one cell in so many has drifted, or fewer
 _FOUND = 64  # pairs of a cell that a repair has room for
+_PART = 256  # cells whose pairs one thread looks for at a time
 
 _WIDEST = 8.0  # largest margin of a cell over the least
 _FORESIGHT = 6.0  # how many times as far as since the last list a cell may move until the next one
@@ -589,13 +590,45 @@ def _mark(c, chunk, position, reference, way, margin, moved, counts):
 
 
 @njit(**INNER)
-def _pairs_of(cell, moved, bins, first, second):
-    """Write all pairs of some cells, those among them once; return how many, or -1 without room."""
-    cells, row, shape, low, count = bins.cells, bins.row, bins.shape, bins.low, 0
-    hits = np.empty(_BLOCK, np.int32)
+def _take_up(
+    c, chunk, mark, way, position, reference, reach, least, margin, moved, base, cell, before, wide
+):
+    """Give the marked cells of a chunk new references and margins; let the others go ``way``.
+
+    - ``base``, (chunks,) int64: number of such cells in earlier chunks
+    - ``cell``, (k,) int32, and ``before``, (k, 4), µm: they, and what reference and margin were
+    - ``wide``, (n,), µm: the radius with which the list is built, of all cells
+    """
+    k = base[c]
+    for i in range(c * chunk, min((c + 1) * chunk, margin.size)):
+        if mark > 1:
+            for a in range(3):
+                reference[i, a] = way[0] * reference[i, a] + way[1 + a]
+        moved[i] = (moved[i] >> np.uint8(mark)) & np.uint8(1)
+        if moved[i]:
+            cell[k], before[k, 3], square = i, margin[i], 0.0
+            for a in range(3):
+                before[k, a] = reference[i, a]
+                square += (position[i, a] - reference[i, a]) ** 2
+                reference[i, a] = position[i, a]
+            margin[i] = _next_margin(square, least, margin[i])
+            k += 1
+        wide[i] = reach[i] + margin[i]
+
+
+@njit(**INNER)
+def _pairs_of(part, cell, moved, bins, first, second):
+    """Write all pairs of a part of some cells, those among them once; return how many there are.
+
+    -1 without room: each of the cells has :data:`_FOUND` places.
+    """
+    cells, row, shape, low = bins.cells, bins.row, bins.shape, bins.low
+    begin, end = part * _PART, min((part + 1) * _PART, cell.size)
+    at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * _BLOCK, np.int32)
     width, scale = 2.0 * bins.largest, 0.5 * _SLICES / bins.largest
-    for i in cell:
-        a = np.int64(bins.place[i])
+    for k in range(begin, end):
+        i = np.int64(cell[k])
+        a, count = np.int64(bins.place[i]), np.int64(0)
         reach = cells[a, 3] + bins.largest
         for neighbour in range(9):
             dy, dz = neighbour % 3 - 1, neighbour // 3 - 1
@@ -608,21 +641,22 @@ def _pairs_of(cell, moved, bins, first, second):
             rest = reach * reach * 1.000001 - y * y - z * z
             if rest <= 0.0:
                 continue
-            begin, end = _range(
+            from_, to = _range(
                 1, (w * shape[1] + v) * shape[0], bins.start, shape[0],
                 cells[a, 0] - low[0], math.sqrt(rest), scale, a,
             )  # fmt: skip
-            for block in range(begin, end, _BLOCK):
-                found = _collect(cells, block, min(block + _BLOCK, end), a, hits, np.int64(0))
-                for h in range(found):
-                    j = bins.order[hits[h]]
-                    if j == i or (moved[j] and j < i):
-                        continue
-                    if count == first.size:
-                        return -1
-                    first[count], second[count] = i, j
-                    count += 1
-    return count
+            for block in range(from_, to, _BLOCK):
+                count = _collect(cells, block, min(block + _BLOCK, to), a, hits, count)
+                if count > _FOUND + _BLOCK:
+                    return -1
+        if at + count > _FOUND * end:
+            return -1
+        for h in range(np.uint64(count)):
+            j = np.int64(bins.order[hits[h]])
+            first[at], second[at] = i, j
+            # a branch would mispredict
+            at += np.int64((j != i) & ((moved[j] == 0) | (j > i)))
+    return at - _FOUND * begin
 
 
 @njit(**INNER)
@@ -672,8 +706,8 @@ def _repair(
         _mark(c, chunk, position, reference, way, margin, moved, counts)
     # those who will soon have drifted too far are repaired ahead where they are few
     total, mark = margin.size, 0
-    for part in range(2):
-        for k in (part, 2 + part):
+    for nearness in range(2):
+        for k in (nearness, 2 + nearness):
             count = 0
             for c in range(chunks):
                 count += counts[c, k]
@@ -683,35 +717,36 @@ def _repair(
             break
     if total * _FEW > margin.size:
         return False, inner_end, outer_end
-    if mark > 1:
-        for i in range(margin.size):
-            for a in range(3):
-                reference[i, a] = way[0] * reference[i, a] + way[1 + a]
+    base, count = np.empty(chunks, np.int64), 0
+    for c in range(chunks):
+        base[c] = count
+        count += counts[c, mark]
     cell, before, wide = np.empty(total, np.int32), np.empty((total, 4)), np.empty(margin.size)
-    k = 0
-    for i in range(margin.size):
-        moved[i] = (moved[i] >> np.uint8(mark)) & np.uint8(1)
-        if moved[i]:
-            cell[k], before[k, 3], square = i, margin[i], 0.0
-            for a in range(3):
-                before[k, a] = reference[i, a]
-                square += (position[i, a] - reference[i, a]) ** 2
-                reference[i, a] = position[i, a]
-            margin[i] = _next_margin(square, least, margin[i])
-            k += 1
-        wide[i] = reach[i] + margin[i]
-    bins = _dense_bins(reference, wide, 0.0)
+    for c in prange(chunks):
+        _take_up(
+            c, chunk, mark, way, position, reference, reach, least, margin, moved, base, cell,
+            before, wide,
+        )  # fmt: skip
+    found = _dense_bins(reference, wide, 0.0)
+    # parallel loops take the tuples that their own function makes
+    bins = Bins(
+        found.order, found.place, found.cells, found.largest, found.low, found.shape, found.row,
+        found.start, found.ranges,
+    )  # fmt: skip
+    parts = (total + _PART - 1) // _PART if bins.shape[0] > 0 else 0
     new_first = np.empty(_FOUND * total, np.int32)
     new_second = np.empty(_FOUND * total, np.int32)
-    found = -1
-    if bins.shape[0] > 0:
-        found = _pairs_of(cell, moved, bins, new_first, new_second)
+    new = np.empty(parts, np.int64)
+    for q in prange(parts):
+        new[q] = _pairs_of(q, cell, moved, bins, new_first, new_second)
     extra, at = np.zeros((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
-    for p in range(found):
-        c, d = new_first[p] // chunk, new_second[p] // chunk
-        extra[c, np.int64(c != d)] += 1
-        extra[d, 1] += np.int64(c != d)
-    enough = found >= 0
+    enough = bins.shape[0] > 0
+    for part in range(parts):
+        enough &= new[part] >= 0
+        for p in range(_FOUND * _PART * part, _FOUND * _PART * part + new[part]):
+            c, d = new_first[p] // chunk, new_second[p] // chunk
+            extra[c, np.int64(c != d)] += 1
+            extra[d, 1] += np.int64(c != d)
     for c in range(chunks):
         room = start[c + 1] if c + 1 < chunks else first.size
         enough &= outer_end[c] + extra[c, 0] + extra[c, 1] <= room
@@ -726,15 +761,16 @@ def _repair(
     inner, outer = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
     for c in range(chunks):
         inner[c], outer[c] = at[c, 0] + extra[c, 0], at[c, 1] + extra[c, 1]
-    for p in range(found):
-        i, j = new_first[p], new_second[p]
-        c, d = i // chunk, j // chunk
-        side = np.int64(c != d)
-        first[at[c, side]], second[at[c, side]] = i, j
-        at[c, side] += 1
-        if c != d:
-            first[at[d, 1]], second[at[d, 1]] = j, i
-            at[d, 1] += 1
+    for part in range(parts):
+        for p in range(_FOUND * _PART * part, _FOUND * _PART * part + new[part]):
+            i, j = new_first[p], new_second[p]
+            c, d = i // chunk, j // chunk
+            side = np.int64(c != d)
+            first[at[c, side]], second[at[c, side]] = i, j
+            at[c, side] += 1
+            if c != d:
+                first[at[d, 1]], second[at[d, 1]] = j, i
+                at[d, 1] += 1
     return True, inner, outer
 
 
