@@ -230,6 +230,8 @@ def _layout() -> dict[str, tuple[Any, int | None]]:
 def rows_before(began: Cells, cells: Cells) -> IntArray:
     """Return the rows that cells had before a coupling step, or their mothers, (n,)."""
     row = began.rows_of(cells.id)
+    if cells.id is began.id:
+        return row
     born = row < 0
     row[born] = began.rows_of(cells.parent[born])
     return row
@@ -243,6 +245,8 @@ def rows_of(known: IntArray, ids: IntArray) -> IntArray:
     - ``known``, (n,): identities, none twice
     - ``ids``, of any shape
     """
+    if ids is known:  # as in all steps without divisions
+        return np.arange(len(known))
     ids = np.asarray(ids)
     if len(known) == 0 or ids.size == 0:
         return np.full(ids.shape, -1)

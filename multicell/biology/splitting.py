@@ -54,7 +54,7 @@ def lag_after(
     """
     grew = np.where(_grows(plan, began), before, np.nan)[rows_before(began, cells)]
     change = np.where(_grows(plan, cells), now - grew, 0.0)
-    lag = cells.lag + 0.5 * dt * np.nan_to_num(change)
+    lag = cells.lag + 0.5 * dt * np.where(np.isnan(change), 0.0, change)
     return np.where(cells.dead, 0.0, lag)
 
 
