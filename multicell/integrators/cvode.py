@@ -92,6 +92,7 @@ class Cvode(ErrorControl):
                 light = Light(self, run)
                 if not light.begins_slowly():
                     return light
+                light.close()
                 mild = False
             return Krylov(self, run, ceiling)
 

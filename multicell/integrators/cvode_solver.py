@@ -84,6 +84,10 @@ class Light:
             jactimes=CVODEJacTimes(None, self.product),
         )  # fmt: skip
 
+    def close(self) -> None:
+        """Let go of CVODE, whose callbacks hold this object."""
+        del self.solver
+
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step; ask for the full method where the last ones took many evaluations."""
         if self._probed:
@@ -170,6 +174,10 @@ class Krylov:
             method, run, self._predictor, krylov_dim=method.krylov_dim, max_step=ceiling,
             jactimes=CVODEJacTimes(self.linearise, self.product), **options,
         )  # fmt: skip
+
+    def close(self) -> None:
+        """Let go of CVODE, whose callbacks hold this object."""
+        del self.solver
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""

@@ -53,6 +53,9 @@ class Solver(Protocol):
         NaN.
         """
 
+    def close(self) -> None:
+        """Let go of what calls it back: such a circle would hold its arrays for long."""
+
 
 Start = Callable[["Run", float], Solver]
 """Makes a solver for the rest of the interval; the number is the ceiling of its steps, or 0."""
@@ -135,8 +138,10 @@ class Run:
         refusals = 0
         while True:
             self.offset, self.latest = self.elapsed, 0.0
+            solver: Solver | None = None
             try:
-                lifted = self._advance(self._started(start, ceiling), ceiling)
+                solver = self._started(start, ceiling)
+                lifted = self._advance(solver, ceiling)
             except _Refused as refusal:
                 self.system.work.rejections += 1
                 self.problem, self.cell = str(refusal), refusal.cell
@@ -148,6 +153,9 @@ class Run:
                 continue
             except Restart:
                 continue
+            finally:
+                if solver is not None:
+                    solver.close()
             if not lifted:
                 break
             ceiling = 4.0 * ceiling if 4.0 * ceiling < self.length else 0.0

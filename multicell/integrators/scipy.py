@@ -114,6 +114,10 @@ class _Stepped:
             max_step=ceiling or np.inf, **options,
         )  # fmt: skip
 
+    def close(self) -> None:
+        """Empty SciPy's solver, whose functions hold it and this object."""
+        vars(self.solver).clear()
+
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step; SciPy keeps its estimate of the error to itself."""
         from multicell.integrators.restarts import StepImpossible

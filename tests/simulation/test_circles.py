@@ -5,13 +5,28 @@ import gc
 import pytest
 
 import multicell as mc
+from multicell.integrators.registry import METHODS
 
 SCENES = ("spheroid", "emt6", "chemotaxis", "confined", "sorting-signal", "dosing", "monolayer")
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_steps_leave_no_circles(name):
-    run = mc.Simulation(mc.load_scene(name).with_changes({"initial.count": 30}))
+    assert left_behind(mc.load_scene(name).with_changes({"initial.count": 30})) == set()
+
+
+@pytest.mark.parametrize("method", sorted(set(METHODS) - {"auto"}))
+def test_no_method_leaves_circles(method):
+    changes = {
+        "initial.count": 8, "initial.jitter": 0.05, "coupling_step": "1 min",
+        "integrator": {"method": method},
+    }  # fmt: skip
+    assert left_behind(mc.load_scene("settle").with_changes(changes)) == set()
+
+
+def left_behind(scene):
+    """Return the types of the package's objects that only the collector finds after steps."""
+    run = mc.Simulation(scene)
     run.step()
     run.history_row()
     gc.collect()
@@ -27,4 +42,4 @@ def test_steps_leave_no_circles(name):
         gc.set_debug(0)
         gc.garbage.clear()
         gc.enable()
-    assert left == set()
+    return left
