@@ -141,6 +141,8 @@ def _climb(one: Climber, setting: float, limit: float, step: Solved) -> None:
     if one.rungs and not one.stopped:
         foreseen = 3.0 * one.rungs[-1].cost
     end, cost, effort = solve(step, one.method, setting, limit, foreseen)
+    if cost > limit and end is not None:  # the first one may have loaded code
+        end, cost, effort = solve(step, one.method, setting, limit, foreseen)
     if cost > limit:
         one.stopped += 1
         one.bound = max(one.bound, limit)
