@@ -128,8 +128,9 @@ class Auto(ErrorControl):
         able, n = candidates(system), max(len(system), 1)
         tolerance = _tolerance(system, self.rtol, self.atol)
         mild = EXACT if tolerance <= exact_below(scale) else MILD
-        # of walls and of tissue that resists compression the order of magnitude says nothing
-        known = system.walls is None and system.compression is None
+        # of gels and of tissue that resists compression the order of magnitude says nothing
+        gel = system.walls is not None and system.walls.shear is not None
+        known = not gel and system.compression is None
         if (
             known
             and mild in able

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, final
 
 import numpy as np
 from numba import njit
@@ -128,6 +128,7 @@ class Walls:
     low: FloatArray
     high: FloatArray
     soft: float
+    shear: ClassVar[None] = None  # there is no gel round them
 
     def add_forces(self, rows: FloatArray, drag: float, out: FloatArray) -> None:
         """Add the forces to ``out``, (n, 3) nN, or with a ``drag`` 6πη the velocities, µm/s."""
