@@ -49,6 +49,7 @@ _CHOICE = 2.0e3  # evaluations times cells that calls of Python cost when λ is 
 _SUSPECT, _MOVES = 25.0, 60.0
 """λΔt, by the order of magnitude of λ, from which on λ is measured in tissue at rest, and in tissue
 that moves, which Adams-Bashforth goes through where its stability allows it."""
+_TYPICAL = 0.6  # λ over its order of magnitude
 MILD_TO, _STILL = 150.0, 0.3
 """λΔt up to which Adams-Bashforth costs less than RKC2, and the part of it up to which it does in
 tissue at rest, which RKC2 goes through in a few steps."""
@@ -127,7 +128,7 @@ class Auto(ErrorControl):
         scale = rate * (system.motion.end - system.motion.begin)
         able, n = candidates(system), max(len(system), 1)
         tolerance = _tolerance(system, self.rtol, self.atol)
-        mild = EXACT if tolerance <= exact_below(scale) else MILD
+        mild = EXACT if tolerance <= exact_below(_TYPICAL * scale) else MILD
         # of gels and of tissue that resists compression the order of magnitude says nothing
         gel = system.walls is not None and system.walls.shear is not None
         known = not gel and system.compression is None
