@@ -88,6 +88,11 @@ def concentration(text: str, field: str, path: str, nutrients: Any) -> Any:
     return pressure(temperature) * oxygen_solubility(temperature)
 
 
+def saturated(temperature: float) -> float:
+    """Return what water dissolves under pure, moist oxygen, mM; ``temperature`` in °C."""
+    return (_ATMOSPHERE - vapour_pressure(temperature)) * oxygen_solubility(temperature)
+
+
 def _temperature(nutrients: Any) -> float:
     """Return the temperature of the field of oxygen, °C; that of the body if there is none."""
     table = nutrients.get(NAME) if isinstance(nutrients, Mapping) else None

@@ -158,3 +158,10 @@ def test_refused_in_words(case):
 def test_a_concentration_stays_what_it_is():
     assert scene(boundary="0.07 mM").nutrients["oxygen"].boundary == to_base("0.07 mM", "mM")
     assert scene("glucose", boundary=0.07).nutrients["glucose"].boundary == 0.07
+
+
+@pytest.mark.parametrize(("level", "noted"), [(21.0, True), ("21 %", False), ("100 %", False)])
+def test_explain_notes_more_oxygen_than_dissolves(level, noted):
+    """21 without a unit is 21 mM, and pure oxygen has 1 mM."""
+    scene = mc.load_scene("spheroid").with_changes({"nutrients.oxygen.boundary": level})
+    assert any("under pure oxygen" in note for note in explain(scene)["notes"]) == noted

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from multicell.cells import SPHERE
 from multicell.report.explain.items import Number, Part, hours, part
-from multicell.scene import checks, scales
+from multicell.scene import checks, oxygen, scales
 from multicell.scene import domain as box
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.reactions import Reaction, group_of
@@ -204,6 +204,12 @@ def nutrient_notes(scene: Scene) -> list[str]:
         if name not in read:
             hint = "give thresholds such as quiescence, or a response to it"
             notes.append(f"{name} has no effect on the cells: {hint}.")
+        most = oxygen.saturated(nutrient.temperature)
+        if name == oxygen.NAME and nutrient.highest > most:
+            notes.append(
+                f"The medium has {nutrient.highest:.3g} mM of oxygen, but {most:.2g} mM under pure "
+                "oxygen. Percentages and pressures are written with their unit: '21 %'."
+            )
         late = [t for t, _ in nutrient.media or () if t >= scene.duration]
         if late:
             notes.append(
