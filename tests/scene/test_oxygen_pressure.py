@@ -3,6 +3,7 @@
 import pytest
 
 from multicell.errors import SceneError
+from multicell.report.explain.scene import explain
 from multicell.scene.scene import Scene, load_scene
 from multicell.studies.axes import parse_axis
 from multicell.units import oxygen_solubility, to_base, vapour_pressure
@@ -163,5 +164,5 @@ def test_a_concentration_stays_what_it_is():
 @pytest.mark.parametrize(("level", "noted"), [(21.0, True), ("21 %", False), ("100 %", False)])
 def test_explain_notes_more_oxygen_than_dissolves(level, noted):
     """21 without a unit is 21 mM, and pure oxygen has 1 mM."""
-    scene = mc.load_scene("spheroid").with_changes({"nutrients.oxygen.boundary": level})
-    assert any("under pure oxygen" in note for note in explain(scene)["notes"]) == noted
+    changed = load_scene("spheroid").with_changes({"nutrients.oxygen.boundary": level})
+    assert any("under pure oxygen" in note for note in explain(changed)["notes"]) == noted
