@@ -316,8 +316,14 @@ def test_coincident_and_far_cells(name):
 class Breaking:
     """A solver that takes two steps of a second and then gives up, always."""
 
+    open = 0
+
     def __init__(self, run, ceiling):
         self.run, self.taken = run, 0
+        Breaking.open += 1
+
+    def close(self):
+        Breaking.open -= 1
 
     def step(self):
         if self.run.elapsed >= 2.0:
@@ -334,6 +340,7 @@ def test_a_solver_that_keeps_breaking_ends_with_its_words():
     assert outcome.time == 2.0
     assert system.work.steps == 2
     assert system.work.rejections > 1
+    assert Breaking.open == 0
 
 
 def test_cvode_begins_light_where_it_is_mild():
