@@ -64,7 +64,7 @@ sphinx_gallery_conf = gallery.configuration()
 nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_show_tb = True  # a failure is a warning, which -W makes an error
-nb_execution_timeout = 600  # s for a cell, also where many others compute
+nb_execution_timeout = 1200  # s for a cell, also where many others compute
 nb_merge_streams = True
 nb_ipywidgets_js = {}  # none are used, and theirs come from another server
 

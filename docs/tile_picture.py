@@ -88,7 +88,7 @@ def _words(axes: Any, p: Point, x: float, y: float, ground: Any) -> None:
     if p.nullity:
         name = "null"
     # names of methods of up to twelve letters fit into a tile
-    size = 9.5 if len(name) <= 10 else 8.0
+    size = 9.5 if len(name) < 10 else 8.0
     weight = "bold" if p.sure and not p.nullity else "normal"
     axes.text(x, y + 0.14, name, va="center", fontsize=size, weight=weight, **style)
     lead = "" if p.nullity else p.lead if p.sure or p.lead == "even" else f"{p.lead} ?"
