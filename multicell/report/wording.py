@@ -14,6 +14,8 @@ from multicell.scene.parts import own_names
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
+_COMPILED = 1.0  # s of compilation from which on it counts for the peak of memory
+
 
 class TimeUnit(NamedTuple):
     """A unit of time that suits a run."""
@@ -77,14 +79,17 @@ def diagnostics(summary: Mapping[str, Any], scene: Scene) -> Iterator[tuple[str,
     if total is not None:
         yield "wall time", clock(total)
     if summary.get("peak_memory") is not None:
-        from multicell.report.explain.cost import predict
+        from multicell.report.explain.cost import COMPILING, predict
         from multicell.report.explain.course import Course
 
         # of the population that there is: to predict one takes longer than a short run
         cells, radius = summary["cells"], 0.5 * (summary.get("diameter") or 0.0)
         reached = Course(np.array([0.0, 1.0]), np.full(2, float(cells)), np.full(2, radius))
         expected = predict(scene, reached).memory / 1e6
-        yield "peak memory", f"{summary['peak_memory']:,.0f} MB (expected {expected:,.0f} MB)"
+        words = f"{summary['peak_memory']:,.0f} MB (expected {expected:,.0f} MB"
+        if (summary.get("wall") or {}).get("compile", 0.0) > _COMPILED:
+            words += f", and up to {COMPILING / 1e6:.0f} MB for compiling"
+        yield "peak memory", f"{words})"
     balance = (summary.get("ledger") or {}).get("relative_remainder")
     if balance is not None:
         yield "nutrient unaccounted for", f"{balance:.1e}"

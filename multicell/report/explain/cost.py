@@ -28,6 +28,7 @@ from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
 
 _PROCESS: Final = 190e6  # bytes that Python, its packages and compiled code take
+COMPILING: Final = 140e6  # and what numba and LLVM take at most in a run that compiles
 _FIELD_PACKAGES: Final = 40e6  # and more where there are fields
 _CELL: Final = 850.0  # bytes of a cell: state, lists, vectors, lineage, and gaps between them
 _NODE: Final = 100.0  # bytes of a node of a field on cubes
@@ -175,7 +176,8 @@ def cost_numbers(scene: Scene, expected: Prediction) -> list[Number]:
         Number("expected time", expected.seconds, "s",
                f"of the whole run on one core of 2.5 GHz, without compilation: "
                f"{hours(expected.seconds)}"),
-        Number("expected memory", expected.memory / 1e6, "MB", "of the process at its largest"),
+        Number("expected memory", expected.memory / 1e6, "MB",
+               f"of the process at its largest; {COMPILING / 1e6:.0f} MB more while it compiles"),
         Number("expected file", expected.file / 1e6, "MB", "all frames and the history"),
     ]  # fmt: skip
 
