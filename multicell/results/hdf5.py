@@ -9,6 +9,7 @@ of HDF5, and each frame one of ours over all that it holds. Nothing that leads o
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -35,11 +36,13 @@ class Sink:
     """A file for HDF5 whose writes never fail: the first refusal is kept for :meth:`check`.
 
     HDF5 keeps a file open that it cannot write, complains at the end of the process, and may
-    crash there. So it is told that all went well.
+    crash there. So it is told that all went well. It writes a small file in hundreds of pieces,
+    which are collected in memory up to :data:`_BATCH` bytes.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
+        self._target = file
+        self._file: IO[bytes] = io.BytesIO()
         self._place = self._end = 0
         self._trouble: BaseException | None = None
 
@@ -47,6 +50,11 @@ class Sink:
         """Raise what a write was refused with."""
         if self._trouble is not None:
             raise self._trouble
+
+    def finish(self) -> None:
+        """Hand all that is still in memory to the file; raise what a write was refused with."""
+        self._try(self._unload)
+        self.check()
 
     def seek(self, place: int, whence: int = os.SEEK_SET) -> int:
         """Go to a place."""
@@ -60,9 +68,18 @@ class Sink:
 
     def write(self, data: Any) -> int:
         """Write, or note why that is refused."""
+        if self._place > _BATCH:
+            self._try(self._unload)
         length = self._at_place(self._file.write, data)
         self._end = max(self._end, self._place)
         return length
+
+    def _unload(self) -> None:
+        """Write to the file itself from now on."""
+        if isinstance(self._file, io.BytesIO):
+            self._target.write(self._file.getbuffer())
+            self._target.truncate(self._end)
+            self._file = self._target
 
     def readinto(self, target: Any) -> int:
         """Read back what was written; after a refusal there may be nothing."""
@@ -143,7 +160,7 @@ def write(path: Path, whole: Whole) -> None:
         except Exception:
             sink.check()  # what HDF5 says after a refused write means nothing
             raise
-        sink.check()
+        sink.finish()
 
 
 def _fill(target: Any, whole: Whole, sink: Sink) -> None:

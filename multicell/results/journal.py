@@ -126,13 +126,11 @@ class Journal:
                 raise
         return journal
 
-    def append(
-        self, records: Sequence[tuple[Mapping[str, Any], Arrays]], *, sync: bool = False
-    ) -> None:
+    def append(self, records: Sequence[tuple[Mapping[str, Any], Arrays]]) -> None:
         """Write records; a call that does not come to its end leaves none of them.
 
-        With ``sync`` they are then on the disk itself and survive a loss of power; without they
-        are after about a second.
+        They survive the end of the process at once, and a loss of power unless others came in the
+        second before.
         """
         chain, parts = self._chain, []
         for header, arrays in records:
@@ -144,7 +142,7 @@ class Journal:
             self._torn = True
             try:
                 place = self._write(_gather(parts))
-                if sync or clock.monotonic() - self._synced > _SYNC_EVERY:
+                if clock.monotonic() - self._synced > _SYNC_EVERY:
                     self._sync()
             except OSError as error:
                 self._take_back(error)

@@ -3,11 +3,12 @@
 During a run each frame is appended to ``frames.journal`` (:mod:`multicell.results.journal`),
 with what the history and the lineage have gained. A run that is killed at any moment, or meets a
 full disk, leaves all frames that it had finished, and the history up to about a second before. A
-frame is on the disk itself when :meth:`Store.append` returns, so that it survives a loss of power;
-what the last two seconds added to the history may then be lost. At its end, also an early one, all
-becomes one file ``frames.h5`` in HDF5, written beside its place and moved there. If there is no
-room for it the journal stays, and is read, resumed and exported all the same. A run that is resumed
-leaves ``frames.h5`` as it is and begins a journal that says from which frame on it counts.
+loss of power may take what the last second added to the frames, and the last two to the history:
+the journal is on the disk itself whenever :meth:`Store.append` returns later than that. At its end,
+also an early one, all becomes one file ``frames.h5`` in HDF5, written beside its place and moved
+there. If there is no room for it the journal stays, and is read, resumed and exported all the same.
+A run that is resumed leaves ``frames.h5`` as it is and begins a journal that says from which frame
+on it counts.
 
 Layout of ``frames.h5`` for k frames and m history rows::
 
@@ -58,7 +59,6 @@ from multicell.results.folder import (
     make_folder,
     put_in_place,
     remove,
-    sync_folder,
     versions,
     with_copy,
     write_text,
@@ -169,35 +169,33 @@ class Store:
             list(row) for row in zip(*(c.tolist() for c in history.values()), strict=True)
         ]
         for entry in contents.places[: place + 1]:
-            self._add(entry.arrays(), entry.log(), sync=entry is contents.places[place])
+            self._add(entry.arrays(), entry.log())
 
     def append(self, frame: Frame, lineage: Lineage | None = None) -> None:
-        """Write a frame to disk.
+        """Write a frame.
 
         - ``lineage``: of the run up to the frame; what is not on disk yet is written
         """
-        self._add(arrays_of(frame, self._nutrients), log_arrays(lineage, self._logged), sync=True)
+        self._add(arrays_of(frame, self._nutrients), log_arrays(lineage, self._logged))
 
-    def _add(self, arrays: Arrays, log: Arrays, *, sync: bool) -> None:
+    def _add(self, arrays: Arrays, log: Arrays) -> None:
         """Write a frame with the new rows of the logs, and the history up to it."""
         number = {"number": self._frames}
         frame = {"time": float(arrays["time"]), "step": int(arrays["step"])}
         self._write(
-            ({"kind": "lineage", **number}, log),
-            ({"kind": "frame", **number, **frame}, arrays),
-            sync=sync,
+            ({"kind": "lineage", **number}, log), ({"kind": "frame", **number, **frame}, arrays)
         )
         self._frames += 1
         for name in COLUMNS:
             self._logged[name] += len(log[f"{name}/id"])
 
-    def _write(self, *records: tuple[Mapping[str, Any], Arrays], sync: bool = False) -> None:
+    def _write(self, *records: tuple[Mapping[str, Any], Arrays]) -> None:
         """Write what there is of the history, and records behind it."""
         rows = []
         if self._pending:
             header = {"kind": "rows", "start": self._rows, "columns": list(self._columns)}
             rows = [(header, {"rows": np.array(self._pending, "<f8")})]
-        self._journal.append([*rows, *records], sync=sync)
+        self._journal.append([*rows, *records])
         self._rows += len(self._pending)
         self._pending.clear()
         self._written = clock.monotonic()
@@ -225,7 +223,6 @@ class Store:
     def settle(self) -> None:
         """Make one file ``frames.h5`` of all that there is."""
         self.flush()
-        self._journal.sync()
         contents = Contents(self.folder)
         try:
             hdf5.write(self.folder / hdf5.NAME, _whole(contents))
@@ -236,8 +233,7 @@ class Store:
             ) from error
         self._journal.close()
         with file_errors("remove", self.folder / JOURNAL):
-            (self.folder / JOURNAL).unlink()
-        sync_folder(self.folder)
+            (self.folder / JOURNAL).unlink()  # one that comes back by a loss of power is known
 
     def close(self) -> None:
         """Close the journal and let others write to the folder; closing twice does no harm."""
