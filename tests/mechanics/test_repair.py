@@ -134,6 +134,19 @@ def test_a_list_without_room_asks_for_a_new_list():
     assert refused(reference, radius, margin, pairs, position) == (True, True)
 
 
+def test_a_chunk_all_of_whose_cells_drift_has_room_for_their_new_pairs():
+    """Daughters stand at the end, and so in chunks of their own."""
+    reference, radius, margin, pairs = prepared(2560, 3, 256)
+    last = slice(int(pairs.start[-1]), int(pairs.outer_end[-1]))
+    end = last.stop + (last.stop - last.start) // 2
+    pairs = replace(pairs, first=pairs.first[:end].copy(), second=pairs.second[:end].copy())
+    position = reference.copy()
+    position[-250:] += np.random.default_rng(0).normal(0.0, 0.3, (250, 3))
+    done, pairs = repaired(neighbours.repair, position, reference, radius, margin, pairs)
+    assert done
+    expect_complete(pairs, reference, radius + margin)
+
+
 def test_no_list_asks_for_a_new_list():
     reference, radius, margin, pairs = prepared(100, 3, 2048)
     position = reference.copy()

@@ -22,7 +22,7 @@ SCENES = {
     "sorting-signal": {"duration": "30 min", "initial.count": 40},
 }
 NUMBERS = {
-    5: {
+    6: {
         "growth": {"cells": 4, "volume": 1413.2421188721287, "distance": 8.122308148673962},
         "spheroid": {
             "cells": 70,
