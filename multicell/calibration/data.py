@@ -43,7 +43,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, final
 
 from multicell.calibration.columns import Column, columns_of, fields_of
@@ -152,16 +153,17 @@ class Measured:
     conditions: tuple[Condition, ...]
     units: Mapping[str, str]
     source: str
-    numbers: Mapping[int, tuple[int, ...]] = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def numbers(self) -> Mapping[int, list[int]]:
+        """Places in ``data`` of the data of each condition."""
         found: dict[int, list[int]] = {k: [] for k in range(len(self.conditions))}
         for number, datum in enumerate(self.data):
             found[datum.condition].append(number)
-        object.__setattr__(self, "numbers", {k: tuple(v) for k, v in found.items()})
+        return found
 
     def of(self, condition: int) -> list[Datum]:
-        """Return the data of one condition; their places in ``data`` are ``numbers[condition]``."""
+        """Return the data of one condition."""
         return [self.data[k] for k in self.numbers[condition]]
 
 
