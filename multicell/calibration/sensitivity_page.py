@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, block
+from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, MAIN, block
 from multicell.calibration.verdict import in_words
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
@@ -29,9 +29,8 @@ if TYPE_CHECKING:
 def write_report(result: Sensitivity, folder: Path) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
     pictures: dict[str, Drawing] = {}
-    index, first = "parts of the variance", "st"
-    if result.method == "morris":
-        index, first = "size of effects", "mu_star"
+    index = "size of effects" if result.method == "morris" else "parts of the variance"
+    first = MAIN[result.method]
     for name in result.observables:
         if any(row[first] > 0.0 for row in result.ordered(name)):  # else a note says why
             caption = (

@@ -145,8 +145,7 @@ def test_intervals_of_morris_cover_the_mean_effects(size):
     hits, wide = [], 4 * size
     for k in range(len(whole) // wide):
         part = slice(k * wide, (k + 1) * wide)
-        found = analyse("morris", names, whole[part], values[part]).indices
-        hits.append([abs(i.mu_star - m) <= i.mu_star_conf + 1e-12
-                     for i, m in zip(found, truth, strict=True)])  # fmt: skip
+        found = analyse("morris", names, whole[part], values[part]).columns
+        hits.append(np.abs(found["mu_star"] - truth) <= found["mu_star_conf"] + 1e-12)
     shares = np.mean(hits, axis=0)
     assert shares.min() > 0.95 - 3.0 * math.sqrt(0.95 * 0.05 / len(hits)) - 0.01

@@ -12,7 +12,6 @@ from scipy import stats
 
 import multicell as mc
 from multicell.calibration.emulator import emulator
-from multicell.calibration.fit import plan_of
 from multicell.calibration.likelihood import likelihood, scatter_of
 from multicell.calibration.noise import Noise
 from multicell.calibration.priors import Constraint, Density, Prior
@@ -141,17 +140,3 @@ def test_a_profile_is_a_table_with_units_and_bad_input_is_refused():
             found.profile(*arguments)
     with pytest.raises(mc.errors.FitFailed, match="no emulator that a profile could be of"):
         fitted(linear(MATRIX, VALUES, 0.05), points=3).profile("p0")
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"profile_runs": 2}, "profile_runs: is 2, must be a whole number from 3 to 12"),
-        ({"profile_runs": 13}, "profile_runs: is 13, must be a whole number from 3 to 12"),
-        ({"profile_runs": -1}, "profile_runs: is -1, must be a whole number from 3 to 12"),
-    ],
-)
-def test_numbers_of_runs_at_the_ends_are_checked(wrong, words):
-    scene = mc.load_scene("growth").with_changes({"duration": "20 h"})
-    with pytest.raises(mc.SceneError, match=words):
-        plan_of(scene, {"time / h": [10], "cells": [7]}, {"growth.cycle_time": "8:30 h"}, **wrong)
