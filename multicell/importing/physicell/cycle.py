@@ -40,23 +40,12 @@ class Stage:
 @final
 @dataclass(frozen=True)
 class CycleModel:
-    """A model of the cycle.
-
-    Attributes
-    ----------
-    name : str
-    usual : tuple of Stage
-        Its phases with what PhysiCell has for them.
-    homes : tuple of str
-        The phase of ours in which each of them is.
-    doubles_before : bool
-        Whether volume doubles before division, not after it.
-    """
+    """A model of the cycle."""
 
     name: str
-    usual: tuple[Stage, ...]
-    homes: tuple[str, ...]
-    doubles_before: bool = True
+    usual: tuple[Stage, ...]  # its phases with what PhysiCell has for them
+    homes: tuple[str, ...]  # the phase of ours in which each of them is
+    doubles_before: bool = True  # whether volume doubles before division, not after it
 
 
 def _stages(*phases: tuple[float, bool]) -> tuple[Stage, ...]:
@@ -261,12 +250,9 @@ def _set_paces(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
             own = _scale(model, cycle, known[lead]) if len(model.kinds) > 1 else 1.0
             return length * own / max(minutes * MINUTE, _INSTANT)
 
-        shared = "its phase has two stages, or lasts equally long for all cells"
-        note = (
-            shared
-            if any(_is_shared(cycling[r.kind], p) for r, p in exits.items() if r.kind)
-            else ""
-        )
+        note = ""
+        if any(_is_shared(cycling[r.kind], p) for r, p in exits.items() if r.kind):
+            note = "its phase has two stages, or lasts equally long for all cells"
         set_behaviour(model, f"entry into {after}", 1.0, pace, cycling, exits, note)
 
 
@@ -399,5 +385,4 @@ def _account_for_rates(model: Model, kind: Kind, table: Element) -> None:
             "V' = r (K - V) at this rate; with another cycle time in proportion, and for all types "
             "as for that of most dividing cells"
         )
-        fate = Fate.APPROXIMATED if grows else Fate.OFF
-        account.take(one, fate, "growth.target" if grows else "", note if grows else "")
+        account.take(one, *((Fate.APPROXIMATED, "growth.target", note) if grows else (Fate.OFF,)))
