@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
+import cheap_fits
 import numpy as np
 import pytest
 
@@ -24,10 +26,7 @@ start / h, time / h, diameter / um, diameter sd / um, cells, cells sd / %, nutri
 """
 
 
-def read(text, tmp_path, scene=SCENE, **options):
-    file = tmp_path / "growth.csv"
-    file.write_text(text, encoding="utf-8")
-    return read_data(file, scene, **options)
+read = partial(cheap_fits.read, scene=SCENE)
 
 
 def test_numbers_come_in_base_units_with_times_conditions_and_deviations(tmp_path):
@@ -188,7 +187,7 @@ def test_what_cannot_be_used_is_named_with_row_and_column(text, tmp_path):
 
 def test_data_beyond_the_cells_at_which_runs_stop_are_refused(tmp_path):
     with pytest.raises(DataError, match=r"line 3: has 24,000 cells, where runs end with 20,000"):
-        read("time / h, cells\n5, 700\n300, 24000\n", tmp_path, mc.load_scene("emt6"))
+        read("time / h, cells\n5, 700\n300, 24000\n", tmp_path, scene=mc.load_scene("emt6"))
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path):
@@ -229,10 +228,10 @@ def recorded_by(simulation):
 
 def test_only_what_has_a_sign_may_be_negative(tmp_path):
     scene = mc.load_scene("compression")
-    measured = read("time / min, force_plate_z / nN\n1, -2.5\n", tmp_path, scene)
+    measured = read("time / min, force_plate_z / nN\n1, -2.5\n", tmp_path, scene=scene)
     assert measured.data[0].value == -2.5
     with pytest.raises(DataError, match="largest_pressure"):
-        read("time / min, largest_pressure / kPa\n1, -2.5\n", tmp_path, scene)
+        read("time / min, largest_pressure / kPa\n1, -2.5\n", tmp_path, scene=scene)
 
 
 FEW = ("driven", "doublet", "doublet-settle", "growth", "compression")
