@@ -46,15 +46,10 @@ _TAILS: Final = (0.025, 0.975)
 class Estimate:
     """A number with its 95 % interval.
 
-    Attributes
-    ----------
-    value
-        NaN where it lies outside the doses tested.
-    low, high
-        Ends of the interval; of doses 0 below the lowest dose tested and infinite above the
-        largest; NaN where nothing is known of the scatter.
-    words
-        Value and interval in words.
+    - ``value``: NaN where it lies outside the doses tested
+    - ``low``, ``high``: ends of the interval; of doses 0 below the lowest dose tested and infinite
+      above the largest; NaN where nothing is known of the scatter
+    - ``words``: value and interval
     """
 
     value: float
@@ -68,28 +63,17 @@ class Estimate:
 class DoseCurve:
     """The curve of one drug.
 
-    Attributes
-    ----------
-    name, unit
-        Of its doses.
-    doses : (m,)
-        The control, 0, and rising doses.
-    viability : (m,)
-        Mean response at each over that of the control.
-    ic50
-        Dose at which the viability is one half.
-    ec50
-        Dose half-way between ``top`` and ``bottom``: the inflection over the logarithm.
-    slope
-        Hill's h.
-    bottom, top
-        Viability at the largest and without dose.
-    error
-        Root mean square deviation of the means from the curve.
-    parameters : (4,)
-        bottom, top, log EC50, h.
-    draws : (k, 4)
-        The same of the fits that make the intervals; none where nothing is known of the scatter.
+    - ``name``, ``unit``: of its doses
+    - ``doses``, (m,): the control, 0, and rising doses
+    - ``viability``, (m,): mean response at each over that of the control
+    - ``ic50``: dose at which the viability is one half
+    - ``ec50``: dose half-way between ``top`` and ``bottom``: the inflection over the logarithm
+    - ``slope``: Hill's h
+    - ``bottom``, ``top``: viability at the largest and without dose
+    - ``error``: root mean square deviation of the means from the curve
+    - ``parameters``, (4,): bottom, top, log EC50, h
+    - ``draws``, (k, 4): the same of the fits that make the intervals; none where nothing is known
+      of the scatter
     """
 
     name: str

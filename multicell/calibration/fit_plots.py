@@ -70,9 +70,12 @@ def data(fit: Fit) -> Figure:
     single = [numbers for _, timed, numbers in shown if not timed]
     columns = 1 if any(len(numbers) > 4 for numbers in single) else min(len(shown), 2)
     height = 4.6 if any(len(numbers) > _UPRIGHT for numbers in single) else 3.9
-    figure, grid = panels(
-        _title(fit), _subtitle(fit), len(shown), columns, 1.15 + height * -(-len(shown) // columns)
+    tissues = "" if fit.sample is None else ", band: 95 % of what tissues would show"
+    subtitle = (
+        f"bars: standard deviations, lines: best runs{tissues}; χ² {fit.best.per_datum:.2g} a datum"
     )
+    height = 1.15 + height * -(-len(shown) // columns)
+    figure, grid = panels(_title(fit), subtitle, len(shown), columns, height)
     band = fit.predicted(_BAND)
     for axes, (name, over, numbers) in zip(grid, shown, strict=True):
         unit = fit.problem.measured.units[name]
@@ -125,27 +128,20 @@ def _over_axis(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> Non
             key=lambda k: _abscissa(data[k]) or 0.0,
         )
         colour = _COLOURS[condition % len(_COLOURS)]
+        times = np.array([_abscissa(data[k]) or 0.0 for k in own]) / unit.seconds
+        axes.fill_between(times, band[0, own], band[2, own], color=colour, alpha=0.22, linewidth=0)
+        axes.plot(times, fit.best.readings[own], color=colour, linewidth=1.8)
+        values, errors = _bars([data[k] for k in own])
         label = fit.problem.measured.conditions[condition].label
-        _draw_course(axes, fit, own, band, unit, colour, label)
+        axes.errorbar(
+            times, values, errors, fmt="o", color=colour, markersize=5, capsize=3, label=label,
+            markeredgecolor="white", markeredgewidth=0.6,
+        )  # fmt: skip
     axes.set_xlabel("depth below the surface (µm)" if profile else f"time ({unit.name})")
     if not profile:
         axes.set_xlim(left=0.0)
     if len(conditions) > 1:
         axes.legend(fontsize=9)
-
-
-def _draw_course(
-    axes: Axes, fit: Fit, own: Sequence[int], band: Array, unit: TimeUnit, colour: str, label: str
-) -> None:
-    data = fit.problem.measured.data
-    times = np.array([_abscissa(data[k]) or 0.0 for k in own]) / unit.seconds
-    axes.fill_between(times, band[0, own], band[2, own], color=colour, alpha=0.22, linewidth=0)
-    axes.plot(times, fit.best.readings[list(own)], color=colour, linewidth=1.8)
-    values, errors = _bars([data[k] for k in own])
-    axes.errorbar(
-        times, values, errors, fmt="o", color=colour, markersize=5, capsize=3, label=label,
-        markeredgecolor="white", markeredgewidth=0.6,
-    )  # fmt: skip
 
 
 def _one_by_one(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
@@ -211,7 +207,11 @@ def parameters(fit: Fit) -> Figure:
     ranges = fit.problem.ranges[:_MAX_PAIRED]
     count = len(ranges)
     size = max(6.25, 2.3 * count + 1.5)
-    figure = with_heading(_title(fit), _posterior_words(fit), (max(size, 10.0), size))
+    known = "too few points for a posterior"
+    if fit.sample is not None:
+        known = "posterior by Gaussian processes through the runs"
+    subtitle = f"{known}; red: best, dashed: before the data, dotted: 95 %"
+    figure = with_heading(_title(fit), subtitle, (max(size, 10.0), size))
     grid = figure.subplots(count, count, squeeze=False)
     sample = fit.sample
     windows = [_window(fit, k) for k in range(count)]
@@ -356,14 +356,3 @@ def _named(name: str, unit: str) -> str:
 
 def _title(fit: Fit) -> str:
     return f"{fit.scene.title or 'Untitled scene'}: fit"
-
-
-def _subtitle(fit: Fit) -> str:
-    band = "" if fit.sample is None else ", band: 95 % of what tissues would show"
-    return f"bars: standard deviations, lines: best runs{band}; χ² {fit.best.per_datum:.2g} a datum"
-
-
-def _posterior_words(fit: Fit) -> str:
-    by = "Gaussian processes through the runs"
-    known = "too few points for a posterior" if fit.sample is None else f"posterior by {by}"
-    return f"{known}; red: best, dashed: before the data, dotted: 95 %"

@@ -81,25 +81,17 @@ class Best:
 class Fit:
     """Parameters of a scene, fitted to data; :func:`multicell.fit` makes it.
 
-    Attributes
-    ----------
-    problem
-        Data, ranges and what simulates.
-    scene
-        What was fitted.
-    evaluations
-        All parameters that the search tried.
-    folder
-        Of the results, or None.
-    facts
-        How the fit was made: numbers of runs, seconds.
-    fresh
-        What runs with fresh seeds have shown at the best point and at draws from the intervals.
-    ends
-        What runs have shown at the ends of profile intervals; empty without ``profile_runs``.
-    readings
-        What each run of the search and each fresh one has in place of its data, by place in the
-        ranges, condition and seed; :attr:`runs` is a table of them.
+    - ``problem``: data, ranges and what simulates
+    - ``scene``: what was fitted
+    - ``evaluations``: all parameters that the search tried
+    - ``folder``: of the results, or None
+    - ``facts``: how the fit was made: numbers of runs, seconds
+    - ``fresh``: what runs with fresh seeds have shown at the best point and at draws from the
+      intervals
+    - ``ends``: what runs have shown at the ends of profile intervals; empty without
+      ``profile_runs``
+    - ``readings``: what each run of the search and each fresh one has in place of its data, by
+      place in the ranges, condition and seed; :attr:`runs` is a table of them
     """
 
     problem: Problem
@@ -392,17 +384,8 @@ class Fit:
         """Write a study of the sets of parameters that were tried, under all conditions.
 
         A fit keeps readings only. The study's runs, which are made when it is run, are whole ones:
-        with frames, histories and pictures. It can be widened as others can.
-
-        Parameters
-        ----------
-        folder
-            Of the study.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be used.
+        with frames, histories and pictures. It can be widened as others can. Raises
+        ``OutputError`` if the folder cannot be used.
         """
         from multicell.calibration.run_table import to_study
 

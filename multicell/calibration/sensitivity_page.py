@@ -39,12 +39,14 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
             )
             path = f"sensitivity-{name.replace('.', '_')}.png"
             pictures[path] = partial(result.plot, name), caption
+    method = "Screening by Morris" if result.method == "morris" else "Indices of Sobol'"
+    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
     return write_page(
         folder / "report.html",
         "sensitivity.html",
         scene=result.scene,
-        title=f"{result.scene.title or 'Untitled scene'}: sensitivity",
-        subtitle=_page_subtitle(result),
+        title=_title(result),
+        subtitle=f"{method} · {names}",
         tiles=_tiles(result),
         pictures=pictures,
         result=result,
@@ -56,12 +58,6 @@ def _ends(free: Range) -> tuple[str, str]:
     """Return both ends of a range in words; long times in minutes, hours or days."""
     log = ", by ratio" if free.log else ""
     return in_words(free.low, free.unit), in_words(free.high, free.unit) + log
-
-
-def _page_subtitle(result: Sensitivity) -> str:
-    method = "Screening by Morris" if result.method == "morris" else "Indices of Sobol'"
-    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
-    return f"{method} · {names}"
 
 
 def _tiles(result: Sensitivity) -> dict[str, str]:

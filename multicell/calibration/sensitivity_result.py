@@ -28,28 +28,18 @@ Row = dict[str, Any]  # one row of a table: column -> value
 class Sensitivity:
     """How much each free parameter decides each observable.
 
-    Attributes
-    ----------
-    scene : Scene
-    method : "morris" or "sobol"
-    ranges : tuple of Range
-        The free parameters.
-    size : int
-        Trajectories of Morris, base points of Sobol'.
-    seeds : tuple of int
-        Runs at each point, whose observables are averaged.
-    table : list of dict
-        A row for each observable and parameter: ``observable``, ``unit``, ``parameter``, ``key``,
-        ``low``, ``high``, ``parameter_unit`` and of Morris ``mu``, ``mu_star``, ``mu_star_conf``,
-        ``sigma`` (in ``unit``, for the whole range), of Sobol' ``s1``, ``s1_conf``, ``st``,
-        ``st_conf`` (parts of the variance); ``..._conf`` are half widths of 95 % intervals.
-        ``noise`` is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what
-        can be said: see :class:`multicell.calibration.indices.Analysis`.
-    notes : list of str
-        What the reader must know: failed runs, an observable that does not vary.
-    runs : list of dict
-        One row for each run: its ``name``, parameters, ``seed``, observables and ``reason``.
-    folder : Path or None
+    - ``method``: ``"morris"`` or ``"sobol"``
+    - ``ranges``: the free parameters
+    - ``size``: trajectories of Morris, base points of Sobol'
+    - ``seeds``: runs at each point, whose observables are averaged
+    - ``table``: a row for each observable and parameter: ``observable``, ``unit``, ``parameter``,
+      ``key``, ``low``, ``high``, ``parameter_unit`` and of Morris ``mu``, ``mu_star``,
+      ``mu_star_conf``, ``sigma`` (in ``unit``, for the whole range), of Sobol' ``s1``, ``s1_conf``,
+      ``st``, ``st_conf`` (parts of the variance); ``..._conf`` are half widths of 95 % intervals.
+      ``noise`` is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what
+      can be said: see :class:`multicell.calibration.indices.Analysis`.
+    - ``notes``: what the reader must know: failed runs, an observable that does not vary
+    - ``runs``: one row for each run: its ``name``, parameters, ``seed``, observables and ``reason``
     """
 
     scene: Scene

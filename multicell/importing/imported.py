@@ -120,16 +120,10 @@ _HEAD = ("| line | element | value | key | note |", "|---|---|---|---|---|")
 class Imported:
     """A model of another program.
 
-    Attributes
-    ----------
-    scene : Scene
-        It starts with the cells.
-    cells : title -> (n,)
-        The cells at the start, as the columns of ``cells.csv``.
-    entries : tuple of Entry
-        What became of each thing that the model says.
-    keys : nested dict
-        What the scene was made of, without keys that the model says nothing of.
+    - ``scene``: it starts with the cells
+    - ``cells``, title -> (n,): those at the start, as the columns of ``cells.csv``
+    - ``entries``: what became of each thing that the model says
+    - ``keys``: what the scene was made of, without keys that the model says nothing of
     """
 
     scene: Scene

@@ -368,21 +368,16 @@ def _account_for_volume(model: Model, kind: Kind, cycle: Cycle, lead: Kind | Non
         else:
             note = "at the start; types share the volume at division"
             account.take(one, Fate.APPROXIMATED, "radius in cells.csv", note)
-    _account_for_rates(model, kind, table)
-    for tag in _PARTS:
-        account.leave_out(table.all(tag), "a cell has one volume")
-    for tag in ("calcified_fraction", "calcification_rate"):
-        account.leave_out(table.all(tag), "no calcium", acts=lambda one: one.number() != 0.0)
-    note = "that of each model of death counts"
-    account.take_all(table.all("relative_rupture_volume"), Fate.OFF, note=note)
-
-
-def _account_for_rates(model: Model, kind: Kind, table: Element) -> None:
-    """Account for how fast parts of a cell's volume go to their targets."""
-    account, grows = model.account, "growth" in model.scene
+    grows = "growth" in model.scene
     for one in table.all(_RATE):
         note = (
             "V' = r (K - V) at this rate; with another cycle time in proportion, and for all types "
             "as for that of most dividing cells"
         )
         account.take(one, *((Fate.APPROXIMATED, "growth.target", note) if grows else (Fate.OFF,)))
+    for tag in _PARTS:
+        account.leave_out(table.all(tag), "a cell has one volume")
+    for tag in ("calcified_fraction", "calcification_rate"):
+        account.leave_out(table.all(tag), "no calcium", acts=lambda one: one.number() != 0.0)
+    note = "that of each model of death counts"
+    account.take_all(table.all("relative_rupture_volume"), Fate.OFF, note=note)
