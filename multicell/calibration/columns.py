@@ -56,14 +56,7 @@ class Column:
 
     def number(self, text: str, place: str) -> float:
         """Return a field as a number of base units; raises DataError if it is none."""
-        try:
-            number = float(text)
-        except ValueError:
-            hint = "Use '.' as decimal separator." if "," in text else ""
-            raise DataError(place, f"is {text[:40]!r}, must be a number", hint) from None
-        if not math.isfinite(number):
-            hint = "Leave the field empty where nothing was measured."
-            raise DataError(place, f"is {text}, must be a finite number", hint)
+        number = finite(text, place)
         if self.relative:
             return number / 100.0
         signed = self.kind in ("time", "depth") or may_be_negative(self.name)
@@ -85,6 +78,19 @@ class Column:
             except ValueError:
                 continue
         return text
+
+
+def finite(text: str, place: str) -> float:
+    """Return the finite number that a field of a table is; raises DataError if it is none."""
+    try:
+        number = float(text)
+    except ValueError:
+        hint = "Use '.' as decimal separator." if "," in text else ""
+        raise DataError(place, f"is {text[:40]!r}, must be a number", hint) from None
+    if not math.isfinite(number):
+        hint = "Leave the field empty where nothing was measured."
+        raise DataError(place, f"is {text}, must be a finite number", hint)
+    return number
 
 
 def columns_of(table: Table, scene: Scene) -> list[Column]:

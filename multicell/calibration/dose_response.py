@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from multicell.calibration.columns import finite
 from multicell.calibration.dose_curve import DOSES, LEAST, combine, draw_means, fit_curve
 from multicell.calibration.dose_response_result import DoseResponse, Row
 from multicell.errors import DataError, FitFailed, SceneError
@@ -320,7 +321,7 @@ def of_table(source: Any, options: Options) -> DoseResponse:
             continue  # not measured, or a run that failed
         place = f"{table.name}, {row_place}"
         *doses, value = (
-            _number(row[columns[name]], f"{place}, '{name}'") for name in (*drugs, "response")
+            finite(row[columns[name]], f"{place}, '{name}'") for name in (*drugs, "response")
         )
         point = tuple(doses)
         if min(point) < 0.0:
@@ -340,16 +341,6 @@ def of_table(source: Any, options: Options) -> DoseResponse:
         units=[known[columns[name]][1] for name in drugs], response="response",
         signed=bool((values < 0.0).any()), shared=shared, title=table.name,
     )  # fmt: skip
-
-
-def _number(text: str, place: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise DataError(place, f"is {shown(text)}, must be a finite number")
-    return number
 
 
 def _check_points(points: Sequence[tuple[float, ...]], drugs: int, table: str) -> None:

@@ -26,7 +26,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import Parameter, Signature
-from typing import Any, Final, final
+from typing import Any, Final, Self, final
 
 import numpy as np
 
@@ -60,6 +60,12 @@ class Density:
     shapes: tuple[float, ...]
     loc: float
     scale: float
+
+    @classmethod
+    def of(cls, name: str, *numbers: float) -> Self:
+        """Return a density from its shapes, location and scale."""
+        *shapes, loc, scale = map(float, numbers)
+        return cls(name, tuple(shapes), loc, scale)
 
     @cached_property
     def frozen(self) -> Any:
@@ -282,8 +288,8 @@ def _from_call(key: Key, name: str, text: str) -> Density:
     missing = ", ".join(word for word in needed if word not in given)
     if missing:
         raise SceneError(key.name, f"has '{name}({text})' without {missing}", _HINT)
-    numbers = tuple(given[word] for word in shapes), given.get("loc", 0.0), given.get("scale", 1.0)
-    return _checked(key, Density(name, *numbers))
+    given = {"loc": 0.0, "scale": 1.0, **given}
+    return _checked(key, Density.of(name, *(given[word] for word in order)))
 
 
 def _number(key: Key, text: str, bare: bool) -> float:
@@ -313,8 +319,7 @@ def _from_frozen(key: Key, given: Sequence[Any]) -> Density:
     family = _family(key, frozen.dist.name)
     size = to_base(f"1 {unit}", key.unit, key.name) if unit else 1.0
     shapes, loc, scale = family._parse_args(*frozen.args, **frozen.kwds)
-    numbers = [float(x) for x in (*shapes, loc * size, scale * size)]
-    return _checked(key, Density(family.name, tuple(numbers[:-2]), numbers[-2], numbers[-1]))
+    return _checked(key, Density.of(family.name, *shapes, loc * size, scale * size))
 
 
 def _checked(key: Key, density: Density) -> Density:

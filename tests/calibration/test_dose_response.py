@@ -63,8 +63,8 @@ def test_the_fit_is_that_of_scipys_curve_fit():
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_intervals_cover_what_is_true(shared):
-    """95 % of 120 within three binomial standard deviations; seeds scatter all doses alike."""
-    rng, repeats = np.random.default_rng(11), 120
+    """95 % of 200 within three binomial standard deviations; seeds scatter all doses alike."""
+    rng, repeats = np.random.default_rng(11), 200
     true = {"ic50": float(dose_at(0.5, KNOWN)), "slope": 1.5}
     covered = dict.fromkeys(true, 0)
     for repeat in range(repeats):
@@ -197,7 +197,7 @@ TABLES = {
     "no control": ({"dose": DOSES[1:], "response": DOSES[1:]}, "dose 0, the control"),
     "too few": ({"dose": DOSES[:4], "response": DOSES[:4]}, "3 doses above 0 in 'dose'"),
     "negative": ({"dose": [-1.0, *DOSES], "response": [1.0, *DOSES]}, "a dose below 0"),
-    "no number": ({"dose": DOSES, "response": ["x", *DOSES[1:]]}, "must be a finite number"),
+    "no number": ({"dose": DOSES, "response": ["x", *DOSES[1:]]}, "must be a number"),
     "twice": ({**PAIR, "replicate": ["a"] * 18}, "second one of the replicate 'a'"),
     "no single": (
         {"dose A": [*DOSES, *(0 * DOSES[1:]), 7.0], "dose B": [*(0 * DOSES), *DOSES[1:], 1.0],
@@ -224,8 +224,6 @@ ASKED = {
     "no control": ({"doses": "log 0.1:10:5 uM"}, "no dose 0, the control"),
     "too few": ({"doses": "0,1,2,3 uM"}, "3 doses above the control"),
     "not rising": ({"doses": "0,1,3,2,4 uM"}, "do not rise"),
-    "twice": ({"doses": "0,1,1,2,4 uM"}, "twice"),
-    "wrong unit": ({"doses": "0,1,2,3,4 h"}, "a concentration"),
     "a word": ({"dose": "contact.law", "doses": "jkr,hertz"}, "is no number"),
     "no dose": ({"dose": None}, "needs a scene, doses"),
     "one key": ({"dose": None, "combine": (DRUG,)}, "must be two keys"),

@@ -292,12 +292,15 @@ def _account_for_cycle(
         homes = ", ".join(f"{n} {home}" for n, home in enumerate(cycle.model.homes))
         note = f"volume doubles in the time in which it grows; its phases here: {homes}"
         account.take(element, Fate.APPROXIMATED, "growth.phases", note, cycle.model.name)
-        alike = cycle.model is known[lead].model and _ratio(cycle, known[lead])
+        alike = _alike(cycle, known[lead])
+        scale = cycle.minutes / known[lead].minutes
+        pairs = zip(cycle.stages, known[lead].stages, strict=False)
+        same = all(math.isclose(a.minutes, scale * b.minutes, abs_tol=1e-9) for a, b in pairs)
         for one, _, _ in _stated(element):
             own = f"responses.entry_into_*_of_{kind.key}"
-            if alike:
+            if alike and same:
                 account.take(one, Fate.MAPPED, "growth.phases")
-            elif _alike(cycle, known[lead]):
+            elif alike:
                 account.take(one, Fate.MAPPED, own)
             else:
                 note = f"its mean; whether all cells take that long is as in '{lead.name}'"
@@ -345,15 +348,6 @@ def _alike(cycle: Cycle, lead: Cycle) -> bool:
     """Return whether phases of two cycles differ in nothing but how long they last."""
     return cycle.model is lead.model and all(
         a.fixed == b.fixed for a, b in zip(cycle.stages, lead.stages, strict=True)
-    )
-
-
-def _ratio(cycle: Cycle, lead: Cycle) -> bool:
-    """Return whether all phases are those of another cycle times one number."""
-    scale = cycle.minutes / lead.minutes
-    return all(
-        a.fixed == b.fixed and math.isclose(a.minutes, scale * b.minutes, abs_tol=1e-9)
-        for a, b in zip(cycle.stages, lead.stages, strict=True)
     )
 
 
