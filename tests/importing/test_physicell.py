@@ -146,10 +146,7 @@ def test_motion_has_the_speed_of_its_type(project):
     assert scene.motility.force == pytest.approx(drag * 2.0 / 60.0)
     assert (scene.motility.bias, scene.motility.towards) == (0.25, "growth_factor")
     assert (scene.motility.persistence, scene.motility.renewal) == (300.0, "random")
-    assert (scene.types["tumour_cell"].motility_scale, scene.types["hunter"].motility_scale) == (
-        0,
-        1,
-    )
+    assert [scene.types[name].motility_scale for name in ("tumour_cell", "hunter")] == [0, 1]
 
 
 RULES = """// the grammar of PhysiCell
@@ -188,10 +185,7 @@ def test_what_is_not_said_comes_from_the_parent(project):
 
 
 def test_a_model_without_cells_has_them_at_random(project):
-    table = (
-        '<cell_positions type="csv" enabled="true">',
-        '<cell_positions type="csv" enabled="false">',
-    )
+    table = ('positions type="csv" enabled="true"', 'positions type="csv" enabled="false"')
     made = mc.import_physicell(project(table))
     assert len(made.cells["radius_um"]) == 10
     assert fates(made)["user_parameters/number_of_cells"] is Fate.APPROXIMATED
