@@ -200,10 +200,7 @@ def found_file(element: Element, home: Path) -> Path:
     That is the folder above ``config``, and for settings elsewhere their own folder. Of a path on
     another machine the end counts: what is there by it below the model's folder.
 
-    Parameters
-    ----------
-    home
-        Folder of the settings.
+    - ``home``: folder of the settings
     """
     folder, name = (element.find(tag) for tag in ("folder", "filename"))
     if name is None or not name.word():
