@@ -59,7 +59,8 @@ class Corrected:
     @property
     def stated(self) -> dict[str, Any]:
         """What decides its readings besides the scene."""
-        return {**stated(self.coarse), "ratios": [list(row) for row in self.ratios]}
+        of_coarse = getattr(self.coarse, "stated", {})
+        return {**of_coarse, "ratios": [list(row) for row in self.ratios]}
 
     def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:
         """Return what a run gives; see :class:`multicell.calibration.simulator.Simulator`."""
@@ -71,12 +72,6 @@ class Corrected:
         """Return a coarse reading times the ratios."""
         values = np.multiply(found.values, self.ratios[condition])
         return replace(found, values=tuple(values.tolist()))
-
-
-def stated(simulator: Simulator) -> dict[str, Any]:
-    """Return what decides the readings of a simulator besides scene, data and ranges."""
-    found: dict[str, Any] = getattr(simulator, "stated", {})
-    return found
 
 
 def coarse_simulator(simulator: Simulator, factor: float) -> Simulator:
@@ -248,12 +243,11 @@ def _ratios(
         means = []
         for name in ("fine", "coarse"):
             rows = np.array([v for key, v in runs[name].items() if key[1] == condition])
-            if not np.isfinite(rows).any():
+            count = np.isfinite(rows).sum(axis=0)
+            if not count.any():
                 words = f"no {name} run at draws from the first fit has any of the data"
                 raise FitFailed(words, "See whether the ranges make sense.")
-            known = np.isfinite(rows)
-            count = known.sum(axis=0)
-            means.append(np.where(known, rows, 0.0).sum(axis=0) / np.maximum(count, 1))
+            means.append(np.nansum(rows, axis=0) / np.maximum(count, 1))
         fine, coarse = means
         ratio = np.ones_like(fine)
         np.divide(fine, coarse, out=ratio, where=fine * coarse > 0.0)

@@ -56,14 +56,7 @@ class Column:
 
     def number(self, text: str, place: str) -> float:
         """Return a field as a number of base units; raises DataError if it is none."""
-        try:
-            number = float(text)
-        except ValueError:
-            hint = "Use '.' as decimal separator." if "," in text else ""
-            raise DataError(place, f"is {text[:40]!r}, must be a number", hint) from None
-        if not math.isfinite(number):
-            hint = "Leave the field empty where nothing was measured."
-            raise DataError(place, f"is {text}, must be a finite number", hint)
+        number = finite(text, place)
         if self.relative:
             return number / 100.0
         signed = self.kind in ("time", "depth") or may_be_negative(self.name)
@@ -85,6 +78,19 @@ class Column:
             except ValueError:
                 continue
         return text
+
+
+def finite(text: str, place: str) -> float:
+    """Return the finite number that a field of a table is; raises DataError if it is none."""
+    try:
+        number = float(text)
+    except ValueError:
+        hint = "Use '.' as decimal separator." if "," in text else ""
+        raise DataError(place, f"is {text[:40]!r}, must be a number", hint) from None
+    if not math.isfinite(number):
+        hint = "Leave the field empty where nothing was measured."
+        raise DataError(place, f"is {text}, must be a finite number", hint)
+    return number
 
 
 def columns_of(table: Table, scene: Scene) -> list[Column]:
@@ -148,7 +154,9 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> C
             return Column(kind, stem, unit, base, title)
         return _measured(kind, stem, unit, base, title, place, scene)
     if _is_key(name, scene):
-        return _condition(name, unit, title, place)
+        if name in _NO_CONDITIONS:
+            raise DataError(place, f"'{name}' is no condition that tissue can be under")
+        return Column("condition", name, unit, "", title)
     return _measured("value", name, unit, _unit_of(name, scene, place), title, place, scene)
 
 
@@ -169,12 +177,6 @@ def _measured(
 def fields_of(scene: Scene) -> dict[str, str]:
     """Return the base unit of what can be measured at a depth: the fields of a scene."""
     return dict.fromkeys(scene.nutrients, "mM")
-
-
-def _condition(name: str, unit: str, title: str, place: str) -> Column:
-    if name in _NO_CONDITIONS:
-        raise DataError(place, f"'{name}' is no condition that tissue can be under")
-    return Column("condition", name, unit, "", title)
 
 
 def _is_key(name: str, scene: Scene) -> bool:
@@ -204,11 +206,8 @@ def _unit_of(name: str, scene: Scene, place: str) -> str:
 def _unit_in(name: str, known: dict[str, str], place: str) -> str:
     if name in known:
         return known[name]
-    if is_known_elsewhere(name):
-        problem = f"'{name}' is no observable of this scene"
-    else:
-        problem = f"'{name}' is no observable and no key of the scene"
-    raise DataError(place, problem, suggest(name, known))
+    more = "of this scene" if is_known_elsewhere(name) else "and no key of the scene"
+    raise DataError(place, f"'{name}' is no observable {more}", suggest(name, known))
 
 
 def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: str) -> Column:

@@ -43,7 +43,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, final
 
 from multicell.calibration.columns import Column, columns_of, fields_of
@@ -152,16 +153,17 @@ class Measured:
     conditions: tuple[Condition, ...]
     units: Mapping[str, str]
     source: str
-    numbers: Mapping[int, tuple[int, ...]] = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def numbers(self) -> Mapping[int, list[int]]:
+        """Places in ``data`` of the data of each condition."""
         found: dict[int, list[int]] = {k: [] for k in range(len(self.conditions))}
         for number, datum in enumerate(self.data):
             found[datum.condition].append(number)
-        object.__setattr__(self, "numbers", {k: tuple(v) for k, v in found.items()})
+        return found
 
     def of(self, condition: int) -> list[Datum]:
-        """Return the data of one condition; their places in ``data`` are ``numbers[condition]``."""
+        """Return the data of one condition."""
         return [self.data[k] for k in self.numbers[condition]]
 
 
@@ -188,7 +190,13 @@ def read_data(
     table = source if isinstance(source, Table) else read_table(source, MAX_BYTES)
     chosen(specimens, SPECIMENS, "specimens")
     columns = columns_of(table, scene)
-    rows = _Rows(table, columns, scene, start, float(sd), single=specimens == "single")
+    if start is not None and any(column.kind == "start" for column in columns):
+        raise DataError("start", "is given twice: there is a column 'start' too")
+    try:
+        begin = to_base(0.0 if start is None else start, "s", "start")
+    except SceneError as error:
+        raise DataError("start", error.problem, error.hint) from None
+    rows = _Rows(table, columns, scene, begin, float(sd), single=specimens == "single")
     for number in range(len(table.rows)):
         rows.read(number)
     return rows.measured()
@@ -203,7 +211,7 @@ class _Rows:
         table: Table,
         columns: Sequence[Column],
         scene: Scene,
-        start: float | str | None,
+        start: float,
         sd: float,
         *,
         single: bool,
@@ -213,7 +221,7 @@ class _Rows:
         self._places = {(column.kind, column.name): k for k, column in enumerate(columns)}
         self._scene = scene
         self._sd = sd
-        self._start = self._checked_start(start)
+        self._start = start
         self._has_specimens = single or any(column.kind == "specimen" for column in columns)
         self._keys: dict[tuple[tuple[str, Any], ...], int] = {}
         self._labels: list[str] = []
@@ -228,6 +236,8 @@ class _Rows:
         fields, timed = fields_of(scene), in_history(scene)
         known = fields | timed | at_the_end(scene)
         depth, _ = self._field(row, "depth", "depth") or (None, 0)
+        named = self._places.get(("specimen", "specimen"))
+        name = (named is not None and self._text(row, named)) or self._table.places[row]
         found = 0
         for place, column in enumerate(self._columns):
             if column.kind != "value" or not self._text(row, place):
@@ -241,15 +251,11 @@ class _Rows:
                 hint = "A field has a value at a 'depth / um', other observables have none."
                 raise DataError(where, problem, hint)
             if column.name not in fields | timed and (time is not None or at is not None):
-                raise DataError(
-                    where,
-                    f"'{column.name}' is known at the end of a run only",
-                    "Leave the time of this row empty.",
-                )
+                problem = f"'{column.name}' is known at the end of a run only"
+                raise DataError(where, problem, "Leave the time of this row empty.")
             value = self._number(row, place)
             datum = self._datum(row, column, value, where, condition, time, at)
-            name = f"{condition} {self._specimen(row)}" if self._has_specimens else ""
-            alone = ((name, 0.0),) if name else ()
+            alone = ((f"{condition} {name}", 0.0),) if self._has_specimens else ()
             self._data.append(replace(datum, depth=depth, specimens=alone))
             found += 1
         if found == 0:
@@ -261,7 +267,9 @@ class _Rows:
             Condition(label or f"condition {k + 1}", dict(key), self._lasting(k))
             for k, (key, label) in enumerate(zip(self._keys, self._labels, strict=True))
         )
-        known = self._all_units()
+        known: dict[str, str] = {}
+        for scene in self._scenes:
+            known |= fields_of(scene) | in_history(scene) | at_the_end(scene)
         units = {d.observable: known[d.observable] for d in self._data}
         data = group(self._data, self._table.name)
         return Measured(tuple(data), conditions, units, self._table.name)
@@ -303,17 +311,11 @@ class _Rows:
 
     def _radius(self, row: int, name: str) -> float | None:
         """Return what a length that is stated as a part of the radius is a part of, µm."""
-        found = (self._field(row, "value", wanted) for wanted in ("radius", "diameter"))
-        radius, diameter = (None if x is None else x[0] for x in found)
-        if name not in _OF_RADIUS:
-            return None
-        return radius or (0.5 * diameter if diameter else None)
-
-    def _specimen(self, row: int) -> str:
-        """Return the name of a row's specimen."""
-        place = self._places.get(("specimen", "specimen"))
-        named = "" if place is None else self._text(row, place)
-        return named or self._table.places[row]
+        for wanted, part in (("radius", 1.0), ("diameter", 0.5)):
+            found = self._field(row, "value", wanted)
+            if name in _OF_RADIUS and found is not None and found[0]:
+                return part * found[0]
+        return None
 
     def _field(self, row: int, kind: str, name: str) -> tuple[float, int] | None:
         """Return the number in a column and its place; None without a column or a value."""
@@ -365,7 +367,7 @@ class _Rows:
     def _condition(self, row: int) -> int:
         """Return the number of a row's condition, which may be a new one."""
         changes: dict[str, Any] = {}
-        label = ""
+        label, words = "", []
         for place, column in enumerate(self._columns):
             text = self._text(row, place)
             if column.kind == "label":
@@ -375,21 +377,14 @@ class _Rows:
                     problem = "is empty: each row states all conditions"
                     raise DataError(self._where(row, place), problem)
                 changes[column.name] = column.of_scene(text)
+                name = column.name.removeprefix("nutrients.").removesuffix(".boundary")
+                words.append(f"{name} {text} {column.unit}".strip())
         key = tuple(changes.items())
         if key not in self._keys:
             self._keys[key] = len(self._keys)
-            self._labels.append(label or self._named(row))
+            self._labels.append(label or ", ".join(words))
             self._scenes.append(self._changed(row, changes))
         return self._keys[key]
-
-    def _named(self, row: int) -> str:
-        """Return the conditions of a row in words."""
-        parts = []
-        for place, column in enumerate(self._columns):
-            if column.kind == "condition":
-                name = column.name.removeprefix("nutrients.").removesuffix(".boundary")
-                parts.append(f"{name} {self._text(row, place)} {column.unit}".strip())
-        return ", ".join(parts)
 
     def _changed(self, row: int, changes: Mapping[str, Any]) -> Scene:
         """Return the scene of a condition."""
@@ -442,22 +437,6 @@ class _Rows:
                 f"has {late.value:,.0f} cells, where runs end with {stop:,} (stop_cells)",
                 "Set a larger stop_cells, or none: '--set stop_cells='.",
             )
-
-    def _all_units(self) -> dict[str, str]:
-        known: dict[str, str] = {}
-        for scene in self._scenes:
-            known |= fields_of(scene) | in_history(scene) | at_the_end(scene)
-        return known
-
-    def _checked_start(self, start: float | str | None) -> float:
-        if start is None:
-            return 0.0
-        if any(column.kind == "start" for column in self._columns):
-            raise DataError("start", "is given twice: there is a column 'start' too")
-        try:
-            return to_base(start, "s", "start")
-        except SceneError as error:
-            raise DataError("start", error.problem, error.hint) from None
 
     def _text(self, row: int, place: int) -> str:
         return self._table.rows[row][place]

@@ -46,15 +46,10 @@ _TAILS: Final = (0.025, 0.975)
 class Estimate:
     """A number with its 95 % interval.
 
-    Attributes
-    ----------
-    value
-        NaN where it lies outside the doses tested.
-    low, high
-        Ends of the interval; of doses 0 below the lowest dose tested and infinite above the
-        largest; NaN where nothing is known of the scatter.
-    words
-        Value and interval in words.
+    - ``value``: NaN where it lies outside the doses tested
+    - ``low``, ``high``: ends of the interval; of doses 0 below the lowest dose tested and infinite
+      above the largest; NaN where nothing is known of the scatter
+    - ``words``: value and interval
     """
 
     value: float
@@ -68,28 +63,17 @@ class Estimate:
 class DoseCurve:
     """The curve of one drug.
 
-    Attributes
-    ----------
-    name, unit
-        Of its doses.
-    doses : (m,)
-        The control, 0, and rising doses.
-    viability : (m,)
-        Mean response at each over that of the control.
-    ic50
-        Dose at which the viability is one half.
-    ec50
-        Dose half-way between ``top`` and ``bottom``: the inflection over the logarithm.
-    slope
-        Hill's h.
-    bottom, top
-        Viability at the largest and without dose.
-    error
-        Root mean square deviation of the means from the curve.
-    parameters : (4,)
-        bottom, top, log EC50, h.
-    draws : (k, 4)
-        The same of the fits that make the intervals; none where nothing is known of the scatter.
+    - ``name``, ``unit``: of its doses
+    - ``doses``, (m,): the control, 0, and rising doses
+    - ``viability``, (m,): mean response at each over that of the control
+    - ``ic50``: dose at which the viability is one half
+    - ``ec50``: dose half-way between ``top`` and ``bottom``: the inflection over the logarithm
+    - ``slope``: Hill's h
+    - ``bottom``, ``top``: viability at the largest and without dose
+    - ``error``: root mean square deviation of the means from the curve
+    - ``parameters``, (4,): bottom, top, log EC50, h
+    - ``draws``, (k, 4): the same of the fits that make the intervals; none where nothing is known
+      of the scatter
     """
 
     name: str
@@ -153,20 +137,15 @@ def fit_curve(
 ) -> DoseCurve:  # fmt: skip
     """Fit Hill's curve to mean responses.
 
-    Parameters
-    ----------
-    doses, means, counts : (m,)
-        The control, then rising doses; mean response and number of runs at each.
-    draws : (k, m) or None
-        Other means, of :func:`draw_means`; None where nothing is known of the scatter at a dose.
-    name, unit
-        Of the doses.
-    free_top
-        Whether the curve need not go through the control.
-    signed
-        Whether responses may be negative.
-    resamples, seed
-        Number of fits for intervals and seed of their random numbers, where there are no draws.
+    - ``doses``, ``means``, ``counts``, (m,): the control, then rising doses; mean response and
+      number of runs at each
+    - ``draws``, (k, m): other means, of :func:`draw_means`; None where nothing is known of the
+      scatter at a dose
+    - ``name``, ``unit``: of the doses
+    - ``free_top``: whether the curve need not go through the control
+    - ``signed``: whether responses may be negative
+    - ``resamples``, ``seed``: number of fits for intervals and seed of their random numbers, where
+      there are no draws
     """
     if len(doses) - 1 < LEAST:
         problem = f"{len(doses) - 1} doses of {name} above zero have a response"
@@ -219,18 +198,11 @@ def draw_means(
 ) -> FloatArray | None:  # fmt: skip
     """Return means of responses as they may have come out with other seeds, (k, m).
 
-    Parameters
-    ----------
-    values : (m, n)
-        Responses at m doses, NaN where there is none.
-    shared
-        Whether the replicates in a column belong together, as runs of one seed do.
-    resamples, seed
-        Their number k, and the seed of NumPy's default generator.
+    None without replicates.
 
-    Returns
-    -------
-    (k, m) array, or None without replicates
+    - ``values``, (m, n): responses at m doses, NaN where there is none
+    - ``shared``: whether the replicates in a column belong together, as runs of one seed do
+    - ``resamples``, ``seed``: their number k, and the seed of NumPy's default generator
     """
     there = np.isfinite(values)
     counts = there.sum(axis=1)
@@ -347,23 +319,13 @@ def combine(
     1953; Greco et al. 1995). It is NaN where one drug alone never leaves so few alive, and
     ``extrapolated`` where D lies beyond the doses tested.
 
-    Parameters
-    ----------
-    points : (m, 2)
-        Doses of both, with the control and each of the doses alone among them.
-    viability : (m,)
-    draws : (k, m) or None
-        Of the viability.
-    curves
-        Of both drugs alone.
+    Returned are a row for each point with both drugs (``..._low``, ``..._high`` are ends of 95 %
+    intervals), the mean of the excess over all points, and the geometric mean of the index over
+    those where it is known within the doses tested.
 
-    Returns
-    -------
-    list of dict
-        A row for each point with both drugs; ``..._low``, ``..._high`` are ends of 95 % intervals.
-    dict of str to Estimate
-        The mean of the excess over all points, and the geometric mean of the index over those
-        where it is known within the doses tested.
+    - ``points``, (m, 2): doses of both, with the control and each of the doses alone among them
+    - ``viability``, (m,); ``draws``, (k, m): of the viability, or None
+    - ``curves``: of both drugs alone
     """
     known = np.full((0, len(points)), np.nan) if draws is None else draws
     place = {tuple(point): k for k, point in enumerate(points.tolist())}
@@ -397,10 +359,9 @@ def combine(
         if entries:
             value = float(np.mean([entry[0] for entry in entries]))
             others = np.mean([entry[1] for entry in entries], axis=0)
-            log = name == "loewe_index"
-            means[name] = (
-                _estimate(math.exp(value), np.exp(others), 0.0) if log else _estimate(value, others)
-            )
+            means[name] = _estimate(value, others)
+            if name == "loewe_index":
+                means[name] = _estimate(math.exp(value), np.exp(others), 0.0)
     return rows, means
 
 

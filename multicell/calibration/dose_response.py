@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from multicell.calibration.columns import finite
 from multicell.calibration.dose_curve import DOSES, LEAST, combine, draw_means, fit_curve
 from multicell.calibration.dose_response_result import DoseResponse, Row
 from multicell.errors import DataError, FitFailed, SceneError
 from multicell.host.extras import needs
-from multicell.schema import chosen, near_miss
+from multicell.schema import chosen
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_seeds, whole
@@ -23,7 +25,7 @@ from multicell.studies.plan import Plan, make_plan
 from multicell.studies.readings import may_be_negative, observables_of, read_final
 from multicell.studies.study import Study, write_study
 from multicell.tables.columns import read_table
-from multicell.tables.titles import split_title
+from multicell.tables.titles import split_title, unknown_title
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -152,16 +154,10 @@ class Options:
 class DosePlan:
     """Runs at doses that were checked and not made.
 
-    Attributes
-    ----------
-    scene, observable
-        As in :func:`dose_response`.
-    names, units
-        Of the doses of each drug.
-    points : (m, k)
-        Doses of the points of the study, in these units.
-    study
-        The plan of the runs.
+    - ``scene``, ``observable``: as in :func:`dose_response`
+    - ``names``, ``units``: of the doses of each drug
+    - ``points``, (m, k): doses of the points of the study, in these units
+    - ``study``: the plan of the runs
     """
 
     scene: Scene
@@ -211,7 +207,9 @@ def plan_of(
         for key in keys:
             setting = _setting(described, key)
             table[key] = [setting(axis.values[place]) for place in places[:, drug]]
-    names = tuple(_name(keys) for keys in drugs)
+    names = tuple(
+        " and ".join(key_words(key, key.rpartition(".")[2]) for key in keys) for keys in drugs
+    )
     points = np.stack([d[places[:, k]] for k, (d, _) in enumerate(found)], axis=1)
     study = make_plan(described, points=table, seeds=seeds)
     return DosePlan(described, observable, names, tuple(unit for _, unit in found), points, study)
@@ -263,11 +261,6 @@ def _setting(scene: Scene, key: str) -> Callable[[Any], Any]:
     return lambda dose: [[time, dose if level > 0.0 else 0.0] for time, level in course]
 
 
-def _name(keys: Sequence[str]) -> str:
-    """Return what doses are called."""
-    return " and ".join(key_words(key, key.rpartition(".")[2]) for key in keys)
-
-
 def carry_out(plan: DosePlan, folder: Path, options: Options, **how: Any) -> DoseResponse:
     """Do all runs of a plan that are not done, and return what they show.
 
@@ -277,7 +270,6 @@ def carry_out(plan: DosePlan, folder: Path, options: Options, **how: Any) -> Dos
     outcomes = study.run(**how)
     final, failures = read_final(outcomes, folder, parts)
     values = np.sum([final[part] for part in parts], axis=0).reshape(len(plan.points), -1)
-    names = [run.name for run in study.runs]
     rows = [
         {"replicate": run.coordinates["seed"], "run": run.name,
          "reason": failures.get(run.name, "")}
@@ -285,7 +277,7 @@ def carry_out(plan: DosePlan, folder: Path, options: Options, **how: Any) -> Dos
     ]  # fmt: skip
     notes = []
     if failures:
-        first = failures[next(name for name in names if name in failures)]
+        first = next(failures[run.name] for run in study.runs if run.name in failures)
         notes.append(f"{len(failures)} runs failed and are left out, the first one: {first}")
     if plan.scene.stop_cells is not None:
         notes.append(
@@ -317,31 +309,30 @@ def of_table(source: Any, options: Options) -> DoseResponse:
         if [other for other, _ in known].count(name) > 1:
             raise DataError(f"{table.name}, '{title}'", "is the title of two columns")
         if name not in allowed:
-            hint = near_miss(name, allowed[:-3])
-            raise DataError(f"{table.name}, '{title}'", "is not a known column here", hint)
+            raise unknown_title(title, dict.fromkeys(allowed[:-3], ""), table.name)
     for name in (*drugs, "response"):
         if name not in columns:
             raise DataError(table.name, f"has no column '{name}'", "Titles: 'dose / uM, response'.")
-    points: list[tuple[float, ...]] = []
-    replicates: list[str] = []
     cells: dict[tuple[tuple[float, ...], str], float] = {}
+    times: Counter[tuple[float, ...]] = Counter()
     shared = "replicate" in columns
-    for place, row in zip(table.places, table.rows, strict=True):
+    for row_place, row in zip(table.places, table.rows, strict=True):
         if not row[columns["response"]]:
             continue  # not measured, or a run that failed
-        doses = [_number(row[columns[name]], f"{table.name}, {place}, '{name}'") for name in drugs]
-        point, response = tuple(doses), f"{table.name}, {place}, 'response'"
-        value = _number(row[columns["response"]], response)
+        place = f"{table.name}, {row_place}"
+        *doses, value = (
+            finite(row[columns[name]], f"{place}, '{name}'") for name in (*drugs, "response")
+        )
+        point = tuple(doses)
         if min(point) < 0.0:
-            raise DataError(f"{table.name}, {place}", "has a dose below 0")
-        points.append(point)
-        label = row[columns["replicate"]] if shared else f"{points.count(point)}"
-        replicates.append(label)
+            raise DataError(place, "has a dose below 0")
+        times[point] += 1
+        label = row[columns["replicate"]] if shared else f"{times[point]}"
         if (point, label) in cells:
-            raise DataError(response, f"is the second one of the replicate '{label}' at this dose")
+            raise DataError(place, f"is the second one of the replicate '{label}' at this dose")
         cells[point, label] = value
-    rising = sorted(dict.fromkeys(points))
-    labels = list(dict.fromkeys(replicates))
+    rising = sorted({point for point, _ in cells})
+    labels = list(dict.fromkeys(label for _, label in cells))
     _check_points(rising, len(drugs), table.name)
     values = np.array([[cells.get((p, label), math.nan) for label in labels] for p in rising])
     rows = [{"replicate": label, "run": "", "reason": ""} for _ in rising for label in labels]
@@ -350,16 +341,6 @@ def of_table(source: Any, options: Options) -> DoseResponse:
         units=[known[columns[name]][1] for name in drugs], response="response",
         signed=bool((values < 0.0).any()), shared=shared, title=table.name,
     )  # fmt: skip
-
-
-def _number(text: str, place: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise DataError(place, f"is {shown(text)}, must be a finite number")
-    return number
 
 
 def _check_points(points: Sequence[tuple[float, ...]], drugs: int, table: str) -> None:
@@ -403,10 +384,9 @@ def analyse(
         value = float(values[point, column])
         if math.isnan(value) and not about["reason"]:
             continue
-        doses: Mapping[str, Any] = dict(zip(DOSES[len(names)], points[point].tolist(), strict=True))
-        table.append({**doses, "replicate": about["replicate"], "response": value,
-                      "viability": value / control, "run": about["run"],
-                      "reason": about["reason"]})  # fmt: skip
+        doses = dict(zip(DOSES[len(names)], points[point].tolist(), strict=True))
+        numbers = {"response": value, "viability": value / control}
+        table.append({**doses, "replicate": about["replicate"], **numbers, **about})
     points, values = points[there], values[there]
     counts = np.isfinite(values).sum(axis=1).astype(float)
     draws = draw_means(values, shared, options.resamples, options.resample_seed)

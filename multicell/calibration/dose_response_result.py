@@ -26,31 +26,21 @@ Row = dict[str, Any]
 class DoseResponse:
     """Responses to doses and what follows from them.
 
-    Attributes
-    ----------
-    title : str
-        Of the scene, or name of the table.
-    curves : tuple of DoseCurve
-        Of one drug, or of each of two alone, with ``ic50``, ``ec50``, ``slope``, ``bottom`` and
-        ``top`` (each with ``value``, ``low``, ``high`` and ``words``); a curve can be called.
-    response : str
-        What is measured, in words.
-    replicates : int
-        Seeds, or replicates of data, at most.
-    table : list of dict
-        A row for each run or datum: ``dose`` (or ``dose A``, ``dose B``) in the unit of the curve,
-        ``replicate`` (the seed), ``response``, ``viability``, ``run`` and ``reason`` of a failure.
-    combination : list of dict
-        A row for each pair of doses: ``viability``, ``bliss_excess`` and ``loewe_index``, each with
-        ``..._low`` and ``..._high``, and ``extrapolated``; see
-        :func:`multicell.calibration.dose_curve.combine`.
-    totals : dict of str to Estimate
-        Mean ``bliss_excess`` and geometric mean ``loewe_index``.
-    notes : list of str
-        What the reader must know.
-    top : "control" or "free"
-    scene : Scene or None
-    folder : Path or None
+    - ``title``: of the scene, or name of the table
+    - ``curves``: of one drug, or of each of two alone, with ``ic50``, ``ec50``, ``slope``,
+      ``bottom`` and ``top`` (each with ``value``, ``low``, ``high`` and ``words``); a curve can be
+      called
+    - ``response``: what is measured, in words
+    - ``replicates``: seeds, or replicates of data, at most
+    - ``table``: a row for each run or datum: ``dose`` (or ``dose A``, ``dose B``) in the unit of
+      the curve, ``replicate`` (the seed), ``response``, ``viability``, ``run`` and ``reason`` of a
+      failure
+    - ``combination``: a row for each pair of doses: ``viability``, ``bliss_excess`` and
+      ``loewe_index``, each with ``..._low`` and ``..._high``, and ``extrapolated``; see
+      :func:`multicell.calibration.dose_curve.combine`
+    - ``totals``: mean ``bliss_excess`` and geometric mean ``loewe_index``
+    - ``notes``: what the reader must know
+    - ``top``: ``"control"`` or ``"free"``
     """
 
     title: str
@@ -128,10 +118,7 @@ class DoseResponse:
     def report(self, folder: str | Path | None = None) -> Path:
         """Write tables, pictures and the page ``report.html``; return the page.
 
-        Raises
-        ------
-        OutputError
-            If there is no folder, or it cannot be written to.
+        Raises ``OutputError`` if there is no folder, or it cannot be written to.
         """
         from multicell.calibration.dose_response_page import write_report
 
@@ -140,10 +127,7 @@ class DoseResponse:
     def write_tables(self, folder: str | Path | None = None) -> Path:
         """Write ``dose_response.csv`` and ``.json``, and ``combination.csv``; return the folder.
 
-        Raises
-        ------
-        OutputError
-            As :meth:`report`.
+        Raises ``OutputError`` as :meth:`report` does.
         """
         place = self.folder if folder is None else Path(folder)
         if place is None:

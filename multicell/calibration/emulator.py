@@ -112,11 +112,6 @@ class Emulator:
     noise: Noise
     prior: Prior
 
-    @property
-    def dimensions(self) -> int:
-        """Number of parameters."""
-        return self.prior.dimensions
-
     def predict(self, shares: Array) -> tuple[Array, Array]:
         """Return (mean - datum) / σ and its variance for parameters (k, d): (k, n) each."""
         means = np.empty((len(shares), len(self.lowest)))
@@ -370,7 +365,9 @@ def draws(loss: Loss, prior: Prior, seed: int, count: int = PARTICLES) -> Array:
     while power < 1.0:
         step = _step(losses, 1.0 - power)
         power = 1.0 if step >= 1.0 - power else power + step
-        chosen = _resample(_weights(losses, step), random)
+        places = (random.random() + np.arange(count)) / count  # systematic resampling
+        rows = np.searchsorted(np.cumsum(_weights(losses, step)), places)
+        chosen = np.minimum(rows, count - 1)
         found, losses = _move(loss, prior, found[chosen], losses[chosen], power, random)
     return found
 
@@ -458,10 +455,3 @@ def _step(losses: Array, most: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if effective(middle) >= 0.5 * len(losses) else (low, middle)
     return max(low, 1e-12 * most)
-
-
-def _resample(weights: Array, random: np.random.Generator) -> NDArray[np.intp]:
-    """Return rows drawn systematically by their weights."""
-    count = len(weights)
-    places = (random.random() + np.arange(count)) / count
-    return np.minimum(np.searchsorted(np.cumsum(weights), places), count - 1)

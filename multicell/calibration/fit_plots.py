@@ -12,9 +12,10 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from multicell.calibration.noise import Array
 from multicell.calibration.priors import values_at
 from multicell.calibration.verdict import quantiles
-from multicell.report.plots.style import BLUE, INK, QUIET, RED, blank, counts, styled
+from multicell.report.plots.style import BLUE, INK, QUIET, RED, counts, styled
 from multicell.report.wording import TimeUnit, time_unit
 from multicell.results.quantities import unit_of
+from multicell.studies.pictures.layout import panels, with_heading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,21 +66,18 @@ class FitPlots:
 @styled
 def data(fit: Fit) -> Figure:
     """Draw each observable in a panel of its own: against time, or datum by datum."""
-    panels = _panels(fit)
-    wide = any(not timed and len(numbers) > 4 for _, timed, numbers in panels)
-    columns = 1 if wide else min(len(panels), 2)
-    rows = -(-len(panels) // columns)
-    labels = max((_lines(fit, numbers) for _, timed, numbers in panels if not timed), default=1)
-    below = 0.6 + 0.19 * labels  # inches for what stands under a panel
-    height = 1.15 + rows * (3.1 + below + 0.35)
-    figure = blank(_title(fit), _subtitle(fit), (10.0, height))
-    grid = figure.add_gridspec(
-        rows, columns, left=0.09, right=0.97, top=1.0 - 1.15 / height, bottom=below / height,
-        wspace=0.27, hspace=(below + 0.45) / 3.1,
-    )  # fmt: skip
+    shown = _panels(fit)
+    single = [numbers for _, timed, numbers in shown if not timed]
+    columns = 1 if any(len(numbers) > 4 for numbers in single) else min(len(shown), 2)
+    height = 4.6 if any(len(numbers) > _UPRIGHT for numbers in single) else 3.9
+    tissues = "" if fit.sample is None else ", band: 95 % of what tissues would show"
+    subtitle = (
+        f"bars: standard deviations, lines: best runs{tissues}; χ² {fit.best.per_datum:.2g} a datum"
+    )
+    height = 1.15 + height * -(-len(shown) // columns)
+    figure, grid = panels(_title(fit), subtitle, len(shown), columns, height)
     band = fit.predicted(_BAND)
-    for k, (name, over, numbers) in enumerate(panels):
-        axes = figure.add_subplot(grid[k // columns, k % columns])
+    for axes, (name, over, numbers) in zip(grid, shown, strict=True):
         unit = fit.problem.measured.units[name]
         axes.set_title(_named(name, unit))
         if over:
@@ -130,27 +128,20 @@ def _over_axis(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> Non
             key=lambda k: _abscissa(data[k]) or 0.0,
         )
         colour = _COLOURS[condition % len(_COLOURS)]
+        times = np.array([_abscissa(data[k]) or 0.0 for k in own]) / unit.seconds
+        axes.fill_between(times, band[0, own], band[2, own], color=colour, alpha=0.22, linewidth=0)
+        axes.plot(times, fit.best.readings[own], color=colour, linewidth=1.8)
+        values, errors = _bars([data[k] for k in own])
         label = fit.problem.measured.conditions[condition].label
-        _draw_course(axes, fit, own, band, unit, colour, label)
+        axes.errorbar(
+            times, values, errors, fmt="o", color=colour, markersize=5, capsize=3, label=label,
+            markeredgecolor="white", markeredgewidth=0.6,
+        )  # fmt: skip
     axes.set_xlabel("depth below the surface (µm)" if profile else f"time ({unit.name})")
     if not profile:
         axes.set_xlim(left=0.0)
     if len(conditions) > 1:
         axes.legend(fontsize=9)
-
-
-def _draw_course(
-    axes: Axes, fit: Fit, own: Sequence[int], band: Array, unit: TimeUnit, colour: str, label: str
-) -> None:
-    data = fit.problem.measured.data
-    times = np.array([_abscissa(data[k]) or 0.0 for k in own]) / unit.seconds
-    axes.fill_between(times, band[0, own], band[2, own], color=colour, alpha=0.22, linewidth=0)
-    axes.plot(times, fit.best.readings[list(own)], color=colour, linewidth=1.8)
-    values, errors = _bars([data[k] for k in own])
-    axes.errorbar(
-        times, values, errors, fmt="o", color=colour, markersize=5, capsize=3, label=label,
-        markeredgecolor="white", markeredgewidth=0.6,
-    )  # fmt: skip
 
 
 def _one_by_one(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
@@ -186,14 +177,6 @@ def _bars(data: Sequence[Datum]) -> tuple[Array, Array]:
     return values, np.array([lower, upper])
 
 
-def _lines(fit: Fit, numbers: Sequence[int]) -> float:
-    """Return how many lines of text the labels under a panel of single data take."""
-    names = [_place(fit, fit.problem.measured.data[k]) for k in numbers]
-    if len(names) <= _UPRIGHT:
-        return float(max(name.count(", ") + 1 for name in names))
-    return 0.4 * max(map(len, names))  # turned by a right angle
-
-
 def _place(fit: Fit, datum: Datum) -> str:
     """Return where a datum belongs, in words; what all of them share stands below the panel."""
     measured = fit.problem.measured
@@ -224,17 +207,19 @@ def parameters(fit: Fit) -> Figure:
     ranges = fit.problem.ranges[:_MAX_PAIRED]
     count = len(ranges)
     size = max(6.25, 2.3 * count + 1.5)
-    figure = blank(_title(fit), _posterior_words(fit), (max(size, 10.0), size))
-    width, height = figure.get_size_inches()
-    grid = figure.add_gridspec(
-        count, count, left=1.05 / width, right=1.0 - 0.35 / width, top=1.0 - 1.15 / height,
-        bottom=0.8 / height, wspace=0.12, hspace=0.12,
-    )  # fmt: skip
+    known = "too few points for a posterior"
+    if fit.sample is not None:
+        known = "posterior by Gaussian processes through the runs"
+    subtitle = f"{known}; red: best, dashed: before the data, dotted: 95 %"
+    figure = with_heading(_title(fit), subtitle, (max(size, 10.0), size))
+    grid = figure.subplots(count, count, squeeze=False)
     sample = fit.sample
     windows = [_window(fit, k) for k in range(count)]
     for i in range(count):
-        for j in range(i + 1):
-            axes = figure.add_subplot(grid[i, j])
+        for j, axes in enumerate(grid[i]):
+            if j > i:
+                axes.set_axis_off()
+                continue
             if i == j:
                 _marginal(axes, fit, ranges[i], i, sample, windows[i])
             else:
@@ -247,19 +232,13 @@ def parameters(fit: Fit) -> Figure:
 def profiles(fit: Fit) -> Figure:
     """Draw by how much -2 ln L rises at best over the values of each parameter."""
     found = fit.profiles
-    columns = min(len(found), 3)
-    rows = -(-len(found) // max(columns, 1))
+    columns = max(min(len(found), 3), 1)
     subtitle = "least -2 ln (likelihood · prior) over the other parameters; dotted: 95 % interval"
     if fit.ends:
         subtitle += "; red: runs at its ends"
-    height = 1.25 + 3.3 * max(rows, 1)
-    figure = blank(_title(fit), subtitle, (10.0, height))
-    grid = figure.add_gridspec(
-        max(rows, 1), max(columns, 1), left=0.09, right=0.97, top=1.0 - 1.25 / height,
-        bottom=0.7 / height, wspace=0.3, hspace=0.35,
-    )  # fmt: skip
-    for k, profile in enumerate(found):
-        axes = figure.add_subplot(grid[k // columns, k % columns])
+    height = 1.25 + 3.3 * max(-(-len(found) // columns), 1)
+    figure, grid = panels(_title(fit), subtitle, len(found), columns, height)
+    for k, (axes, profile) in enumerate(zip(grid, found, strict=True)):
         free = fit.problem.ranges[profile.number]
         axes.plot(_at(free, profile.shares[:, profile.number]), profile.rises, color=BLUE)
         axes.axhline(profile.limit, color=QUIET, linewidth=1.0, linestyle="--")
@@ -377,14 +356,3 @@ def _named(name: str, unit: str) -> str:
 
 def _title(fit: Fit) -> str:
     return f"{fit.scene.title or 'Untitled scene'}: fit"
-
-
-def _subtitle(fit: Fit) -> str:
-    band = "" if fit.sample is None else ", band: 95 % of what tissues would show"
-    return f"bars: standard deviations, lines: best runs{band}; χ² {fit.best.per_datum:.2g} a datum"
-
-
-def _posterior_words(fit: Fit) -> str:
-    by = "Gaussian processes through the runs"
-    known = "too few points for a posterior" if fit.sample is None else f"posterior by {by}"
-    return f"{known}; red: best, dashed: before the data, dotted: 95 %"

@@ -81,25 +81,17 @@ class Best:
 class Fit:
     """Parameters of a scene, fitted to data; :func:`multicell.fit` makes it.
 
-    Attributes
-    ----------
-    problem
-        Data, ranges and what simulates.
-    scene
-        What was fitted.
-    evaluations
-        All parameters that the search tried.
-    folder
-        Of the results, or None.
-    facts
-        How the fit was made: numbers of runs, seconds.
-    fresh
-        What runs with fresh seeds have shown at the best point and at draws from the intervals.
-    ends
-        What runs have shown at the ends of profile intervals; empty without ``profile_runs``.
-    readings
-        What each run of the search and each fresh one has in place of its data, by place in the
-        ranges, condition and seed; :attr:`runs` is a table of them.
+    - ``problem``: data, ranges and what simulates
+    - ``scene``: what was fitted
+    - ``evaluations``: all parameters that the search tried
+    - ``folder``: of the results, or None
+    - ``facts``: how the fit was made: numbers of runs, seconds
+    - ``fresh``: what runs with fresh seeds have shown at the best point and at draws from the
+      intervals
+    - ``ends``: what runs have shown at the ends of profile intervals; empty without
+      ``profile_runs``
+    - ``readings``: what each run of the search and each fresh one has in place of its data, by
+      place in the ranges, condition and seed; :attr:`runs` is a table of them
     """
 
     problem: Problem
@@ -197,7 +189,7 @@ class Fit:
 
         Returns
         -------
-        pandas.DataFrame
+        DataFrame
             One row for each value: the best parameters with it in base units, and ``rise``, by how
             much -2 ln of likelihood and prior are above their least value. ``attrs`` hold units,
             ``level``, ``limit`` (the rise at the ends of the interval), ``interval``, and
@@ -339,36 +331,28 @@ class Fit:
         mean square), of which scatter is a part.
         """
         data, best = self.problem.measured, self.best
-        rows = []
         scatter, (own, checked) = self._scatter, self._emulator_errors
-        for k, datum in enumerate(data.data):
-            rows.append(
-                {
-                    "row": datum.place,
-                    "condition": data.conditions[datum.condition].label,
-                    "observable": datum.observable,
-                    "unit": data.units[datum.observable],
-                    "time": np.nan if datum.time is None else datum.time,
-                    "at": "" if datum.at is None else f"{datum.at[0]} = {datum.at[1]:g}",
-                    "depth": np.nan if datum.depth is None else datum.depth,
-                    "measured": datum.value,
-                    "sd": datum.deviation,
-                    "assumed": datum.assumed,
-                    "tissues": datum.tissues,
-                    "run": float(best.readings[k]),
-                    "residual": float(best.residuals[k]),
-                    "scatter": float(scatter[k]) * datum.deviation,
-                    "emulator_error": float(own[k]) * datum.deviation,
-                    "check": float(checked[k]) * datum.deviation,
-                }
-            )
-        return rows
-
-    def run_rows(self) -> list[dict[str, Any]]:
-        """Return all runs one by one, base units; see :attr:`runs`."""
-        from multicell.calibration.run_table import rows
-
-        return rows(self)
+        return [
+            {
+                "row": datum.place,
+                "condition": data.conditions[datum.condition].label,
+                "observable": datum.observable,
+                "unit": data.units[datum.observable],
+                "time": np.nan if datum.time is None else datum.time,
+                "at": "" if datum.at is None else f"{datum.at[0]} = {datum.at[1]:g}",
+                "depth": np.nan if datum.depth is None else datum.depth,
+                "measured": datum.value,
+                "sd": datum.deviation,
+                "assumed": datum.assumed,
+                "tissues": datum.tissues,
+                "run": float(best.readings[k]),
+                "residual": float(best.residuals[k]),
+                "scatter": float(scatter[k]) * datum.deviation,
+                "emulator_error": float(own[k]) * datum.deviation,
+                "check": float(checked[k]) * datum.deviation,
+            }
+            for k, datum in enumerate(data.data)
+        ]
 
     @property
     def runs(self) -> pd.DataFrame:
@@ -378,10 +362,12 @@ class Fit:
         it), ``condition``, ``seed``, the parameters, a column for each reading as
         ``diameter at 48 h``, and ``reason`` where a run failed; base units.
         """
+        from multicell.calibration.run_table import rows
+
         needs("pandas")
         import pandas
 
-        return pandas.DataFrame(self.run_rows())
+        return pandas.DataFrame(rows(self))
 
     def to_xarray(self) -> xarray.Dataset:
         """Return all runs in the form of a study's table, for its pictures and for analyses.
@@ -398,17 +384,8 @@ class Fit:
         """Write a study of the sets of parameters that were tried, under all conditions.
 
         A fit keeps readings only. The study's runs, which are made when it is run, are whole ones:
-        with frames, histories and pictures. It can be widened as others can.
-
-        Parameters
-        ----------
-        folder
-            Of the study.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be used.
+        with frames, histories and pictures. It can be widened as others can. Raises
+        ``OutputError`` if the folder cannot be used.
         """
         from multicell.calibration.run_table import to_study
 
@@ -510,21 +487,22 @@ class Fit:
     def summary(self) -> dict[str, Any]:
         """Return the result as plain values."""
         best = self.best
-        known = self.intervals() if self.sample is not None else {}
+        known, checked = {}, None
+        if self.sample is not None:
+            known, check = self.intervals(), self.predictive_check()
+            checked = {x: getattr(check, x) for x in ("chi_squared", "largest", "outside")}
         parameters = {}
-        profiles_of = dict(zip(known, self.profiles, strict=False))
-        for free in self.problem.ranges:
-            interval, profile = known.get(free.name), profiles_of.get(free.name)
+        for k, free in enumerate(self.problem.ranges):
+            found = known.get(free.name)
+            ends = self.profiles[k].ends[:, k] if found else ()
             parameters[free.key] = {
                 "name": free.name,
                 "unit": free.unit,
                 "best": best.values[free.key],
-                "median": None if interval is None else interval.median,
-                "interval": None if interval is None else [interval.low, interval.high],
-                "part_of_range": None if interval is None else interval.part,
-                "profile_interval": None
-                if profile is None
-                else [free.value(float(x)) for x in profile.ends[:, profile.number]],
+                "median": found and found.median,
+                "interval": found and [found.low, found.high],
+                "part_of_range": found and found.part,
+                "profile_interval": found and [free.value(float(x)) for x in ends],
                 "range": [free.low, free.high],
                 "log": free.log,
             }
@@ -537,19 +515,12 @@ class Fit:
                 {"names": list(u.names), "kind": u.kind, "words": u.words}
                 for u in self.undetermined
             ],
-            "predictive_check": self._checked(),
+            "predictive_check": checked,
             "residuals": self.rows(),
             "unknown_scatter": self.unknown_scatter,
             "notes": self.notes,
             **self.facts,
         }
-
-    def _checked(self) -> dict[str, float] | None:
-        if self.sample is None:
-            return None
-        found = self.predictive_check()
-        return {"chi_squared": found.chi_squared, "largest": found.largest,
-                "outside": found.outside}  # fmt: skip
 
     def some_sample(self) -> tuple[Array, Array]:
         """Return the draws and weights of :attr:`sample`; raises FitFailed where there are none."""

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -58,46 +58,35 @@ CLEAR, NOISE, ZERO, CLEAR_SINGLE, UNKNOWN = (
 """What can be said of an index."""
 
 
-@final
-@dataclass(frozen=True)
-class Index:
-    """The sensitivity of one observable to one parameter.
-
-    - ``mu``, ``mu_star``, ``mu_star_conf``, ``sigma``: of Morris, in the unit of the observable,
-      for the whole range of the parameter; else NaN
-    - ``s1``, ``s1_conf``, ``st``, ``st_conf``: of Sobol', parts of the variance; else NaN
-    - ``noise``: what noise over the seeds alone gives to ``mu_star``, or adds to ``ST``; NaN for
-      one seed
-    - ``verdict``: :data:`CLEAR` if the index less its half width is above the noise; :data:`NOISE`
-      if not, :data:`ZERO` where there is no noise; :data:`CLEAR_SINGLE` if it is above zero and the
-      noise is unknown; :data:`UNKNOWN` without an index
-    """
-
-    mu: float = math.nan
-    mu_star: float = math.nan
-    mu_star_conf: float = math.nan
-    sigma: float = math.nan
-    s1: float = math.nan
-    s1_conf: float = math.nan
-    st: float = math.nan
-    st_conf: float = math.nan
-    noise: float = math.nan
-    verdict: str = UNKNOWN
+COLUMNS: Final = {
+    "morris": ("mu", "mu_star", "mu_star_conf", "sigma"),
+    "sobol": ("s1", "s1_conf", "st", "st_conf"),
+}
+"""The indices of a method, the half widths of their 95 % intervals included."""
+MAIN: Final = {"morris": "mu_star", "sobol": "st"}
+"""The index of a method that decides what a parameter does."""
 
 
 @final
 @dataclass(frozen=True)
 class Analysis:
-    """The indices of one observable.
+    """The sensitivity of one observable to each parameter.
 
-    - ``indices``: one for each parameter
+    - ``columns``, name -> (parameters,): of Morris ``mu``, ``mu_star``, ``mu_star_conf``, ``sigma``
+      in the unit of the observable, for the whole range of the parameter; of Sobol' ``s1``,
+      ``s1_conf``, ``st``, ``st_conf``, parts of the variance; ``noise``: what noise over the seeds
+      alone gives to ``mu_star``, or adds to ``ST``. NaN where nothing is known.
+    - ``verdicts``: :data:`CLEAR` if the index less its half width is above the noise;
+      :data:`NOISE` if not, :data:`ZERO` where there is no noise; :data:`CLEAR_SINGLE` if it is
+      above zero and the noise is unknown; :data:`UNKNOWN` without an index
     - ``used``: trajectories, or base points, of which all runs have a value
     - ``constant``: whether the observable is the same in all of them: then every index is zero
     """
 
-    indices: tuple[Index, ...]
+    columns: Mapping[str, FloatArray]
+    verdicts: Sequence[str]
     used: int
-    constant: bool
+    constant: bool = False
 
 
 def check_size(method: str, size: int) -> None:
@@ -153,34 +142,27 @@ def analyse(
     kept: Mask = np.asarray(whole.any(axis=1))
     used = int(kept.sum())
     if used < 2:
-        return Analysis((Index(),) * len(names), used, False)
+        return _alike(method, len(names), math.nan, UNKNOWN, used)
     place = np.repeat(kept, wide)
     mean = np.stack([b[:, w].mean(axis=1) for b, w in zip(blocks[kept], whole[kept], strict=True)])
     if np.ptp(mean) <= _ROUNDING * np.abs(mean).max():
-        return Analysis((_zero(method),) * len(names), used, True)
+        return _alike(method, len(names), 0.0, ZERO, used)
     noise = _noise(method, shares[place], blocks[kept], whole[kept])
-    main = "mu_star" if method == "morris" else "st"
-    find = _morris if method == "morris" else _sobol
+    find, main = _morris if method == "morris" else _sobol, MAIN[method]
     columns = {n: np.asarray(x, dtype=float) for n, x in find(names, shares[place], mean).items()}
-    columns["noise"] = _floor(method, noise, mean)
+    floor = columns["noise"] = _floor(method, noise, mean)
     lower = columns[main] - columns[f"{main}_conf"]
-    indices = (
-        Index(**{name: float(column[k]) for name, column in columns.items()},
-              verdict=_verdict(float(lower[k]), float(columns["noise"][k])))
-        for k in range(len(names))
-    )  # fmt: skip
-    return Analysis(tuple(indices), used, False)
+    return Analysis(columns, list(map(_verdict, lower.tolist(), floor.tolist())), used)
 
 
 def _problem(names: Sequence[str]) -> dict[str, Any]:
     return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
 
 
-def _zero(method: str) -> Index:
-    """Return the index of an observable that is the same everywhere."""
-    if method == "morris":
-        return Index(mu=0.0, mu_star=0.0, mu_star_conf=0.0, sigma=0.0, noise=0.0, verdict=ZERO)
-    return Index(s1=0.0, s1_conf=0.0, st=0.0, st_conf=0.0, noise=0.0, verdict=ZERO)
+def _alike(method: str, count: int, value: float, verdict: str, used: int) -> Analysis:
+    """Return an analysis whose indices are all one number: 0 of what is the same everywhere."""
+    columns = {name: np.full(count, value) for name in (*COLUMNS[method], "noise")}
+    return Analysis(columns, [verdict] * count, used, constant=value == 0.0)
 
 
 def _morris(names: Sequence[str], shares: FloatArray, mean: FloatArray) -> dict[str, FloatArray]:

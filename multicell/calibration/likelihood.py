@@ -329,7 +329,11 @@ def fresh(
     - ``count``: runs at the best point
     - ``progress``: called with the numbers of runs done and wanted after each run
     """
-    best = _best(search, problem.prior, emulator)
+    if emulator is None:
+        best = min(search.evaluations(), key=lambda e: e.loss).shares
+    else:  # no single lucky run decides it
+        likely = draws(emulator.loss, problem.prior, seed=0, count=FEW)
+        best = best_of(emulator.loss, problem.prior, likely)
     first = max(problem.seeds) + 1
     here = best.tolist()
     runs, reasons = search.extra(pool, [(here, first + k) for k in range(count)], progress)
@@ -353,13 +357,6 @@ def fresh(
     if checks.off.any():
         found = likelihood(emulator, problem.noise, best, scatter, error)
     return Fresh(best, runs, (*reasons, *more), scatter, found, checks)
-
-
-def _best(search: Search, prior: Prior, emulator: Emulator | None) -> Array:
-    """Return the point whose runs stand for the fit; no single lucky run decides it."""
-    if emulator is None:
-        return min(search.evaluations(), key=lambda e: e.loss).shares
-    return best_of(emulator.loss, prior, draws(emulator.loss, prior, seed=0, count=FEW))
 
 
 def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:

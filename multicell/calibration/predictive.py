@@ -48,16 +48,13 @@ if TYPE_CHECKING:
 class PredictiveCheck:
     """Posterior predictive checks of a fit.
 
-    Attributes
-    ----------
-    chi_squared
-        Probability that replicated data have a larger χ² than the data; near 0 where the model does
-        not describe them, or their errors are larger than stated; near 1 where they are smaller.
-    largest
-        The same of the largest deviation of a single datum.
-    table
-        One row for each datum: ``measured``, ``low``, ``median`` and ``high`` of replicated data
-        (95 %) in base units, and ``p``, the probability to be further out on either side.
+    - ``chi_squared``: probability that replicated data have a larger χ² than the data; near 0 where
+      the model does not describe them, or their errors are larger than stated; near 1 where they
+      are smaller
+    - ``largest``: the same of the largest deviation of a single datum
+    - ``table``: one row for each datum: ``measured``, ``low``, ``median`` and ``high`` of
+      replicated data (95 %) in base units, and ``p``, the probability to be further out on either
+      side
     """
 
     chi_squared: float
@@ -236,7 +233,12 @@ def compare_fits(fits: Mapping[str, Fit] | Sequence[Fit]) -> pd.DataFrame:
     import pandas
 
     named = _named(fits)
-    _refuse_others(named)
+    (first, one), *others = named.items()
+    for name, other in others:
+        if _key(one) != _key(other):
+            problem = f"has '{first}' and '{name}', which are to different data"
+            hint = "Scores and likelihoods compare only where all data and their errors are equal."
+            raise SceneError("fits", problem, hint)
     found = {name: predictive_of(fit) for name, fit in named.items()}
     common = np.mean([each.covariance for each in found.values()], axis=0)
     rows = {}
@@ -285,16 +287,6 @@ def _named(fits: Mapping[str, Fit] | Sequence[Fit]) -> dict[str, Fit]:
     if len(named) < 2:
         raise SceneError("fits", f"has {len(named)} fits, must have at least two")
     return named
-
-
-def _refuse_others(named: Mapping[str, Fit]) -> None:
-    """Refuse fits that are to other data."""
-    (first, one), *others = named.items()
-    for name, other in others:
-        if _key(one) != _key(other):
-            problem = f"has '{first}' and '{name}', which are to different data"
-            hint = "Scores and likelihoods compare only where all data and their errors are equal."
-            raise SceneError("fits", problem, hint)
 
 
 def _key(fit: Fit) -> list[tuple[object, ...]]:

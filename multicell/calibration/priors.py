@@ -25,7 +25,8 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, final
+from inspect import Parameter, Signature
+from typing import Any, Final, Self, final
 
 import numpy as np
 
@@ -59,6 +60,12 @@ class Density:
     shapes: tuple[float, ...]
     loc: float
     scale: float
+
+    @classmethod
+    def of(cls, name: str, *numbers: float) -> Self:
+        """Return a density from its shapes, location and scale."""
+        *shapes, loc, scale = map(float, numbers)
+        return cls(name, tuple(shapes), loc, scale)
 
     @cached_property
     def frozen(self) -> Any:
@@ -206,16 +213,17 @@ def split_free(
     for name, given in free.items():
         ranges[name], densities[name] = given, None
         call = _CALL.fullmatch(given) if isinstance(given, str) else None
-        if call is not None:
-            key = key_of(scene, name)
-            _refuse_whole(key)
-            density, ends = _from_call(key, call[1], call[2]), call[3]
-        elif isinstance(given, tuple | list) and given and hasattr(given[0], "dist"):
-            key = key_of(scene, name)
-            _refuse_whole(key)
-            density, ends = _from_frozen(key, given), given[2] if len(given) > 2 else None
-        else:
+        frozen = isinstance(given, tuple | list) and any(hasattr(x, "dist") for x in given[:1])
+        if call is None and not frozen:
             continue
+        key = key_of(scene, name)
+        if not is_numeric(key) or key.spec.kind == "count":
+            problem = "is no real number, so it cannot have a distribution"
+            raise SceneError(key.name, problem, "Give whole numbers a range, such as '2:9'.")
+        if call is not None:
+            density, ends = _from_call(key, call[1], call[2]), call[3]
+        else:
+            density, ends = _from_frozen(key, given), given[2] if len(given) > 2 else None
         ranges[name], densities[name] = _range(key, density, ends), density
     return ranges, densities
 
@@ -230,8 +238,8 @@ def prior_of(
         if density is not None:
             low, high = density.frozen.cdf([free.low, free.high])
             if not high - low > 1e-6:
-                problem = f"has a distribution with next to nothing in {_ends(free)}"
-                raise SceneError(free.key, problem)
+                ends = f"{free.low:g} to {free.high:g} {free.unit}".strip()
+                raise SceneError(free.key, f"has a distribution with next to nothing in {ends}")
     found = tuple(_constraint(text, ranges) for text in constraints)
     prior = Prior(len(ranges), tuple(ranges), tuple(densities), found)
     if found:
@@ -242,12 +250,6 @@ def prior_of(
             problem = f"leaves less than a thousandth of the ranges: {words}"
             raise SceneError("constraint", problem, "Choose ranges in which it may hold.")
     return prior
-
-
-def _refuse_whole(key: Key) -> None:
-    if not is_numeric(key) or key.spec.kind == "count":
-        problem = "is no real number, so it cannot have a distribution"
-        raise SceneError(key.name, problem, "Give whole numbers a range, such as '2:9'.")
 
 
 def _family(key: Key, name: str) -> Any:
@@ -269,30 +271,25 @@ def _from_call(key: Key, name: str, text: str) -> Density:
     """Return the density that a call in words describes."""
     family = _family(key, name)
     shapes = family.shapes.replace(",", " ").split() if family.shapes else []
-    order, given = [*shapes, "loc", "scale"], {}
-    positional = True
-    for place, item in enumerate(part.strip() for part in text.split(",")):
-        word, equals, value = item.partition("=")
-        positional &= not equals
-        if not equals and (not positional or place >= len(order) or not item):
-            problem = f"has {shown(item)} in '{name}({text})', where there is no argument"
-            raise SceneError(key.name, problem, f"It takes {', '.join(order)}.")
-        argument = word.strip() if equals else order[place]
-        if name == "lognorm":  # its own words for SciPy's
-            argument = {"median": "scale", "sigma": "s"}.get(argument, argument)
-        if argument not in order or argument in given:
-            problem = f"has the argument '{word.strip()}' in '{name}({text})'"
-            problem += " twice" if argument in given else ", which it does not take"
-            raise SceneError(key.name, problem, f"It takes {', '.join(order)}.")
-        given[argument] = _number(key, value.strip() if equals else item, argument in shapes)
+    order = [*shapes, "loc", "scale"]
+    items = [[word.strip() for word in item.split("=", 1)] for item in text.split(",")]
+    others = {"median": "scale", "sigma": "s"} if name == "lognorm" else {}
+    named = [(others.get(x[0], x[0]), x[1]) for x in items if len(x) > 1]
+    try:
+        if len(dict(named)) < len(named):
+            raise TypeError("an argument is given twice")
+        call = Signature([Parameter(x, Parameter.POSITIONAL_OR_KEYWORD) for x in order])
+        words = call.bind_partial(*(x[0] for x in items if len(x) == 1), **dict(named)).arguments
+    except TypeError as error:
+        problem = f"has '{name}({text})': {error}"
+        raise SceneError(key.name, problem, f"It takes {', '.join(order)}.") from None
+    given = {argument: _number(key, word, argument in shapes) for argument, word in words.items()}
     needed = [*shapes, "scale"] if key.unit else shapes
     missing = ", ".join(word for word in needed if word not in given)
     if missing:
         raise SceneError(key.name, f"has '{name}({text})' without {missing}", _HINT)
-    density = Density(
-        name, tuple(given[word] for word in shapes), given.get("loc", 0.0), given.get("scale", 1.0)
-    )
-    return _checked(key, density)
+    given = {"loc": 0.0, "scale": 1.0, **given}
+    return _checked(key, Density.of(name, *(given[word] for word in order)))
 
 
 def _number(key: Key, text: str, bare: bool) -> float:
@@ -322,8 +319,7 @@ def _from_frozen(key: Key, given: Sequence[Any]) -> Density:
     family = _family(key, frozen.dist.name)
     size = to_base(f"1 {unit}", key.unit, key.name) if unit else 1.0
     shapes, loc, scale = family._parse_args(*frozen.args, **frozen.kwds)
-    numbers = [float(x) for x in (*shapes, loc * size, scale * size)]
-    return _checked(key, Density(family.name, tuple(numbers[:-2]), numbers[-2], numbers[-1]))
+    return _checked(key, Density.of(family.name, *shapes, loc * size, scale * size))
 
 
 def _checked(key: Key, density: Density) -> Density:
@@ -356,7 +352,7 @@ def _constraint(text: str, ranges: Sequence[Range]) -> Constraint:
     if len(sides) != 3:
         problem = f"is {shown(text)}, must be two sums with '<' or '>' between them"
         raise SceneError("constraint", problem, hint)
-    factors, constant = np.zeros(len(ranges)), 0.0
+    factors, bound = np.zeros(len(ranges)), 0.0
     units: set[str] = set()
     quantities: list[tuple[float, str]] = []
     for sign, side in ((1.0, sides[0]), (-1.0, sides[2])):
@@ -376,10 +372,9 @@ def _constraint(text: str, ranges: Sequence[Range]) -> Constraint:
     (unit,) = units
     for sign, quantity in quantities:
         bare = unit == "" or re.fullmatch(r"0*\.?0*", quantity)
-        constant += sign * (float(quantity) if bare else to_base(quantity, unit, "constraint"))
+        bound -= sign * (float(quantity) if bare else to_base(quantity, unit, "constraint"))
     if sides[1].startswith(">"):
-        factors, constant = -factors, -constant
-    bound = -constant
+        factors, bound = -factors, -bound
     ends = np.array([[free.low, free.high] for free in ranges])
     least = np.where(factors > 0.0, ends[:, 0], ends[:, 1]) @ factors
     most = np.where(factors > 0.0, ends[:, 1], ends[:, 0]) @ factors
@@ -400,7 +395,3 @@ def _term(text: str, term: str, ranges: Sequence[Range], hint: str) -> tuple[flo
         return 1.0, None
     problem = f"'{text}' has {shown(term)}, which is neither a free parameter nor a number"
     raise SceneError("constraint", problem, near_miss(names[-1], list(known), listed=False) or hint)
-
-
-def _ends(free: Range) -> str:
-    return f"{free.low:g} to {free.high:g} {free.unit}".strip()

@@ -70,18 +70,14 @@ class Problem:
         return Noise.of(self.measured.data, self.scatter)
 
     @cached_property
-    def _scales(self) -> tuple[Array, Array]:
-        return scales(self.measured.data)
-
-    @property
     def observed(self) -> Array:
         """The data on the scales of their comparison, (n,)."""
-        return self._scales[0]
+        return np.array([datum.scaled(datum.value) for datum in self.measured.data])
 
-    @property
+    @cached_property
     def sigma(self) -> Array:
         """Their standard deviations, (n,)."""
-        return self._scales[1]
+        return np.array([datum.sigma for datum in self.measured.data])
 
     @cached_property
     def tissues(self) -> Array:
@@ -124,8 +120,9 @@ class Problem:
         return {free.name: free.unit for free in self.ranges}
 
     def on_scales(self, condition: int, reading: Reading) -> Array:
-        """Return the readings of a run on the scales of its data."""
-        return scale_readings(self.measured.of(condition), reading.values)
+        """Return the readings of a run on the scales of its data; NaN where there is nothing."""
+        data = self.measured.of(condition)
+        return np.array([d.scaled(v) for d, v in zip(data, reading.values, strict=True)])
 
     def unscale(self, values: Array) -> Array:
         """Return values on the scales of the data, (n,), in base units."""
@@ -137,7 +134,7 @@ class Problem:
         found = np.full((len(seeds), len(self.measured.data)), np.nan)
         for condition, places in self.measured.numbers.items():
             for row, seed in enumerate(seeds):
-                found[row, list(places)] = readings[condition, seed]
+                found[row, places] = readings[condition, seed]
         return found
 
     def misfit(self, readings: Mapping[tuple[int, int], Array]) -> Misfit:
@@ -237,16 +234,6 @@ class Misfit:
     def per_datum(self) -> float:
         """χ² over the number of data: about 1 where model and deviations are right."""
         return self.chi_squared / len(self.residuals)
-
-
-def scales(data: Sequence[Datum]) -> tuple[Array, Array]:
-    """Return the values of data on the scales of comparison and their deviations, (n,) each."""
-    return np.array([d.scaled(d.value) for d in data]), np.array([d.sigma for d in data])
-
-
-def scale_readings(data: Sequence[Datum], values: Sequence[float]) -> Array:
-    """Return readings of a run on the scales of the data, (n,); NaN where there is nothing."""
-    return np.array([d.scaled(v) for d, v in zip(data, values, strict=True)], dtype=float)
 
 
 def groups_of(data: Sequence[Datum]) -> tuple[NDArray[np.int64], Array]:

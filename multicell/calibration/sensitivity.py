@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.calibration.indices import (
+    COLUMNS,
     DEFAULT_SIZE,
     NOISE,
     RELIABLE,
     Analysis,
-    Index,
     analyse,
     block,
     check_size,
     sample,
 )
-from multicell.calibration.sensitivity_result import COLUMNS, Row, Sensitivity
+from multicell.calibration.sensitivity_result import Row, Sensitivity
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import Range, check_ranges, parse_ranges
@@ -209,25 +209,22 @@ def result_of(
     shares = sample(method, names, size)
     found = {name: analyse(method, names, shares, known) for name, known in values.items()}
     table = [
-        _row(method, name, free, index)
+        {
+            "observable": name,
+            "unit": known_unit(name),
+            "parameter": free.name,
+            "key": free.key,
+            "low": free.low,
+            "high": free.high,
+            "parameter_unit": free.unit,
+            **{n: float(analysis.columns[n][k]) for n in (*COLUMNS[method], "noise")},
+            "verdict": analysis.verdicts[k],
+        }
         for name, analysis in found.items()
-        for free, index in zip(ranges, analysis.indices, strict=True)
+        for k, free in enumerate(ranges)
     ]
     notes = _notes(method, size, seeds, found, failures or {}, table)
     return Sensitivity(scene, method, tuple(ranges), size, tuple(seeds), table, notes)
-
-
-def _row(method: str, observable: str, free: Range, index: Index) -> Row:
-    return {
-        "observable": observable,
-        "unit": known_unit(observable),
-        "parameter": free.name,
-        "key": free.key,
-        "low": free.low,
-        "high": free.high,
-        "parameter_unit": free.unit,
-        **{name: getattr(index, name) for name in (*COLUMNS[method], "noise", "verdict")},
-    }
 
 
 def _notes(

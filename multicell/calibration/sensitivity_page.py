@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, block
+from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, MAIN, block
 from multicell.calibration.verdict import in_words
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
@@ -29,9 +29,8 @@ if TYPE_CHECKING:
 def write_report(result: Sensitivity, folder: Path) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
     pictures: dict[str, Drawing] = {}
-    index, first = "parts of the variance", "st"
-    if result.method == "morris":
-        index, first = "size of effects", "mu_star"
+    index = "size of effects" if result.method == "morris" else "parts of the variance"
+    first = MAIN[result.method]
     for name in result.observables:
         if any(row[first] > 0.0 for row in result.ordered(name)):  # else a note says why
             caption = (
@@ -40,12 +39,14 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
             )
             path = f"sensitivity-{name.replace('.', '_')}.png"
             pictures[path] = partial(result.plot, name), caption
+    method = "Screening by Morris" if result.method == "morris" else "Indices of Sobol'"
+    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
     return write_page(
         folder / "report.html",
         "sensitivity.html",
         scene=result.scene,
-        title=f"{result.scene.title or 'Untitled scene'}: sensitivity",
-        subtitle=_page_subtitle(result),
+        title=_title(result),
+        subtitle=f"{method} · {names}",
         tiles=_tiles(result),
         pictures=pictures,
         result=result,
@@ -57,12 +58,6 @@ def _ends(free: Range) -> tuple[str, str]:
     """Return both ends of a range in words; long times in minutes, hours or days."""
     log = ", by ratio" if free.log else ""
     return in_words(free.low, free.unit), in_words(free.high, free.unit) + log
-
-
-def _page_subtitle(result: Sensitivity) -> str:
-    method = "Screening by Morris" if result.method == "morris" else "Indices of Sobol'"
-    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
-    return f"{method} · {names}"
 
 
 def _tiles(result: Sensitivity) -> dict[str, str]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, final
 
+from multicell.calibration.indices import COLUMNS, MAIN
 from multicell.errors import OutputError, SceneError
 from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
 from multicell.results.quantities import known_unit
@@ -21,40 +22,24 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]  # one row of a table: column -> value
 
-COLUMNS: Final = {
-    "morris": ("mu", "mu_star", "mu_star_conf", "sigma"),
-    "sobol": ("s1", "s1_conf", "st", "st_conf"),
-}
-"""Columns of a table that hold the indices of a method."""
-
 
 @final
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
     """How much each free parameter decides each observable.
 
-    Attributes
-    ----------
-    scene : Scene
-    method : "morris" or "sobol"
-    ranges : tuple of Range
-        The free parameters.
-    size : int
-        Trajectories of Morris, base points of Sobol'.
-    seeds : tuple of int
-        Runs at each point, whose observables are averaged.
-    table : list of dict
-        A row for each observable and parameter: ``observable``, ``unit``, ``parameter``, ``key``,
-        ``low``, ``high``, ``parameter_unit`` and of Morris ``mu``, ``mu_star``, ``mu_star_conf``,
-        ``sigma`` (in ``unit``, for the whole range), of Sobol' ``s1``, ``s1_conf``, ``st``,
-        ``st_conf`` (parts of the variance); ``..._conf`` are half widths of 95 % intervals.
-        ``noise`` is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what
-        can be said: see :class:`multicell.calibration.indices.Index`.
-    notes : list of str
-        What the reader must know: failed runs, an observable that does not vary.
-    runs : list of dict
-        One row for each run: its ``name``, parameters, ``seed``, observables and ``reason``.
-    folder : Path or None
+    - ``method``: ``"morris"`` or ``"sobol"``
+    - ``ranges``: the free parameters
+    - ``size``: trajectories of Morris, base points of Sobol'
+    - ``seeds``: runs at each point, whose observables are averaged
+    - ``table``: a row for each observable and parameter: ``observable``, ``unit``, ``parameter``,
+      ``key``, ``low``, ``high``, ``parameter_unit`` and of Morris ``mu``, ``mu_star``,
+      ``mu_star_conf``, ``sigma`` (in ``unit``, for the whole range), of Sobol' ``s1``, ``s1_conf``,
+      ``st``, ``st_conf`` (parts of the variance); ``..._conf`` are half widths of 95 % intervals.
+      ``noise`` is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what
+      can be said: see :class:`multicell.calibration.indices.Analysis`.
+    - ``notes``: what the reader must know: failed runs, an observable that does not vary
+    - ``runs``: one row for each run: its ``name``, parameters, ``seed``, observables and ``reason``
     """
 
     scene: Scene
@@ -127,7 +112,7 @@ class Sensitivity:
 
     def ordered(self, observable: str) -> list[Row]:
         """Return the rows of an observable, the largest index first."""
-        first = "mu_star" if self.method == "morris" else "st"
+        first = MAIN[self.method]
         rows = [row for row in self.table if row["observable"] == observable]
         return sorted(rows, key=lambda row: -row[first] if row[first] == row[first] else 0.0)
 
@@ -155,25 +140,17 @@ class Sensitivity:
 
 def _table_lines(method: str, rows: Sequence[Row]) -> list[str]:
     """Return lines of a table of one observable."""
-    heads = ["parameter", "mu*", "± 95 %", "mu", "sigma", "noise", ""] if method == "morris" else (
-        ["parameter", "S1", "± 95 %", "ST", "± 95 %", "noise", ""]
-    )  # fmt: skip
-    names = ("mu_star", "mu_star_conf", "mu", "sigma") if method == "morris" else (
-        COLUMNS["sobol"]
-    )  # fmt: skip
-    cells = [heads]
+    heads, names = ("S1", "± 95 %", "ST", "± 95 %"), COLUMNS["sobol"]
+    if method == "morris":
+        heads, names = ("mu*", "± 95 %", "mu", "sigma"), ("mu_star", "mu_star_conf", "mu", "sigma")
+    cells = [["parameter", *heads, "noise", ""]]
     for row in rows:
-        numbers = [_number(row[name]) for name in (*names, "noise")]
-        cells.append([row["parameter"], *numbers, row["verdict"]])
-    wide = [max(len(line[k]) for line in cells) for k in range(len(heads))]
-    return [
-        "  ".join(
-            text.ljust(wide[k]) if k in (0, len(heads) - 1) else text.rjust(wide[k])
-            for k, text in enumerate(line)
-        ).rstrip()
-        for line in cells
-    ]
-
-
-def _number(value: float) -> str:
-    return "unknown" if value != value else f"{value:.3g}"
+        known = (row[name] for name in (*names, "noise"))
+        words = ("unknown" if x != x else f"{x:.3g}" for x in known)
+        cells.append([row["parameter"], *words, row["verdict"]])
+    wide = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = []
+    for first, *inner, last in cells:
+        aligned = (word.rjust(width) for word, width in zip(inner, wide[1:], strict=False))
+        lines.append("  ".join([first.ljust(wide[0]), *aligned, last]).rstrip())
+    return lines

@@ -88,7 +88,8 @@ def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
         given = {key: (r["low"], r["high"], *(["log"] if r["log"] else []))
                  for key, r in problem["free"].items()}  # fmt: skip
         ranges = ranges_of(given, measured)
-        densities = [_density(problem.get("densities", {}).get(r.key)) for r in ranges]
+        known_of = problem.get("densities", {})
+        densities = [Density.of(*known_of[r.key]) if r.key in known_of else None for r in ranges]
         prior = prior_of(ranges, densities, request.get("constraints", ()))
         seeds = problem["seeds"]
         stated = problem_of(
@@ -107,13 +108,6 @@ def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
     if json.loads(to_json(plan.describe())) != own:
         raise OutputError(f"'{folder}' holds a fit that its scene or data have been changed in")
     return plan
-
-
-def _density(entry: Any) -> Density | None:
-    if entry is None:
-        return None
-    name, *numbers = entry
-    return Density(name, tuple(map(float, numbers[:-2])), float(numbers[-2]), float(numbers[-1]))
 
 
 def reusable(problem: Problem, folder: str | Path) -> list[dict[str, Any]]:

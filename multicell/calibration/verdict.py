@@ -75,13 +75,6 @@ def quantiles(values: Array, weights: Array, levels: Sequence[float]) -> Array:
     return np.quantile(values, levels, axis=0, weights=weights, method="inverted_cdf")
 
 
-def correlations(shares: Array, weights: Array) -> Array:
-    """Return the correlations of the parameters on the scales of their ranges, (d, d)."""
-    covariance = np.atleast_2d(np.cov(shares.T, aweights=weights))
-    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    return np.asarray(covariance / np.outer(spread, spread))
-
-
 def undetermined(
     ranges: Sequence[Range], shares: Array, weights: Array, prior: Prior | None = None
 ) -> list[Undetermined]:
@@ -108,7 +101,9 @@ def undetermined(
                     " the data may ask for more"
                 )
                 found.append(Undetermined((free.name,), "edge", words))
-    correlation = correlations(shares, weights)
+    covariance = np.atleast_2d(np.cov(shares.T, aweights=weights))
+    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance / np.outer(spread, spread)
     for i, j in zip(*np.nonzero(np.tril(np.abs(correlation) >= RIDGE, -1)), strict=True):
         names, size = (ranges[j].name, ranges[i].name), float(correlation[i, j])
         together = "rise together" if size > 0.0 else "make up for each other"

@@ -50,25 +50,18 @@ def read_rows(path: Path) -> list[tuple[int, list[str]]]:
 
 _MAX_DEPTH = 50
 _MAX_ELEMENTS = 1_000_000
+_YES = ("1", "t", "T", "y", "Y")
+"""How true, yes and 1 begin; the rest is not read."""
 
 
 @final
 @dataclass(eq=False)
 class Element:
-    """An element: its tag, what it holds, and where it stands.
-
-    Attributes
-    ----------
-    path : str
-        Tags from below the root, with the name of those that have one: ``a/b[name]/c``.
-    file : str
-        Name of the file, for errors.
-    line : int
-    """
+    """An element: its tag, what it holds, and where it stands."""
 
     tag: str
     attributes: dict[str, str]
-    path: str
+    path: str  # tags from below the root, with the name of those that have one: a/b[name]/c
     file: str
     line: int
     text: str = ""
@@ -128,16 +121,11 @@ class Element:
 
     def flag(self) -> bool:
         """Return whether its text says yes."""
-        return _yes(self.word())
+        return self.word()[:1] in _YES
 
     def says(self, attribute: str) -> bool:
         """Return whether an attribute says yes; an absent one does not."""
-        return _yes(self.attributes.get(attribute, ""))
-
-
-def _yes(text: str) -> bool:
-    """Return whether a text begins as true, yes or 1 do; the rest is not read."""
-    return text[:1] in ("1", "t", "T", "y", "Y")
+        return self.attributes.get(attribute, "")[:1] in _YES
 
 
 def read_xml(path: Path) -> Element:
@@ -212,10 +200,7 @@ def found_file(element: Element, home: Path) -> Path:
     That is the folder above ``config``, and for settings elsewhere their own folder. Of a path on
     another machine the end counts: what is there by it below the model's folder.
 
-    Parameters
-    ----------
-    home
-        Folder of the settings.
+    - ``home``: folder of the settings
     """
     folder, name = (element.find(tag) for tag in ("folder", "filename"))
     if name is None or not name.word():

@@ -41,27 +41,13 @@ MEANING = {
 @final
 @dataclass(frozen=True)
 class Entry:
-    """One thing that the model says.
+    """One thing that the model says, and what became of it."""
 
-    Attributes
-    ----------
-    path : str
-        Element, or file and line or column.
-    line : int or None
-        In the XML file.
-    value : str
-        As it stands there.
-    fate : Fate
-    key : str
-        Of the scene, where it went to; empty where it went nowhere.
-    note : str
-    """
-
-    path: str
-    line: int | None
-    value: str
+    path: str  # element, or file and line or column
+    line: int | None  # in the XML file
+    value: str  # as it stands there
     fate: Fate
-    key: str = ""
+    key: str = ""  # of the scene, where it went to; empty where it went nowhere
     note: str = ""
 
 
@@ -134,16 +120,10 @@ _HEAD = ("| line | element | value | key | note |", "|---|---|---|---|---|")
 class Imported:
     """A model of another program.
 
-    Attributes
-    ----------
-    scene : Scene
-        It starts with the cells.
-    cells : title -> (n,)
-        The cells at the start, as the columns of ``cells.csv``.
-    entries : tuple of Entry
-        What became of each thing that the model says.
-    keys : nested dict
-        What the scene was made of, without keys that the model says nothing of.
+    - ``scene``: it starts with the cells
+    - ``cells``, title -> (n,): those at the start, as the columns of ``cells.csv``
+    - ``entries``: what became of each thing that the model says
+    - ``keys``: what the scene was made of, without keys that the model says nothing of
     """
 
     scene: Scene
@@ -180,7 +160,9 @@ class Imported:
             there = [path for path in paths if path.exists() or path.is_symlink()]
         if there and not overwrite:
             raise OutputError(f"'{there[0]}' exists already: name another folder or overwrite it")
-        for path, text in zip(paths, (self._toml(), self._csv(), self.account()), strict=True):
+        assert self.scene.initial.cells is not None
+        cells = self.scene.initial.cells.given.content().decode()
+        for path, text in zip(paths, (self._toml(), cells, self.account()), strict=True):
             write_text(path, text)
         return paths
 
@@ -193,21 +175,17 @@ class Imported:
         ordered = {name: given[name] for name in self.scene.to_dict() if name in given}
         return head + with_units(self.scene, tomli_w.dumps(ordered))
 
-    def _csv(self) -> str:
-        assert self.scene.initial.cells is not None
-        return self.scene.initial.cells.given.content().decode()
-
     def account(self) -> str:
         """Return what became of all as a page of Markdown."""
         parts = [f"# {self.scene.title}"]
         for fate in Fate:
-            rows = self.of(fate)
-            parts.append(f"## {fate.value.capitalize()}: {len(rows)}\n\nWhat {MEANING[fate]}.")
-            parts.append("\n".join([*_HEAD, *map(_row, rows)]))
+            entries, lines = self.of(fate), [*_HEAD]
+            for one in entries:
+                line = "" if one.line is None else str(one.line)
+                cells = (line, one.path, one.value, one.key, one.note)
+                lines.append(
+                    f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+                )
+            count = f"## {fate.value.capitalize()}: {len(entries)}"
+            parts += [f"{count}\n\nWhat {MEANING[fate]}.", "\n".join(lines)]
         return "\n\n".join(parts) + "\n"
-
-
-def _row(entry: Entry) -> str:
-    line = "" if entry.line is None else str(entry.line)
-    cells = (line, entry.path, entry.value, entry.key, entry.note)
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"

@@ -10,16 +10,16 @@ import math
 
 import numpy as np
 import pytest
-from cheap_fits import Growing, growing
+from cheap_fits import Growing, growing, through
 
 import multicell as mc
 from multicell.calibration.data import read_data
-from multicell.calibration.emulator import emulator
 from multicell.calibration.indices import analyse, sample
 from multicell.calibration.likelihood import fresh, likelihood, scatter_of
 from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
 from multicell.calibration.problem import problem_of, ranges_of
+from multicell.calibration.profiles import profiles
 from multicell.calibration.search import Search
 from multicell.calibration.verdict import intervals
 
@@ -105,15 +105,15 @@ def test_fresh_runs_give_the_variance_of_scatter_that_is_shared():
     rng = np.random.default_rng(4)
     shares, sigma, scatter = np.linspace(0.0, 1.0, 9)[:, None], 1.0, 3.0
     means = np.repeat(40.0 * (shares - 0.5), 6, axis=1) / sigma
-    through = emulator(shares, means, np.zeros_like(means), (means**2).sum(axis=1))
+    model = through(shares, means)
     runs = scatter * np.repeat(rng.standard_normal((400, 1)), 6, axis=1)
-    found = likelihood(through, Noise.of_means(np.ones(6)), np.array([0.5]), scatter_of(runs))
+    found = likelihood(model, Noise.of_means(np.ones(6)), np.array([0.5]), scatter_of(runs))
     expected = math.sqrt(scatter**2 * (1.0 + 1.0 / 400) + sigma**2 / 6.0) / 40.0
     assert found.draws().std() == pytest.approx(expected, rel=0.1)
     # three tissues scatter less, and a standard error of the mean holds their scatter
     for tissues, part in ((3.0, 1.0 / 3.0), (math.inf, 0.0)):
         noise = Noise.of_means(np.full(6, tissues))
-        found = likelihood(through, noise, np.array([0.5]), scatter_of(runs))
+        found = likelihood(model, noise, np.array([0.5]), scatter_of(runs))
         expected = math.sqrt(scatter**2 * (part + 1.0 / 400) + sigma**2 / 6.0) / 40.0
         assert found.draws().std() == pytest.approx(expected, rel=0.1)
 
@@ -124,14 +124,17 @@ def test_few_fresh_runs_give_the_tails_of_student():
 
     shares = np.linspace(0.0, 1.0, 9)[:, None]
     means = 2000.0 * (shares - 0.5)
-    through = emulator(shares, means, np.zeros_like(means), means[:, 0] ** 2)
+    model = through(shares, means)
     runs = np.array([[-30.0], [-10.0], [10.0], [30.0]])
-    found = likelihood(through, Noise.of_means(np.ones(1)), np.array([0.5]), scatter_of(runs))
+    found = likelihood(model, Noise.of_means(np.ones(1)), np.array([0.5]), scatter_of(runs))
     draws = (found.draws()[:, 0] - 0.5) * 2000.0
     scale = math.sqrt(runs.var(ddof=1) * 1.25)
     for level in (0.8, 0.95):
         reach = scale * stats.t.ppf(0.5 + 0.5 * level, 3)
         assert (np.abs(draws) < reach).mean() == pytest.approx(level, abs=0.03)
+        (profile,) = profiles(found, [0], level=level)
+        ends = 0.5 + reach / 2000.0 * np.array([-1.0, 1.0])
+        np.testing.assert_allclose(profile.ends[:, 0], ends, rtol=2e-3)
 
 
 @pytest.mark.parametrize("size", [6, 10])
@@ -145,8 +148,7 @@ def test_intervals_of_morris_cover_the_mean_effects(size):
     hits, wide = [], 4 * size
     for k in range(len(whole) // wide):
         part = slice(k * wide, (k + 1) * wide)
-        found = analyse("morris", names, whole[part], values[part]).indices
-        hits.append([abs(i.mu_star - m) <= i.mu_star_conf + 1e-12
-                     for i, m in zip(found, truth, strict=True)])  # fmt: skip
+        found = analyse("morris", names, whole[part], values[part]).columns
+        hits.append(np.abs(found["mu_star"] - truth) <= found["mu_star_conf"] + 1e-12)
     shares = np.mean(hits, axis=0)
     assert shares.min() > 0.95 - 3.0 * math.sqrt(0.95 * 0.05 / len(hits)) - 0.01

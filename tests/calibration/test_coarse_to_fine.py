@@ -76,7 +76,7 @@ def truth():
 def corrected(tmp_path_factory):
     """Return a fit, its folder, and the fine and the coarse runs that were made."""
     folder = tmp_path_factory.mktemp("fit")
-    found = asked(output=folder, budget=160)
+    found = asked(output=folder, budget=110)
     return found, folder, list(FINE), list(COARSE)
 
 
@@ -85,7 +85,7 @@ def test_coarse_runs_are_corrected_by_fine_ones(corrected):
     for name, value in truth().items():
         interval = found.intervals(0.99)[name]
         assert interval.low < value < interval.high
-    alone = mc.fit(SCENE, data(0), FREE, simulator=Toy(coarse=2), cores=1, budget=160)
+    alone = mc.fit(SCENE, data(0), FREE, simulator=Toy(coarse=2), cores=1, budget=110)
     biased = alone.intervals(0.99)["cycle_time"]
     assert biased.high < truth()["cycle_time"]
     ratios = found.facts["coarse"]["ratios"][0]
@@ -101,7 +101,7 @@ def test_runs_are_counted(corrected):
     assert len(set(fine)) == len(fine)
     assert len(set(coarse)) == len(coarse)
     assert sum(key[2] > max(found.problem.seeds) + 1000 for key in coarse) >= PAIRS * BESIDE
-    assert account["fine_runs_alone"] == plan_of(SCENE, data(0), FREE, budget=160).runs
+    assert account["fine_runs_alone"] == plan_of(SCENE, data(0), FREE, budget=110).runs
     assert account["saved"] == pytest.approx(
         1.0 - account["seconds"] / account["fine_seconds_alone"]
     )
@@ -113,17 +113,19 @@ def test_runs_are_counted(corrected):
     with pytest.raises(mc.SceneError, match="coarse runs"):
         plan_of(SCENE, data(0), FREE, reuse=folder / "fine")
     # nothing is run twice
-    again = asked(output=folder, budget=160)
+    again = asked(output=folder, budget=110)
     assert not FINE
     assert not COARSE
     assert again.best.values == found.best.values
 
 
-@pytest.mark.slow
+@pytest.mark.harness
 def test_intervals_cover_although_coarse_runs_are_off(request):
-    count, inside = request.config.getoption("--calibrations") or 6, 0
+    count, inside = request.config.getoption("--calibrations"), 0
+    if count == 0:
+        pytest.skip("asked for with --calibrations N")
     for seed in range(1, count + 1):
-        interval = asked(seed, budget=160).intervals(0.95)["cycle_time"]
+        interval = asked(seed, budget=110).intervals(0.95)["cycle_time"]
         inside += interval.low < truth()["cycle_time"] < interval.high
     assert inside >= 0.8 * count
 

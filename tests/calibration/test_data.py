@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
+import cheap_fits
 import numpy as np
 import pytest
 
@@ -24,10 +26,7 @@ start / h, time / h, diameter / um, diameter sd / um, cells, cells sd / %, nutri
 """
 
 
-def read(text, tmp_path, scene=SCENE, **options):
-    file = tmp_path / "growth.csv"
-    file.write_text(text, encoding="utf-8")
-    return read_data(file, scene, **options)
+read = partial(cheap_fits.read, scene=SCENE)
 
 
 def test_numbers_come_in_base_units_with_times_conditions_and_deviations(tmp_path):
@@ -40,7 +39,7 @@ def test_numbers_come_in_base_units_with_times_conditions_and_deviations(tmp_pat
     assert [d.place for d in measured.data[::2]] == ["line 3", "line 4", "line 6"]
     assert [c.label for c in measured.conditions] == ["rich", "poor"]
     assert [c.scene.nutrients["oxygen"].boundary for c in measured.conditions] == [0.2, 0.07]
-    assert measured.numbers == {0: (0, 1, 2, 3), 1: (4,)}
+    assert measured.numbers == {0: [0, 1, 2, 3], 1: [4]}
     assert measured.units == {"diameter": "um", "cells": ""}
 
 
@@ -110,44 +109,29 @@ REFUSED = {
     "time / h, diameter\n5, 7\n": "growth.csv, 'diameter': has no unit. Write 'diameter / um'.",
     "time / h, diameter /\n5, 7\n": "'diameter /': has a '/' and no unit after it",
     "time / h, diameter / h\n5, 7\n": "'diameter / h': is '1 h', must be a length, which 'h' is not",
-    "time / um, cells\n5, 7\n": "'time / um': is '1 um', must be a time, which 'um' is not",
     "time / fortnites, cells\n5, 7\n": "with the unknown unit 'fortnites'",
     "time / h, cells / um\n5, 7\n": "'cells / um': has the unit 'um', must have none. Write 'cells'.",
     "time / h, diameters / um\n5, 7\n": "'diameters' is no observable and no key of the scene. Did you mean 'diameter'?",
-    "time / h, rim / um\n5, 7\n": "'rim' is no observable and no key of the scene. Did you mean 'viable_rim'?",
     "time / h, hypoxic_radius_glucose / um\n5, 7\n": "growth.csv, line 2, 'hypoxic_radius_glucose / um': 'hypoxic_radius_glucose' is no observable of the scene under these conditions. Did you mean 'hypoxic_radius_oxygen'?",
     "time / h, pull / nN\n5, 7\n": "'pull' is no observable of this scene",
-    "time / h, wall.total / s\n5, 7\n": "'wall.total' is no observable of this scene",
     "time / h, divisions\n5, 7\n": "line 2, 'divisions': 'divisions' is known at the end of a run only",
     "time / h, cells\n5, many\n": "line 2, 'cells': is 'many', must be a number",
     "time / h, cells\n5, nan\n": "line 2, 'cells': is nan, must be a finite number",
-    "time / h, cells\n5, inf\n": "line 2, 'cells': is inf, must be a finite number",
     "time / h, cells\n5, -7\n": "line 2, 'cells': is -7, must not be negative",
     "time / h, cells\n5, 7\n6,\n": "growth.csv, line 3: has no measured value",
-    "time / h, cells\n5, 1, 7\n": "line 2: has 3 fields, the header has 2",
-    "time / h, cells\n": "growth.csv: holds no data",
-    "# nothing\n": "growth.csv: holds no data",
-    "": "growth.csv: holds no data",
     "time / h\n5\n": "growth.csv: has no column of measured values. Observables of the scene: cells,",
-    "time / h; cells\n5; 7\n": "growth.csv: has one column. Columns are separated by commas.",
     "time / h, cells, cells\n5, 7, 7\n": "'cells': says the same as 'cells'",
     "time / h, cells, cells sd\n5, 7, 0\n": "line 2, 'cells sd': is 0, must be above 0",
-    "time / h, cells, cells sd\n5, 7, -1\n": "line 2, 'cells sd': is -1, must not be negative",
     "time / h, cells, cells sd / %\n5, 7, -1\n": "line 2, 'cells sd / %': is -1, must be above 0",
     "time / h, cells, diameter sd / um\n5, 7, 1\n": "'diameter sd / um': has no column 'diameter' beside it",
-    "time / h, cells, diamter sd / um\n5, 7, 1\n": "'diamter' is no observable and no key of the scene. Did you mean 'diameter'?",
     "time / h, necrotic\n5, 0\n": "line 2, 'necrotic': is 0, of which a relative standard deviation says nothing. Add a column 'necrotic sd' with its unit.",
-    "time / h, cells, cells n\n5, 7, 0\n": "line 2, 'cells n': is 0, must be a whole number of at least 1",
     "time / h, cells, cells n\n5, 7, 1.5\n": "line 2, 'cells n': is 1.5, must be a whole number of at least 1",
-    "time / h, cells, cells n / um\n5, 7, 3\n": "'cells n / um': has the unit 'um', must have none. Write 'cells n'.",
-    "time / h, cells, diameter n\n5, 7, 3\n": "'diameter n': has no column 'diameter' beside it",
     "time / h, cells, cells sem, cells n\n5, 7, 1, 3\n": "line 2, 'cells': has both 'cells sem' and 'cells sd' or 'cells n'. The error of the mean stands in place of both.",
     "time / h, cells\n-1, 7\n": "line 2: was measured at -3600 s, before the run begins at 0 s",
     "start / h, time / h, cells\n102, 48, 7\n": "before the run begins at 367200 s",
     "time / h, cells\n0, 7\n": "line 2: is of the run's very start",
     "time / d, cells\n400, 7\n, 8\n": "line 2: was measured 3.456e+07 s after the start",
     "time / h, at diameter / um, cells\n5, 200, 7\n": "line 2: has both 'time / h' and 'at diameter / um'",
-    "at diameter, cells\n5, 7\n": "'at diameter': has no unit. Write 'at diameter / um'.",
     "at divisions, cells\n5, 7\n": "'divisions' is no observable of this scene",
     "time / h, cells, nutrients.oxygen.boundary\n5, 7, 0.2\n": "growth.csv, 'nutrients.oxygen.boundary': has no unit. Write 'nutrients.oxygen.boundary / mM'.",
     "time / h, cells, nutrients.oxygen.boundary / um\n5, 7, 0.2\n": "line 2, 'nutrients.oxygen.boundary / um': is '0.2 um', must be a concentration",
@@ -165,14 +149,10 @@ def test_replicates_at_a_time_are_one_datum_of_several_tissues(tmp_path):
     assert (three.value, three.tissues, three.place) == (104.0, 3.0, "line 2 and 2 more")
     assert three.sigma == pytest.approx(4.0 / math.sqrt(3.0))
     assert (one.value, one.sigma, one.tissues) == (200.0, 5.0, 1.0)
-
-
-def test_a_mean_of_n_tissues_is_what_their_rows_are(tmp_path):
-    mean = read("time / h, diameter / um, diameter sd / um, diameter n\n5, 104, 4, 3\n", tmp_path)
-    rows = "time / h, diameter / um, diameter sd / um\n5, 100, 4\n5, 106, 4\n5, 106, 4\n"
-    (ours,), (theirs,) = mean.data, read(rows, tmp_path).data
-    assert (ours.value, ours.tissues) == (theirs.value, theirs.tissues)
-    assert ours.sigma == pytest.approx(theirs.sigma)
+    text = "time / h, diameter / um, diameter sd / um, diameter n\n5, 104, 4, 3\n"
+    (mean,) = read(text, tmp_path).data
+    assert (mean.value, mean.tissues) == (three.value, three.tissues)
+    assert mean.sigma == pytest.approx(three.sigma)
 
 
 def test_a_standard_error_of_the_mean_holds_the_scatter_of_tissues(tmp_path):
@@ -200,7 +180,7 @@ def test_what_cannot_be_used_is_named_with_row_and_column(text, tmp_path):
 
 def test_data_beyond_the_cells_at_which_runs_stop_are_refused(tmp_path):
     with pytest.raises(DataError, match=r"line 3: has 24,000 cells, where runs end with 20,000"):
-        read("time / h, cells\n5, 700\n300, 24000\n", tmp_path, mc.load_scene("emt6"))
+        read("time / h, cells\n5, 700\n300, 24000\n", tmp_path, scene=mc.load_scene("emt6"))
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path):
@@ -208,13 +188,6 @@ def test_files_that_cannot_be_read_are_named(tmp_path):
         read_data(tmp_path / "nothing.csv", SCENE)
     with pytest.raises(DataError, match="Is a directory"):
         read_data(tmp_path, SCENE)
-    (tmp_path / "latin.csv").write_bytes(b"time / h, cells\n5, \xe9\n")
-    with pytest.raises(DataError, match="is not UTF-8 text"):
-        read_data(tmp_path / "latin.csv", SCENE)
-    with pytest.raises(DataError, match="is a list, must be a file"):
-        read_data([1, 2], SCENE)
-    with pytest.raises(DataError, match="different lengths: 'time / h' 2, 'cells' 1"):
-        read_data({"time / h": [1, 2], "cells": [1]}, SCENE)
 
 
 def test_bad_options_are_named(tmp_path):
@@ -235,38 +208,28 @@ DRIVEN = mc.Scene.from_dict({
 
 def recorded_by(simulation):
     """Return the columns of the history that tell of tissue, not of the computation."""
-    of_the_computation = (
-        "time",
-        "step",
-        "splitting_",
-        "shift_",
-        "stability_",
-    )
+    of_the_computation = "time", "step", "splitting_", "shift_", "stability_"
     return {c for c in simulation.history_row() if not c.startswith(of_the_computation)}
-
-
-def test_observables_of_driven_cells_are_those_of_a_run():
-    simulation = mc.Simulation(DRIVEN, threads=1)
-    assert set(in_history(DRIVEN)) == recorded_by(simulation)
 
 
 def test_only_what_has_a_sign_may_be_negative(tmp_path):
     scene = mc.load_scene("compression")
-    measured = read("time / min, force_plate_z / nN\n1, -2.5\n", tmp_path, scene)
+    measured = read("time / min, force_plate_z / nN\n1, -2.5\n", tmp_path, scene=scene)
     assert measured.data[0].value == -2.5
     with pytest.raises(DataError, match="largest_pressure"):
-        read("time / min, largest_pressure / kPa\n1, -2.5\n", tmp_path, scene)
+        read("time / min, largest_pressure / kPa\n1, -2.5\n", tmp_path, scene=scene)
 
 
-FEW = ("doublet", "doublet-settle", "growth", "compression")
+FEW = ("driven", "doublet", "doublet-settle", "growth", "compression")
 """Scenes that are small, or need their cells."""
 
 
-@pytest.mark.parametrize("name", mc.scene_names())
+@pytest.mark.parametrize("name", ["driven", *mc.scene_names()])
 def test_observables_of_a_scene_are_those_of_its_runs(name):
     """Columns that tell of the computation are no observables; all others are."""
+    scene = DRIVEN if name == "driven" else mc.load_scene(name)
     small = {"initial.count": 12} if name not in FEW else {}
-    simulation = mc.Simulation(mc.load_scene(name).with_changes(small), threads=1)
+    simulation = mc.Simulation(scene.with_changes(small), threads=1)
     assert set(in_history(simulation.scene)) == recorded_by(simulation)
     summary = simulation.summary()
     for dotted in at_the_end(simulation.scene):

@@ -139,7 +139,7 @@ class Straight(Growing):
 @pytest.mark.harness
 def test_the_model_that_made_the_data_is_chosen(request):
     """Growth by a constant ratio or a constant length; tissues scatter over time, nine of ten."""
-    count = request.config.getoption("--calibrations") or 4
+    count = request.config.getoption("--calibrations") or 2
     rng = np.random.default_rng(8)
     models = {"ratio": Growing("walk", 2.0, kink=True), "length": Straight("walk", 2.0, kink=True)}
     right = {"score": 0, "aic": 0, "bic": 0}

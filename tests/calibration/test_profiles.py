@@ -7,35 +7,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cheap_fits import MATRIX, exact, fitted, linear
+from cheap_fits import MATRIX, exact, fitted, linear, through
 from scipy import stats
 
 import multicell as mc
-from multicell.calibration.emulator import emulator
-from multicell.calibration.fit import plan_of
-from multicell.calibration.likelihood import likelihood, scatter_of
-from multicell.calibration.noise import Noise
 from multicell.calibration.priors import Constraint, Density, Prior
 from multicell.calibration.profiles import _jackknife, profiles
 
 VALUES = [0.45, 0.6, 1.0, -0.2]
 
 
-def through(problem, prior=None):
+def of_runs(problem, prior=None):
     """Return an emulator through exact runs of a linear problem."""
     shares = np.random.default_rng(5).random((40, len(problem.ranges)))
     runs = np.array([problem.simulator(x, 0, 0).values for x in shares])
-    residuals = (runs - problem.observed) / problem.sigma
-    return emulator(
-        shares, residuals, np.zeros_like(residuals), (residuals**2).sum(axis=1), prior=prior
-    )
+    return through(shares, (runs - problem.observed) / problem.sigma, prior=prior)
 
 
 def test_the_profile_of_a_linear_model_is_the_parabola_of_its_closed_form():
     problem = linear(MATRIX, VALUES, 0.05)
     mean, covariance = exact(problem)
     deviation = np.sqrt(np.diag(covariance))
-    for k, profile in enumerate(profiles(through(problem), [0, 1])):
+    for k, profile in enumerate(profiles(of_runs(problem), [0, 1])):
         expected = ((profile.shares[:, k] - mean[k]) / deviation[k]) ** 2
         np.testing.assert_allclose(profile.rises, expected, atol=0.01 * expected.max())
         reach = math.sqrt(stats.chi2.ppf(0.95, 1)) * deviation[k]
@@ -49,24 +42,10 @@ def test_the_profile_of_a_linear_model_is_the_parabola_of_its_closed_form():
         np.testing.assert_allclose(profile.shares[:, 1 - k], others, atol=2e-3)
 
 
-def test_the_interval_of_few_fresh_runs_is_students():
-    """Four runs of one datum that scatters far more than its σ: three degrees of freedom."""
-    shares = np.linspace(0.0, 1.0, 9)[:, None]
-    means = 2000.0 * (shares - 0.5)
-    found = emulator(shares, means, np.zeros_like(means), means[:, 0] ** 2)
-    runs = np.array([[-30.0], [-10.0], [10.0], [30.0]])
-    known = likelihood(found, Noise.of_means(np.ones(1)), np.array([0.5]), scatter_of(runs))
-    scale = math.sqrt(runs.var(ddof=1) * 1.25) / 2000.0
-    for level in (0.8, 0.95):
-        (profile,) = profiles(known, [0], level=level)
-        reach = scale * stats.t.ppf(0.5 + 0.5 * level, 3)
-        np.testing.assert_allclose(profile.ends[:, 0], [0.5 - reach, 0.5 + reach], rtol=2e-3)
-
-
 def test_a_prior_narrows_a_profile_as_in_closed_form():
     problem = linear([[1.0]], [0.4], 0.05)
     prior = Prior(1, problem.ranges, (Density("norm", (), 0.6, 0.05),))
-    (profile,) = profiles(through(problem, prior), [0])
+    (profile,) = profiles(of_runs(problem, prior), [0])
     reach = stats.norm.ppf(0.975) * 0.05 / math.sqrt(2.0)
     np.testing.assert_allclose(profile.ends[:, 0], [0.5 - reach, 0.5 + reach], atol=1e-3)
 
@@ -75,7 +54,7 @@ def test_profiles_end_at_constraints_and_at_the_ends_of_ranges():
     problem = linear([[1.0, 0.0], [0.0, 1.0]], [0.5, 0.5], [0.02, 10.0])
     order = Constraint("p1 < p0", (-1.0, 1.0), 0.0)
     prior = Prior(2, problem.ranges, (None, None), (order,))
-    first, second = profiles(through(problem, prior), [0, 1])
+    first, second = profiles(of_runs(problem, prior), [0, 1])
     reach = 0.02 * stats.norm.ppf(0.975)
     assert first.ends[0, 0] == pytest.approx(0.5 - reach, abs=1e-3)
     assert (first.shares[:, 1] < first.shares[:, 0]).all()
@@ -141,17 +120,3 @@ def test_a_profile_is_a_table_with_units_and_bad_input_is_refused():
             found.profile(*arguments)
     with pytest.raises(mc.errors.FitFailed, match="no emulator that a profile could be of"):
         fitted(linear(MATRIX, VALUES, 0.05), points=3).profile("p0")
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"profile_runs": 2}, "profile_runs: is 2, must be a whole number from 3 to 12"),
-        ({"profile_runs": 13}, "profile_runs: is 13, must be a whole number from 3 to 12"),
-        ({"profile_runs": -1}, "profile_runs: is -1, must be a whole number from 3 to 12"),
-    ],
-)
-def test_numbers_of_runs_at_the_ends_are_checked(wrong, words):
-    scene = mc.load_scene("growth").with_changes({"duration": "20 h"})
-    with pytest.raises(mc.SceneError, match=words):
-        plan_of(scene, {"time / h": [10], "cells": [7]}, {"growth.cycle_time": "8:30 h"}, **wrong)

@@ -2,6 +2,10 @@
 
 from pathlib import Path
 
+MM_HG = 0.133322387415 * 0.01052
+"""mM for 1 mmHg of oxygen at 37 °C: 0.01052 mM/kPa (Battino et al. 1983)."""
+ON = ('format="csv" enabled="false"', 'format="csv" enabled="true"')
+"""The change that enables rules."""
 SETTINGS = Path(__file__).parents[1] / "importing" / "settings.xml"
 CELLS = "0,0,0,0\n15,0,0,0\n0,15,4,0\n-40,10,0,3\n"
 

@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from physicell_project import writer
+from physicell_project import MM_HG, ON
 from scipy.integrate import solve_ivp
 from scipy.stats import expon
 
@@ -13,14 +13,6 @@ from multicell.biology.durations import quantile
 from multicell.importing.files import read_xml
 from multicell.importing.imported import Fate
 from multicell.scene.pairs import pair_of
-
-MM_HG = 0.133322387415 * 0.01052
-"""mM for 1 mmHg of oxygen at 37 °C: 0.01052 mM/kPa (Battino et al. 1983)."""
-
-
-@pytest.fixture
-def project(tmp_path):
-    return writer(tmp_path)
 
 
 def fates(made):
@@ -154,21 +146,17 @@ def test_motion_has_the_speed_of_its_type(project):
     assert scene.motility.force == pytest.approx(drag * 2.0 / 60.0)
     assert (scene.motility.bias, scene.motility.towards) == (0.25, "growth_factor")
     assert (scene.motility.persistence, scene.motility.renewal) == (300.0, "random")
-    assert (scene.types["tumour_cell"].motility_scale, scene.types["hunter"].motility_scale) == (
-        0,
-        1,
-    )
+    assert [scene.types[name].motility_scale for name in ("tumour_cell", "hunter")] == [0, 1]
 
 
 RULES = """// the grammar of PhysiCell
 tumour cell,oxygen,increases,cycle entry,0.005,21.5,4,0
 tumour cell,oxygen,decreases,necrosis,0,3.75,8,0
 """
-RULED = ('format="csv" enabled="false"', 'format="csv" enabled="true"')
 
 
 def test_necrotic_cells_burst_when_they_do_in_physicell(project):
-    scene = mc.import_physicell(project(RULED, rules=RULES)).scene
+    scene = mc.import_physicell(project(ON, rules=RULES)).scene
     # fluid, solids of cytoplasm and nucleus over the volume at death
     start = [0.75, 0.25 * (2494 - 540) / 2494, 0.25 * 540 / 2494]
 
@@ -197,10 +185,7 @@ def test_what_is_not_said_comes_from_the_parent(project):
 
 
 def test_a_model_without_cells_has_them_at_random(project):
-    table = (
-        '<cell_positions type="csv" enabled="true">',
-        '<cell_positions type="csv" enabled="false">',
-    )
+    table = ('positions type="csv" enabled="true"', 'positions type="csv" enabled="false"')
     made = mc.import_physicell(project(table))
     assert len(made.cells["radius_um"]) == 10
     assert fates(made)["user_parameters/number_of_cells"] is Fate.APPROXIMATED

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from physicell_project import writer
+from physicell_project import MM_HG, ON
 
 import multicell as mc
 from multicell.behaviours.catalogue import CROWDED
@@ -13,15 +13,6 @@ from multicell.biology.responding import rate_of_harm, value_of
 from multicell.biology.signals import other_signals
 from multicell.importing.imported import Fate
 from multicell.results.observables import contact_rows
-
-MM_HG = 0.133322387415 * 0.01052
-"""mM for 1 mmHg of oxygen at 37 °C."""
-ON = ('format="csv" enabled="false"', 'format="csv" enabled="true"')
-
-
-@pytest.fixture
-def project(tmp_path):
-    return writer(tmp_path)
 
 
 def hill(base, up=(), down=()):

@@ -40,23 +40,12 @@ class Stage:
 @final
 @dataclass(frozen=True)
 class CycleModel:
-    """A model of the cycle.
-
-    Attributes
-    ----------
-    name : str
-    usual : tuple of Stage
-        Its phases with what PhysiCell has for them.
-    homes : tuple of str
-        The phase of ours in which each of them is.
-    doubles_before : bool
-        Whether volume doubles before division, not after it.
-    """
+    """A model of the cycle."""
 
     name: str
-    usual: tuple[Stage, ...]
-    homes: tuple[str, ...]
-    doubles_before: bool = True
+    usual: tuple[Stage, ...]  # its phases with what PhysiCell has for them
+    homes: tuple[str, ...]  # the phase of ours in which each of them is
+    doubles_before: bool = True  # whether volume doubles before division, not after it
 
 
 def _stages(*phases: tuple[float, bool]) -> tuple[Stage, ...]:
@@ -261,12 +250,9 @@ def _set_paces(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
             own = _scale(model, cycle, known[lead]) if len(model.kinds) > 1 else 1.0
             return length * own / max(minutes * MINUTE, _INSTANT)
 
-        shared = "its phase has two stages, or lasts equally long for all cells"
-        note = (
-            shared
-            if any(_is_shared(cycling[r.kind], p) for r, p in exits.items() if r.kind)
-            else ""
-        )
+        note = ""
+        if any(_is_shared(cycling[r.kind], p) for r, p in exits.items() if r.kind):
+            note = "its phase has two stages, or lasts equally long for all cells"
         set_behaviour(model, f"entry into {after}", 1.0, pace, cycling, exits, note)
 
 
@@ -306,12 +292,15 @@ def _account_for_cycle(
         homes = ", ".join(f"{n} {home}" for n, home in enumerate(cycle.model.homes))
         note = f"volume doubles in the time in which it grows; its phases here: {homes}"
         account.take(element, Fate.APPROXIMATED, "growth.phases", note, cycle.model.name)
-        alike = cycle.model is known[lead].model and _ratio(cycle, known[lead])
+        alike = _alike(cycle, known[lead])
+        scale = cycle.minutes / known[lead].minutes
+        pairs = zip(cycle.stages, known[lead].stages, strict=False)
+        same = all(math.isclose(a.minutes, scale * b.minutes, abs_tol=1e-9) for a, b in pairs)
         for one, _, _ in _stated(element):
             own = f"responses.entry_into_*_of_{kind.key}"
-            if alike:
+            if alike and same:
                 account.take(one, Fate.MAPPED, "growth.phases")
-            elif _alike(cycle, known[lead]):
+            elif alike:
                 account.take(one, Fate.MAPPED, own)
             else:
                 note = f"its mean; whether all cells take that long is as in '{lead.name}'"
@@ -362,15 +351,6 @@ def _alike(cycle: Cycle, lead: Cycle) -> bool:
     )
 
 
-def _ratio(cycle: Cycle, lead: Cycle) -> bool:
-    """Return whether all phases are those of another cycle times one number."""
-    scale = cycle.minutes / lead.minutes
-    return all(
-        a.fixed == b.fixed and math.isclose(a.minutes, scale * b.minutes, abs_tol=1e-9)
-        for a, b in zip(cycle.stages, lead.stages, strict=True)
-    )
-
-
 def _account_for_volume(model: Model, kind: Kind, cycle: Cycle, lead: Kind | None) -> None:
     table, account = kind.own("volume"), model.account
     if table is None:
@@ -382,22 +362,16 @@ def _account_for_volume(model: Model, kind: Kind, cycle: Cycle, lead: Kind | Non
         else:
             note = "at the start; types share the volume at division"
             account.take(one, Fate.APPROXIMATED, "radius in cells.csv", note)
-    _account_for_rates(model, kind, table)
+    grows = "growth" in model.scene
+    for one in table.all(_RATE):
+        note = (
+            "V' = r (K - V) at this rate; with another cycle time in proportion, and for all types "
+            "as for that of most dividing cells"
+        )
+        account.take(one, *((Fate.APPROXIMATED, "growth.target", note) if grows else (Fate.OFF,)))
     for tag in _PARTS:
         account.leave_out(table.all(tag), "a cell has one volume")
     for tag in ("calcified_fraction", "calcification_rate"):
         account.leave_out(table.all(tag), "no calcium", acts=lambda one: one.number() != 0.0)
     note = "that of each model of death counts"
     account.take_all(table.all("relative_rupture_volume"), Fate.OFF, note=note)
-
-
-def _account_for_rates(model: Model, kind: Kind, table: Element) -> None:
-    """Account for how fast parts of a cell's volume go to their targets."""
-    account, grows = model.account, "growth" in model.scene
-    for one in table.all(_RATE):
-        note = (
-            "V' = r (K - V) at this rate; with another cycle time in proportion, and for all types "
-            "as for that of most dividing cells"
-        )
-        fate = Fate.APPROXIMATED if grows else Fate.OFF
-        account.take(one, fate, "growth.target" if grows else "", note if grows else "")

@@ -84,12 +84,6 @@ def _fading(minutes: float) -> float:
     return min(max(minutes, 1e-3), 1e7) / math.log(1.0 / _REMOVED)
 
 
-def _model(kind: Kind, code: str) -> Element | None:
-    table = kind.given("death")
-    found = [] if table is None else table.all("model")
-    return next((one for one in found if _code(one) == code), None)
-
-
 def _code(model: Element) -> str:
     name = model.attributes.get("name", "").lower()
     return model.attributes.get("code") or {"apoptosis": APOPTOSIS, "necrosis": NECROSIS}.get(
@@ -98,7 +92,7 @@ def _code(model: Element) -> str:
 
 
 def _dying(kind: Kind, code: str) -> Dying:
-    found = _model(kind, code)
+    found = next((one for one in kind.listed("death", "model") if _code(one) == code), None)
     rate = None if found is None else found.find("death_rate") or found.find("rate")
     table = None if found is None else found.find("parameters")
     parameters = dict(_USUAL[code])
@@ -152,11 +146,10 @@ def _time_to_burst(kind: Kind, dying: Dying) -> float | None:
 
 
 def _account_for(model: Model, kind: Kind) -> None:
-    table, account = kind.own("death"), model.account
-    for one in [] if table is None else table.all("model"):
+    for one in kind.listed("death", "model", own=True):
         code = _code(one)
         if code not in (APOPTOSIS, NECROSIS):
-            account.leave_out([one], "neither apoptosis nor necrosis")
+            model.account.leave_out([one], "neither apoptosis nor necrosis")
             continue
         _account_for_rate(model, kind, one, code)
         _account_for_course(model, kind, one, code)

@@ -55,7 +55,8 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
     made = model.part("nutrients", key)
     # nothing rests here: uptake is that of living cells, whatever they do
     made |= {"uptake": 0.0, "quiescent_uptake": 1.0, "geometry": "box"}
-    made["spacing"] = _spacing(model)
+    # that of the voxels, unless cells are too small for them
+    made["spacing"] = min(run.spacing(model.root), 4.0 * model.part("cells")["division_radius"])
     thickness = model.root.find("domain/dz")
     if model.scene["dimensions"] == 2 and thickness is not None:
         made["height"] = thickness.number()
@@ -66,11 +67,6 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
     model.account.take(start, Fate.MAPPED, f"nutrients.{key}.boundary")
     levels = _read_sides(model, variable, active, made)
     model.top[name] = max([level, *levels])
-
-
-def _spacing(model: Model) -> float:
-    """Return the spacing of grids, µm: the voxels', unless cells are too small for them."""
-    return min(run.spacing(model.root), 4.0 * float(model.part("cells")["division_radius"]))
 
 
 def _unit(name: str, said: str) -> tuple[float, Fate, str]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _WALL = 100.0 / MINUTE
 """Strength of PhysiCell's walls, µm/s."""
 _STIFFEST = 1e9
+_AFFINITIES = "mechanics/cell_adhesion_affinities", "cell_adhesion_affinity"
 _LENGTH = 1.0
 _POISSON = 0.5
 _COMPLIANCE = 0.75 * (1.0 - _POISSON**2)
@@ -121,8 +122,7 @@ def _adhesion(kind: Kind) -> float:
 
 def _affinities(model: Model, kind: Kind) -> dict[str, float]:
     made = dict.fromkeys((other.name for other in model.kinds), 1.0)
-    found = kind.given("mechanics/cell_adhesion_affinities")
-    for one in [] if found is None else found.all("cell_adhesion_affinity"):
+    for one in kind.listed(*_AFFINITIES):
         if one.attributes.get("name", "") in made:
             made[one.attributes["name"]] = one.number()
     return made
@@ -163,8 +163,7 @@ def _account_for_adhesion(model: Model, kind: Kind, key: str) -> None:
         one = kind.own(f"mechanics/options/set_{name}_equilibrium_distance")
         counts = ruled is not None and one is ruled[1]
         take(one, Fate.MAPPED if counts else Fate.OFF, key if counts else "")
-    table = kind.own("mechanics/cell_adhesion_affinities")
-    for one in [] if table is None else table.all("cell_adhesion_affinity"):
+    for one in kind.listed(*_AFFINITIES, own=True):
         known = model.kind_named(one.attributes.get("name", "")) is not None
         note = "" if known else "of a type that there is not"
         take(one, Fate.MAPPED if known else Fate.OFF, key if known else "", note)

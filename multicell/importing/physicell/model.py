@@ -30,31 +30,15 @@ _FROM_ZERO = ("motility/options", "secretion", "cell_interactions", "cell_transf
 @final
 @dataclass(eq=False)
 class Kind:
-    """A ``cell_definition``.
-
-    Attributes
-    ----------
-    name, key : str
-        In PhysiCell and in the scene.
-    number : int
-        Its ID, by which tables of cells name it.
-    element : Element
-        Its ``cell_definition``.
-    parent : Kind or None
-        From which it takes what it does not say itself.
-    declared : bool
-        Whether it names that parent.
-    count : int
-        Cells at the start.
-    """
+    """A ``cell_definition``."""
 
     name: str
-    key: str
-    number: int
+    key: str  # its name in the scene
+    number: int  # its ID, by which tables of cells name it
     element: Element
-    parent: Kind | None
-    declared: bool
-    count: int = 0
+    parent: Kind | None  # from which it takes what it does not say itself
+    declared: bool  # whether it names that parent
+    count: int = 0  # cells at the start
 
     def own(self, path: str) -> Element | None:
         """Return an element of its own phenotype, or None."""
@@ -68,6 +52,11 @@ class Kind:
         if not self.declared and path.startswith(_FROM_ZERO):
             return None
         return self.parent.given(path)
+
+    def listed(self, table: str, path: str, *, own: bool = False) -> list[Element]:
+        """Return the elements at a path below one of its phenotype, or else of its parent's."""
+        found = self.own(table) if own else self.given(table)
+        return [] if found is None else found.all(path)
 
     def number_of(self, path: str, usual: float, **bounds: float) -> float:
         """Return a number of its phenotype; ``usual`` where neither it nor a parent says it."""
@@ -95,26 +84,14 @@ class Kind:
 class Model:
     """A model of PhysiCell while it is read.
 
-    Attributes
-    ----------
-    root : Element
-    account : Account
-    kinds : list of Kind
-        In the order of the file.
-    scene : dict
-        The scene as nested tables.
-    fields : dict
-        Key in the scene of each substance by its name.
-    unit : dict
-        mM for one unit of a substance, by its name.
-    top : dict
-        The highest concentration of a substance that the settings name, in its own unit.
-    rules : list of Rule
-        Those that are read, with what becomes of each.
-    needs : field -> fields
-        On which its uptake and secretion depend by rules.
-    cells : Start or None
-        The cells at the start, once they are read.
+    - ``kinds``: in the order of the file
+    - ``scene``: as nested tables
+    - ``fields``: key in the scene of each substance by its name
+    - ``unit``: mM for one unit of a substance, by its name
+    - ``top``: the highest concentration of a substance that the settings name, in its own unit
+    - ``rules``: those that are read, with what becomes of each
+    - ``needs``: the fields on which uptake and secretion of a field depend by rules
+    - ``cells``: those at the start, once they are read
     """
 
     root: Element
@@ -187,8 +164,12 @@ def read_kinds(root: Element, account: Account) -> list[Kind]:
     keys = keys_of((element.attributes["name"] for element in elements), "type")
     made: list[Kind] = []
     for place, (element, key) in enumerate(zip(elements, keys, strict=True)):
-        made.append(_kind(element, key, place, made))
-        _account_for(made[-1], account)
+        kind = _kind(element, key, place, made)
+        note = [] if key == kind.name else [f"called {key} here"]
+        if kind.declared and kind.parent is not None:
+            note.append(f"takes what it does not say from '{kind.parent.name}'")
+        account.take(element, Fate.MAPPED, f"types.{key}", "; ".join(note), kind.name)
+        made.append(kind)
     return made
 
 
@@ -209,10 +190,3 @@ def _kind(element: Element, key: str, place: int, above: list[Kind]) -> Kind:
     if parent is None:
         parent = next((k for k in above if k.name == "default" or k.number == 0), None)
     return Kind(name, key, number, element, parent, bool(declared))
-
-
-def _account_for(kind: Kind, account: Account) -> None:
-    note = [] if kind.key == kind.name else [f"called {kind.key} here"]
-    if kind.declared and kind.parent is not None:
-        note.append(f"takes what it does not say from '{kind.parent.name}'")
-    account.take(kind.element, Fate.MAPPED, f"types.{kind.key}", "; ".join(note), kind.name)

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 _CODE = "read by C++ code of the model only"
 _ATTACKS: Final = ("attack_damage_rate", "attack_duration", "damage_rate")
+_TRANSFORMATIONS: Final = "cell_transformations", "transformation_rates/transformation_rate"
 _PARTS: Final = {
     "cell_interactions": "cells do not eat, attack or fuse with each other",
     "cell_integrity": "cells have no damage",
@@ -59,8 +60,7 @@ def read_others(model: Model) -> None:
 
 def _changes(kind: Kind) -> dict[str, float]:
     """Return the rates at which cells of a type become others, 1/min by their names."""
-    table = kind.given("cell_transformations")
-    found = [] if table is None else table.all("transformation_rates/transformation_rate")
+    found = kind.listed(*_TRANSFORMATIONS)
     return {one.attributes.get("name", ""): one.number(at_least=0.0) for one in found}
 
 
@@ -77,8 +77,7 @@ def _read_changes(model: Model) -> None:
 
 
 def _account_for_changes(model: Model, kind: Kind) -> None:
-    table = kind.own("cell_transformations")
-    for one in [] if table is None else table.all("transformation_rates/transformation_rate"):
+    for one in kind.listed(*_TRANSFORMATIONS, own=True):
         to = model.kind_named(one.attributes.get("name", ""))
         if to is None or to is kind or one.number() == 0.0:
             model.account.take(one, Fate.OFF)

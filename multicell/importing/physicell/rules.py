@@ -74,20 +74,7 @@ _SYNONYMS: Final = {
 @final
 @dataclass(eq=False)
 class Rule:
-    """A line of a file of rules, and what became of it.
-
-    Attributes
-    ----------
-    place, text : str
-    kind : Kind or None
-    signal, behaviour : str
-        In the grammar's first name for each.
-    end, half, power : float
-    level : (name, float) or None
-        Signal of the scene, and how much of its unit one of PhysiCell's is.
-    fate, key, note
-        What became of it.
-    """
+    """A line of a file of rules, and what became of it; names are the grammar's first ones."""
 
     place: str
     text: str
@@ -98,7 +85,7 @@ class Rule:
     half: float
     power: float
     dead: bool
-    level: tuple[str, float] | None = None
+    level: tuple[str, float] | None = None  # signal of the scene, its units for one of PhysiCell's
     fate: Fate = Fate.LEFT_OUT
     key: str = ""
     note: str = ""
@@ -224,16 +211,9 @@ def set_behaviour(
 ) -> None:
     """Set what types do: their own values where these are not the scene's, and what rules say.
 
-    Parameters
-    ----------
-    behaviour
-        Of the scene.
-    usual
-        What the scene gives for all types.
-    value
-        Returns what a type does by itself, or at saturation of a rule, in the scene's unit.
-    note
-        How the behaviour here differs from that of the rules.
+    - ``behaviour``, ``usual``: of the scene, and what it gives for all types
+    - ``value``: returns what a type does by itself, or at saturation of a rule, in its unit there
+    - ``note``: how the behaviour here differs from that of the rules
     """
     known, most = list(rules), behaviour_named(behaviour, "")[0].at_most
     own = {kind: min(value(kind, None), most) for kind in kinds}

@@ -87,19 +87,15 @@ def account_for_voxels(model: Model) -> None:
     used = min((part["spacing"] for part in model.part("nutrients").values()), default=0.0)
     for axis in "xyz":
         for side in model.root.all(f"domain/d{axis}"):
-            _read_side(model, axis, side, used)
-
-
-def _read_side(model: Model, axis: str, side: Element, step: float) -> None:
-    if not model.root.all("microenvironment_setup/variable"):
-        model.account.take(side, Fate.OFF, note="there are no substances")
-    elif axis == "z" and model.scene["dimensions"] == 2:
-        model.account.take(side, Fate.MAPPED, "nutrients.*.height")
-    elif side.number() == step:
-        model.account.take(side, Fate.MAPPED, "nutrients.*.spacing")
-    else:
-        note = f"{step:g} um: cubes, no longer than two cells that divide"
-        model.account.take(side, Fate.APPROXIMATED, "nutrients.*.spacing", note)
+            if not model.root.all("microenvironment_setup/variable"):
+                model.account.take(side, Fate.OFF, note="there are no substances")
+            elif axis == "z" and model.scene["dimensions"] == 2:
+                model.account.take(side, Fate.MAPPED, "nutrients.*.height")
+            elif side.number() == used:
+                model.account.take(side, Fate.MAPPED, "nutrients.*.spacing")
+            else:
+                note = f"{used:g} um: cubes, no longer than two cells that divide"
+                model.account.take(side, Fate.APPROXIMATED, "nutrients.*.spacing", note)
 
 
 def _fitting(ends: dict[str, tuple[float, float]], step: float) -> dict[str, tuple[float, float]]:

@@ -54,8 +54,8 @@ class Exchange:
 
 def read_secretion(model: Model) -> None:
     """Read ``secretion`` of all types; to be called when the substances are known."""
-    for _, table in model.each("secretion"):
-        for one in table.all("substrate"):
+    for kind in model.kinds:
+        for one in kind.listed("secretion", "substrate", own=True):
             if one.attributes.get("name") not in model.fields:
                 problem = f"is of '{one.attributes.get('name')}', which is no substance"
                 raise one.error(problem)
@@ -69,8 +69,7 @@ def read_secretion(model: Model) -> None:
 
 
 def _substrate(kind: Kind, name: str, *, own: bool = False) -> Element | None:
-    table = kind.own("secretion") if own else kind.given("secretion")
-    found = [] if table is None else table.all("substrate")
+    found = kind.listed("secretion", "substrate", own=own)
     return next((one for one in found if one.attributes.get("name") == name), None)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -100,8 +100,10 @@ def _from_table(model: Model, path: Path) -> Start:
     if not rows:
         raise SceneError(path.name, "has no cells")
     labels = None if _number(rows[0][1][0]) is not None else [w.lower() for w in rows.pop(0)[1]]
-    if labels is not None:
-        _check_labels(path, labels)
+    if labels is not None and (labels[:3] != ["x", "y", "z"] or len(labels) < 4):
+        problem = f"begins with '{','.join(labels[:4])[:60]}'"
+        hint = "The first columns are x, y, z and the type, with or without a line of titles."
+        raise SceneError(f"{path.name}, line 1", problem, hint)
     if not rows:
         model.account.add(path.name, "", Fate.OFF, "", "has no cells: as if there were no table")
         return _without_table(model)
@@ -120,18 +122,6 @@ def _from_table(model: Model, path: Path) -> Start:
         model.account.add(path.name, "", Fate.LEFT_OUT, "", note)
     start = Start(position[keep], kinds, np.array([cell[2] for cell in cells])[keep])
     return _move_apart(model, path, start)
-
-
-def _move_apart(model: Model, path: Path | None, start: Start) -> Start:
-    radius = float(np.cbrt(start.volumes().max() / SPHERE))
-    return replace(start, position=_apart(model, path, start.position, radius))
-
-
-def _check_labels(path: Path, labels: list[str]) -> None:
-    if labels[:3] != ["x", "y", "z"] or len(labels) < 4:
-        problem = f"begins with '{','.join(labels[:4])[:60]}'"
-        hint = "The first columns are x, y, z and the type, with or without a line of titles."
-        raise SceneError(f"{path.name}, line 1", problem, hint)
 
 
 def _cell(
@@ -205,17 +195,11 @@ def _inside(model: Model, path: Path, position: FloatArray) -> NDArray[np.bool_]
     return keep
 
 
-def _apart(model: Model, path: Path | None, position: FloatArray, radius: float) -> FloatArray:
-    """Return places of which no two coincide: one cell of each two that do is moved.
-
-    Parameters
-    ----------
-    position : (n, 3), µm
-    radius
-        The largest, µm.
-    """
+def _move_apart(model: Model, path: Path | None, start: Start) -> Start:
+    """Return cells of which no two coincide: one of each two that do is moved."""
     from scipy.spatial import KDTree
 
+    position, radius = start.position, float(np.cbrt(start.volumes().max() / SPHERE))
     random, moved = np.random.default_rng(0), 0
     while (near := KDTree(position).query_pairs(_NEAR * radius, output_type="ndarray")).size:
         again = np.unique(near[:, 1])
@@ -226,7 +210,7 @@ def _apart(model: Model, path: Path | None, position: FloatArray, radius: float)
         note = f"{moved} cells at the place of another one are moved by {_AWAY * radius:.2g} um"
         source = "cells at random" if path is None else path.name
         model.account.add(source, "", Fate.APPROXIMATED, "initial.cells", note)
-    return position
+    return start
 
 
 def _flatten(model: Model, path: Path, position: FloatArray) -> None:
