@@ -147,7 +147,11 @@ class Journal:
                 if sync or clock.monotonic() - self._synced > _SYNC_EVERY:
                     self._sync()
             except OSError as error:
-                self._take_back(error)
+                try:  # give back the room that the refused records have taken
+                    os.ftruncate(self._descriptor, self._end)
+                except OSError as second:
+                    # an incomplete record at the end does no harm: readers do not count it
+                    error.add_note(f"and it could not be taken back: {second}")
                 raise
             self._end, self._chain, self._torn = place, chain, False
 
@@ -161,14 +165,6 @@ class Journal:
                 done = os.write(self._descriptor, view)
                 view, place = view[done:], place + done
         return place
-
-    def _take_back(self, error: OSError) -> None:
-        """Give back the room that a refused record has taken."""
-        try:
-            os.ftruncate(self._descriptor, self._end)
-        except OSError as second:
-            # an incomplete record at the end does no harm: readers do not count it
-            error.add_note(f"and it could not be taken back: {second}")
 
     def _sync(self) -> None:
         os.fsync(self._descriptor)

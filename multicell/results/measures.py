@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 from weakref import ref
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.cells import State
 from multicell.results import observables as of
@@ -77,9 +78,8 @@ def _walls(state: TissueState) -> Walls | Sphere:
     return found
 
 
-def _pressure_factor(state: TissueState) -> float:
-    factors = state.pressure_factors
-    return float(factors.mean()) if len(factors) else float("nan")
+def _mean(values: NDArray[Any]) -> float:
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def _in_space(find: Callable[[Cells, int, of.Extent], float]) -> Callable[[TissueState], float]:
@@ -94,11 +94,6 @@ def _over_radius(state: TissueState, length: float) -> float:
 def _load(state: TissueState) -> float:
     assert state.scene.pull is not None
     return state.scene.pull.load(state.time)
-
-
-def _count_in(name: str) -> Callable[[TissueState], int]:
-    """Return what counts the cells in a state."""
-    return lambda state: state.state_counts[name]
 
 
 def _living_of(state: TissueState, kind: str) -> int:
@@ -137,7 +132,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "growth_fraction",
-        lambda s: of.growth_fraction(s.cells),
+        lambda s: _mean(s.cells.state[~s.cells.dead] == State.PROLIFERATING),
         exists=_grows,
         absent="without living cells",
         doc="part of living cells that proliferate: in the viable rim, where there is a core",
@@ -183,7 +178,7 @@ OBSERVABLES: Final = (
     ),
     _pressure(
         "largest_pressure",
-        lambda s: of.largest_pressure(s.cells),
+        lambda s: s.cells.pressure.max() if len(s.cells) else 0.0,
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
     ),
     _pressure(
@@ -195,7 +190,10 @@ OBSERVABLES: Final = (
         doc="mean [pressure](contact.md#pressure-of-a-cell) of necrotic cells by their volume, "
         'with which a fluid core holds up the rim; with `death.core = "fluid"`',
     ),
-    *(_count(name, _count_in(name), entry=f"states.{name}") for name in _STATES),
+    *(
+        _count(name, lambda s, name=name: s.state_counts[name], entry=f"states.{name}")
+        for name in _STATES
+    ),
     _count(
         "clonogens",
         lambda s: int((~s.cells.dead & (s.cells.doomed == 0)).sum()),
@@ -213,14 +211,14 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "volume_fraction",
-        lambda s: of.volume_fraction(s.cells, _walls(s)),
+        lambda s: s.cells.volume.sum() / _walls(s).volume,
         exists=_has_walls,
         doc="sum of the cells' volumes over the volume of the `domain`; with elastic walls in"
         " space",
     ),
     _length(
         "domain_radius",
-        lambda s: of.domain_radius(_walls(s)),
+        lambda s: getattr(_walls(s), "radius", float("nan")),
         exists=_has_gel,
         doc="radius to which the cells have widened the cavity of a gel (`domain.stiffness`)",
     ),
@@ -242,7 +240,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "pressure_factor",
-        _pressure_factor,
+        lambda s: _mean(s.pressure_factors),
         exists=_is_pressed,
         absent="without living cells",
         doc=r"mean of $\min(1, \max(0, 1 - p/p_\mathrm{crit}))$ over living cells: the factor of "

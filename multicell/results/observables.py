@@ -157,12 +157,6 @@ def viable_rim(cells: Cells, dimensions: int, extent: Extent | None = None) -> f
     return rim(cells, dimensions, [State.NECROTIC], extent)
 
 
-def growth_fraction(cells: Cells) -> float:
-    """Return the part of the living cells that proliferate, NaN without living cells."""
-    living = cells.state[~cells.dead]
-    return float((living == State.PROLIFERATING).mean()) if len(living) else float("nan")
-
-
 FEWEST_INHIBITED = 10
 """Cells: fewer at the centre, by chance without one in S, G2 or M, are no inhibited region."""
 
@@ -204,11 +198,6 @@ def packing_ratio(cells: Cells, dimensions: int, extent: Extent | None = None) -
     return float((cubes(ratio) if dimensions == 3 else ratio * ratio).sum())
 
 
-def volume_fraction(cells: Cells, walls: Walls | Sphere) -> float:
-    """Return the cells' volumes over that of the box; above 1 only where cells overlap."""
-    return float(cells.volume.sum()) / walls.volume
-
-
 def settle(cells: Cells, walls: Walls | Sphere, compression: Compression | None) -> float:
     """Let a gel give way to the cells; return what compressed tissue adds to its pressure, kPa.
 
@@ -220,11 +209,6 @@ def settle(cells: Cells, walls: Walls | Sphere, compression: Compression | None)
         walls.settle(rows, None, None)
         return 0.0
     return compression.wall_pressure(rows, walls)
-
-
-def domain_radius(walls: Walls | Sphere) -> float:
-    """Return the radius of a spherical wall, µm."""
-    return float(getattr(walls, "radius"))  # noqa: B009
 
 
 def wall_pressure(
@@ -245,20 +229,6 @@ def tissue_pressure(cells: Cells, walls: Walls | Sphere) -> float:
     return float(cells.pressure @ cells.volume) / walls.volume
 
 
-def pressure_factors(cells: Cells, critical: float) -> FloatArray:
-    """Return min(1, max(0, 1 - p/p_crit)) of each living cell, with p_crit in kPa.
-
-    It is the factor of pressure on the rate of growth.
-    """
-    return np.clip(1.0 - cells.pressure[~cells.dead] / critical, 0.0, 1.0)
-
-
-def state_counts(cells: Cells) -> dict[str, int]:
-    """Return the number of cells in each state, by the state's name in lower case."""
-    counts = np.bincount(cells.state, minlength=len(State))
-    return {state.name.lower(): int(counts[state]) for state in State}
-
-
 def heterotypic_fraction(cells: Cells, contacts: IntArray) -> float:
     """Return the part of all contacts that join cells of different types, NaN without contacts.
 
@@ -277,14 +247,6 @@ def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:
     """
     rows = cells.rows_of(contacts).reshape(-1, 2)
     return rows[(rows >= 0).all(axis=1)]
-
-
-def largest_pressure(cells: Cells) -> float:
-    """Return the largest pressure of any cell in kPa, 0 without cells.
-
-    That of its own contacts over its own volume; :func:`tissue_pressure` is that of the tissue.
-    """
-    return float(cells.pressure.max()) if len(cells) else 0.0
 
 
 def core_pressure(cells: Cells) -> float:
@@ -380,16 +342,11 @@ def _means(radius: FloatArray, edges: FloatArray, values: NDArray[Any]) -> Float
 
 def counts_contacts(scene: Scene) -> bool:
     """Return whether anything asks for the pairs in contact; to find them costs a little."""
-    if remembers_contacts(scene) or len(scene.types) > 1 or scene.pull is not None:
+    if scene.contact.remembers or len(scene.types) > 1 or scene.pull is not None:
         return True
     named = {name for part in scene.responses.values() for name in part.signals}
     named |= {name for part in scene.signals.values() for name in part.of}
     return any(map(needs_contacts, named))
-
-
-def remembers_contacts(scene: Scene) -> bool:
-    """Return whether the contact law needs to know which pairs were in contact."""
-    return scene.contact.remembers
 
 
 def touching(frame: Frame) -> NDArray[np.int64]:

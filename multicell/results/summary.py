@@ -11,7 +11,6 @@ import numpy as np
 from multicell.results.folder import versions
 from multicell.results.measures import observables_of
 from multicell.results.observable import TissueState, represented
-from multicell.results.observables import counts_contacts, remembers_contacts
 from multicell.results.quantities import units_of
 from multicell.scene.sizes import birth_volume
 
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
     from multicell.cells import Cells
     from multicell.results.frame import Frame
     from multicell.scene.scene import Scene
-
-__all__ = ["counts_contacts", "history_row", "remembers_contacts", "run_summary", "state_summary"]
 
 
 def history_row(scene: Scene, frame: Frame, **found: float) -> dict[str, float]:

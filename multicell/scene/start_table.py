@@ -20,8 +20,15 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, Phase, State
 from multicell.errors import DataError, SceneError
 from multicell.schema import choice, count, file_path, near_miss, number, parameters, table, text
-from multicell.tables.columns import PARQUET, Columns, from_bytes, from_object, parsed
-from multicell.tables.h5ad import HDF5, h5ad_columns
+from multicell.tables.columns import (
+    HDF5,
+    PARQUET,
+    Columns,
+    from_bytes,
+    from_object,
+    h5ad_columns,
+    parsed,
+)
 from multicell.tables.text import read_bytes
 from multicell.tables.titles import Title, read_title, titled, unknown_title
 from multicell.units import RANGES

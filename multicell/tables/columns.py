@@ -1,8 +1,8 @@
-"""Columns of a table from a CSV or Parquet file, a ``DataFrame`` or a mapping of columns."""
+"""Columns of a table from a CSV, Parquet or AnnData file, a ``DataFrame`` or a mapping."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Number
 from pathlib import Path
@@ -16,6 +16,7 @@ from multicell.host.extras import needs
 from multicell.tables.text import lines_of, read_bytes, rows_of
 
 PARQUET: Final = b"PAR1"  # what a Parquet file begins with
+HDF5: Final = b"\x89HDF\r\n\x1a\n"  # and an AnnData file
 
 
 @final
@@ -44,8 +45,9 @@ class Columns:
 
 def from_bytes(content: bytes, name: str) -> Columns:
     """Return the columns of a CSV or Parquet file."""
-    read = _parquet if content[:4] == PARQUET else _csv
-    return _filled(read(content, name))
+    if content[:4] == PARQUET:
+        return _filled(_parquet(content, name))
+    return _filled(_quick(content, name) or _slow(content, name))
 
 
 def from_object(source: Any, name: str) -> Columns:
@@ -57,8 +59,9 @@ def from_object(source: Any, name: str) -> Columns:
         titles = [str(title).strip() for title in source]
         arrays = (_array(column, f"{name}, '{title}'") for title, column in source.items())
     else:
-        problem = f"is a {type(source).__name__}, must be a file, a DataFrame or columns by title"
-        raise DataError(name, problem)
+        raise DataError(
+            name, f"is a {type(source).__name__}, must be a file, a DataFrame or columns by title"
+        )
     return _filled(_gathered(titles, arrays, name))
 
 
@@ -148,14 +151,8 @@ def _of_arrow(column: Any) -> NDArray[Any]:
         return np.array(column.to_pylist(), dtype=object)
 
 
-def _csv(content: bytes, name: str) -> Columns:
-    """Return the columns of CSV text."""
-    quick = _quick(content, name)
-    return _slow(content, name) if quick is None else quick
-
-
 def _quick(content: bytes, name: str) -> Columns | None:
-    """Return the columns as NumPy's reader finds them by the types of the first row.
+    """Return the columns of CSV text as NumPy's reader finds them by the types of the first row.
 
     None where it does not understand the text: then it is read field by field, which knows what is
     wrong and where. What it does understand it reads as that would.
@@ -187,11 +184,37 @@ def _quick(content: bytes, name: str) -> Columns | None:
 
 
 def _slow(content: bytes, name: str) -> Columns:
-    """Return the columns of CSV text, read field by field."""
     (_, titles), *rows = rows_of(content, name)
     fields = zip(*(row for _, row in rows), strict=True) if rows else [()] * len(titles)
     columns = {title: parsed(column) for title, column in zip(titles, fields, strict=True)}
     return Columns(name, columns, np.array([number for number, _ in rows], np.int64))
+
+
+def h5ad_columns(path: Path, known: Callable[[str], bool]) -> dict[str, Any]:
+    """Return the columns of a file by title: of ``obs``, of ``X``, and ``obsm["spatial"]`` in µm.
+
+    - ``known``: whether a title is wanted; annotations of other programs are left out
+
+    Raises DataError if it is no AnnData file, or none with coordinates.
+    """
+    needs("anndata")
+    import anndata
+
+    try:
+        data = anndata.read_h5ad(path)
+    except Exception as error:  # of several libraries
+        raise DataError(path.name, f"is no AnnData file: {error}") from None
+    found: dict[str, Any] = {title: data.obs[title].astype(object) for title in data.obs}
+    numbers = {title: title not in found for title in data.var_names}
+    found = {title: np.asarray(column) for title, column in found.items() if known(title)}
+    for title in (title for title, new in numbers.items() if new and known(title)):
+        column = data[:, title].X
+        found[title] = np.asarray(column.todense() if hasattr(column, "todense") else column)
+        found[title] = found[title].ravel()
+    if "spatial" in data.obsm:
+        place = np.asarray(data.obsm["spatial"])
+        found |= {f"position_{axis}_um": x for axis, x in zip("xyz", place.T, strict=False)}
+    return found
 
 
 def parsed(column: Sequence[str]) -> NDArray[Any]:

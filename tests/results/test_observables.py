@@ -7,6 +7,7 @@ from synthetic import BARE, ball, cells_at, spheroid
 from multicell.cells import Cells, Phase, State
 from multicell.results import observables
 from multicell.results.frame import Field, Frame
+from multicell.results.observable import TissueState
 from multicell.results.summary import history_row
 
 
@@ -64,7 +65,7 @@ def test_ball_with_core_gives_core_and_rim():
     cells = cells_at(position, radius=0.2, state=state)
     assert observables.necrotic_radius(cells, 3) == pytest.approx(60.0, rel=4e-3)
     assert observables.viable_rim(cells, 3) == pytest.approx(40.0, rel=1e-2)
-    counts = observables.state_counts(cells)
+    counts = TissueState(Frame(0.0, 0, cells), BARE).state_counts
     assert counts == {"proliferating": int((~core).sum()), "quiescent": 0, "necrotic": core.sum(),
                       "apoptotic": 0}  # fmt: skip
 

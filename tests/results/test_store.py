@@ -19,7 +19,7 @@ import multicell
 from multicell.cells import Cells
 from multicell.errors import OutputError
 from multicell.report.result import Result, history_arrays, load_result
-from multicell.results.documents import write_summary
+from multicell.results.documents import write_table
 from multicell.results.folder import FILES, to_json
 from multicell.results.frame import Field, Frame
 from multicell.results.lineage import COLUMNS
@@ -221,7 +221,7 @@ def test_folder_that_holds_something_is_refused_unless_overwritten(tmp_path):
     with pytest.raises(OutputError, match=r"not empty.*--overwrite"):
         Store.create(folder, SCENE)
     assert len(Frames(Contents(folder))) == 1
-    write_summary(folder, {"cells": 30})
+    write_table(folder / "summary.json", {"cells": 30})
     Store.create(folder, SCENE, overwrite=True).close()
     assert len(Frames(Contents(folder))) == 0
     assert not (folder / "summary.json").exists()
@@ -278,8 +278,8 @@ def test_broken_summary_is_refused(tmp_path):
 
 def test_summary_is_strict_json(tmp_path):
     summary = {"cells": np.int64(3), "wall": {"total": np.float64(np.nan)}, "list": (1, np.inf)}
-    path = write_summary(tmp_path, summary)
-    written = json.loads(path.read_text())
+    write_table(tmp_path / "summary.json", summary)
+    written = json.loads((tmp_path / "summary.json").read_text())
     assert len(written.pop("checksum")) == 8
     assert written == {
         "cells": 3,
@@ -292,7 +292,7 @@ def test_summary_is_strict_json(tmp_path):
 
 def test_result_gives_a_copy_of_its_summary(tmp_path):
     folder = written(tmp_path / "out", [spheroid(30)])
-    write_summary(folder, {"states": {"necrotic": 1}})
+    write_table(folder / "summary.json", {"states": {"necrotic": 1}})
     result = load_result(folder)
     result.summary()["states"]["necrotic"] = 5
     assert result.summary() == {"states": {"necrotic": 1}}
@@ -308,7 +308,7 @@ def test_history_rows_must_agree():
 def test_report_writes_only_files_that_overwriting_removes(tmp_path):
     frames = growing_frames(count=3, last=60)
     folder = written(tmp_path / "out", frames)
-    write_summary(folder, {"cells": len(frames[-1].cells)})
+    write_table(folder / "summary.json", {"cells": len(frames[-1].cells)})
     load_result(folder).report()
     # one cell type, no pull, one field, no table of cells
     expected = set(FILES) - {"contacts.png", "pull.png", "fields.png", *COPIES}
