@@ -172,7 +172,7 @@ class Plots:
         OutputError
             If a run has no such column.
         """
-        from multicell.report.plots.overlay import overlay
+        from multicell.report.plots.growth import overlay
 
         runs = {"this run": self.history}
         runs |= {label: run.history for label, run in (others or {}).items()}
