@@ -293,9 +293,9 @@ def radial_profile(frame: Frame, dimensions: int, bins: int = 20) -> RadialProfi
     return RadialProfile(
         edges=edges,
         counts=np.histogram(radius, edges)[0],
-        fractions={s.name.lower(): _means(radius, edges, cells.state == s) for s in State},
-        concentrations={n: _means(radius, edges, c) for n, c in frame.concentrations.items()},
-        pressure=_means(radius, edges, cells.pressure),
+        fractions={s.name.lower(): means(radius, edges, cells.state == s) for s in State},
+        concentrations={n: means(radius, edges, c) for n, c in frame.concentrations.items()},
+        pressure=means(radius, edges, cells.pressure),
     )
 
 
@@ -309,10 +309,10 @@ def field_profile(field: Field, origin: FloatArray, edges: FloatArray) -> FloatA
     Returns (b,) float64: means over the grid points; NaN in a shell that holds none.
     """
     if field.kind == "radial":
-        return _means(field.axis(0) - field.origin[0], edges, field.values.ravel())
+        return means(field.axis(0) - field.origin[0], edges, field.values.ravel())
     axes = np.meshgrid(*(field.axis(k) - origin[k] for k in range(3)), indexing="ij", sparse=True)
     radius = np.sqrt(sum(axis**2 for axis in axes)).ravel()
-    return _means(radius, edges, field.values.ravel())
+    return means(radius, edges, field.values.ravel())
 
 
 def field_at(field: Field, origin: FloatArray, distance: float) -> float:
@@ -331,13 +331,13 @@ def field_at(field: Field, origin: FloatArray, distance: float) -> float:
     return float(np.interp(abs(distance), middles, means))
 
 
-def _means(radius: FloatArray, edges: FloatArray, values: NDArray[Any]) -> FloatArray:
-    """Average ``values`` by shell; NaN where a shell is empty."""
-    count = np.histogram(radius, edges)[0]
-    total = np.histogram(radius, edges, weights=values.astype(float))[0]
-    means = np.full(len(count), np.nan)
-    np.divide(total, count, out=means, where=count > 0)
-    return means
+def means(place: NDArray[Any], edges: FloatArray, values: NDArray[Any]) -> FloatArray:
+    """Return the means of ``values`` between ``edges`` of their places; NaN where there are none."""
+    count = np.histogram(place, edges)[0]
+    total = np.histogram(place, edges, weights=values.astype(float))[0]
+    found = np.full(len(count), np.nan)
+    np.divide(total, count, out=found, where=count > 0)
+    return found
 
 
 def counts_contacts(scene: Scene) -> bool:

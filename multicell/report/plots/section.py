@@ -52,11 +52,20 @@ def section(
     dimensions, where = scene.dimensions, plane or Plane()
     if dimensions == 2 and where.axis != "z":
         raise OutputError(f"the cells lie in the plane z = 0: a plane {where.axis} is none of them")
-    middle, place, level = _set_up(frame, scene, plane)
+    ahead = turn_frame(frame, where)
+    middle = centre(ahead.cells, dimensions)
+    place, level = ahead.cells.position, height(ahead, where, middle)
+    if plane is None and 1 < len(frame.cells) <= 3 and not frame.fields:
+        # turned about the centre so that the last axis is their thinnest one
+        _, _, turn = np.linalg.svd(place - middle)
+        place = middle + (place - middle) @ turn.T
     square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
     inside = square > 0.0
-    cells = cell_count(int(inside.sum()))
-    cut = _where(where, cells) if dimensions == 3 else ""
+    cut = ""
+    if dimensions == 3:
+        across = "" if where.axis == "z" else f" across {where.axis}"
+        at = f" at {where.axis} = {where.at:g} µm" if where.at is not None else None
+        cut = f": section{at or f'{across} through the centre'} ({cell_count(int(inside.sum()))})"
     figure = style.headed(scene, style.moment(frame) + cut)
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     half = half or window(frame, scene)
@@ -64,7 +73,7 @@ def section(
     axes.spines[["top", "right"]].set_visible(True)
     _draw_deep(axes, place, frame.cells.radius, level, shade.rgb)
     draw_discs(axes, place[inside, :2], np.sqrt(square[inside]), shade.rgb[inside])
-    fields = turn_frame(frame, where).fields
+    fields = ahead.fields
     name = next((name for name in scene.nutrients if name in fields), "")
     if shade.title in ("state", "type"):
         dead = draw_necrotic(axes, frame.cells, place, level) if fields else False
@@ -81,25 +90,6 @@ def window(frame: Frame, scene: Scene) -> float:
     middle = centre(frame.cells, scene.dimensions)
     size = uniform_radius(frame.cells, middle, scene.dimensions)
     return 1.22 * size + 2.0 * float(frame.cells.radius.max())
-
-
-def _set_up(
-    frame: Frame, scene: Scene, plane: Plane | None
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the centre and all positions in the axes of the picture, and the plane's height."""
-    where = plane or Plane()
-    ahead = turn_frame(frame, where)
-    middle = centre(ahead.cells, scene.dimensions)
-    few = plane is None and 1 < len(frame.cells) <= 3 and not frame.fields
-    place = _in_plane(ahead.cells.position, middle) if few else ahead.cells.position
-    return middle, place, height(ahead, where, middle)
-
-
-def _where(plane: Plane, cells: str) -> str:
-    if plane.at is not None:
-        return f": section at {plane.axis} = {plane.at:g} µm ({cells})"
-    axis = "" if plane.axis == "z" else f" across {plane.axis}"
-    return f": section{axis} through the centre ({cells})"
 
 
 def _draw_deep(
@@ -130,23 +120,6 @@ def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> Non
                         "shrinkB": 0},
         )  # fmt: skip
         axes.text(x + 1.35 * dx, y + 1.35 * dy, name, ha="center", va="center", zorder=5)
-
-
-def _scale_legend(figure: Figure, shade: Colouring) -> None:
-    assert shade.range is not None
-    assert shade.values is not None
-    low, high = shade.range
-    shades = ScalarMappable(Normalize(low, high), SCALE)
-    below, above = bool((shade.values < low).any()), bool((shade.values > high).any())
-    beyond = ("neither", "min", "max", "both")[below + 2 * above]
-    title = shade.title[0].upper() + shade.title[1:]
-    _draw_bar(figure, shades, title, 0.5, extend=beyond)
-
-
-def _in_plane(position: FloatArray, middle: FloatArray) -> FloatArray:
-    """Return positions turned about the centre so that the last axis is their thinnest one."""
-    _, _, axes = np.linalg.svd(position - middle)
-    return np.asarray(middle + (position - middle) @ axes.T)
 
 
 def frame_window(axes: Axes, middle: FloatArray, half: float, width: float | None = None) -> None:
@@ -250,7 +223,7 @@ def _draw_behind(
     if (
         field is not None
         and nutrient is not None
-        and (max(float(field.values.max()), nutrient.boundary) > _MIN_LEVEL * nutrient.highest)
+        and max(field.values.max(), nutrient.boundary) > _MIN_LEVEL * nutrient.highest
     ):
         shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
         bar = _draw_bar(figure, shades, f"{field.name.capitalize()} ({field.unit})", 0.27)
@@ -293,7 +266,13 @@ def explain_colours(figure: Figure, shade: Colouring, title: str, shown: Any = s
     - ``shown``: rows of the cells that are counted
     """
     if shade.group is None:
-        _scale_legend(figure, shade)
+        assert shade.range is not None
+        assert shade.values is not None
+        low, high = shade.range
+        below, above = bool((shade.values < low).any()), bool((shade.values > high).any())
+        beyond = ("neither", "min", "max", "both")[below + 2 * above]
+        words = shade.title[0].upper() + shade.title[1:]
+        _draw_bar(figure, ScalarMappable(Normalize(low, high), SCALE), words, 0.5, extend=beyond)
         return
     palette = shade.palette or {}
     title = title if shade.title in ("state", "type") else shade.title.capitalize()
