@@ -332,7 +332,7 @@ def field_at(field: Field, origin: FloatArray, distance: float) -> float:
 
 
 def means(place: NDArray[Any], edges: FloatArray, values: NDArray[Any]) -> FloatArray:
-    """Return the means of ``values`` between ``edges`` of their places; NaN where there are none."""
+    """Return the means of ``values`` by place between ``edges``; NaN where there are none."""
     count = np.histogram(place, edges)[0]
     total = np.histogram(place, edges, weights=values.astype(float))[0]
     found = np.full(len(count), np.nan)

@@ -19,7 +19,7 @@ from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, 
 from multicell.report.explain.responses import response_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
-from multicell.scene.parts import PHASES
+from multicell.scene.parts import PHASES, Death
 from multicell.scene.responses import effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
@@ -76,11 +76,11 @@ def _start_words(scene: Scene) -> str:
 
 def _stage(scene: Scene) -> str:
     growth, stage, table = scene.growth, scene.initial.stage, scene.initial.cells
-    found = (
-        "; resting and dead ones are found with the fields"
-        if table is None and _may_lack(scene)
-        else ""
-    )
+    behaviours = ("rest", "necrosis rate", "damage rate")
+    lacking = {x for e in effects(scene) if e.behaviour in behaviours for x in e.signals}
+    found = ""
+    if table is None and lacking - {"pressure"}:
+        found = "; resting and dead ones are found with the fields"
     if growth is None or stage == "birth":
         return found
     if stage == "uniform":
@@ -90,17 +90,6 @@ def _stage(scene: Scene) -> str:
     if founders(scene):
         words += ", with the longer cycles that its cells have"
     return words
-
-
-def _may_lack(scene: Scene) -> bool:
-    """Return whether cells rest or die by what they find."""
-    signals = {
-        name
-        for effect in effects(scene)
-        if effect.behaviour in ("rest", "necrosis rate", "damage rate")
-        for name in effect.signals
-    }
-    return bool(signals - {"pressure"})
 
 
 def _growth_words(scene: Scene) -> str:
@@ -129,7 +118,8 @@ def _death_words(scene: Scene) -> str:
         words = f"starved cells die after {hours(1.0 / death.necrosis_rate)} on average; "
     if death.damage_time is not None:
         words = f"cells beyond a threshold of necrosis die after {hours(death.damage_time)} of it; "
-    words += _damage_words(scene)
+    if any(effect.behaviour == "damage rate" for effect in effects(scene)):
+        words += f"{_damage_words(death)}; "
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
@@ -145,10 +135,7 @@ def _death_words(scene: Scene) -> str:
     return words
 
 
-def _damage_words(scene: Scene) -> str:
-    death = scene.death
-    if death is None or not any(e.behaviour == "damage rate" for e in effects(scene)):
-        return ""
+def _damage_words(death: Death) -> str:
     words, repair = "damage stays", death.damage_repair_time
     if repair is not None:
         words = f"damage falls to 1/e in {hours(repair)}"
@@ -156,7 +143,7 @@ def _damage_words(scene: Scene) -> str:
             words += ", as fast as it comes: a mean cell bears it for ever"
     if death.damage_variation > 0.0:
         words += f", tolerance varies by {100.0 * death.damage_variation:g} %"
-    return f"{words}; "
+    return words
 
 
 def _radiation_words(scene: Scene) -> Iterator[str]:
@@ -204,19 +191,13 @@ def _domain_words(scene: Scene) -> str:
             most = domain.stiffness * 2.5 / 3.0
             words += f"; the cavity of a gel of {domain.stiffness:g} kPa, which presses with at "
             return f"{words}most {most:.3g} kPa: from there on it widens without end"
-        return f"{words}; {_wall_words(scene)}"
-    lengths = " x ".join(f"{length:g}" for length in sides(domain))
-    words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
-    return f"{words}; {_wall_words(scene)}"
-
-
-def _wall_words(scene: Scene) -> str:
-    domain = scene.domain
-    assert domain is not None
+    else:
+        lengths = " x ".join(f"{length:g}" for length in sides(domain))
+        words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
     if domain.wall == "refuse":
-        return "no walls: a cell whose centre leaves it ends the run"
+        return f"{words}; no walls: a cell whose centre leaves it ends the run"
     young = scene.cells.young if domain.young is None else domain.young
-    return f"its sides are elastic walls of {young:g} kPa"
+    return f"{words}; its sides are elastic walls of {young:g} kPa"
 
 
 def _integrator_words(scene: Scene) -> str:
