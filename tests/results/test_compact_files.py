@@ -4,13 +4,10 @@ import h5py
 import numpy as np
 import pytest
 from stored import contents
-from synthetic import SCENE, ball, cells_at, growing_frames
 
 import multicell as mc
 from multicell.results.coding import decode, encode
-from multicell.results.frame import Field, Frame
 from multicell.results.reader import Contents, Frames
-from multicell.results.writer import Store
 
 RNG = np.random.default_rng(5)
 
@@ -60,15 +57,12 @@ def test_the_stencil_foretells_a_steady_field_and_what_holds_at_its_faces():
 
 
 SCENES = {
-    "cubes": ("spheroid", {"duration": "12 h", "initial.count": 200}),
-    "shells": (
-        "spheroid",
-        {"duration": "6 h", "initial.count": 200, "nutrients.oxygen.geometry": "radial"},
+    "cubes": ("spheroid", {"duration": "6 h", "initial.count": 100}),
+    "shells and receptors": (
+        "sorting-cams",
+        {"duration": "20 min", "initial.count": 60, "nutrients.oxygen": {"geometry": "radial"}},
     ),
-    "domain": ("chemotaxis", {"duration": "20 min"}),
-    "plane": ("monolayer", {"duration": "6 h", "initial.count": 30}),
     "phases": ("emt6", {"duration": "3 h", "initial.count": 100}),
-    "receptors": ("sorting-cams", {"duration": "20 min", "initial.count": 60}),
 }
 
 
@@ -88,37 +82,6 @@ def test_files_hold_what_memory_holds(case, tmp_path):
             assert (
                 other.concentrations[nutrient].tobytes() == one.concentrations[nutrient].tobytes()
             )
-
-
-def test_files_of_another_format_are_refused_in_words(tmp_path):
-    with Store.create(tmp_path / "out", SCENE) as store:
-        for frame in growing_frames(count=2, last=10):
-            store.append(frame)
-    with h5py.File(tmp_path / "out" / "frames.h5", "r+") as file:
-        file.attrs["format"] = 4
-    with pytest.raises(mc.OutputError, match=r"has result format 4; this multicell reads format 5"):
-        Contents(tmp_path / "out")
-
-
-def test_frames_are_read_in_any_order_and_also_with_strange_numbers(tmp_path):
-    frames = growing_frames(count=5, last=400)  # every column of every frame made by hand
-    strange = cells_at(ball(50))
-    strange.age[:] = RNG.normal(size=len(strange))
-    strange.parent[:] = np.arange(len(strange))[::-1]
-    found = {"oxygen": RNG.random(len(strange))}
-    field = Field("oxygen", "mM", np.zeros(3), 1.0, np.full((2, 2, 2), np.nan))
-    frames.append(Frame(9.1e5, 1600, strange, found, {"oxygen": field}))
-    with Store.create(tmp_path / "out", SCENE) as store:
-        for frame in frames:
-            store.append(frame)
-    back = Frames(Contents(tmp_path / "out"))
-    for place in (5, 0, 3, 3, 1):
-        for name, column in frames[place].cells.columns():
-            assert getattr(back[place].cells, name).tobytes() == column.tobytes()
-        assert (
-            back[place].concentrations["oxygen"].tobytes()
-            == frames[place].concentrations["oxygen"].tobytes()
-        )
 
 
 def test_a_cell_takes_seventy_bytes_a_frame(tmp_path):

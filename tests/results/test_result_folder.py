@@ -3,6 +3,7 @@
 import errno
 import os
 import shutil
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -22,13 +23,6 @@ from multicell.results.writer import Store
 
 QUICK = {"duration": "4 min", "output.every": "1 min", "initial.count": 12}
 ARGUMENTS = ["--set", "duration=4 min", "--set", "initial.count=12", "--no-report", "--quiet"]
-
-
-@pytest.fixture
-def settled(tmp_path):
-    folder = tmp_path / "out"
-    mc.run(mc.load_scene("settle").with_changes(QUICK), output=folder, report=False)
-    return folder
 
 
 def written(folder, frames, settle=True):
@@ -145,6 +139,11 @@ def test_a_folder_in_which_a_run_goes_on_is_refused(tmp_path):
     mc.run(scene, output=folder, report=False, overwrite=True)
 
 
+@pytest.fixture
+def settled(whole, tmp_path):
+    return Path(shutil.copytree(whole.folder, tmp_path / "out"))
+
+
 def test_links_are_never_followed_out_of_the_folder(settled, tmp_path):
     outside = tmp_path / "outside"
     outside.mkdir()
@@ -191,12 +190,16 @@ def test_a_folder_that_is_a_link_is_written_to_but_not_overwritten(settled, tmp_
     assert len(mc.load_result(new).frames) == 5
 
 
-@pytest.mark.parametrize("stage", ["frames.journal", "frames.h5", "summary.json", "growth.png",
-                                   "report.html"])  # fmt: skip
-def test_each_file_that_cannot_be_written_is_one_error(stage, tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole") / "out"
+    return mc.run(mc.load_scene("settle").with_changes(QUICK), output=folder, report=False)
+
+
+@pytest.mark.parametrize("stage", ["frames.journal", "frames.h5", "summary.json", "growth.png"])
+def test_each_file_that_cannot_be_written_is_one_error(stage, whole, tmp_path, monkeypatch):
     """As on a full disk, at each of the files in turn; see also test_kill_and_full_disk."""
     scene = mc.load_scene("settle").with_changes(QUICK)
-    whole = mc.run(scene, output=tmp_path / "whole", report=False)
     folder = tmp_path / "out"
     _refuse(monkeypatch, stage)
     with pytest.raises(OutputError, match="No space left on device") as caught:
@@ -210,7 +213,7 @@ def test_each_file_that_cannot_be_written_is_one_error(stage, tmp_path, monkeypa
     assert len(left.frames) == (1 if stage == "frames.journal" else 5)
     for one, other in zip(left.frames, whole.frames, strict=False):
         np.testing.assert_array_equal(one.cells.position, other.cells.position)
-    if stage in ("growth.png", "report.html"):
+    if stage == "growth.png":
         with pytest.raises(OutputError, match="To prolong it"):
             mc.resume(folder)
         left.report()
@@ -219,9 +222,7 @@ def test_each_file_that_cannot_be_written_is_one_error(stage, tmp_path, monkeypa
     assert (folder / "report.html").is_file()
     assert mc.load_result(folder).summary()["cells"] == 12
     assert "interrupted" not in mc.load_result(folder).summary()
-    for one, other in zip(
-        Contents(folder).places, Contents(tmp_path / "whole").places, strict=True
-    ):
+    for one, other in zip(Contents(folder).places, Contents(whole.folder).places, strict=True):
         assert one.digest == other.digest
 
 
@@ -281,7 +282,7 @@ def test_damage_says_what_can_still_be_read(tmp_path):
 
 @pytest.mark.parametrize(
     ("every", "expected"),
-    [("1e-6 s", 5), ("1 s", 5), ("30 s", 5), ("60 s", 5), ("90 s", 4), ("1 h", 2)],
+    [("1e-6 s", 5), ("60 s", 5), ("90 s", 4), ("1 h", 2)],
 )
 def test_frames_are_counted_at_once_however_many_are_due(every, expected):
     """At 0, 60 ... 240 s: of 90 s those at 0, 120, 180 and 240 (the end), of an hour two."""

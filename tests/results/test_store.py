@@ -91,6 +91,8 @@ def test_frames_are_a_lazy_sequence(tmp_path):
     assert [frame.time for frame in back[1:3]] == [frames[1].time, frames[2].time]
     assert [frame.time for frame in back[::-1]] == [frame.time for frame in frames[::-1]]
     np.testing.assert_array_equal(back.times, [frame.time for frame in frames])
+    for place in (3, 0, 2, 2, 1):
+        assert_same_frame(frames[place], back[place])
     for wrong in (4, -5):
         with pytest.raises(IndexError, match="of 4"):
             back[wrong]
@@ -109,11 +111,14 @@ def test_frames_without_nutrients_without_cells_and_without_field(tmp_path):
 
 
 def test_values_that_are_not_numbers_survive(tmp_path):
-    cells = cells_at([[np.nan, np.inf, -0.0]])
-    with Store.create(tmp_path / "out", BARE) as store:
-        store.append(Frame(0.0, 0, cells))
-    back = Frames(Contents(tmp_path / "out"))
-    assert back[0].cells.position.tobytes() == cells.position.tobytes()
+    cells, found = cells_at([[np.nan, np.inf, -0.0]]), {"oxygen": np.array([np.nan])}
+    field = Field("oxygen", "mM", np.zeros(3), 1.0, np.full((2, 2, 2), np.nan))
+    with Store.create(tmp_path / "out", SCENE) as store:
+        store.append(Frame(0.0, 0, cells, found, {"oxygen": field}))
+    (back,) = Frames(Contents(tmp_path / "out"))
+    assert back.cells.position.tobytes() == cells.position.tobytes()
+    assert back.concentrations["oxygen"].tobytes() == found["oxygen"].tobytes()
+    assert back.fields["oxygen"].values.tobytes() == field.values.tobytes()
 
 
 def test_folder_holds_the_scene_and_the_file_its_units(tmp_path):
@@ -140,8 +145,7 @@ def test_file_can_be_read_while_it_is_written(tmp_path):
             assert_same_frame(frame, back[-1])
 
 
-@pytest.mark.parametrize("wait", [0.0, 0.013, 0.037])
-def test_killed_writer_leaves_all_finished_frames(tmp_path, wait):
+def test_killed_writer_leaves_all_finished_frames(tmp_path):
     folder = tmp_path / "out"
     package = Path(multicell.__file__).parents[1]
     path = os.pathsep.join([str(package), str(Path(synthetic.__file__).parent)])
@@ -153,7 +157,7 @@ def test_killed_writer_leaves_all_finished_frames(tmp_path, wait):
             line = writer.stdout.readline()
             assert line, "the writer ended by itself"
             done = int(line)
-        time.sleep(wait)  # so that the signal arrives in the middle of another append
+        time.sleep(0.013)  # so that the signal arrives in the middle of another append
         writer.send_signal(signal.SIGKILL)
         done = max([done, *map(int, writer.stdout.read().split())])
     assert writer.returncode == -signal.SIGKILL
@@ -173,7 +177,7 @@ def test_append_that_breaks_off_leaves_no_trace(tmp_path, monkeypatch):
     frames = growing_frames(count=3, last=300)
     write = os.write
 
-    for stop in (0, 1, 20, 5_000, 20_000):
+    for stop in (0, 20, 5_000):
 
         def interrupted(descriptor, data, stop=stop):
             write(descriptor, data[:stop])
@@ -226,16 +230,17 @@ def test_folder_that_holds_something_is_refused_unless_overwritten(tmp_path):
     assert len(Frames(Contents(folder))) == 0
     assert not (folder / "summary.json").exists()
     assert (folder / "notes.txt").read_text() == "mine"
+    (folder / "frames.h5").mkdir()  # a foreign folder in the place of a file
+    with pytest.raises(OutputError, match="cannot remove"):
+        Store.create(folder, SCENE, overwrite=True)
+    assert (folder / "frames.h5").is_dir()
 
 
-def test_empty_folder_and_deep_new_folder_are_taken(tmp_path):
+def test_new_folders_are_taken_and_what_cannot_be_used_is_refused_with_words(tmp_path):
     (tmp_path / "empty").mkdir()
     for folder in (tmp_path / "empty", tmp_path / "a" / "b"):
         Store.create(folder, SCENE).close()
         assert (folder / "scene.toml").is_file()
-
-
-def test_folder_that_cannot_be_used_is_refused_with_words(tmp_path):
     (tmp_path / "file").write_text("x")
     cases = {
         tmp_path / "file": "is a file, not a folder",
@@ -248,13 +253,6 @@ def test_folder_that_cannot_be_used_is_refused_with_words(tmp_path):
             Store.create(folder, SCENE)
 
 
-def test_foreign_folder_in_the_place_of_a_file_is_not_removed(tmp_path):
-    (tmp_path / "frames.h5").mkdir()
-    with pytest.raises(OutputError, match="cannot remove"):
-        Store.create(tmp_path, SCENE, overwrite=True)
-    assert (tmp_path / "frames.h5").is_dir()
-
-
 def test_results_that_cannot_be_read_are_refused_with_words(tmp_path):
     with pytest.raises(OutputError, match="no results"):
         Frames(Contents(tmp_path / "nowhere"))
@@ -264,7 +262,7 @@ def test_results_that_cannot_be_read_are_refused_with_words(tmp_path):
     (tmp_path / "frames.h5").unlink()
     with h5py.File(tmp_path / "frames.h5", "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = 99
-    with pytest.raises(OutputError, match="format 99"):
+    with pytest.raises(OutputError, match="has result format 99; this multicell reads format 5"):
         Contents(tmp_path).history()
 
 
@@ -281,11 +279,7 @@ def test_summary_is_strict_json(tmp_path):
     write_table(tmp_path / "summary.json", summary)
     written = json.loads((tmp_path / "summary.json").read_text())
     assert len(written.pop("checksum")) == 8
-    assert written == {
-        "cells": 3,
-        "wall": {"total": None},
-        "list": [1, None],
-    }
+    assert written == {"cells": 3, "wall": {"total": None}, "list": [1, None]}
     assert to_json(np.arange(2)) == "[\n  0,\n  1\n]"
     assert [entry.name for entry in tmp_path.iterdir()] == ["summary.json"]
 
