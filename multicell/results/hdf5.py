@@ -337,7 +337,6 @@ def _check_claim(path: Path, claimed: int) -> None:
 
 
 def _short(error: BaseException) -> str:
-    """Return the first line of what a library says."""
     lines = str(error).strip("'\" ").splitlines()
     return lines[0][:200] if lines else type(error).__name__
 
@@ -346,16 +345,10 @@ def _short(error: BaseException) -> str:
 class File:
     """A result file that has been checked; frames are read, and checked, one at a time.
 
-    - ``scene``, str
-    - ``nutrients``, tuple of str
-    - ``identity``, ``absorbed``, str
-    - ``times``, (k,) float64, s
-    - ``steps``, (k,) int64
-    - ``digests``, (k,) uint32
+    - ``times`` s, ``steps``, ``digests``, (k,)
     - ``ends``, log -> (k + 1,) int64: how many rows each log of the lineage has before each frame
     - ``logs``, log/column -> array: the lineage up to the last frame
-    - ``columns``, tuple of str: of the history
-    - ``rows``, int: of the history
+    - ``columns``, ``rows``: names of the columns and number of rows of the history
 
     Raises OutputError if it is no result file of this format, or damaged.
     """

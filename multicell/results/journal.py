@@ -210,18 +210,14 @@ def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, 
 class Reader:
     """The complete records of a journal, as they were when it was opened.
 
-    - ``records``, list of Record
-    - ``end``, ``chain``, int: where the last complete record ends, and the checksum of its head
-    - ``damage``, str or None: what ends the records before the end of the file, in words
-
     Raises OutputError if the file cannot be read or does not begin as a journal does.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.records: list[Record] = []
-        self.end = self.chain = 0
-        self.damage: str | None = None
+        self.end = self.chain = 0  # of the last complete record, and the checksum of its head
+        self.damage: str | None = None  # what ends the records before the end of the file, in words
         with file_errors("read", path), path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             while self.end < size and self.damage is None:

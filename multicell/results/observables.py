@@ -262,20 +262,14 @@ def core_pressure(cells: Cells) -> float:
 class RadialProfile:
     """Averages over spherical shells, in a plane over rings, about the centre of a population.
 
-    - ``edges``, (b + 1,) float64, µm: boundaries of the shells
-    - ``counts``, (b,) int64: cells whose centre lies in the shell
-    - ``fractions``, state name -> (b,) float64: part of these cells that are in the state; NaN in a
-      shell without cells
-    - ``concentrations``, nutrient name -> (b,) float64, mM: mean concentration at these cells; NaN
-      in a shell without cells
-    - ``pressure``, (b,) float64, kPa: mean pressure of these cells; NaN in a shell without cells
+    Means are NaN in a shell without cells.
     """
 
-    edges: FloatArray
-    counts: IntArray
-    fractions: Mapping[str, FloatArray]
-    concentrations: Mapping[str, FloatArray]
-    pressure: FloatArray
+    edges: FloatArray  # of the shells, (b + 1,) µm
+    counts: IntArray  # cells whose centre lies in the shell, (b,)
+    fractions: Mapping[str, FloatArray]  # part of these cells that are in a state, (b,)
+    concentrations: Mapping[str, FloatArray]  # mean at these cells by field, (b,) mM
+    pressure: FloatArray  # mean of these cells, (b,) kPa
 
     @property
     def middles(self) -> FloatArray:

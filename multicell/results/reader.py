@@ -40,30 +40,20 @@ class _Rows(NamedTuple):
 class Contents:
     """The contents of a result folder: ``frames.h5``, and the journal of what came after.
 
-    - ``folder``, Path
-    - ``scene``, str: text of the scene that was run
-    - ``nutrients``, tuple of str
-    - ``places``, list: one entry for each frame
-    - ``columns``, tuple of str: of the history
-    - ``file``, hdf5.File or None
-    - ``journal``, journal.Reader or None: None also where the journal is part of ``frames.h5``
-      already
-    - ``identity``, str: of the journal, or an empty string
-    - ``damage``, str or None: what ends the frames and the history early, in words
-
-    Raises OutputError if there are no results that this version can read.
+    The journal is None also where it is part of ``frames.h5`` already. Raises OutputError if there
+    are no results that this version can read.
     """
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self.file, self.journal = self._open()
-        self.scene = ""
+        self.scene = ""  # text of the scene that was run
         self.nutrients: tuple[str, ...] = ()
-        self.columns: tuple[str, ...] = ()
-        self.places: list[_Place] = []
+        self.columns: tuple[str, ...] = ()  # of the history
+        self.places: list[_Place] = []  # one entry for each frame
         self._rows: list[_Rows] = []
-        self.identity = ""
-        self.damage: str | None = None
+        self.identity = ""  # of the journal
+        self.damage: str | None = None  # what ends the frames and the history early, in words
         if self.file is not None:
             self._follow_file(self.file)
         if self.journal is not None:

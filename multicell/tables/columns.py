@@ -22,17 +22,11 @@ HDF5: Final = b"\x89HDF\r\n\x1a\n"  # and an AnnData file
 @final
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Columns of one length.
+    """Columns of one length."""
 
-    - ``name``: of the file, or ``"cells"``
-    - ``columns``, title -> (n,): float64, int64, or object (text) where a field is no number
-    - ``lines``, (n,) int64 or None: the line of the file that each row stands in; None where there
-      are rows only
-    """
-
-    name: str
-    columns: Mapping[str, NDArray[Any]]
-    lines: NDArray[np.int64] | None = None
+    name: str  # of the file, or "cells"
+    columns: Mapping[str, NDArray[Any]]  # (n,): float64, int64, or text where a field is no number
+    lines: NDArray[np.int64] | None = None  # of the file, (n,); None where there are rows only
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -233,18 +227,12 @@ def parsed(column: Sequence[str]) -> NDArray[Any]:
 @final
 @dataclass(frozen=True)
 class Table:
-    """Titles and fields of a table, without blanks around them.
+    """Titles and fields of a table, without blanks around them."""
 
-    - ``name``: of the file, or ``"data"``
-    - ``titles``: of the columns
-    - ``rows``: the fields of each row; empty text where there is no value
-    - ``places``: each row in words: the line of the file, or the row counted from 0
-    """
-
-    name: str
+    name: str  # of the file, or "data"
     titles: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    places: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]  # fields; empty text where there is no value
+    places: tuple[str, ...]  # each row in words: the line of the file, or the row counted from 0
 
 
 def read_table(source: Any, largest: int) -> Table:

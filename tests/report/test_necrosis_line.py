@@ -5,8 +5,8 @@ import pytest
 from synthetic import SCENE, ball, cells_at, spheroid
 
 from multicell.cells import State
-from multicell.report.plots.necrosis import LABEL, necrotic_share
 from multicell.report.plots.run import Plots
+from multicell.report.plots.section import LABEL, necrotic_share
 
 
 def core(radius, count=4000):

@@ -83,12 +83,14 @@ def test_history_and_summary_tell_the_hypoxic_radius(result):
     assert "hypoxic_radius_glucose" not in result.history
 
 
+@pytest.mark.parametrize("result", ["box"], indirect=True)
 def test_growth_marks_the_switch_of_the_medium(result):
     figure = result.plot.growth()
     texts = [text.get_text().strip() for text in figure.findobj(mpl.text.Text)]
     assert "oxygen 0.065 mM" in texts
 
 
+@pytest.mark.parametrize("result", ["box"], indirect=True)
 def test_report_has_one_ledger_with_a_column_for_each_field(result, tmp_path, monkeypatch):
     only = {"fields": PICTURES["fields"]}  # the others are drawn elsewhere
     monkeypatch.setattr("multicell.report.page.PICTURES", only)

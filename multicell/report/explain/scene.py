@@ -8,6 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from multicell.behaviours.catalogue import behaviour_named, signal_unit
+from multicell.behaviours.laws import Constant, Hill, Linear, Monod, Table, Threshold
 from multicell.biology.durations import malthusian_rate
 from multicell.biology.plan import founders
 from multicell.integrators.base import MethodInfo
@@ -16,11 +18,10 @@ from multicell.report.explain.contact import contact_notes, contact_numbers, con
 from multicell.report.explain.cost import cost_notes, cost_numbers, predict
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
-from multicell.report.explain.responses import response_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.parts import PHASES, Death
-from multicell.scene.responses import effects
+from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
@@ -45,12 +46,13 @@ def explain(scene: Scene) -> dict[str, Any]:
 
 
 def _parts(scene: Scene) -> list[Part]:
+    told = effects(scene) if scene.responses else ()
     return [
         part("initial", _start_words(scene)),
         *contact_parts(scene),
         part("growth", _growth_words(scene)),
         part("death", _death_words(scene)),
-        *response_parts(scene),
+        *(Part(e.key, True, _sentence(scene, e)) for e in told if not e.short),
         part("radiation", "; ".join(_radiation_words(scene))),
         *_taxis(scene),
         Part("domain", scene.domain is not None, _domain_words(scene)),
@@ -144,6 +146,52 @@ def _damage_words(death: Death) -> str:
     if death.damage_variation > 0.0:
         words += f", tolerance varies by {100.0 * death.damage_variation:g} %"
     return words
+
+
+def _sentence(scene: Scene, effect: Effect) -> str:
+    """Return a response as a sentence with its numbers."""
+    behaviour = behaviour_named(effect.behaviour, "")[0]
+    whose = f" of {' and '.join(effect.types)} cells" if effect.types else ""
+    what = f"the {effect.behaviour}{whose}"
+    if behaviour.is_factor and not isinstance(effect.law, Table):
+        what += ", as a factor,"
+
+    def value(number: float) -> str:
+        return "death at once" if math.isinf(number) else _amount(number, behaviour.unit)
+
+    signal = " and ".join(effect.signals)
+    law, end = _law_words(scene, effect), f"{value(effect.low)} to {value(effect.high)}"
+    if isinstance(effect.law, Constant):
+        return f"{what} is {value(effect.high)}"
+    if isinstance(effect.law, Table):
+        return f"{what} follows a table over {signal}: {law}"
+    if effect.falls:
+        end = f"{value(effect.high)} to {value(effect.low)}"
+    return f"as {signal} rises, {what} goes from {end} ({law})"
+
+
+def _law_words(scene: Scene, effect: Effect) -> str:
+    law = effect.law
+    known = len(effect.signals) == 1
+    unit = signal_unit(effect.signals[0], scene.nutrients, scene.signals, "") if known else ""
+    if isinstance(law, Threshold):
+        return f"at once at {_amount(law.half, unit)}"
+    if isinstance(law, Hill):
+        return f"half way at {_amount(law.half, unit)}, Hill's exponent {law.power:g}"
+    if isinstance(law, Monod):
+        return f"half way at {_amount(law.half, unit)}"
+    if isinstance(law, Linear):
+        return f"in a line from {_amount(law.begin, unit)} to {_amount(law.end, unit)}"
+    if isinstance(law, Table):
+        return ", ".join(f"{y:.4g} at {_amount(x, unit)}" for x, y in law.points)
+    return f"by {type(law).__name__}"
+
+
+def _amount(number: float, unit: str) -> str:
+    """Return a number with its unit, rates per hour."""
+    if unit == "1/s":
+        return f"{3600.0 * number:.4g} 1/h"
+    return f"{number:.4g} {unit}".strip()
 
 
 def _radiation_words(scene: Scene) -> Iterator[str]:

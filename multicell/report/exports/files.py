@@ -27,16 +27,13 @@ class Format:
     """A format of exported files.
 
     - ``function``: ``module.name`` in the room ``report``: ``write(run, frames, folder, tables)``
-      it writes into a folder and returns the names; ``frames()`` gives frames with their numbers
-    - ``files``: names of the files that are written in any case, ``{table}`` stands for each table
-    - ``packages``: that write it, beside those of every installation
-    - ``tables``: whether the format has one file for each table, out of which a user may choose
+      writes into a folder and returns the names; ``frames()`` gives frames with their numbers
     """
 
     function: str
-    files: Sequence[str]
-    packages: Sequence[str] = ()
-    tables: bool = False
+    files: Sequence[str]  # that are written in any case, "{table}" stands for each table
+    packages: Sequence[str] = ()  # that write it, beside those of every installation
+    tables: bool = False  # whether there is one file for each table, out of which a user may choose
 
     def names(self, tables: Iterable[str]) -> list[str]:
         """Return the names of the files that are written in any case."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -14,11 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 
-from multicell.cells import FloatArray
+from multicell.cells import Cells, FloatArray, State
 from multicell.errors import OutputError
 from multicell.report.plots import style
 from multicell.report.plots.colouring import SCALE, Colouring
-from multicell.report.plots.necrosis import LABEL, STYLE, draw_necrotic
 from multicell.report.plots.plane import Plane, height, turn_frame
 from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
@@ -29,6 +29,11 @@ from multicell.scene.scene import Scene
 _MIN_LEVEL = 1e-9  # part of the highest concentration of a field below which it is not drawn
 _LEAST_RANGE: Final = 1e-3  # of the shades of a field, as a part of its highest concentration
 _DEPTH_DIAMETERS: Final = 3.0  # mean diameters behind a plane within which cells are drawn
+_SMOOTHING: Final = 1.5  # mean radii, the standard deviation: a bell about two diameters wide
+_FINE: Final = 4  # points of the grid to a smoothing length
+_MAX_POINTS: Final = 2000  # points along a side
+_MIN_DENSITY: Final = 1e-9  # of the largest density, below which there is no tissue
+LABEL: Final = "most cells are necrotic"
 _WATER: Final = LinearSegmentedColormap.from_list("water", ["#ffffff", "#8fbce0"])
 """Shades of a field behind cells: white to a light blue, against which cells stand out."""
 
@@ -181,7 +186,7 @@ def draw_field(
 ) -> tuple[AxesImage, float | None]:  # fmt: skip
     """Draw a field on the plane at z as shades, and where cells rest as a line over all else.
 
-    There is no line at the threshold of necrosis: see :mod:`multicell.report.plots.necrosis`.
+    There is no line at the threshold of necrosis: see :func:`necrotic_share`.
 
     - ``medium``: concentration around the grid, mM
     - ``low``: where the colours begin, mM; None for the lowest value
@@ -211,6 +216,55 @@ def draw_field(
     return shades, resting
 
 
+def necrotic_share(
+    cells: Cells, place: FloatArray, level: float
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return which part of the nearby cells is necrotic, on a grid over a plane.
+
+    "Nearby" is a Gaussian in space whose standard deviation is 1.5 mean radii of the cells: a
+    line through this field says where the core ends as far as cells can tell. An isoline of the
+    nutrient cannot: dead cells take up nothing, so that the concentration in the core levels off
+    close to the threshold itself.
+
+    - ``cells``: radii and states
+    - ``place``, (n, 3) µm: positions in the axes of the picture
+    - ``level``: height of the plane on the third axis, µm
+
+    Returns x, (nx,), y, (ny,) µm; share, (ny, nx): 0 to 1, NaN away from cells; None if no cell
+    is necrotic.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    dead = cells.state == State.NECROTIC
+    if not dead.any():
+        return None
+    width = _SMOOTHING * float(cells.radius.mean())
+    low, high = place[:, :2].min(axis=0) - 2.0 * width, place[:, :2].max(axis=0) + 2.0 * width
+    step = max(width / _FINE, float((high - low).max()) / _MAX_POINTS)
+    edges = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
+    weight = np.exp(-0.5 * ((place[:, 2] - level) / width) ** 2)
+    smooth: Any = partial(gaussian_filter, sigma=width / step, mode="constant", truncate=8.0)
+    flat = place[:, 0], place[:, 1], edges
+    whole, part = (smooth(np.histogram2d(*flat, weights=w)[0]) for w in (weight, weight * dead))
+    known = whole > _MIN_DENSITY * whole.max()
+    share = np.divide(part, whole, out=np.full_like(whole, np.nan), where=known)
+    x, y = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)
+    return x, y, share.T
+
+
+def draw_necrotic(axes: Axes, cells: Cells, place: FloatArray, level: float) -> bool:
+    """Draw a line round where most cells are necrotic, and return whether there is such a place."""
+    found = necrotic_share(cells, place, level)
+    if found is None or not np.nanmax(found[2]) > 0.5:
+        return False
+    x, y, share = found
+    filled = np.nan_to_num(share)
+    line: dict[str, Any] = {"levels": [0.5], "zorder": 3}
+    axes.contour(x, y, filled, colors="white", linewidths=3.6, **line)
+    axes.contour(x, y, filled, colors=style.RED, linewidths=1.8, linestyles="--", **line)
+    return True
+
+
 def _draw_behind(
     figure: Figure, axes: Axes, field: Field | None, z: float, nutrient: Nutrient | None, dead: bool
 ) -> None:
@@ -219,7 +273,7 @@ def _draw_behind(
     What is left of one that has been used up or has decayed is not: shades of it would be rounding.
     """
     line: dict[str, Any] = {"color": style.RED, "lw": 1.8}
-    handles = [Line2D([], [], ls=STYLE, label=LABEL, **line)] if dead else []
+    handles = [Line2D([], [], ls="--", label=LABEL, **line)] if dead else []
     if (
         field is not None
         and nutrient is not None
