@@ -109,7 +109,6 @@ def _label(key: str, path: str = "") -> str:
 
 
 def _setting(row: Mapping[str, Any]) -> str:
-    """Return the tolerance, or the step, of a row of a comparison."""
     return f"{row['setting']:.3g}{' s' if row['control'] == 'step' else ''}"
 
 
@@ -119,7 +118,6 @@ def _present(entries: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def _limit(value: float, unit: str = "", missing: str = "") -> str:
-    """Return a limit of stability, which may be infinite or (NaN) missing."""
     if math.isnan(value):
         return missing
     return "no limit" if math.isinf(value) else f"{value:.3g}{unit}"

@@ -46,7 +46,6 @@ def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
 
 
 def _contacts(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
-    """Give the pairs in contact of each frame by their identities."""
     for number, frame in frames:
         cells = frame.cells
         pairs = touching(frame)

@@ -117,7 +117,6 @@ class Lines:
 
 
 def _join(entries: Iterable[Any], chain: int) -> tuple[bytes, int]:
-    """Return lines of entries, and the checksum of the last of them."""
     lines = []
     for entry in entries:
         text = json.dumps(entry, separators=(",", ":")).encode()

@@ -156,7 +156,6 @@ class Journal:
             self._end, self._chain, self._torn = place, chain, False
 
     def _write(self, parts: Iterable[Any]) -> int:
-        """Write behind the last complete record; return where it ends."""
         place = self._end
         os.lseek(self._descriptor, place, os.SEEK_SET)
         for part in parts:

@@ -95,7 +95,6 @@ def frame_rows(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> 
 
 
 def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
-    """Return the rows of a field, also of one that is not there."""
     group = f"fields/{name}"
     values: FloatArray = arrays.get(f"{group}/values", np.empty((0, 0, 0)))
     coded, faces = encode(values)

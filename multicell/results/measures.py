@@ -83,7 +83,6 @@ def _mean(values: NDArray[Any]) -> float:
 
 
 def _in_space(find: Callable[[Cells, int, of.Extent], float]) -> Callable[[TissueState], float]:
-    """Return what measures lengths of cells in a scene's dimensions."""
     return lambda state: find(state.cells, state.dimensions, state.extent)
 
 
@@ -357,7 +356,6 @@ _MEMORY: list[tuple[ref[Scene], tuple[tuple[Observable, str], ...]]] = []
 
 
 def _ours(scene: Scene) -> tuple[tuple[Observable, str], ...]:
-    """Return those of ours that exist in a scene."""
     for known, found in _MEMORY:
         if known() is scene:
             return found

@@ -353,7 +353,6 @@ def touching(frame: Frame) -> NDArray[np.int64]:
 
 
 def _overlapping(cells: Cells) -> NDArray[np.int64]:
-    """Return the rows of all pairs of cells whose spheres overlap: (m, 2)."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(cells.position)

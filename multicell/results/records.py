@@ -136,7 +136,6 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
 
 
 def _check(frame: Frame) -> None:
-    """Refuse cells that no run can have written."""
     cells = frame.cells
     if not np.isfinite(frame.time) or frame.step < 0:
         raise OutputError(f"its time is {frame.time:g} s, its step {frame.step}")

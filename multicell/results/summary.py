@@ -137,7 +137,6 @@ def _stability(known: Mapping[str, float]) -> dict[str, float]:
 
 
 def _start_notes(states: Mapping[str, int]) -> list[str]:
-    """Return remarks on the states of cells at the start."""
     notes = []
     if states.get("necrotic"):
         notes.append(

@@ -192,7 +192,6 @@ class Store:
             self._logged[name] += len(log[f"{name}/id"])
 
     def _write(self, *records: tuple[Mapping[str, Any], Arrays], sync: bool = False) -> None:
-        """Write what there is of the history, and records behind it."""
         rows = []
         if self._pending:
             header = {"kind": "rows", "start": self._rows, "columns": list(self._columns)}
@@ -259,7 +258,6 @@ class Store:
 def _first_record(
     scene: str, nutrients: tuple[str, ...], base: str, frames: int, rows: int
 ) -> dict[str, Any]:
-    """Return the first record of a journal: what it continues from."""
     return {
         "kind": "open",
         "identity": uuid.uuid4().hex,

@@ -81,7 +81,7 @@ def test_bad_input(run, tmp_path):
     mc.export(run, tmp_path, overwrite=True)
 
 
-def test_contacts_are_between_cells_that_are_there(tmp_path):
+def test_contacts_are_between_cells_that_are_there():
     """Mothers that divided and cells that were removed once stayed in the pairs of a frame."""
     scene = mc.Scene.from_dict(
         {
@@ -94,17 +94,12 @@ def test_contacts_are_between_cells_that_are_there(tmp_path):
             "death": {"apoptosis_rate": "4e-5 1/s", "apoptosis_time": "30 min"},
         }
     )
-    result = mc.run(scene, output=tmp_path / "out", report=False)
-    assert result.summary()["divisions"] > 0
-    assert result.summary()["removals"] > 0
+    result = mc.run(scene)
+    assert min(result.summary()[name] for name in ("divisions", "removals")) > 0
     for frame in result.frames:
         assert len(frame.contacts)
         assert np.isin(frame.contacts, frame.cells.id).all()
         assert (frame.contacts[:, 0] != frame.contacts[:, 1]).all()
-    mc.export(tmp_path / "out", tmp_path / "tables", tables=["contacts"])
-    found = np.genfromtxt(tmp_path / "tables" / "contacts.csv", delimiter=",", names=True)
-    assert (found["first_id"] != found["second_id"]).all()
-    assert (found["distance_um"] > 0.0).all()
 
 
 def test_contacts_that_a_run_counts_are_written_but_those_of_cells_that_are_gone(tmp_path):

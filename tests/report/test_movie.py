@@ -74,10 +74,3 @@ def test_what_cannot_be_made_is_said(small_run, tmp_path, monkeypatch, case):
     assert done.exit_code == 2, done.output
     assert re.search(words, done.output)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_command(small_run, tmp_path):
-    given = ["movie", str(small_run.folder), "-o", str(tmp_path / "d.gif"), "--colour", "age"]
-    assert CliRunner().invoke(main, given).exit_code == 0
-    assert (tmp_path / "d.gif").stat().st_size > 10_000
-    assert CliRunner().invoke(main, given).exit_code == 2

@@ -181,6 +181,9 @@ def test_report_stands_alone(path):
     assert not any("src" in attrs for tag, attrs in page.tags if tag == "script")
     sources = [attrs["src"] for tag, attrs in page.tags if tag == "img"]
     assert len(sources) == 3
+    # with few colours, in base64
+    files = [file.stat().st_size for file in path.parent.glob("*.png")]
+    assert sum(map(len, sources)) < 4 / 3 * sum(files)
     assert all(source.startswith("data:image/png;base64,") for source in sources)
     assert all(attrs.get("alt") for tag, attrs in page.tags if tag == "img")
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from matplotlib.collections import EllipseCollection
+from synthetic import cells_at
 
 import multicell as mc
 from multicell.cells import Cells, State
@@ -124,12 +125,8 @@ def test_cells_behind_the_plane_are_paler_the_deeper_they_lie():
     position = np.zeros((n, 3))
     position[:, 0] = 30.0 * np.arange(n)
     position[:, 2] = [0.0, -8.0, -14.0, -40.0, 8.0]  # cut, behind, deeper, too deep, in front
-    base = {name: np.zeros(n) for name in ("young", "poisson", "age", "cycle_time", "pressure")}
-    cells = Cells(
-        id=np.arange(n), parent=np.full(n, -1), position=position, radius=np.full(n, 5.0),
-        state=np.full(n, State.PROLIFERATING, np.int8), **base,
-    )  # fmt: skip
-    figure = Plots([Frame(0.0, 0, cells)], {}, mc.load_scene("settle")).section(plane="z=0")
+    frame = Frame(0.0, 0, cells_at(position))
+    figure = Plots([frame], {}, mc.load_scene("settle")).section(plane="z=0")
     deep, cut = (c for c in figure.axes[0].collections if isinstance(c, EllipseCollection))
     assert cut.get_offsets()[:, 0].tolist() == [0.0]
     # the deepest is drawn first

@@ -166,6 +166,7 @@ def test_commands_draw_cells_in_space(small_run, tmp_path):
     )
     assert done.exit_code == 0, done.output
     assert film.stat().st_size > 10_000
+    assert "exists already" in call("movie", small_run.folder, "-o", film, "--space").output
     wrong = [
         ("plot", "--cut", "half"),
         ("plot", "--picture", "growth", "--turn", 3),

@@ -2,17 +2,12 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
 import zlib
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-import synthetic
 from synthetic import BARE, SCENE, cells_at, growing_frames, history_of, spheroid
 
 import multicell
@@ -28,23 +23,6 @@ from multicell.results.records import SPARSE
 from multicell.results.writer import Store
 from multicell.scene.scene import load_scene
 from multicell.scene.start_table import COPIES
-
-# writes frames 0, 1, 2, ... of growing size for ever, and says which are done
-WRITER = """
-import sys
-from synthetic import SCENE, growing_frames, history_of
-from multicell.results.writer import Store
-
-frames = growing_frames(count=6, last=900)
-rows = history_of(frames)
-store = Store.create(sys.argv[1], SCENE)
-k = 0
-while True:
-    store.append(frames[k % 6])
-    store.append_history(rows[k % 6])
-    k += 1
-    print(k, flush=True)
-"""
 
 
 def assert_same_frame(first, second):
@@ -135,6 +113,7 @@ def test_folder_holds_the_scene_and_the_file_its_units(tmp_path):
 
 
 def test_file_can_be_read_while_it_is_written(tmp_path):
+    """So a process that is killed leaves all finished frames; see also test_kill_and_full_disk."""
     frames = growing_frames(count=3, last=200)
     with Store.create(tmp_path / "out", SCENE) as store:
         assert len(Frames(Contents(tmp_path / "out"))) == 0
@@ -143,32 +122,7 @@ def test_file_can_be_read_while_it_is_written(tmp_path):
             back = Frames(Contents(tmp_path / "out"))
             assert len(back) == done
             assert_same_frame(frame, back[-1])
-
-
-def test_killed_writer_leaves_all_finished_frames(tmp_path):
-    folder = tmp_path / "out"
-    package = Path(multicell.__file__).parents[1]
-    path = os.pathsep.join([str(package), str(Path(synthetic.__file__).parent)])
-    command = [sys.executable, "-c", WRITER, str(folder)]
-    environment = {**os.environ, "PYTHONPATH": path}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as writer:
-        done = 0
-        while done < 8:
-            line = writer.stdout.readline()
-            assert line, "the writer ended by itself"
-            done = int(line)
-        time.sleep(0.013)  # so that the signal arrives in the middle of another append
-        writer.send_signal(signal.SIGKILL)
-        done = max([done, *map(int, writer.stdout.read().split())])
-    assert writer.returncode == -signal.SIGKILL
-    frames, history = Frames(Contents(folder)), Contents(folder).history()
-    assert done <= len(frames) <= done + 1
-    expected = growing_frames(count=6, last=900)
-    for k, frame in enumerate(frames):
-        assert_same_frame(expected[k % 6], frame)
-    # a row of the history reaches the disk with the next frame, or after a second
-    assert done - 1 <= len(history["time"]) <= done + 1
-    result = load_result(folder)
+        result = load_result(tmp_path / "out")
     assert result.summary()["interrupted"] is True
     assert result.summary()["cells"] == len(frames[-1].cells)
 

@@ -182,7 +182,6 @@ def _smoothing(pair: Pair) -> list[Number]:
 
 
 def _friction(scene: Scene, area: float, stokes: float) -> list[Number]:
-    """Return friction of one contact of an area (µm²) against Stokes drag (nN s/µm)."""
     if scene.friction is None:
         return []
     both = {way: getattr(scene.friction, way) * area for way in ("normal", "tangential")}

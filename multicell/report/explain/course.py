@@ -72,7 +72,6 @@ def course(scene: Scene) -> Course:
 
 
 def _times(scene: Scene) -> FloatArray:
-    """Return the times of the forecast, with all at which a medium is switched."""
     if scene.growth is None and scene.death is None:
         return np.array([0.0, scene.duration])
     cycle = scene.duration if scene.growth is None else scene.growth.mean_cycle
@@ -129,7 +128,6 @@ class _Tissue:
         return float((volume / (math.pi if d == 2 else SPHERE)) ** (1.0 / d))
 
     def _core(self) -> float:
-        """Return what the dead still fill."""
         death = self._scene.death
         if death is None:
             return sum(count for _, count in self._dead) * self._volume
@@ -197,7 +195,6 @@ class _Tissue:
         return hazard
 
     def _clear(self, end: float) -> None:
-        """Remove the remains of those that died long ago."""
         self._now, death = end, self._scene.death
         if death is not None:
             size = 1.0 if self._scene.growth is None else 1.0 / math.log(2.0)  # at birth it is 1
@@ -328,7 +325,6 @@ class Profile:
             self._medium *= math.exp(-rate * dt)
 
     def _outside(self, radius: float) -> float:
-        """Return the conductance of the medium round the tissue."""
         field = self.nutrient
         width = field.margin if field.layer is None else field.layer
         coefficient = field.diffusion_medium or field.diffusion

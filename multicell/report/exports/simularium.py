@@ -55,7 +55,6 @@ def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> l
 
 
 def _agents(cells: Cells, sort: Any, rows: slice) -> FloatArray:
-    """Return what the format holds of some cells, one row of eleven numbers each."""
     table = np.zeros((len(cells.id[rows]), 11))  # three angles, and no further points
     table[:, 0], table[:, 1], table[:, 2] = _SPHERE, cells.id[rows], sort[rows]
     table[:, 3:6], table[:, 9] = cells.position[rows], cells.radius[rows]

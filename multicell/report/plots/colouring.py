@@ -148,7 +148,6 @@ def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
 
 
 def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Colouring:
-    """Return colours of the values of a quantity, by default over their own range."""
     values, unit = quantity(frame, name)
     finite = np.isfinite(values)
     low, high = limits or limits_of([values], from_zero=name in frame.concentrations)

@@ -155,7 +155,6 @@ def _draw_rim(axes: Axes, time: FloatArray, history: style.History) -> None:
 
 
 def _draw_states(axes: Axes, time: FloatArray, history: style.History) -> None:
-    """Draw the numbers of cells in each state on top of each other, necrotic ones below."""
     axes.set_title("Cells by state")
     names = [name for name in reversed(style.COLOURS) if history[name].max() > 0]
     single = len(time) == 1

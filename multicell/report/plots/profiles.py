@@ -112,7 +112,6 @@ def _draw_field(
 
 
 def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) -> None:
-    """Draw which part of the cells of each shell is in a state or of a type."""
     bottom, width, types = np.zeros(len(profile.counts)), np.diff(profile.edges), list(scene.types)
     parts, colours = profile.fractions, dict(style.COLOURS)
     if len(types) > 1:

@@ -113,7 +113,6 @@ def _draw_deep(
 
 
 def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> None:
-    """Name the axes to the right and upwards in the lower right corner."""
     right, up = plane.shown
     long = 0.16 * half
     x = axes.get_xlim()[1] - 0.34 * half
@@ -292,7 +291,6 @@ def _draw_behind(
 def _draw_bar(
     figure: Figure, shades: ScalarMappable, title: str, high: float, **options: Any
 ) -> Colorbar:
-    """Explain shades by a bar beside a section, so high in parts of the figure."""
     place = figure.add_axes((0.73, 0.28, 0.018, high))
     bar = figure.colorbar(shades, cax=place, **options)
     bar.outline.set_visible(False)
