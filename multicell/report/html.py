@@ -85,7 +85,7 @@ def _environment() -> Environment:
         "label": _label,
         "limit": _limit,
         "present": _present,
-        "setting": _setting,
+        "setting": lambda row: f"{row['setting']:.3g}{' s' if row['control'] == 'step' else ''}",
         "swatch": "background:{}".format,
         "text": _text,
     }
@@ -106,10 +106,6 @@ def _label(key: str, path: str = "") -> str:
         return name
     unit = written(known_unit(f"{path}.{key}"))
     return f"{name} ({unit})" if unit else name
-
-
-def _setting(row: Mapping[str, Any]) -> str:
-    return f"{row['setting']:.3g}{' s' if row['control'] == 'step' else ''}"
 
 
 def _present(entries: Mapping[str, Any] | None) -> dict[str, Any]:

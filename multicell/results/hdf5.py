@@ -190,13 +190,6 @@ def _create(target: Any, path: str, kind: Kind, rows: NDArray[Any]) -> None:
     unit.write(np.array(kind.unit, text))
 
 
-def _append(column: Any, rows: NDArray[Any]) -> None:
-    start = column.shape[0]
-    column.resize(start + len(rows), axis=0)
-    if len(rows):
-        column[start:] = rows
-
-
 @final
 class _Log:
     """Rows on their way into a file: HDF5 is quick with few large writes, slow with many.
@@ -253,7 +246,9 @@ class _Log:
                 continue
             rows = np.concatenate(pieces)
             if path in self._made:
-                _append(self._target[path], rows)
+                column = self._target[path]
+                column.resize(len(column) + len(rows), axis=0)
+                column[len(column) - len(rows) :] = rows
             else:
                 _create(self._target, path, kind, rows)
                 self._made.add(path)

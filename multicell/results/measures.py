@@ -10,7 +10,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 from weakref import ref
 
-import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import State
@@ -60,10 +59,6 @@ def _has_gel(scene: Scene) -> bool:
     return scene.domain is not None and scene.domain.stiffness is not None
 
 
-def _has_shells(scene: Scene) -> bool:
-    return scene.dimensions == 3 and any(n.layout != "box" for n in scene.nutrients.values())
-
-
 def _closes(scene: Scene) -> bool:
     inflow = scene.death is not None and scene.death.inflow
     return scene.dimensions == 3 and (scene.surface is not None or inflow)
@@ -88,22 +83,6 @@ def _in_space(find: Callable[[Cells, int, of.Extent], float]) -> Callable[[Tissu
 
 def _over_radius(state: TissueState, length: float) -> float:
     return length / state.extent.radius() if len(state.cells) else float("nan")
-
-
-def _load(state: TissueState) -> float:
-    assert state.scene.pull is not None
-    return state.scene.pull.load(state.time)
-
-
-def _living_of(state: TissueState, kind: str) -> int:
-    number = list(state.scene.types).index(kind)
-    return int(np.count_nonzero((state.cells.kind == number) & ~state.cells.dead))
-
-
-def _hypoxic_radius(state: TissueState, field: str) -> float:
-    threshold = state.scene.nutrients[field].quiescence
-    assert threshold is not None
-    return state.extent.radius(state.concentrations[field] < threshold)
 
 
 _length = partial(Observable, unit="um")
@@ -267,22 +246,28 @@ OBSERVABLES: Final = (
     ),
     _length(
         "hypoxic_radius_*",
-        _hypoxic_radius,
+        lambda s, x: s.extent.radius(s.concentrations[x] < s.scene.nutrients[x].quiescence),
         exists=lambda scene: [n for n, f in scene.nutrients.items() if f.quiescence is not None],
         entry="hypoxic_radius.*",
         doc="the same formula over cells below the `quiescence` of a field; 0 without any",
     ),
     _count(
         "living_*",
-        _living_of,
+        lambda s, x: (~s.cells.dead & (s.cells.kind == list(s.scene.types).index(x))).sum(),
         title="living cells of a type",
         exists=lambda scene: list(scene.types) if _has_types(scene) else [],
         entry="living.*",
         doc="number of living cells of a type, where there are several",
     ),
-    Observable("pull", _load, unit="nN", exists=_is_pulled, entry=None),
+    Observable(
+        "pull", lambda s: s.scene.pull.load(s.time), unit="nN", exists=_is_pulled, entry=None
+    ),
     # found by the coupling step
-    Observable("departure_from_a_ball", exists=_has_shells, entry=None),
+    Observable(
+        "departure_from_a_ball",
+        exists=lambda x: x.dimensions == 3 and any(n.layout != "box" for n in x.nutrients.values()),
+        entry=None,
+    ),
     Observable(
         "medium_*",
         unit="mM",

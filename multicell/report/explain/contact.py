@@ -21,6 +21,8 @@ from multicell.scene.sizes import birth_radius, typical_radius
 def contact_parts(scene: Scene) -> list[Part]:
     """Return contact law and what else acts between and on cells, used or absent."""
     active, load = scene.motility, scene.pull
+    given = any(kind.surface_energy is not None for kind in scene.types.values())
+    energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
     total = sum(kind.fraction for kind in scene.types.values())
     shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
     forces = [
@@ -35,7 +37,7 @@ def contact_parts(scene: Scene) -> list[Part]:
         for speed in [math.hypot(*law.velocity)]
     ]
     return [
-        part("contact", _law(scene)),
+        part("contact", scene.contact.describe("by type" if given else energy)),
         part("types", ", ".join(shares)),
         part("adhesion", _adhesion(scene)),
         part("drag", f"Stokes drag in a medium of {scene.drag.viscosity:g} kPa s"),
@@ -126,12 +128,6 @@ def contact_notes(scene: Scene) -> Iterator[str]:
             yield "Nothing sticks: the pull meets no resistance but drag."
         elif most < load:
             yield f"The pull ends at {most:.3g} nN: too little for one contact, {load:.3g} nN."
-
-
-def _law(scene: Scene) -> str:
-    given = any(kind.surface_energy is not None for kind in scene.types.values())
-    energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
-    return scene.contact.describe("by type" if given else energy)
 
 
 def _adhesion(scene: Scene) -> str:

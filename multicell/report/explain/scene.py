@@ -47,6 +47,11 @@ def explain(scene: Scene) -> dict[str, Any]:
 
 def _parts(scene: Scene) -> list[Part]:
     told = effects(scene) if scene.responses else ()
+    method = scene.integrator.method
+    info = METHODS.get(method) or MethodInfo(method)
+    integrator = f"{method}: {info.words}"
+    if info.control == "tolerance":
+        integrator += f"; absolute tolerance {scene.integrator.tolerance:g} um"
     return [
         part("initial", _start_words(scene)),
         *contact_parts(scene),
@@ -57,7 +62,7 @@ def _parts(scene: Scene) -> list[Part]:
         *_taxis(scene),
         Part("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
-        part("integrator", _integrator_words(scene)),
+        part("integrator", integrator),
         part("output", f"a frame every {hours(scene.output.every)}"),
     ]
 
@@ -246,15 +251,6 @@ def _domain_words(scene: Scene) -> str:
         return f"{words}; no walls: a cell whose centre leaves it ends the run"
     young = scene.cells.young if domain.young is None else domain.young
     return f"{words}; its sides are elastic walls of {young:g} kPa"
-
-
-def _integrator_words(scene: Scene) -> str:
-    method = scene.integrator.method
-    info = METHODS.get(method) or MethodInfo(method)
-    words = f"{method}: {info.words}"
-    if info.control == "tolerance":
-        words += f"; absolute tolerance {scene.integrator.tolerance:g} um"
-    return words
 
 
 def _run(scene: Scene) -> list[Number]:

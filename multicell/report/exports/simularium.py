@@ -18,7 +18,7 @@ from multicell.report.plots.style import COLOURS
 from multicell.report.tables import Frames
 
 if TYPE_CHECKING:
-    from multicell.cells import Cells, FloatArray
+    from multicell.cells import FloatArray
     from multicell.report.result import Result
     from multicell.scene.scene import Scene
 
@@ -44,21 +44,17 @@ def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> l
             head = f'"frameNumber": {k}, "time": {json.dumps(frame.time)}, "data": ['
             file.write(f"{', ' if k else ''}{{{head}")
             for first in range(0, len(cells), _ROWS):
-                rows = _agents(cells, sort, slice(first, first + _ROWS))
-                file.write((", " if first else "") + json.dumps(rows.ravel().tolist())[1:-1])
+                rows = slice(first, first + _ROWS)
+                table = np.zeros((len(sort[rows]), 11))  # three angles, and no further points
+                table[:, 0], table[:, 1], table[:, 2] = _SPHERE, cells.id[rows], sort[rows]
+                table[:, 3:6], table[:, 9] = cells.position[rows], cells.radius[rows]
+                file.write((", " if first else "") + json.dumps(table.ravel().tolist())[1:-1])
             file.write("]}")
             times.append(frame.time)
         file.write(f'], "bundleSize": {len(times)}}}, "trajectoryInfo": ')
         json.dump(_info(run.scene, times, 2.0 * largest, seen), file)
         file.write(', "plotData": {"version": 1, "data": []}}\n')
     return [NAME]
-
-
-def _agents(cells: Cells, sort: Any, rows: slice) -> FloatArray:
-    table = np.zeros((len(cells.id[rows]), 11))  # three angles, and no further points
-    table[:, 0], table[:, 1], table[:, 2] = _SPHERE, cells.id[rows], sort[rows]
-    table[:, 3:6], table[:, 9] = cells.position[rows], cells.radius[rows]
-    return table
 
 
 def _info(scene: Scene, times: Sequence[float], size: FloatArray, seen: set[int]) -> dict[str, Any]:
