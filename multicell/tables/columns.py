@@ -16,7 +16,6 @@ from multicell.host.extras import needs
 from multicell.tables.text import lines_of, read_bytes, rows_of
 
 PARQUET: Final = b"PAR1"  # what a Parquet file begins with
-HDF5: Final = b"\x89HDF\r\n\x1a\n"  # and an AnnData file
 
 
 @final
@@ -184,8 +183,8 @@ def _slow(content: bytes, name: str) -> Columns:
     return Columns(name, columns, np.array([number for number, _ in rows], np.int64))
 
 
-def h5ad_columns(path: Path, known: Callable[[str], bool]) -> dict[str, Any]:
-    """Return the columns of a file by title: of ``obs``, of ``X``, and ``obsm["spatial"]`` in µm.
+def from_h5ad(path: Path, known: Callable[[str], bool]) -> dict[str, Any]:
+    """Return the columns of AnnData by title: of ``obs``, of ``X``, and ``obsm["spatial"]`` in µm.
 
     - ``known``: whether a title is wanted; annotations of other programs are left out
 

@@ -81,7 +81,8 @@ def short_run(tmp_path_factory):
     return run, time.perf_counter() - begin
 
 
-def test_the_wall_times_shown_add_up_to_the_total(short_run):
+def test_the_wall_times_shown_add_up_to_the_total(short_run, monkeypatch):
+    monkeypatch.setattr("multicell.report.page.PICTURES", {})
     run, outside = short_run
     wall = run.summary()["wall"]
     parts = {name: seconds for name, seconds in wall.items() if name != "total"}

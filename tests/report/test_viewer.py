@@ -391,6 +391,7 @@ def test_the_page_shows_cells_and_its_controls_work(opened, run):
 
 def test_view_writes_the_page_where_it_is_older_than_the_run(run, tmp_path, monkeypatch):
     opened = []
+    monkeypatch.setattr("multicell.report.page.PICTURES", {})
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
     folder = tmp_path / "run"
     shutil.copytree(run.folder, folder)

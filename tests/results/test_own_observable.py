@@ -56,7 +56,8 @@ def file(tmp_path):
     return path
 
 
-def test_it_is_in_history_summary_tables_and_report(tmp_path):
+def test_it_is_in_history_summary_tables_and_report(tmp_path, monkeypatch):
+    monkeypatch.setattr("multicell.report.page.PICTURES", {})
     scene = GROWING.with_observables(surface)
     result = mc.run(scene, output=tmp_path / "run")
     for frame, row in zip(result.frames, result.history["surface"], strict=True):

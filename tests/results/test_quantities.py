@@ -219,7 +219,8 @@ def test_an_undeclared_number_is_refused_and_texts_have_no_unit():
     assert unit_of("cells.position") == "um"
 
 
-def test_the_report_names_units(runs, tmp_path):
+def test_the_report_names_units(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr("multicell.report.page.PICTURES", {})
     page = runs["a plane with a field"].report(tmp_path).read_text(encoding="utf-8")
     for words in ("spacing (µm)", "estimated error at the cells (mM)", "inflow (amol)",
                   "<th>relative remainder</th>"):  # fmt: skip
