@@ -156,9 +156,7 @@ def test_cells_that_move_little_are_packed_in_few_bytes_and_unpacked_as_they_wer
     moved.position += rng.normal(0.0, 0.5, moved.position.shape)
     born = spread(100, seed=9).cells
     born.id += 100_000
-    rows = {name: np.concatenate([getattr(moved, name), getattr(born, name)])
-            for name in ("id", "parent", "position", "radius", "young", "poisson", "state", "age",
-                         "cycle_time", "pressure")}  # fmt: skip
+    rows = {name: np.concatenate([old, getattr(born, name)]) for name, old in moved.columns()}
     second = Frame(3600.0, 1, Cells(**rows))
     alone = len(base64.b64decode(pack.pack_frames(result_of(first)).data))
     view = pack.pack_frames(result_of(first, second))

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import multicell as mc
 from multicell.calibration.data import read_data
 from multicell.calibration.sensitivity import observables_of as asked_of
 from multicell.calibration.simulator import SceneSimulator
+from multicell.cli.main import main
 from multicell.errors import SceneError
 from multicell.results.measures import OBSERVABLES, observables_of
 from multicell.results.observable import OWN
@@ -133,17 +135,17 @@ def test_workers_of_studies_load_it(file, tmp_path):
 
 
 def test_the_command_records_it(file, tmp_path):
-    command = [sys.executable, "-m", "multicell", "run", "growth", "--set", "duration=20 min",
-               "--observable", f"{file}:surface", "--no-report",
-               "-o", str(tmp_path / "run")]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert "surface of cells" in done.stdout + done.stderr
+    def call(spec, *more):
+        given = ["--set", "duration=20 min", "--no-report", "-o", str(tmp_path / "run"), *more]
+        return CliRunner().invoke(main, ["run", "growth", "--observable", spec, *given])
+
+    done = call(f"{file}:surface")
+    assert done.exit_code == 0, done.output
+    assert "surface of cells" in done.output
     assert len(mc.load_result(tmp_path / "run").history["surface_of_cells"]) > 1
-    command[command.index("--observable") + 1] = f"{file}:TEXT"
-    refused = subprocess.run([*command, "--overwrite"], capture_output=True, text=True, timeout=300)
-    assert refused.returncode == 2
-    assert "has nothing called 'TEXT'" in refused.stderr
+    refused = call(f"{file}:TEXT", "--overwrite")
+    assert refused.exit_code == 2
+    assert "has nothing called 'TEXT'" in refused.output
 
 
 def test_a_scene_without_what_it_needs_refuses_it():

@@ -42,11 +42,14 @@ def assert_same_frame(first, second):
         np.testing.assert_array_equal(other.values, field.values)
 
 
-def written(folder, frames, scene=SCENE):
-    with Store.create(folder, scene) as store:
-        for frame, row in zip(frames, history_of(frames), strict=True):
-            store.append(frame)
-            store.append_history(row)
+def written(folder, frames, scene=SCENE, *, settle=True):
+    store = Store.create(folder, scene)
+    for frame, row in zip(frames, history_of(frames), strict=True):
+        store.append_history(row)
+        store.append(frame)
+    if settle:
+        store.settle()
+    store.close()
     return folder
 
 

@@ -96,16 +96,17 @@ def _draw_field(
     values = profile.concentrations[name]
     top = float(np.nanmax(values))
     if name in frame.fields:
-        field = frame.fields[name]
-        edges = np.arange(0.0, profile.edges[-1] + field.spacing, field.spacing)
-        found = field_profile(field, centre(frame.cells, scene.dimensions), edges)
+        there = frame.fields[name]
+        edges = np.arange(0.0, profile.edges[-1] + there.spacing, there.spacing)
+        found = field_profile(there, centre(frame.cells, scene.dimensions), edges)
         filled = np.isfinite(found)
         middles = 0.5 * (edges[1:] + edges[:-1])
         axes.plot(middles[filled], found[filled], color=style.BLUE, lw=2, alpha=0.6, label=words[0])
         top = max(top, float(found[filled].max(initial=0.0)))
     axes.plot(profile.middles, values, "o", color=style.BLUE, ms=6, label=words[1], zorder=4)
-    for meaning, level, dashes in style.thresholds(scene.nutrients[name]):
-        if 0.0 < level < 1.1 * top:  # within the axis
+    field = scene.nutrients[name]
+    for meaning, level, dashes in ("rest", field.quiescence, "-"), ("die", field.necrosis, "--"):
+        if level is not None and 0.0 < level < 1.1 * top:  # within the axis
             label = words[2].format(level, meaning)
             axes.axhline(level, color=style.RED, lw=1.4, ls=dashes, label=label)
     axes.set_ylim(0.0, 1.1 * top if top > 0.0 else 1.0)

@@ -21,7 +21,6 @@ from multicell.errors import OutputError
 from multicell.report.wording import TimeUnit, cell_count, time_unit
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
-from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
 
 History = Mapping[str, NDArray[np.float64]]  # columns of a run's history by name, (m,) each
@@ -227,9 +226,3 @@ def type_label(name: str, most: int = 22) -> str:
     """Return a name as a legend shows it: of few letters, and never taken for a hidden label."""
     short = name if len(name) <= most else name[: most - 1] + "…"
     return f"\u200b{short}" if short.startswith("_") else short
-
-
-def thresholds(nutrient: Nutrient) -> list[tuple[str, float, str]]:
-    """Return the meaning, the value (mM) and the line style of a nutrient's thresholds."""
-    known = [("rest", nutrient.quiescence, "-"), ("die", nutrient.necrosis, "--")]
-    return [(meaning, value, style) for meaning, value, style in known if value is not None]
