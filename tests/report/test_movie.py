@@ -61,7 +61,6 @@ def test_a_film_lasts_as_long_as_its_frames(small_run, tmp_path):
 REFUSED = {
     "kind": (["-o", "a.avi"], r"must end in \.gif or \.webp or \.mp4"),
     "rate": (["-o", "a.gif", "--rate", "0"], "above 0"),
-    "colour": (["-o", "a.gif", "--colour", "presure"], "Did you mean 'pressure'"),
     "plane": (["-o", "a.gif", "--section", "x=900"], "cuts no cell"),
 }
 

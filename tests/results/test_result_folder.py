@@ -18,6 +18,7 @@ from test_store import written
 import multicell as mc
 from multicell.cli.main import main
 from multicell.errors import OutputError
+from multicell.report.plots.run import PICTURES
 from multicell.results import folder as folder_module
 from multicell.results.folder import LOCK, write_text
 from multicell.results.reader import Contents, Frames
@@ -128,6 +129,7 @@ def settled(whole, tmp_path):
     return Path(shutil.copytree(whole.folder, tmp_path / "out"))
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_links_are_never_followed_out_of_the_folder(settled, tmp_path):
     outside = tmp_path / "outside"
     outside.mkdir()
@@ -180,6 +182,14 @@ def whole(tmp_path_factory):
     return mc.run(mc.load_scene("settle").with_changes(QUICK), output=folder, report=False)
 
 
+@pytest.fixture
+def one_picture():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("multicell.report.page.PICTURES", {"growth": PICTURES["growth"]})
+        yield
+
+
+@pytest.mark.usefixtures("one_picture")
 @pytest.mark.parametrize("stage", ["frames.journal", "frames.h5", "summary.json", "growth.png"])
 def test_each_file_that_cannot_be_written_is_one_error(stage, whole, tmp_path, monkeypatch):
     """As on a full disk, at each of the files in turn; see also test_kill_and_full_disk."""
@@ -270,9 +280,7 @@ def test_damage_says_what_can_still_be_read(tmp_path):
 )
 def test_frames_are_counted_at_once_however_many_are_due(every, expected):
     """At 0, 60 ... 240 s: of 90 s those at 0, 120, 180 and 240 (the end), of an hour two."""
-    scene = mc.load_scene("settle").with_changes(
-        {**QUICK, "coupling_step": "1 min", "output.every": every}
-    )
+    scene = mc.load_scene("settle").with_changes({**QUICK, "output.every": every})
     assert len(mc.run(scene).frames) == expected
 
 
