@@ -139,12 +139,12 @@ def first_method(scene: Scene) -> Integrator:
 
 def take_step(scene: Scene) -> None:
     """Do what two cells that touch need in a coupling step."""
-    from multicell.results import summary
+    from multicell.results.observables import counts_contacts
 
     system, position = two_cells(scene)
     outcome = first_method(scene).integrate(system, position)
     system.pressure(system.motion.end, outcome.position)
-    if summary.counts_contacts(scene):
+    if counts_contacts(scene):
         system.contacts(system.motion.end, outcome.position)
 
 

@@ -22,7 +22,7 @@ from multicell.precompile import Precompilation
 from multicell.report.bar import shown as shown_progress
 from multicell.report.result import Result, history_arrays, load_result, recorded_scene
 from multicell.report.wording import time_unit
-from multicell.results.documents import read_table, write_summary
+from multicell.results.documents import read_table, write_table
 from multicell.results.folder import lock_folder
 from multicell.results.frame import Frame
 from multicell.results.measures import check_observables
@@ -287,7 +287,7 @@ class Recorder:
         if interrupted:
             self._summary["interrupted"] = True
         if self._store is not None:
-            write_summary(self._store.folder, self._summary)
+            write_table(self._store.folder / "summary.json", self._summary)
 
     def _account(self, simulation: Simulation) -> dict[str, float]:
         """Return the wall time from the start on by phases, which add up to the total, s."""

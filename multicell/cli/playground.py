@@ -181,7 +181,7 @@ class Playground:
 
     def curves(self) -> bytes:
         """Return the curves of all kept runs as a PNG."""
-        from multicell.report.plots.overlay import overlay
+        from multicell.report.plots.growth import overlay
 
         found = {label: self.result(number) for number, label in self._labels.items()}
         shown = {label: run.history for label, run in found.items() if run is not None}

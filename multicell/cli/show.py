@@ -159,7 +159,7 @@ def _number(run: Result, moment: str | None, frame: int | None) -> int:
 
 def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) -> Figure:
     """Return a quantity of all runs, named by as much of their folders as tells them apart."""
-    from multicell.report.plots.overlay import overlay
+    from multicell.report.plots.growth import overlay
 
     short = [folder.name or str(folder) for folder in folders]
     labels = short if len(set(short)) == len(short) else [str(folder) for folder in folders]

@@ -10,7 +10,7 @@ from multicell.errors import StepFailed
 from multicell.integrators import registry, stability
 from multicell.integrators.shift import SHIFT, Replays, replay_step, shifted_positions
 from multicell.integrators.stability import Stability
-from multicell.results.summary import counts_contacts
+from multicell.results.observables import counts_contacts
 from multicell.scene import start
 from multicell.scene.domain import check_inside
 

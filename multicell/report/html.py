@@ -85,7 +85,7 @@ def _environment() -> Environment:
         "label": _label,
         "limit": _limit,
         "present": _present,
-        "setting": _setting,
+        "setting": lambda row: f"{row['setting']:.3g}{' s' if row['control'] == 'step' else ''}",
         "swatch": "background:{}".format,
         "text": _text,
     }
@@ -108,18 +108,12 @@ def _label(key: str, path: str = "") -> str:
     return f"{name} ({unit})" if unit else name
 
 
-def _setting(row: Mapping[str, Any]) -> str:
-    """Return the tolerance, or the step, of a row of a comparison."""
-    return f"{row['setting']:.3g}{' s' if row['control'] == 'step' else ''}"
-
-
 def _present(entries: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the entries that are not zero: what a run has none of needs no row."""
     return {name: value for name, value in (entries or {}).items() if value != 0}
 
 
 def _limit(value: float, unit: str = "", missing: str = "") -> str:
-    """Return a limit of stability, which may be infinite or (NaN) missing."""
     if math.isnan(value):
         return missing
     return "no limit" if math.isinf(value) else f"{value:.3g}{unit}"

@@ -99,18 +99,13 @@ def shown(result: Result) -> str:
     context: dict[str, Any] = {"caption": "", "picture": None, "view": None}
     if len(result.frames) and len(result.frames[-1].cells):
         from multicell.report.plots.run import PICTURES
+        from multicell.report.viewer.embed import view_page
 
         kind = PICTURES["section"]
         flat = result.scene.dimensions == 2
         context["caption"] = kind.flat_caption if flat else kind.caption
         context["picture"] = inline_picture(result.plot.section())
-        context["view"] = _view(result)
+        page = view_page(result)
+        context["view"] = None if page is None or len(page) > _MOST_VIEW else page
     title = result.scene.title or "Untitled run"
     return rendered("notebook.html", title=title, tiles=dict(measures(result.summary())), **context)
-
-
-def _view(result: Result) -> str | None:
-    from multicell.report.viewer.embed import view_page
-
-    found = view_page(result)
-    return None if found is None or len(found) > _MOST_VIEW else found

@@ -32,6 +32,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
     from multicell.report.viewer.embed import view
 
     summary = result.summary()
+    phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}
     return write_page(
         place / "report.html",
         "run.html",
@@ -43,7 +44,8 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         viewer=view(result),
         summary=summary,
         diagnostics=dict(diagnostics(summary, result.scene)),
-        **_phases(summary),
+        phases=phases,
+        longest=max(phases.values(), default=0.0) or 1.0,
         **_accounts(summary),
     )
 
@@ -83,11 +85,6 @@ def _subtitle(result: Result, summary: Mapping[str, Any]) -> str:
     if summary.get("steps") is not None:
         parts.append(f"{summary['steps']:,} coupling steps")
     return " · ".join(parts)
-
-
-def _phases(summary: Mapping[str, Any]) -> dict[str, Any]:
-    phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}
-    return {"phases": phases, "longest": max(phases.values(), default=0.0) or 1.0}
 
 
 def _accounts(summary: Mapping[str, Any]) -> dict[str, Any]:

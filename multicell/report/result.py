@@ -231,7 +231,6 @@ def _partial_summary(frames: Sequence[Frame], scene: Scene) -> dict[str, Any]:
     from multicell.results.summary import state_summary
 
     summary: dict[str, Any] = {}
-    if len(frames):
-        last = frames[-1]
-        summary |= state_summary(scene, last, own=False) | {"steps": last.step}
+    for last in frames[-1:]:
+        summary = {**state_summary(scene, last, own=False), "steps": last.step}
     return {"interrupted": True, **summary, "units": units_of(summary)}

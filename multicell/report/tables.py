@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,7 +34,7 @@ Frames = Callable[[], "Iterator[tuple[int, Frame]]"]
 
 
 def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
-    kinds = _kinds(run)
+    kinds = np.array(list(run.scene.types) or [""], dtype=object)
     phases = run.scene.growth is not None and bool(run.scene.growth.phases)
     for number, frame in frames:
         n = len(frame.cells)
@@ -45,7 +46,6 @@ def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
 
 
 def _contacts(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
-    """Give the pairs in contact of each frame by their identities."""
     for number, frame in frames:
         cells = frame.cells
         pairs = touching(frame)
@@ -63,8 +63,7 @@ def _contacts(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Tabl
 
 
 def _lineage(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
-    """Give the table of all cells that ever were, with the names of their types."""
-    kinds = _kinds(run)
+    kinds = np.array(list(run.scene.types) or [""], dtype=object)
     yield {
         titled(name, unit_of(f"lineage.{name}")): kinds[column] if name == "kind" else column
         for name, column in run.lineage.items()
@@ -82,10 +81,6 @@ TABLES: Final[Mapping[str, Callable[[Result, Iterator[tuple[int, Frame]]], Itera
     "contacts": _contacts,
 }
 """What can be exported."""
-
-
-def _kinds(run: Result) -> NDArray[Any]:
-    return np.array(list(run.scene.types) or [""], dtype=object)
 
 
 def whole_table(run: Result, name: str) -> DataFrame:
@@ -107,18 +102,14 @@ def write_csv(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) 
     names = [f"{table}.csv" for table in tables]
     for table, name in zip(tables, names, strict=True):
         with (folder / name).open("w", newline="", encoding="utf-8") as file:
-            _write_rows(csv.writer(file), TABLES[table](run, frames()))
+            writer = csv.writer(file)
+            for k, part in enumerate(TABLES[table](run, frames())):
+                if k == 0:
+                    writer.writerow(part)
+                # Python's numbers are written with all digits that tell them apart
+                columns = [np.where(_missing(c), "", c.astype(object)) for c in part.values()]
+                writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
     return names
-
-
-def _write_rows(writer: Any, parts: Iterable[Table]) -> None:
-    """Write the parts of a table below one header; nothing stands where there is no number."""
-    for k, part in enumerate(parts):
-        if k == 0:
-            writer.writerow(part)
-        # Python's numbers are written with all digits that tell them apart
-        columns = [np.where(_missing(c), "", c.astype(object)).tolist() for c in part.values()]
-        writer.writerows(zip(*columns, strict=True))
 
 
 def write_parquet(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
@@ -133,16 +124,14 @@ def write_parquet(run: Result, frames: Frames, folder: Path, tables: Sequence[st
 
     names = [f"{table}.parquet" for table in tables]
     for table, name in zip(tables, names, strict=True):
-        writer = None
-        try:
+        with ExitStack() as stack:
+            writer = None
             for part in TABLES[table](run, frames()):
                 rows = arrow.table({title: array(values) for title, values in part.items()})
                 if writer is None:
                     writer = arrow.parquet.ParquetWriter(folder / name, rows.schema)
+                    stack.enter_context(writer)
                 writer.write_table(rows)
-        finally:
-            if writer is not None:
-                writer.close()
     return names
 
 

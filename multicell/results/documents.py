@@ -52,13 +52,6 @@ def read_table(path: Path) -> dict[str, Any] | None:
     return table
 
 
-def write_summary(folder: str | Path, summary: Mapping[str, Any]) -> Path:
-    """Write ``summary.json`` and return its path; raises OutputError if it cannot be written."""
-    path = Path(folder) / "summary.json"
-    write_table(path, summary)
-    return path
-
-
 @final
 class Lines:
     """A file of JSON entries, one a line, each with a checksum of it and of all before it.
@@ -124,7 +117,6 @@ class Lines:
 
 
 def _join(entries: Iterable[Any], chain: int) -> tuple[bytes, int]:
-    """Return lines of entries, and the checksum of the last of them."""
     lines = []
     for entry in entries:
         text = json.dumps(entry, separators=(",", ":")).encode()

@@ -133,38 +133,22 @@ class Field:
 class Progress:
     """State of a run besides cells and fields, which it needs to be resumed exactly.
 
-    - ``next_id``, ``divisions``, ``removals``, ``unsorted``, int: first identity that is free,
-      events so far, and new cells since the last sorting
-    - ``released``, float, µm³: volume that dead cells have lost
-    - ``separation``, mapping or None: when and how the last contact broke, where the cells are
-      pulled apart
-    - ``ledger``, ``rates``, nutrient -> name -> float: the account of each field, amol, and what a
-      steady one exchanges now, amol/s
-    - ``work``, name -> int: what the integration has cost
-    - ``grids``, nutrient -> name -> float: what is known of grids that the run chooses or changes
-      by itself
-    - ``driven``, table of the scene -> identities: cells that are driven from outside, where a
-      table named them at the start
-    - ``first_states``, name -> int: cells that rested, were dead, and did not fit the field at the
-      start
-    - ``replays``, name -> float: what replays from shifted positions have found; see
-      :mod:`multicell.integrators.shift`
-    - ``stability``, name -> float: how far a fixed step was from its limit; see
-      :mod:`multicell.integrators.stability`
+    Replays and stability are those of :mod:`multicell.integrators.shift` and
+    :mod:`multicell.integrators.stability`.
     """
 
-    next_id: int
-    divisions: int
+    next_id: int  # first identity that is free
+    divisions: int  # so far
     removals: int
-    unsorted: int
-    released: float
-    separation: Mapping[str, float] | None
-    ledger: Mapping[str, Mapping[str, float]]
-    rates: Mapping[str, Mapping[str, float]]
-    work: Mapping[str, int]
-    grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    driven: Mapping[str, list[int]] = field(default_factory=dict)
-    first_states: Mapping[str, int] = field(default_factory=dict)
+    unsorted: int  # new cells since the last sorting
+    released: float  # volume that dead cells have lost, µm³
+    separation: Mapping[str, float] | None  # when and how the last contact broke in a pull
+    ledger: Mapping[str, Mapping[str, float]]  # account of each field, amol
+    rates: Mapping[str, Mapping[str, float]]  # what a steady field exchanges now, amol/s
+    work: Mapping[str, int]  # what the integration has cost
+    grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # that the run chooses
+    driven: Mapping[str, list[int]] = field(default_factory=dict)  # cells named by a table at first
+    first_states: Mapping[str, int] = field(default_factory=dict)  # cells at rest, dead, unfit
     replays: Mapping[str, float] = field(default_factory=dict)
     stability: Mapping[str, float] = field(default_factory=dict)
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import io
 import os
+import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import IO, Any, Final, final
@@ -32,7 +32,7 @@ from multicell.results.records import SPARSE, Arrays
 
 
 @final
-class Sink:
+class Sink(io.RawIOBase):
     """A file for HDF5 whose writes never fail: the first refusal is kept for :meth:`check`.
 
     HDF5 keeps a file open that it cannot write, complains at the end of the process, and may
@@ -62,10 +62,6 @@ class Sink:
         self._place = base + place
         return self._place
 
-    def tell(self) -> int:
-        """Return the place."""
-        return self._place
-
     def write(self, data: Any) -> int:
         """Write, or note why that is refused."""
         if self._place > _BATCH:
@@ -84,12 +80,6 @@ class Sink:
     def readinto(self, target: Any) -> int:
         """Read back what was written; after a refusal there may be nothing."""
         return self._at_place(self._file.readinto, memoryview(target).cast("B"))  # type: ignore[attr-defined]
-
-    def read(self, size: int) -> bytes:
-        """Read back what was written; it is what tells h5py that this is a file."""
-        data = bytearray(size)
-        self.readinto(data)
-        return bytes(data)
 
     def truncate(self, size: int | None = None) -> int:
         """Set the length."""
@@ -128,33 +118,28 @@ _BATCH: Final = 1 << 23  # bytes that are collected before they are written
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
 
-@final
-@dataclass(frozen=True)
-class Whole:
-    """All that goes into a file.
+def write(
+    path: Path,
+    scene: str,
+    nutrients: Sequence[str],
+    frames: Iterable[tuple[Arrays, int, Arrays]],
+    history: Mapping[str, NDArray[np.float64]],
+    absorbed: str,
+) -> None:
+    """Write a file in the place of ``path``; until it is complete the old one stays.
 
     - ``scene``: text of ``scene.toml``
     - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
     - ``history``, column -> (m,) float64
-    - ``identity``, ``absorbed``: of the file, and of the journal that is part of it now: 32 letters
-      each
+    - ``absorbed``: identity of the journal that is part of the file now: 32 letters
     """
-
-    scene: str
-    nutrients: Sequence[str]
-    frames: Iterable[tuple[Arrays, int, Arrays]]
-    history: Mapping[str, NDArray[np.float64]]
-    identity: str
-    absorbed: str
-
-
-def write(path: Path, whole: Whole) -> None:
-    """Write a file in the place of ``path``; until it is complete the old one stays."""
     with replace_file(path, "w+b") as file:
         sink = Sink(file)
         try:
             with h5py.File(sink, "w", libver=_LIBVER) as target:
-                _fill(target, whole, sink)
+                target.attrs["identity"] = np.bytes_(uuid.uuid4().hex)
+                target.attrs["absorbed"] = np.bytes_(absorbed)
+                _fill(target, scene, _Log(target, nutrients, sink), frames, history)
         except OutputError:
             raise
         except Exception:
@@ -163,26 +148,28 @@ def write(path: Path, whole: Whole) -> None:
         sink.finish()
 
 
-def _fill(target: Any, whole: Whole, sink: Sink) -> None:
-    """Write everything to an open file."""
+def _fill(
+    target: Any,
+    scene: str,
+    log: _Log,
+    frames: Iterable[tuple[Arrays, int, Arrays]],
+    history: Mapping[str, NDArray[np.float64]],
+) -> None:
     target.attrs.update(format=FORMAT, multicell=package_version())
-    target.attrs["identity"] = np.bytes_(whole.identity)
-    target.attrs["absorbed"] = np.bytes_(whole.absorbed)
     target.create_group("fields")
-    scene = np.frombuffer(whole.scene.encode(), "|u1")
-    _create(target, "scene", of_rows("|u1"), scene)
-    log = _Log(target, whole.nutrients, sink)
-    for frame in whole.frames:
+    text = np.frombuffer(scene.encode(), "|u1")
+    _create(target, "scene", of_rows("|u1"), text)
+    for frame in frames:
         log.add(*frame)
     log.flush()
     group = target.create_group("history")
-    for name, column in whole.history.items():
+    for name, column in history.items():
         kind = of_rows("<f8", known_unit(name))
         _create(target, f"history/{name}", kind, np.asarray(column, "<f8"))
-    group.attrs["digest"] = np.uint32(digest(dict(sorted(whole.history.items()))))
+    group.attrs["digest"] = np.uint32(digest(dict(sorted(history.items()))))
     target.attrs["frames"] = np.int64(log.count)
     shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
-    target.attrs["digest"] = np.uint32(digest({"scene": scene, **shared}))
+    target.attrs["digest"] = np.uint32(digest({"scene": text, **shared}))
 
 
 @cache
@@ -217,14 +204,6 @@ def _create(target: Any, path: str, kind: Kind, rows: NDArray[Any]) -> None:
         column, b"unit", _type(text, logical=True), h5py.h5s.create(h5py.h5s.SCALAR)
     )
     unit.write(np.array(kind.unit, text))
-
-
-def _append(column: Any, rows: NDArray[Any]) -> None:
-    """Add rows at the end of a data set."""
-    start = column.shape[0]
-    column.resize(start + len(rows), axis=0)
-    if len(rows):
-        column[start:] = rows
 
 
 @final
@@ -279,12 +258,13 @@ class _Log:
     def flush(self) -> None:
         """Hand what was collected to HDF5."""
         for path, kind in self._sets.items():
-            pieces = self._pieces[path]
-            if not pieces:
+            if not (pieces := self._pieces[path]):
                 continue
             rows = np.concatenate(pieces)
             if path in self._made:
-                _append(self._target[path], rows)
+                column = self._target[path]
+                column.resize(len(column) + len(rows), axis=0)
+                column[len(column) - len(rows) :] = rows
             else:
                 _create(self._target, path, kind, rows)
                 self._made.add(path)
@@ -296,7 +276,6 @@ class _Log:
 
 
 def _zeros(kind: Kind, rows: int) -> NDArray[Any]:
-    """Return rows of a data set."""
     return np.zeros((rows,) if kind.width is None else (rows, kind.width), kind.dtype)
 
 
@@ -307,11 +286,6 @@ def _shared(sets: Mapping[str, Kind]) -> list[str]:
         for path, kind in sets.items()
         if path.startswith(("frames/", "lineage/")) or kind.pool == "ends"
     ]
-
-
-def _shared_arrays(file: Any, sets: Mapping[str, Kind]) -> Arrays:
-    """Read the scene, and what else belongs to no single frame."""
-    return {"scene": file["scene"][()], **{path: file[path][()] for path in _shared(sets)}}
 
 
 @contextmanager
@@ -354,13 +328,17 @@ def check_contained(path: Path) -> None:
                     raise OutputError(f"'{path}' is damaged: {name} is a group")
                 if not isinstance(entry, h5py.Dataset):
                     continue
-                if entry.is_virtual or entry.id.get_create_plist().get_external_count():
+                if _keeps_data_elsewhere(entry):
                     raise OutputError(f"'{path}' is damaged: {name} keeps its data elsewhere")
                 claimed += int(entry.size or 0) * entry.dtype.itemsize
-        check_claim(path, claimed)
+        _check_claim(path, claimed)
 
 
-def check_claim(path: Path, claimed: int) -> None:
+def _keeps_data_elsewhere(column: Any) -> bool:
+    return bool(column.is_virtual or column.id.get_create_plist().get_external_count())
+
+
+def _check_claim(path: Path, claimed: int) -> None:
     """Refuse a file whose data would take far more memory than the file has bytes."""
     size = path.stat().st_size
     if claimed > max(_ALWAYS, _RATIO * size):
@@ -370,7 +348,6 @@ def check_claim(path: Path, claimed: int) -> None:
 
 
 def _short(error: BaseException) -> str:
-    """Return the first line of what a library says."""
     lines = str(error).strip("'\" ").splitlines()
     return lines[0][:200] if lines else type(error).__name__
 
@@ -379,16 +356,10 @@ def _short(error: BaseException) -> str:
 class File:
     """A result file that has been checked; frames are read, and checked, one at a time.
 
-    - ``scene``, str
-    - ``nutrients``, tuple of str
-    - ``identity``, ``absorbed``, str
-    - ``times``, (k,) float64, s
-    - ``steps``, (k,) int64
-    - ``digests``, (k,) uint32
+    - ``times`` s, ``steps``, ``digests``, (k,)
     - ``ends``, log -> (k + 1,) int64: how many rows each log of the lineage has before each frame
     - ``logs``, log/column -> array: the lineage up to the last frame
-    - ``columns``, tuple of str: of the history
-    - ``rows``, int: of the history
+    - ``columns``, ``rows``: names of the columns and number of rows of the history
 
     Raises OutputError if it is no result file of this format, or damaged.
     """
@@ -400,13 +371,15 @@ class File:
         with _open_file(path) as file:
             self._read_format(file)
             for group in ("fields", "history", "cells", "frames", "lineage"):
-                self._group(file, group)
+                self._direct(file, group)
+                if not isinstance(file[group], h5py.Group):
+                    raise self._damage(f"{group} is no group")
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
             sets = layout(self.nutrients)
             self._sets = {p: kind for p, kind in sets.items() if p not in SPARSE or p in file}
             self._check_sets(file)
-            shared = _shared_arrays(file, self._sets)
+            shared = {path: file[path][()] for path in ("scene", *_shared(self._sets))}
             if digest(shared) != int(file.attrs["digest"]):
                 raise self._damage("its scene, index or lineage is not what was written")
             self.identity, self.absorbed = (
@@ -444,12 +417,6 @@ class File:
         value = file.attrs[key]
         return bytes(value).decode("ascii", "replace") if isinstance(value, bytes) else ""
 
-    def _group(self, file: Any, path: str) -> None:
-        """Refuse anything but a group of the file itself."""
-        self._direct(file, path)
-        if not isinstance(file[path], h5py.Group):
-            raise self._damage(f"{path} is no group")
-
     def _direct(self, file: Any, path: str) -> None:
         """Refuse a path that is missing, or that leads over a link to somewhere else."""
         parts = path.split("/")
@@ -466,9 +433,7 @@ class File:
         self._check_set(file, "scene", of_rows("|u1"), None)
         lengths = {"frames": self.count, "ends": self.count + 1}
         # those of known length come first: they hold the lengths of the others
-        for path, kind in sorted(
-            self._sets.items(), key=lambda entry: entry[1].pool not in lengths
-        ):
+        for path, kind in sorted(self._sets.items(), key=lambda x: x[1].pool not in lengths):
             self._check_set(file, path, kind, lengths[kind.pool])
             if kind.pool == "ends":
                 ends = file[path][()]
@@ -488,8 +453,7 @@ class File:
         tail = () if kind.width is None else (kind.width,)
         if not isinstance(column, h5py.Dataset):
             raise self._damage(f"{path} is no data set")
-        settings = column.id.get_create_plist()
-        if column.is_virtual or settings.get_external_count():
+        if _keeps_data_elsewhere(column):
             raise self._damage(f"{path} keeps its data elsewhere, and that is not followed")
         if column.dtype.str != kind.dtype or column.ndim != 1 + len(tail):
             raise self._damage(f"{path} has type {column.dtype} and shape {column.shape}")
@@ -501,10 +465,10 @@ class File:
             raise self._damage(f"{path} is not complete")
         width = column.dtype.itemsize * (kind.width or 1)
         if path.startswith(_IN_FRAMES):
-            check_claim(self.path, width * self._at_once.get(kind.pool, 0))
+            _check_claim(self.path, width * self._at_once.get(kind.pool, 0))
         else:
             self._claimed += width * column.shape[0]
-            check_claim(self.path, self._claimed)
+            _check_claim(self.path, self._claimed)
 
     def history(self) -> dict[str, NDArray[np.float64]]:
         """Return the history by column, (m,) each."""

@@ -145,12 +145,15 @@ class Journal:
                 if clock.monotonic() - self._synced > _SYNC_EVERY:
                     self._sync()
             except OSError as error:
-                self._take_back(error)
+                try:  # give back the room that the refused records have taken
+                    os.ftruncate(self._descriptor, self._end)
+                except OSError as second:
+                    # an incomplete record at the end does no harm: readers do not count it
+                    error.add_note(f"and it could not be taken back: {second}")
                 raise
             self._end, self._chain, self._torn = place, chain, False
 
     def _write(self, parts: Iterable[Any]) -> int:
-        """Write behind the last complete record; return where it ends."""
         place = self._end
         os.lseek(self._descriptor, place, os.SEEK_SET)
         for part in parts:
@@ -159,14 +162,6 @@ class Journal:
                 done = os.write(self._descriptor, view)
                 view, place = view[done:], place + done
         return place
-
-    def _take_back(self, error: OSError) -> None:
-        """Give back the room that a refused record has taken."""
-        try:
-            os.ftruncate(self._descriptor, self._end)
-        except OSError as second:
-            # an incomplete record at the end does no harm: readers do not count it
-            error.add_note(f"and it could not be taken back: {second}")
 
     def _sync(self) -> None:
         os.fsync(self._descriptor)
@@ -212,18 +207,14 @@ def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, 
 class Reader:
     """The complete records of a journal, as they were when it was opened.
 
-    - ``records``, list of Record
-    - ``end``, ``chain``, int: where the last complete record ends, and the checksum of its head
-    - ``damage``, str or None: what ends the records before the end of the file, in words
-
     Raises OutputError if the file cannot be read or does not begin as a journal does.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.records: list[Record] = []
-        self.end = self.chain = 0
-        self.damage: str | None = None
+        self.end = self.chain = 0  # of the last complete record, and the checksum of its head
+        self.damage: str | None = None  # what ends the records before the end of the file, in words
         with file_errors("read", path), path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             while self.end < size and self.damage is None:

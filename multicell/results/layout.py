@@ -7,7 +7,7 @@ fields are coded (:mod:`multicell.results.coding`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Final, NamedTuple, Protocol, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,16 +85,6 @@ def of_rows(dtype: str, unit: str = "") -> Kind:
 Ends = Mapping[str, NDArray[np.int64]]  # path of a data set of offsets -> its values, (k + 1,)
 
 
-class Source(Protocol):
-    """A file that is open."""
-
-    def __getitem__(self, path: str) -> Any:
-        """Return a data set."""
-
-    def __contains__(self, path: Any) -> bool:
-        """Return whether there is a data set."""
-
-
 def frame_rows(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Arrays:
     """Return the rows of a frame by data set; of those with one row a frame, that row."""
     found = {path: array for path, array in arrays.items() if not path.startswith("fields/")}
@@ -105,7 +95,6 @@ def frame_rows(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> 
 
 
 def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
-    """Return the rows of a field, also of one that is not there."""
     group = f"fields/{name}"
     values: FloatArray = arrays.get(f"{group}/values", np.empty((0, 0, 0)))
     coded, faces = encode(values)
@@ -120,44 +109,27 @@ def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
     return found
 
 
-def read_frame(file: Source, place: int, nutrients: Iterable[str], ends: Ends) -> Arrays:
-    """Return the arrays of a frame, in the order in which a journal has them."""
+def read_frame(file: Any, place: int, nutrients: Iterable[str], ends: Ends) -> Arrays:
+    """Return the arrays of a frame of an open file, in the order in which a journal has them."""
+
+    def rows(path: str, offset: str) -> NDArray[Any]:
+        first, last = ends[offset][place : place + 2]
+        return np.asarray(file[path][int(first) : int(last)])
+
+    def row(path: str) -> NDArray[Any]:
+        return np.array(file[path][place])
+
     names = list(nutrients)
     columns = [*Cells.schema(), *(f"concentration_{name}" for name in names)]
-    cells = {
-        f"cells/{name}": rows_of(file, f"cells/{name}", ends["frames/offset"], place)
-        for name in columns
-        if f"cells/{name}" not in SPARSE or f"cells/{name}" in file
-    }
-    return frame_arrays(file, place, names, ends, without_zeros(cells))
-
-
-def frame_arrays(
-    file: Source, place: int, nutrients: Iterable[str], ends: Ends, cells: Arrays
-) -> Arrays:
-    """Return the arrays of a frame whose columns of cells are known."""
-    arrays = {"time": np.array(file["frames/time"][place])}
-    arrays["step"] = np.array(file["frames/step"][place])
-    arrays |= cells
-    for name in nutrients:
-        arrays |= read_field(file, name, place, ends)
-    for path in ("contacts/pair", "progress/text"):
-        arrays[path] = rows_of(file, path, ends[f"{path.split('/')[0]}/offset"], place)
+    paths = [f"cells/{name}" for name in columns]
+    cells = {x: rows(x, "frames/offset") for x in paths if x not in SPARSE or x in file}
+    arrays = {"time": row("frames/time"), "step": row("frames/step"), **without_zeros(cells)}
+    for group in (f"fields/{name}" for name in names):
+        coded = rows(f"{group}/coded", f"{group}/offset")
+        if len(coded):
+            coded = coded.reshape(row(f"{group}/shape"))
+            arrays[f"{group}/values"] = decode(coded, row(f"{group}/faces"))
+            arrays |= {f"{group}/{key}": row(f"{group}/{key}") for key in FIELD}
+    arrays["contacts/pair"] = rows("contacts/pair", "contacts/offset")
+    arrays["progress/text"] = rows("progress/text", "progress/offset")
     return arrays
-
-
-def read_field(file: Source, name: str, place: int, ends: Ends) -> Arrays:
-    """Return the arrays of a field in a frame, none where there is no field."""
-    group = f"fields/{name}"
-    coded = rows_of(file, f"{group}/coded", ends[f"{group}/offset"], place)
-    if not len(coded):
-        return {}
-    values = decode(coded.reshape(file[f"{group}/shape"][place]), file[f"{group}/faces"][place])
-    rest = {f"{group}/{key}": np.array(file[f"{group}/{key}"][place]) for key in FIELD}
-    return {f"{group}/values": values, **rest}
-
-
-def rows_of(file: Source, path: str, ends: NDArray[np.int64], place: int) -> NDArray[Any]:
-    """Return the rows of a data set that belong to a frame."""
-    first, last = ends[place : place + 2]
-    return np.asarray(file[path][int(first) : int(last)])

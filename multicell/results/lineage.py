@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, IntArray, State, rows_of
 
-DIVISION: Final = "division"
-
 COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
     "births": {"id": np.int64, "parent": np.int64, "kind": np.int16, "time": np.float64},
     "deaths": {"id": np.int64, "time": np.float64},
@@ -102,7 +100,7 @@ class Lineage:
         death[np.searchsorted(ids, deaths["id"])] = deaths["time"]
         place = np.searchsorted(ids, ends["id"])
         end[place], cause[place] = ends["time"], ends["cause"]
-        names = {_ALIVE: "", _DIVIDED: DIVISION, **{int(s): s.name.lower() for s in State}}
+        names = {_ALIVE: "", _DIVIDED: "division", **{int(s): s.name.lower() for s in State}}
         return {
             "id": ids,
             "parent": births["parent"][order],

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 from weakref import ref
 
-import numpy as np
+from numpy.typing import NDArray
 
 from multicell.cells import State
 from multicell.results import observables as of
@@ -59,10 +59,6 @@ def _has_gel(scene: Scene) -> bool:
     return scene.domain is not None and scene.domain.stiffness is not None
 
 
-def _has_shells(scene: Scene) -> bool:
-    return scene.dimensions == 3 and any(n.layout != "box" for n in scene.nutrients.values())
-
-
 def _closes(scene: Scene) -> bool:
     inflow = scene.death is not None and scene.death.inflow
     return scene.dimensions == 3 and (scene.surface is not None or inflow)
@@ -77,39 +73,16 @@ def _walls(state: TissueState) -> Walls | Sphere:
     return found
 
 
-def _pressure_factor(state: TissueState) -> float:
-    factors = state.pressure_factors
-    return float(factors.mean()) if len(factors) else float("nan")
+def _mean(values: NDArray[Any]) -> float:
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def _in_space(find: Callable[[Cells, int, of.Extent], float]) -> Callable[[TissueState], float]:
-    """Return what measures lengths of cells in a scene's dimensions."""
     return lambda state: find(state.cells, state.dimensions, state.extent)
 
 
 def _over_radius(state: TissueState, length: float) -> float:
     return length / state.extent.radius() if len(state.cells) else float("nan")
-
-
-def _load(state: TissueState) -> float:
-    assert state.scene.pull is not None
-    return state.scene.pull.load(state.time)
-
-
-def _count_in(name: str) -> Callable[[TissueState], int]:
-    """Return what counts the cells in a state."""
-    return lambda state: state.state_counts[name]
-
-
-def _living_of(state: TissueState, kind: str) -> int:
-    number = list(state.scene.types).index(kind)
-    return int(np.count_nonzero((state.cells.kind == number) & ~state.cells.dead))
-
-
-def _hypoxic_radius(state: TissueState, field: str) -> float:
-    threshold = state.scene.nutrients[field].quiescence
-    assert threshold is not None
-    return state.extent.radius(state.concentrations[field] < threshold)
 
 
 _length = partial(Observable, unit="um")
@@ -137,7 +110,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "growth_fraction",
-        lambda s: of.growth_fraction(s.cells),
+        lambda s: _mean(s.cells.state[~s.cells.dead] == State.PROLIFERATING),
         exists=_grows,
         absent="without living cells",
         doc="part of living cells that proliferate: in the viable rim, where there is a core",
@@ -183,7 +156,7 @@ OBSERVABLES: Final = (
     ),
     _pressure(
         "largest_pressure",
-        lambda s: of.largest_pressure(s.cells),
+        lambda s: s.cells.pressure.max() if len(s.cells) else 0.0,
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
     ),
     _pressure(
@@ -195,7 +168,10 @@ OBSERVABLES: Final = (
         doc="mean [pressure](contact.md#pressure-of-a-cell) of necrotic cells by their volume, "
         'with which a fluid core holds up the rim; with `death.core = "fluid"`',
     ),
-    *(_count(name, _count_in(name), entry=f"states.{name}") for name in _STATES),
+    *(
+        _count(name, lambda s, name=name: s.state_counts[name], entry=f"states.{name}")
+        for name in _STATES
+    ),
     _count(
         "clonogens",
         lambda s: int((~s.cells.dead & (s.cells.doomed == 0)).sum()),
@@ -213,14 +189,14 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "volume_fraction",
-        lambda s: of.volume_fraction(s.cells, _walls(s)),
+        lambda s: s.cells.volume.sum() / _walls(s).volume,
         exists=_has_walls,
         doc="sum of the cells' volumes over the volume of the `domain`; with elastic walls in"
         " space",
     ),
     _length(
         "domain_radius",
-        lambda s: of.domain_radius(_walls(s)),
+        lambda s: getattr(_walls(s), "radius", float("nan")),
         exists=_has_gel,
         doc="radius to which the cells have widened the cavity of a gel (`domain.stiffness`)",
     ),
@@ -242,7 +218,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "pressure_factor",
-        _pressure_factor,
+        lambda s: _mean(s.pressure_factors),
         exists=_is_pressed,
         absent="without living cells",
         doc=r"mean of $\min(1, \max(0, 1 - p/p_\mathrm{crit}))$ over living cells: the factor of "
@@ -270,22 +246,28 @@ OBSERVABLES: Final = (
     ),
     _length(
         "hypoxic_radius_*",
-        _hypoxic_radius,
+        lambda s, x: s.extent.radius(s.concentrations[x] < s.scene.nutrients[x].quiescence),
         exists=lambda scene: [n for n, f in scene.nutrients.items() if f.quiescence is not None],
         entry="hypoxic_radius.*",
         doc="the same formula over cells below the `quiescence` of a field; 0 without any",
     ),
     _count(
         "living_*",
-        _living_of,
+        lambda s, x: (~s.cells.dead & (s.cells.kind == list(s.scene.types).index(x))).sum(),
         title="living cells of a type",
         exists=lambda scene: list(scene.types) if _has_types(scene) else [],
         entry="living.*",
         doc="number of living cells of a type, where there are several",
     ),
-    Observable("pull", _load, unit="nN", exists=_is_pulled, entry=None),
+    Observable(
+        "pull", lambda s: s.scene.pull.load(s.time), unit="nN", exists=_is_pulled, entry=None
+    ),
     # found by the coupling step
-    Observable("departure_from_a_ball", exists=_has_shells, entry=None),
+    Observable(
+        "departure_from_a_ball",
+        exists=lambda x: x.dimensions == 3 and any(n.layout != "box" for n in x.nutrients.values()),
+        entry=None,
+    ),
     Observable(
         "medium_*",
         unit="mM",
@@ -359,7 +341,6 @@ _MEMORY: list[tuple[ref[Scene], tuple[tuple[Observable, str], ...]]] = []
 
 
 def _ours(scene: Scene) -> tuple[tuple[Observable, str], ...]:
-    """Return those of ours that exist in a scene."""
     for known, found in _MEMORY:
         if known() is scene:
             return found

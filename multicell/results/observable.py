@@ -7,17 +7,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, final
 
+import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, IntArray
+from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.errors import SceneError
-from multicell.results.observables import (
-    Extent,
-    inhibited_radius,
-    pressure_factors,
-    state_counts,
-    touching,
-)
+from multicell.results.observables import Extent, inhibited_radius, touching
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
@@ -79,7 +74,8 @@ class TissueState:
     @cached_property
     def state_counts(self) -> Mapping[str, int]:
         """Number of cells in each state, by the name of the state in lower case."""
-        return state_counts(self.cells)
+        counts = np.bincount(self.cells.state, minlength=len(State)).tolist()
+        return {state.name.lower(): counts[state] for state in State}
 
     @cached_property
     def inhibited_radius(self) -> float:
@@ -88,11 +84,12 @@ class TissueState:
 
     @cached_property
     def pressure_factors(self) -> FloatArray:
-        """Factor of pressure on the growth of each living cell, where pressure limits growth."""
+        """Factor min(1, max(0, 1 - p/p_crit)) of pressure on the growth of each living cell."""
         growth = self.scene.growth
         assert growth is not None
         assert growth.critical_pressure is not None
-        return pressure_factors(self.cells, growth.critical_pressure)
+        pressure = self.cells.pressure[~self.cells.dead]
+        return np.clip(1.0 - pressure / growth.critical_pressure, 0.0, 1.0)
 
     @cached_property
     def sealed(self) -> TissueState:
@@ -196,7 +193,7 @@ class Observable:
         """Return the number for one of :meth:`keys`."""
         assert self.measure is not None
         found = self.measure(state, key) if key else self.measure(state)
-        return represented(state.scene, int(found)) if self.counts else found
+        return represented(state.scene, int(found)) if self.counts else float(found)
 
 
 def represented(scene: Scene, count: int) -> int:

@@ -157,12 +157,6 @@ def viable_rim(cells: Cells, dimensions: int, extent: Extent | None = None) -> f
     return rim(cells, dimensions, [State.NECROTIC], extent)
 
 
-def growth_fraction(cells: Cells) -> float:
-    """Return the part of the living cells that proliferate, NaN without living cells."""
-    living = cells.state[~cells.dead]
-    return float((living == State.PROLIFERATING).mean()) if len(living) else float("nan")
-
-
 FEWEST_INHIBITED = 10
 """Cells: fewer at the centre, by chance without one in S, G2 or M, are no inhibited region."""
 
@@ -204,11 +198,6 @@ def packing_ratio(cells: Cells, dimensions: int, extent: Extent | None = None) -
     return float((cubes(ratio) if dimensions == 3 else ratio * ratio).sum())
 
 
-def volume_fraction(cells: Cells, walls: Walls | Sphere) -> float:
-    """Return the cells' volumes over that of the box; above 1 only where cells overlap."""
-    return float(cells.volume.sum()) / walls.volume
-
-
 def settle(cells: Cells, walls: Walls | Sphere, compression: Compression | None) -> float:
     """Let a gel give way to the cells; return what compressed tissue adds to its pressure, kPa.
 
@@ -220,11 +209,6 @@ def settle(cells: Cells, walls: Walls | Sphere, compression: Compression | None)
         walls.settle(rows, None, None)
         return 0.0
     return compression.wall_pressure(rows, walls)
-
-
-def domain_radius(walls: Walls | Sphere) -> float:
-    """Return the radius of a spherical wall, µm."""
-    return float(getattr(walls, "radius"))  # noqa: B009
 
 
 def wall_pressure(
@@ -243,20 +227,6 @@ def tissue_pressure(cells: Cells, walls: Walls | Sphere) -> float:
     is the pressure on the walls.
     """
     return float(cells.pressure @ cells.volume) / walls.volume
-
-
-def pressure_factors(cells: Cells, critical: float) -> FloatArray:
-    """Return min(1, max(0, 1 - p/p_crit)) of each living cell, with p_crit in kPa.
-
-    It is the factor of pressure on the rate of growth.
-    """
-    return np.clip(1.0 - cells.pressure[~cells.dead] / critical, 0.0, 1.0)
-
-
-def state_counts(cells: Cells) -> dict[str, int]:
-    """Return the number of cells in each state, by the state's name in lower case."""
-    counts = np.bincount(cells.state, minlength=len(State))
-    return {state.name.lower(): int(counts[state]) for state in State}
 
 
 def heterotypic_fraction(cells: Cells, contacts: IntArray) -> float:
@@ -279,14 +249,6 @@ def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:
     return rows[(rows >= 0).all(axis=1)]
 
 
-def largest_pressure(cells: Cells) -> float:
-    """Return the largest pressure of any cell in kPa, 0 without cells.
-
-    That of its own contacts over its own volume; :func:`tissue_pressure` is that of the tissue.
-    """
-    return float(cells.pressure.max()) if len(cells) else 0.0
-
-
 def core_pressure(cells: Cells) -> float:
     """Return the mean pressure of the necrotic cells by their volume, kPa; NaN without any."""
     dead = cells.state == State.NECROTIC
@@ -300,20 +262,14 @@ def core_pressure(cells: Cells) -> float:
 class RadialProfile:
     """Averages over spherical shells, in a plane over rings, about the centre of a population.
 
-    - ``edges``, (b + 1,) float64, µm: boundaries of the shells
-    - ``counts``, (b,) int64: cells whose centre lies in the shell
-    - ``fractions``, state name -> (b,) float64: part of these cells that are in the state; NaN in a
-      shell without cells
-    - ``concentrations``, nutrient name -> (b,) float64, mM: mean concentration at these cells; NaN
-      in a shell without cells
-    - ``pressure``, (b,) float64, kPa: mean pressure of these cells; NaN in a shell without cells
+    Means are NaN in a shell without cells.
     """
 
-    edges: FloatArray
-    counts: IntArray
-    fractions: Mapping[str, FloatArray]
-    concentrations: Mapping[str, FloatArray]
-    pressure: FloatArray
+    edges: FloatArray  # of the shells, (b + 1,) µm
+    counts: IntArray  # cells whose centre lies in the shell, (b,)
+    fractions: Mapping[str, FloatArray]  # part of these cells that are in a state, (b,)
+    concentrations: Mapping[str, FloatArray]  # mean at these cells by field, (b,) mM
+    pressure: FloatArray  # mean of these cells, (b,) kPa
 
     @property
     def middles(self) -> FloatArray:
@@ -331,9 +287,9 @@ def radial_profile(frame: Frame, dimensions: int, bins: int = 20) -> RadialProfi
     return RadialProfile(
         edges=edges,
         counts=np.histogram(radius, edges)[0],
-        fractions={s.name.lower(): _means(radius, edges, cells.state == s) for s in State},
-        concentrations={n: _means(radius, edges, c) for n, c in frame.concentrations.items()},
-        pressure=_means(radius, edges, cells.pressure),
+        fractions={s.name.lower(): means(radius, edges, cells.state == s) for s in State},
+        concentrations={n: means(radius, edges, c) for n, c in frame.concentrations.items()},
+        pressure=means(radius, edges, cells.pressure),
     )
 
 
@@ -347,10 +303,10 @@ def field_profile(field: Field, origin: FloatArray, edges: FloatArray) -> FloatA
     Returns (b,) float64: means over the grid points; NaN in a shell that holds none.
     """
     if field.kind == "radial":
-        return _means(field.axis(0) - field.origin[0], edges, field.values.ravel())
+        return means(field.axis(0) - field.origin[0], edges, field.values.ravel())
     axes = np.meshgrid(*(field.axis(k) - origin[k] for k in range(3)), indexing="ij", sparse=True)
     radius = np.sqrt(sum(axis**2 for axis in axes)).ravel()
-    return _means(radius, edges, field.values.ravel())
+    return means(radius, edges, field.values.ravel())
 
 
 def field_at(field: Field, origin: FloatArray, distance: float) -> float:
@@ -369,27 +325,22 @@ def field_at(field: Field, origin: FloatArray, distance: float) -> float:
     return float(np.interp(abs(distance), middles, means))
 
 
-def _means(radius: FloatArray, edges: FloatArray, values: NDArray[Any]) -> FloatArray:
-    """Average ``values`` by shell; NaN where a shell is empty."""
-    count = np.histogram(radius, edges)[0]
-    total = np.histogram(radius, edges, weights=values.astype(float))[0]
-    means = np.full(len(count), np.nan)
-    np.divide(total, count, out=means, where=count > 0)
-    return means
+def means(place: NDArray[Any], edges: FloatArray, values: NDArray[Any]) -> FloatArray:
+    """Return the means of ``values`` by place between ``edges``; NaN where there are none."""
+    count = np.histogram(place, edges)[0]
+    total = np.histogram(place, edges, weights=values.astype(float))[0]
+    found = np.full(len(count), np.nan)
+    np.divide(total, count, out=found, where=count > 0)
+    return found
 
 
 def counts_contacts(scene: Scene) -> bool:
     """Return whether anything asks for the pairs in contact; to find them costs a little."""
-    if remembers_contacts(scene) or len(scene.types) > 1 or scene.pull is not None:
+    if scene.contact.remembers or len(scene.types) > 1 or scene.pull is not None:
         return True
     named = {name for part in scene.responses.values() for name in part.signals}
     named |= {name for part in scene.signals.values() for name in part.of}
     return any(map(needs_contacts, named))
-
-
-def remembers_contacts(scene: Scene) -> bool:
-    """Return whether the contact law needs to know which pairs were in contact."""
-    return scene.contact.remembers
 
 
 def touching(frame: Frame) -> NDArray[np.int64]:
@@ -402,7 +353,6 @@ def touching(frame: Frame) -> NDArray[np.int64]:
 
 
 def _overlapping(cells: Cells) -> NDArray[np.int64]:
-    """Return the rows of all pairs of cells whose spheres overlap: (m, 2)."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(cells.position)

@@ -15,6 +15,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from numbers import Real
 from typing import Any
 
@@ -84,7 +85,7 @@ def observable(
             column,
             _guard(function, column),
             unit=unit,
-            exists=_requirement(column, needs),
+            exists=partial(_exists, column, needs),
             absent=absent,
             signed=signed,
             function=f"{file}:{source.__qualname__}@{mark}",
@@ -112,17 +113,16 @@ def load_observable(spec: str) -> Observable:
     return found
 
 
-def _requirement(name: str, needs: Sequence[str]) -> Callable[[Scene], bool]:
-    """Return what refuses scenes that lack one of some keys."""
-
-    def exists(scene: Scene) -> bool:
-        for key in needs:
-            if not _has(scene, key):
-                problem = f"needs '{key}', which the scene does not have"
-                raise SceneError(f"output.observables.{name}", problem)
-        return True
-
-    return exists
+def _exists(name: str, needs: Sequence[str], scene: Scene) -> bool:
+    """Return True, or refuse a scene that lacks a part or a value by its dotted key."""
+    for key in needs:
+        found: Any = scene
+        for part in key.split("."):
+            found = found.get(part) if isinstance(found, Mapping) else getattr(found, part, None)
+        if not found:
+            problem = f"needs '{key}', which the scene does not have"
+            raise SceneError(f"output.observables.{name}", problem)
+    return True
 
 
 def _guard(function: Function, name: str) -> Callable[[TissueState], float]:
@@ -139,11 +139,3 @@ def _guard(function: Function, name: str) -> Callable[[TissueState], float]:
         return float(value)
 
     return measure
-
-
-def _has(scene: Scene, key: str) -> bool:
-    """Return whether a scene has a part or a value by its dotted key."""
-    found: Any = scene
-    for part in key.split("."):
-        found = found.get(part) if isinstance(found, Mapping) else getattr(found, part, None)
-    return bool(found)

@@ -53,36 +53,22 @@ def scalar_field(field: Field) -> ScalarField:
     return ScalarField(grid, field.values.reshape(grid.shape), label=field.name)
 
 
-def groups(fields: Mapping[str, Field]) -> list[list[str]]:
-    """Return the names of fields, those that share a grid together."""
-    found: dict[Any, list[str]] = {}
-    for name, field in fields.items():
-        place = (field.kind, tuple(field.origin), field.spacing, field.values.shape, field.height)
-        found.setdefault(place, []).append(name)
-    return list(found.values())
-
-
-def refuse_several(fields: Mapping[str, Field]) -> None:
-    """Refuse fields that live on different grids, and say which share one; raises SceneError."""
-    found = groups(fields)
-    if len(found) > 1:
-        lists = " and ".join(str(group) for group in found)
-        raise SceneError(
-            "fields",
-            f"live on different grids, and one equation has one grid: {lists}",
-            "Ask for one of these lists, or give the fields one spacing, margin and geometry.",
-        )
-
-
 def collection(fields: Mapping[str, Field], names: Iterable[str] | None) -> FieldCollection:
     """Return fields that share a grid as py-pde's collection, their names as labels."""
     wanted = list(fields) if names is None else list(names)
     if isinstance(names, str) or not wanted:
         held = "the frame holds none" if names is None else f"are {names!r}"
         raise SceneError("fields", f"{held}, expected a list of names")
+    grids: dict[Any, list[str]] = {}
     for name in wanted:
         if name not in fields:
             raise SceneError("fields", f"has {name!r}, the frame holds {', '.join(fields)}")
-    chosen = {name: fields[name] for name in wanted}
-    refuse_several(chosen)
-    return FieldCollection([scalar_field(field) for field in chosen.values()])
+        field = fields[name]
+        place = (field.kind, tuple(field.origin), field.spacing, field.values.shape, field.height)
+        grids.setdefault(place, []).append(name)
+    if len(grids) > 1:
+        lists = " and ".join(map(str, grids.values()))
+        problem = f"live on different grids, and one equation has one grid: {lists}"
+        hint = "Ask for one of these lists, or give the fields one spacing, margin and geometry."
+        raise SceneError("fields", problem, hint)
+    return FieldCollection([scalar_field(fields[name]) for name in wanted])

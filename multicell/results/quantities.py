@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, Final
 
 from multicell.results.measures import OBSERVABLES
@@ -77,20 +77,13 @@ All others are finite in every state.
 """
 
 
-@cache
-def _patterns() -> list[tuple[re.Pattern[str], str]]:
-    """Return what matches names with a star, with their units."""
-    return [
-        (re.compile(r"[^.]+".join(map(re.escape, name.split("*")))), unit)
-        for name, unit in UNITS.items()
-        if "*" in name
-    ]
-
-
 @lru_cache(maxsize=1024)  # each run of a study asks for the same names
 def _unit_with_star(name: str) -> str | None:
     """Return the unit of a name that matches one with a star, None if it matches none."""
-    return next((unit for pattern, unit in _patterns() if pattern.fullmatch(name)), None)
+    for known, unit in UNITS.items():
+        if "*" in known and re.fullmatch("[^.]+".join(map(re.escape, known.split("*"))), name):
+            return unit
+    return None
 
 
 def unit_of(name: str) -> str:

@@ -40,30 +40,20 @@ class _Rows(NamedTuple):
 class Contents:
     """The contents of a result folder: ``frames.h5``, and the journal of what came after.
 
-    - ``folder``, Path
-    - ``scene``, str: text of the scene that was run
-    - ``nutrients``, tuple of str
-    - ``places``, list: one entry for each frame
-    - ``columns``, tuple of str: of the history
-    - ``file``, hdf5.File or None
-    - ``journal``, journal.Reader or None: None also where the journal is part of ``frames.h5``
-      already
-    - ``identity``, str: of the journal, or an empty string
-    - ``damage``, str or None: what ends the frames and the history early, in words
-
-    Raises OutputError if there are no results that this version can read.
+    The journal is None also where it is part of ``frames.h5`` already. Raises OutputError if there
+    are no results that this version can read.
     """
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self.file, self.journal = self._open()
-        self.scene = ""
+        self.scene = ""  # text of the scene that was run
         self.nutrients: tuple[str, ...] = ()
-        self.columns: tuple[str, ...] = ()
-        self.places: list[_Place] = []
+        self.columns: tuple[str, ...] = ()  # of the history
+        self.places: list[_Place] = []  # one entry for each frame
         self._rows: list[_Rows] = []
-        self.identity = ""
-        self.damage: str | None = None
+        self.identity = ""  # of the journal
+        self.damage: str | None = None  # what ends the frames and the history early, in words
         if self.file is not None:
             self._follow_file(self.file)
         if self.journal is not None:
@@ -160,18 +150,20 @@ class Contents:
         frames, rows, scene = header["frames"], header["rows"], header["scene"]
         if not (0 <= frames <= len(self.places) and 0 <= rows <= self.rows):
             return False
-        self._cut(int(frames), int(rows))
+        del self.places[int(frames) :]
+        self._rows, before = [], self._rows
+        for part in before:
+            count = min(part.length, int(rows) - self.rows)
+            self._rows += [part._replace(length=count)] if count > 0 else []
         self.scene = str(scene)
         return True
 
     def _add_rows(self, header: Mapping[str, Any], read: Callable[[], Arrays]) -> bool:
-        """Add rows to the history."""
         columns = tuple(map(str, header["columns"]))
         ((_, _, (length, width)),) = header["arrays"]
         known = self.columns or columns
-        if sorted(columns) != sorted(known) or width != len(set(columns)):
-            return False
-        if header["start"] != self.rows:
+        fits = sorted(columns) == sorted(known) and width == len(set(columns))
+        if not fits or header["start"] != self.rows:
             return False
         self.columns = known
 
@@ -180,17 +172,6 @@ class Contents:
 
         self._rows.append(_Rows(int(length), by_column))
         return True
-
-    def _cut(self, frames: int, rows: int) -> None:
-        """Keep the first frames and rows only."""
-        del self.places[frames:]
-        kept, before = [], 0
-        for part in self._rows:
-            count = min(part.length, rows - before)
-            if count > 0:
-                kept.append(part._replace(length=count))
-            before += part.length
-        self._rows = kept
 
     @property
     def rows(self) -> int:
@@ -237,13 +218,11 @@ class Contents:
     def whole(self) -> None:
         """Refuse results of which a part cannot be read any more."""
         if self.damage is not None:
-            count = len(self.places)
-            rest = (
-                f"The frames 0 to {count - 1} can be read: continue from the last of them with "
-                f"'multicell resume --frame {count - 1} --output' and another folder"
-                if count
-                else "No frame can be read"
-            )
+            rest = "No frame can be read"
+            if self.places:
+                last = len(self.places) - 1
+                rest = f"The frames 0 to {last} can be read: continue from the last of them with "
+                rest += f"'multicell resume --frame {last} --output' and another folder"
             raise OutputError(f"'{self.folder / journal.NAME}' is damaged: {self.damage}. {rest}")
 
 

@@ -71,7 +71,9 @@ def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
     for name, values in frame.concentrations.items():
         if len(values) != len(frame.cells):
             raise ValueError(f"{len(values)} values of {name} for {len(frame.cells)} cells")
-    text = b"" if frame.progress is None else json.dumps(_progress_entries(frame.progress)).encode()
+    noted = {} if frame.progress is None else asdict(frame.progress)
+    noted = {name: x for name, x in noted.items() if x or name not in _OF_PARTS}
+    text = json.dumps(noted).encode() if noted else b""
     arrays = {"time": np.array(frame.time, "<f8"), "step": np.array(frame.step, "<i8")}
     arrays |= without_zeros({f"cells/{name}": a for name, a in frame.cells.columns()})
     for name in names:
@@ -90,14 +92,7 @@ def without_zeros(arrays: Arrays) -> Arrays:
     return {path: a for path, a in arrays.items() if path not in SPARSE or a.any()}
 
 
-def _progress_entries(progress: Progress) -> dict[str, Any]:
-    """Return the entries of a progress but those of parts that the scene does not have."""
-    entries = asdict(progress)
-    return {name: x for name, x in entries.items() if x or name not in _OF_PARTS}
-
-
 def _of_field(field: Field) -> Arrays:
-    """Return a field as arrays."""
     if field.unit != UNIT:
         raise ValueError(f"field {field.name} is in {field.unit!r}, must be in {UNIT}")
     stored = {**vars(field), "radial": field.kind == "radial"}
@@ -141,7 +136,6 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
 
 
 def _check(frame: Frame) -> None:
-    """Refuse cells that no run can have written."""
     cells = frame.cells
     if not np.isfinite(frame.time) or frame.step < 0:
         raise OutputError(f"its time is {frame.time:g} s, its step {frame.step}")
@@ -180,7 +174,10 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
         raise OutputError(f"its progress has other entries: {sorted(set(entries) ^ expected)}")
     known = set(nutrients)
     for name, value in entries.items():
-        if not (_fits(value, _KINDS[name]) and _has_keys(name, value, known)):
+        fits = _fits(value, _KINDS[name])
+        if name in ("ledger", "rates", "grids"):
+            fits = fits and set(value) <= known
+        if not fits or (value and name in _KEYS and set(value) != _KEYS[name]):
             raise OutputError(f"its progress has no usable {name}")
     return Progress(**entries)
 
@@ -198,15 +195,6 @@ def _fits(value: Any, kind: Any) -> bool:
         case abc.Mapping:
             return isinstance(value, dict) and all(_fits(x, inner[1]) for x in value.values())
     return any(value is None if one is NoneType else _fits(value, one) for one in inner)
-
-
-def _has_keys(name: str, value: Any, nutrients: set[str]) -> bool:
-    """Return whether a table of a progress has the entries that it must have."""
-    if name in ("ledger", "rates", "grids"):
-        return set(value) <= nutrients
-    if not value or name not in _KEYS:
-        return True
-    return set(value) == _KEYS[name]
 
 
 def parse_table(text: bytes | str) -> dict[str, Any]:

@@ -11,16 +11,13 @@ import numpy as np
 from multicell.results.folder import versions
 from multicell.results.measures import observables_of
 from multicell.results.observable import TissueState, represented
-from multicell.results.observables import counts_contacts, remembers_contacts
 from multicell.results.quantities import units_of
 from multicell.scene.sizes import birth_volume
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
-    from multicell.results.frame import Frame
+    from multicell.results.frame import Frame, Progress
     from multicell.scene.scene import Scene
-
-__all__ = ["counts_contacts", "history_row", "remembers_contacts", "run_summary", "state_summary"]
 
 
 def history_row(scene: Scene, frame: Frame, **found: float) -> dict[str, float]:
@@ -109,8 +106,7 @@ def run_summary(
         "integrator": {
             "method": scene.integrator.method,
             **progress.work,
-            **_shift(progress.replays),
-            **_stability(progress.stability),
+            **_checks(progress),
         },
         "ledger": {**ledgers, **({"relative_remainder": max(remainders)} if remainders else {})},
         **{name: value for name, value in optional.items() if value},
@@ -121,26 +117,21 @@ def run_summary(
     return {**summary, "units": units_of(summary)}
 
 
-def _shift(replays: Mapping[str, float]) -> dict[str, float]:
-    """Return what replays from shifted positions have found, where there were any."""
-    if not replays.get("done"):
-        return {}
-    return {"replays": int(replays["done"]), "largest_shift_effect": replays["largest"]}
-
-
-def _stability(known: Mapping[str, float]) -> dict[str, float]:
-    """Return how far a fixed step was from its limit of stability, where it has one."""
-    if not known.get("measured"):
-        return {}
-    return {
-        "stability_checks": int(known["measured"]),
-        "checks_beyond_stability": int(known["beyond"]),
-        "largest_stability_ratio": known["largest"],
-    }
+def _checks(progress: Progress) -> dict[str, float]:
+    """Return what replays from shifted positions and checks of stability have found, if any."""
+    found: dict[str, float] = {}
+    replays, known = progress.replays, progress.stability
+    if replays.get("done"):
+        found["replays"] = int(replays["done"])
+        found["largest_shift_effect"] = replays["largest"]
+    if known.get("measured"):
+        found["stability_checks"] = int(known["measured"])
+        found["checks_beyond_stability"] = int(known["beyond"])
+        found["largest_stability_ratio"] = known["largest"]
+    return found
 
 
 def _start_notes(states: Mapping[str, int]) -> list[str]:
-    """Return remarks on the states of cells at the start."""
     notes = []
     if states.get("necrotic"):
         notes.append(

@@ -15,10 +15,8 @@ from multicell.results.quantities import known_unit, unit_of
 from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pandas import DataFrame
-    from pyvista import MultiBlock, PolyData
+    from pyvista import MultiBlock
     from xarray import Dataset
 
     from multicell.results.frame import Field, Frame
@@ -28,7 +26,6 @@ NAMED: Final[Mapping[str, list[str]]] = {
     "state": [s.name.lower() for s in sorted(State)],
     "phase": [p.name for p in sorted(Phase)],
 }
-OF_PHASES = ("phase", "progress", "phase_length")
 
 
 def cell_columns(frame: Frame) -> Iterator[tuple[str, NDArray[Any], str]]:
@@ -50,7 +47,7 @@ def cells_table(
     """
     table: dict[str, NDArray[Any]] = {}
     for name, column, unit in cell_columns(frame):
-        if name in OF_PHASES and not phases:
+        if name in ("phase", "progress", "phase_length") and not phases:
             continue
         if name == "kind" and kinds is not None:
             column = kinds[column]
@@ -59,7 +56,8 @@ def cells_table(
         if column.ndim == 1:
             table[titled(name, unit)] = column
         else:
-            for axis, values in zip(_axes(column.shape[1]), column.T, strict=True):
+            axes = _AXES if column.shape[1] == len(_AXES) else range(column.shape[1])
+            for axis, values in zip(axes, column.T, strict=True):
                 table[titled(f"{name}_{axis}", unit)] = values
     return table
 
@@ -80,10 +78,6 @@ def data_frame(table: Mapping[str, NDArray[Any]]) -> DataFrame:
     return frame
 
 
-def _axes(width: int) -> Sequence[str]:
-    return _AXES if width == len(_AXES) else [str(k) for k in range(width)]
-
-
 def history_arrays(history: Mapping[str, NDArray[np.float64]], scene: str) -> Dataset:
     """Return the history of a run as a data set along ``time``, with units, scene and versions.
 
@@ -93,12 +87,9 @@ def history_arrays(history: Mapping[str, NDArray[np.float64]], scene: str) -> Da
     needs("xarray")
     import xarray
 
-    columns = {
-        name: ("time", values, {"units": unit} if (unit := known_unit(name)) else {})
-        for name, values in history.items()
-    }
-    known = {"scene": scene}
-    known |= {f"version_of_{name}": version for name, version in versions().items()}
+    units = {name: {"units": unit} if (unit := known_unit(name)) else {} for name in history}
+    columns = {name: ("time", values, units[name]) for name, values in history.items()}
+    known = {"scene": scene, **{f"version_of_{n}": version for n, version in versions().items()}}
     return xarray.Dataset(columns, attrs=known).set_coords("time")
 
 
@@ -144,16 +135,7 @@ _LATITUDES, _LONGITUDES = 12, 24  # of the boxes that a shell is cut into
 
 
 def blocks(frame: Frame, types: Sequence[str] = ()) -> MultiBlock:
-    """Return the cells and the fields of a frame by name: ``"cells"``, then those of the fields."""
-    parts: dict[str, Any] = {"cells": cells_points(frame, types)}
-    parts |= {name: field_grid(field) for name, field in frame.fields.items()}
-    import pyvista
-
-    return pyvista.MultiBlock(parts)
-
-
-def cells_points(frame: Frame, types: Sequence[str] = ()) -> PolyData:
-    """Return the cells of a frame as points with all that is known of them, in µm.
+    """Return the cells of a frame as points, ``"cells"``, and its fields by name, in µm.
 
     Quantities are named with their units (``radius_um``). States, phases and types are numbers,
     as ParaView colours by numbers; what they mean stands in ``state_names`` and so on.
@@ -163,16 +145,16 @@ def cells_points(frame: Frame, types: Sequence[str] = ()) -> PolyData:
     needs("pyvista")
     import pyvista
 
-    points: PolyData = pyvista.PolyData(np.array(frame.cells.position))
+    points = pyvista.PolyData(np.array(frame.cells.position))
     for name, values, unit in cell_columns(frame):
         if name != "position":
             points.point_data[titled(name, unit)] = np.array(values)
-    names = {**NAMED, "kind": list(types)}
-    for name, words in names.items():
+    for name, words in {**NAMED, "kind": list(types)}.items():
         if words:
             points.field_data[f"{name}_names"] = words
     points.field_data["time_s"] = [frame.time]
-    return points
+    fields = {name: field_grid(field) for name, field in frame.fields.items()}
+    return pyvista.MultiBlock({"cells": points, **fields})
 
 
 def field_grid(field: Field) -> Any:

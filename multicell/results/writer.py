@@ -146,10 +146,10 @@ class Store:
             if contents.journal is None:
                 base = "" if contents.file is None else contents.file.identity
                 journal = Journal.create(folder, _first_record(text, names, base, place + 1, rows))
-                stack.callback(journal.close)
             else:
                 journal = Journal.reopen(contents.journal)
-                stack.callback(journal.close)
+            stack.callback(journal.close)
+            if contents.journal is not None:
                 back = {"kind": "back", "scene": text, "frames": place + 1, "rows": rows}
                 journal.append([(back, {})])
                 journal.sync()
@@ -224,8 +224,10 @@ class Store:
         """Make one file ``frames.h5`` of all that there is."""
         self.flush()
         contents = Contents(self.folder)
+        frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
+        held = contents.scene, contents.nutrients, frames, contents.history(), contents.identity
         try:
-            hdf5.write(self.folder / hdf5.NAME, _whole(contents))
+            hdf5.write(self.folder / hdf5.NAME, *held)
         except OutputError as error:
             raise OutputError(
                 f"{error}. All {len(contents.places)} frames of the run are kept in {JOURNAL} and "
@@ -253,7 +255,6 @@ class Store:
 def _first_record(
     scene: str, nutrients: tuple[str, ...], base: str, frames: int, rows: int
 ) -> dict[str, Any]:
-    """Return the first record of a journal: what it continues from."""
     return {
         "kind": "open",
         "identity": uuid.uuid4().hex,
@@ -263,12 +264,3 @@ def _first_record(
         "scene": scene,
         "nutrients": list(nutrients),
     }
-
-
-def _whole(contents: Contents) -> hdf5.Whole:
-    """Return all that a folder holds as one file is to hold it."""
-    frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
-    return hdf5.Whole(
-        contents.scene, contents.nutrients, frames, contents.history(),
-        uuid.uuid4().hex, contents.identity,
-    )  # fmt: skip

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, Phase, State
 from multicell.errors import DataError, SceneError
 from multicell.schema import choice, count, file_path, near_miss, number, parameters, table, text
-from multicell.tables.columns import PARQUET, Columns, from_bytes, from_object, parsed
-from multicell.tables.h5ad import HDF5, h5ad_columns
+from multicell.tables.columns import PARQUET, Columns, from_bytes, from_h5ad, from_object, parsed
 from multicell.tables.text import read_bytes
 from multicell.tables.titles import Title, read_title, titled, unknown_title
 from multicell.units import RANGES
@@ -195,9 +194,9 @@ class StartTable:
         except DataError as error:
             hint = "Relative paths count from the folder of the scene file."
             raise SceneError("file", f"'{self.file}' {error.problem}", hint) from None
-        if content.startswith(HDF5):  # from here on it is the table that is in it
+        if content.startswith(b"\x89HDF\r\n\x1a\n"):  # from here on it is the table that is in it
             path = Path(self.file)
-            known = h5ad_columns(path, lambda title: _title(title, path.name) is not None)
+            known = from_h5ad(path, lambda title: _title(title, path.name) is not None)
             content = normalise(from_object(known, path.name)).content()
         if self.sha256 not in (None, hashlib.sha256(content).hexdigest()):
             problem = f"'{self.file}' is not the table that the scene was made with"

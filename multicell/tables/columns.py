@@ -1,8 +1,8 @@
-"""Columns of a table from a CSV or Parquet file, a ``DataFrame`` or a mapping of columns."""
+"""Columns of a table from a CSV, Parquet or AnnData file, a ``DataFrame`` or a mapping."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Number
 from pathlib import Path
@@ -21,17 +21,11 @@ PARQUET: Final = b"PAR1"  # what a Parquet file begins with
 @final
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Columns of one length.
+    """Columns of one length."""
 
-    - ``name``: of the file, or ``"cells"``
-    - ``columns``, title -> (n,): float64, int64, or object (text) where a field is no number
-    - ``lines``, (n,) int64 or None: the line of the file that each row stands in; None where there
-      are rows only
-    """
-
-    name: str
-    columns: Mapping[str, NDArray[Any]]
-    lines: NDArray[np.int64] | None = None
+    name: str  # of the file, or "cells"
+    columns: Mapping[str, NDArray[Any]]  # (n,): float64, int64, or text where a field is no number
+    lines: NDArray[np.int64] | None = None  # of the file, (n,); None where there are rows only
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -44,8 +38,9 @@ class Columns:
 
 def from_bytes(content: bytes, name: str) -> Columns:
     """Return the columns of a CSV or Parquet file."""
-    read = _parquet if content[:4] == PARQUET else _csv
-    return _filled(read(content, name))
+    if content[:4] == PARQUET:
+        return _filled(_parquet(content, name))
+    return _filled(_quick(content, name) or _slow(content, name))
 
 
 def from_object(source: Any, name: str) -> Columns:
@@ -57,8 +52,9 @@ def from_object(source: Any, name: str) -> Columns:
         titles = [str(title).strip() for title in source]
         arrays = (_array(column, f"{name}, '{title}'") for title, column in source.items())
     else:
-        problem = f"is a {type(source).__name__}, must be a file, a DataFrame or columns by title"
-        raise DataError(name, problem)
+        raise DataError(
+            name, f"is a {type(source).__name__}, must be a file, a DataFrame or columns by title"
+        )
     return _filled(_gathered(titles, arrays, name))
 
 
@@ -148,14 +144,8 @@ def _of_arrow(column: Any) -> NDArray[Any]:
         return np.array(column.to_pylist(), dtype=object)
 
 
-def _csv(content: bytes, name: str) -> Columns:
-    """Return the columns of CSV text."""
-    quick = _quick(content, name)
-    return _slow(content, name) if quick is None else quick
-
-
 def _quick(content: bytes, name: str) -> Columns | None:
-    """Return the columns as NumPy's reader finds them by the types of the first row.
+    """Return the columns of CSV text as NumPy's reader finds them by the types of the first row.
 
     None where it does not understand the text: then it is read field by field, which knows what is
     wrong and where. What it does understand it reads as that would.
@@ -187,11 +177,37 @@ def _quick(content: bytes, name: str) -> Columns | None:
 
 
 def _slow(content: bytes, name: str) -> Columns:
-    """Return the columns of CSV text, read field by field."""
     (_, titles), *rows = rows_of(content, name)
     fields = zip(*(row for _, row in rows), strict=True) if rows else [()] * len(titles)
     columns = {title: parsed(column) for title, column in zip(titles, fields, strict=True)}
     return Columns(name, columns, np.array([number for number, _ in rows], np.int64))
+
+
+def from_h5ad(path: Path, known: Callable[[str], bool]) -> dict[str, Any]:
+    """Return the columns of AnnData by title: of ``obs``, of ``X``, and ``obsm["spatial"]`` in µm.
+
+    - ``known``: whether a title is wanted; annotations of other programs are left out
+
+    Raises DataError if it is no AnnData file, or none with coordinates.
+    """
+    needs("anndata")
+    import anndata
+
+    try:
+        data = anndata.read_h5ad(path)
+    except Exception as error:  # of several libraries
+        raise DataError(path.name, f"is no AnnData file: {error}") from None
+    found: dict[str, Any] = {title: data.obs[title].astype(object) for title in data.obs}
+    numbers = {title: title not in found for title in data.var_names}
+    found = {title: np.asarray(column) for title, column in found.items() if known(title)}
+    for title in (title for title, new in numbers.items() if new and known(title)):
+        column = data[:, title].X
+        found[title] = np.asarray(column.todense() if hasattr(column, "todense") else column)
+        found[title] = found[title].ravel()
+    if "spatial" in data.obsm:
+        place = np.asarray(data.obsm["spatial"])
+        found |= {f"position_{axis}_um": x for axis, x in zip("xyz", place.T, strict=False)}
+    return found
 
 
 def parsed(column: Sequence[str]) -> NDArray[Any]:
@@ -210,18 +226,12 @@ def parsed(column: Sequence[str]) -> NDArray[Any]:
 @final
 @dataclass(frozen=True)
 class Table:
-    """Titles and fields of a table, without blanks around them.
+    """Titles and fields of a table, without blanks around them."""
 
-    - ``name``: of the file, or ``"data"``
-    - ``titles``: of the columns
-    - ``rows``: the fields of each row; empty text where there is no value
-    - ``places``: each row in words: the line of the file, or the row counted from 0
-    """
-
-    name: str
+    name: str  # of the file, or "data"
     titles: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    places: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]  # fields; empty text where there is no value
+    places: tuple[str, ...]  # each row in words: the line of the file, or the row counted from 0
 
 
 def read_table(source: Any, largest: int) -> Table:

@@ -9,7 +9,6 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
-from synthetic import SCENE, growing_frames, history_of
 
 from multicell.report.plots.colour_vision import PALE, luminance
 from multicell.report.plots.style import (
@@ -23,7 +22,6 @@ from multicell.report.plots.style import (
     styled,
     type_colours,
 )
-from multicell.report.result import Result, history_arrays
 
 STYLE = (files("multicell.report") / "templates" / "style.css").read_text()
 DARK = STYLE[STYLE.index("prefers-color-scheme:dark") :]
@@ -91,13 +89,3 @@ def test_a_page_holds_a_picture_without_its_title():
     assert (shown.wide, shown.high) == (960, 576)
     assert shown.subtitle == "what is shown"
     assert drawn[0, 0].tolist() == [255, 255, 255]
-
-
-def test_a_report_holds_each_picture_once_and_smaller_than_its_file(tmp_path):
-    frames = growing_frames(count=4, last=1500)
-    result = Result(None, frames, history_arrays(history_of(frames)), {}, SCENE)
-    page = result.report(tmp_path).read_text("utf-8")
-    held = re.findall(r'<img [^>]*src="([^"]+)"', page)
-    assert len(held) == len(list(tmp_path.glob("*.png"))) == 3
-    # with few colours, in base64
-    assert sum(map(len, held)) < 4 / 3 * sum(path.stat().st_size for path in tmp_path.glob("*.png"))

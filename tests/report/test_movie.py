@@ -61,7 +61,6 @@ def test_a_film_lasts_as_long_as_its_frames(small_run, tmp_path):
 REFUSED = {
     "kind": (["-o", "a.avi"], r"must end in \.gif or \.webp or \.mp4"),
     "rate": (["-o", "a.gif", "--rate", "0"], "above 0"),
-    "colour": (["-o", "a.gif", "--colour", "presure"], "Did you mean 'pressure'"),
     "plane": (["-o", "a.gif", "--section", "x=900"], "cuts no cell"),
 }
 
@@ -74,10 +73,3 @@ def test_what_cannot_be_made_is_said(small_run, tmp_path, monkeypatch, case):
     assert done.exit_code == 2, done.output
     assert re.search(words, done.output)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_command(small_run, tmp_path):
-    given = ["movie", str(small_run.folder), "-o", str(tmp_path / "d.gif"), "--colour", "age"]
-    assert CliRunner().invoke(main, given).exit_code == 0
-    assert (tmp_path / "d.gif").stat().st_size > 10_000
-    assert CliRunner().invoke(main, given).exit_code == 2

@@ -15,10 +15,8 @@ from multicell.cells import State
 from multicell.report.plots import contacts as contact_plots
 from multicell.report.plots import style as drawing
 from multicell.report.plots.run import Plots
-from multicell.results import folder
 from multicell.results.frame import Frame
 from multicell.results.observables import diameter, heterotypic_fraction
-from multicell.results.writer import Store
 from multicell.scene.pairs import pair_of, pairs
 from multicell.scene.scene import Scene
 
@@ -70,12 +68,6 @@ def test_section_is_coloured_by_type_and_dead_cells_stay_dark():
     assert not any("proliferating" in text for text in words)
 
 
-def test_one_type_leaves_the_colours_of_the_states():
-    scene = BARE.with_changes({"types": {"only": {}}})
-    figure = Plots([Frame(0.0, 0, cells_at(ball(20)))], {}, scene).section()
-    assert any("proliferating" in text for text in texts(figure))
-
-
 def test_a_type_may_be_named_like_a_state_or_a_hidden_label():
     cells = cells_at([[0.0, 0, 0], [12.0, 0, 0], [0, 12.0, 0], [0, 0, 0]], state=[0, 0, 2, 0])
     cells.kind[:] = [0, 1, 1, 1]
@@ -87,22 +79,11 @@ def test_a_type_may_be_named_like_a_state_or_a_hidden_label():
     assert any("_hidden (2)" in text for text in words)
 
 
-def lightness(colour):
-    return np.array([0.2126, 0.7152, 0.0722]) @ np.array(mpl.colors.to_rgb(colour)) ** 2.2
-
-
 @pytest.mark.parametrize("count", [2, 7, 12])
 def test_types_have_colours_of_their_own(count):
     colours = list(drawing.type_colours([f"type{k}" for k in range(count)]).values())
     assert len(set(colours)) == count
     assert drawing.COLOURS["necrotic"] not in colours
-
-
-def test_first_two_types_and_death_differ_in_lightness():
-    blue, orange = (lightness(c) for c in drawing.type_colours(["a", "b"]).values())
-    dark = lightness(drawing.COLOURS["necrotic"])
-    assert (orange + 0.05) / (blue + 0.05) > 1.8
-    assert (blue + 0.05) / (dark + 0.05) > 1.8
 
 
 def test_two_cells_are_cut_through_both_centres():
@@ -236,8 +217,7 @@ def test_pull_on_more_cells_is_over_their_diameter():
     assert "not pulled apart" in " ".join(texts(figure))
 
 
-@pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
-@pytest.mark.parametrize(("i", "j"), [(5.0, 5.0), (4.0, 11.0)])
+@pytest.mark.parametrize(("law", "i", "j"), [("jkr", 4.0, 11.0), ("exact-jkr", 5.0, 5.0)])
 def test_deepest_attraction_is_the_pull_off_of_jkr(law, i, j):
     scene = Scene.from_dict({**STICKY, "contact": {"law": law, "surface_energy": 0.07}})
     load, _ = pair_of(scene, 0, 0, i, j).deepest()
@@ -269,11 +249,9 @@ def test_bonds_shift_equilibrium_and_pull_off():
 
 
 def test_each_pair_of_types_has_its_own_surface_energy():
-    scene = mc.load_scene("sorting")
-    loads = {name: pair.deepest()[0] for name, pair in pairs(scene, 4.0)}
-    assert loads["cohesive-cohesive"] == pytest.approx(1.5 * np.pi * 0.2 * 2.0)
-    assert loads["cohesive-loose"] == pytest.approx(1.5 * np.pi * 0.1 * 2.0)
-    assert loads["loose-loose"] == pytest.approx(1.5 * np.pi * 0.1 * 2.0)
+    found = {name: pair.deepest()[0] for name, pair in pairs(mc.load_scene("sorting"), 4.0)}
+    energies = {"cohesive-cohesive": 0.2, "cohesive-loose": 0.1, "loose-loose": 0.1}
+    assert found == pytest.approx({name: 3.0 * np.pi * x for name, x in energies.items()})
 
 
 # --- report, summary and folder ----------------------------------------------------------------
@@ -299,23 +277,3 @@ def test_report_of_the_mixture_has_the_fraction_first_and_last(mixture):
     assert (mixture.folder / "contacts.png").is_file()
     summary = json.loads((mixture.folder / "summary.json").read_text())
     assert summary["heterotypic_fraction"] == mixture.history["heterotypic_fraction"][-1]
-
-
-def test_overwriting_removes_the_pictures_of_an_earlier_run(tmp_path):
-    assert {"contacts.png", "pull.png"} <= set(folder.FILES)
-    for name in ("contacts.png", "pull.png", "mine.png"):
-        (tmp_path / name).write_bytes(b"x")
-    Store.create(tmp_path, BARE, overwrite=True).close()
-    left = {entry.name for entry in tmp_path.iterdir()}
-    assert left == {"mine.png", "scene.toml", "frames.journal"}
-
-
-def test_growth_picture_of_cells_that_only_move_has_no_panel_without_news(doublet):
-    figure = doublet.plot.growth()
-    rendered(figure)
-    words = texts(figure)
-    assert "Diameter" in words
-    assert "Largest pressure of a cell" in words
-    assert "Cells by state" not in words
-    for axes in figure.axes:
-        assert all(np.ptp(line.get_ydata()) > 0 for line in axes.get_lines())

@@ -7,12 +7,11 @@ from synthetic import SCENE, cells_at, growing_frames, history_of
 
 import multicell as mc
 from multicell.report.plots.run import PICTURES, Plots
-from multicell.report.result import Result, history_arrays
+from multicell.report.result import history_arrays
 from multicell.results import observables
 from multicell.results.frame import Frame
 from multicell.results.summary import history_row
 from multicell.scene.scene import Scene
-from multicell.simulation import Simulation
 
 
 def scene(geometry="box", **more):
@@ -22,6 +21,7 @@ def scene(geometry="box", **more):
             "title": "Three fields",
             "duration": "1 h",
             "coupling_step": "15 min",
+            "output": {"every": "15 min"},
             "initial": {"count": 120},
             "growth": {},
             "nutrients": {
@@ -40,13 +40,7 @@ def scene(geometry="box", **more):
 def result(request):
     flat = {"dimensions": 2} if request.param == "plane" else {}
     chosen = scene("box" if flat else request.param, **flat)
-    simulation = Simulation(chosen)
-    rows, frames = [simulation.history_row()], [simulation.frame()]
-    while not simulation.finished:
-        simulation.step()
-        rows.append(simulation.history_row())
-        frames.append(simulation.frame())
-    return Result(None, frames, history_arrays(rows), simulation.summary(), chosen)
+    return mc.run(chosen)
 
 
 def titles(figure):
@@ -83,12 +77,14 @@ def test_history_and_summary_tell_the_hypoxic_radius(result):
     assert "hypoxic_radius_glucose" not in result.history
 
 
+@pytest.mark.parametrize("result", ["box"], indirect=True)
 def test_growth_marks_the_switch_of_the_medium(result):
     figure = result.plot.growth()
     texts = [text.get_text().strip() for text in figure.findobj(mpl.text.Text)]
     assert "oxygen 0.065 mM" in texts
 
 
+@pytest.mark.parametrize("result", ["box"], indirect=True)
 def test_report_has_one_ledger_with_a_column_for_each_field(result, tmp_path, monkeypatch):
     only = {"fields": PICTURES["fields"]}  # the others are drawn elsewhere
     monkeypatch.setattr("multicell.report.page.PICTURES", only)

@@ -51,17 +51,17 @@ def test_growth_that_nothing_limits_is_exponential():
     assert rate == pytest.approx(1.0 + 0.01 * 0.5 * math.log(2.0), abs=2e-4)
 
 
-@pytest.mark.parametrize("count", range(1, 40))
-def test_tissue_that_starves_at_once_leaves_nobody(count):
+def test_tissue_that_starves_at_once_leaves_nobody():
     """Parts of all shells may add up to more than one by rounding."""
     scene = mc.load_scene("settle").with_changes({
-        "initial.count": count, "initial.stage": "birth", "death": {"lysis_time": "1 s"},
+        "initial.stage": "birth", "death": {"lysis_time": "1 s"},
         "nutrients": {"oxygen": {"boundary": "0.05 mM", "necrosis": "0.1 mM"}},
     })  # fmt: skip
-    found = course(scene)
-    assert found.cells.dtype == found.radius.dtype == np.float64
-    assert found.cells[-1] == pytest.approx(0.0, abs=1e-9)
-    assert 0.0 <= found.radius[-1] < 1e-3
+    for count in range(1, 40):
+        found = course(scene.with_changes({"initial.count": count}))
+        assert found.cells.dtype == found.radius.dtype == np.float64
+        assert found.cells[-1] == pytest.approx(0.0, abs=1e-9), count
+        assert 0.0 <= found.radius[-1] < 1e-3
 
 
 def test_a_run_that_stops_early_is_foretold_to():

@@ -114,15 +114,10 @@ def test_of_many_frames_first_and_last_and_some_between_are_shown():
     assert view.note == "50 of 173 frames are shown."
 
 
-@pytest.fixture(scope="module")
-def long_run(tmp_path_factory):
-    """A run whose history has more rows than the curves have points, and frames between them."""
+def test_curves_have_at_every_frame_the_numbers_of_that_frame():
+    """The history has more rows than the curves have points, and frames between them."""
     changes = {"duration": "80 h", "coupling_step": "10 min", "output.every": "1.5 h"}
-    scene = mc.load_scene("growth").with_changes(changes)
-    return mc.run(scene, output=tmp_path_factory.mktemp("long") / "run")
-
-
-def test_curves_have_at_every_frame_the_numbers_of_that_frame(long_run):
+    long_run = mc.run(mc.load_scene("growth").with_changes(changes))
     view = pack.pack_frames(long_run, max_cells=12)
     assert len(long_run.history["time"]) > pack.POINTS
     frames = [frame for frame in long_run.frames if len(frame.cells)]
@@ -161,9 +156,7 @@ def test_cells_that_move_little_are_packed_in_few_bytes_and_unpacked_as_they_wer
     moved.position += rng.normal(0.0, 0.5, moved.position.shape)
     born = spread(100, seed=9).cells
     born.id += 100_000
-    rows = {name: np.concatenate([getattr(moved, name), getattr(born, name)])
-            for name in ("id", "parent", "position", "radius", "young", "poisson", "state", "age",
-                         "cycle_time", "pressure")}  # fmt: skip
+    rows = {name: np.concatenate([old, getattr(born, name)]) for name, old in moved.columns()}
     second = Frame(3600.0, 1, Cells(**rows))
     alone = len(base64.b64decode(pack.pack_frames(result_of(first)).data))
     view = pack.pack_frames(result_of(first, second))
@@ -223,32 +216,6 @@ def browser():
         started.close()
 
 
-@pytest.mark.slow
-def test_the_page_says_one_number_of_cells_at_every_frame(browser, long_run):
-    # a small window: what is drawn is not looked at
-    page = browser.new_context(viewport={"width": 300, "height": 200}).new_page()
-    page.goto((long_run.folder / "report.html").as_uri())
-    page.wait_for_selector("#viewer.ready", timeout=60_000)
-    shown = page.evaluate(
-        """multicellViewer.frames.map((frame, k) => {
-          multicellViewer.show(k);
-          const part = (name) => document.querySelector(`[data-part="${name}"]`);
-          const charts = [...document.querySelectorAll(".curves svg")];
-          const chart = charts.find((svg) => svg.querySelector("text").textContent === "Cells");
-          return { cells: frame.cells, status: part("status").textContent,
-                   curve: chart.querySelector(".value").textContent,
-                   legend: part("legend").textContent };
-        })"""
-    )
-    page.context.close()
-    assert len(shown) == pack.MAX_FRAMES
-    for entry in shown:
-        assert re.search(r": (\S+) cell", entry["status"])[1] == f"{entry['cells']:,}"
-        assert entry["curve"].strip() == f"{entry['cells']:,}"
-        counts = re.findall(r"\(([\d,]+)\)", entry["legend"])
-        assert sum(int(count.replace(",", "")) for count in counts) == entry["cells"]
-
-
 @pytest.fixture
 def opened(browser, run, request):
     wide, scheme = request.param
@@ -279,6 +246,23 @@ def colours(page):
     page.evaluate("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
     picture = page.locator('[data-part="canvas"]').screenshot()
     return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
+
+
+def check_counts(page):
+    """Status, curve and legend say one number of cells at every frame."""
+    shown = page.evaluate(
+        """multicellViewer.frames.map((frame, k) => {
+          multicellViewer.show(k);
+          const part = (name) => document.querySelector(`[data-part="${name}"]`).textContent;
+          const charts = [...document.querySelectorAll(".curves svg")];
+          const chart = charts.find((svg) => svg.querySelector("text").textContent === "Cells");
+          return [`${frame.cells}`, part("status").match(/: (\\S+) cell/)[1],
+                  chart.querySelector(".value").textContent.trim(), part("legend")];
+        })"""
+    )
+    for count, *said, legend in shown:
+        groups = re.findall(r"\(([\d,]+)\)", legend)
+        assert {*said, str(sum(map(int, groups)))} == {count}
 
 
 def check_layout(page):
@@ -371,6 +355,7 @@ def test_the_page_shows_cells_and_its_controls_work(opened, run):
     count = len(run.frames[-1].cells)
     status = opened.locator('[data-part="status"]')
     assert f"{count} cells" in status.inner_text()
+    check_counts(opened)
     check_layout(opened)
     check_pointer(opened, run.frames[-1].cells)
     # with every cell drawn the picture is the same: only what nobody sees is left out
@@ -404,6 +389,7 @@ def test_the_page_shows_cells_and_its_controls_work(opened, run):
 
 def test_view_writes_the_page_where_it_is_older_than_the_run(run, tmp_path, monkeypatch):
     opened = []
+    monkeypatch.setattr("multicell.report.page.PICTURES", {})
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
     folder = tmp_path / "run"
     shutil.copytree(run.folder, folder)

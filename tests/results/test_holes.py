@@ -10,7 +10,7 @@ from multicell.results.observables import largest_hole
 
 def _without(inside):
     """A dense ball of cells of 5 µm, less those that a function of the position takes out."""
-    x = packed_ball(6000) * 9.5
+    x = packed_ball(3000) * 9.5
     x = x + np.random.default_rng(1).normal(scale=0.3, size=x.shape)
     return cells_at(x[~inside(x)], radius=5.0)
 
@@ -19,8 +19,7 @@ def test_dense_tissue_has_no_hole_of_the_size_of_a_cell():
     assert 0.0 < largest_hole(_without(lambda x: np.zeros(len(x), bool))) < 5.0
 
 
-@pytest.mark.parametrize("shift", [0.0, 35.0])
-@pytest.mark.parametrize("size", [15.0, 30.0, 45.0])
+@pytest.mark.parametrize(("size", "shift"), [(15.0, 30.0), (35.0, 0.0)])
 def test_a_ball_that_is_taken_out_is_found(size, shift):
     cells = _without(lambda x: np.linalg.norm(x - [shift, 0, 0], axis=1) < size + 5.0)
     nearest = np.linalg.norm(cells.position - [shift, 0, 0], axis=1).min() - 5.0

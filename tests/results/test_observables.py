@@ -18,26 +18,20 @@ def _uniform_ball(radius, count=200_000, seed=3):
     return direction * (radius * rng.random(count) ** (1 / 3))[:, None]
 
 
-def test_one_cell_has_its_own_size_wherever_it_lies():
+def test_one_cell_has_its_own_size_wherever_it_lies_and_is_all_core_if_necrotic():
     cells = cells_at([[40.0, -3.0, 7.0]], radius=4.5)
     assert observables.diameter(cells, 3) == pytest.approx(9.0, rel=1e-14)
     assert np.isnan(observables.viable_rim(cells, 3))
     assert observables.necrotic_radius(cells, 3) == 0.0
-
-
-def test_one_necrotic_cell_is_all_core():
-    cells = cells_at([[1.0, 2.0, 3.0]], radius=4.5, state=State.NECROTIC)
+    cells.state[:] = State.NECROTIC
     assert observables.necrotic_radius(cells, 3) == pytest.approx(4.5, rel=1e-14)
     assert observables.viable_rim(cells, 3) == pytest.approx(0.0, abs=1e-14)
 
 
-def test_two_cells_follow_the_parallel_axis_theorem():
+def test_two_cells_follow_the_parallel_axis_theorem_and_weigh_as_their_volumes():
     cells = cells_at([[-6.0, 0.0, 0.0], [6.0, 0.0, 0.0]], radius=5.0)
     expected = np.sqrt(5.0 / 3.0 * (36.0 + 0.6 * 25.0))
     assert observables.diameter(cells, 3) == pytest.approx(2.0 * expected, rel=1e-14)
-
-
-def test_centre_is_weighted_by_volume():
     cells = cells_at([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], radius=[2.0, 1.0])
     np.testing.assert_allclose(observables.centre(cells, 3), [1.0, 0.0, 0.0], rtol=1e-14)
 
@@ -57,27 +51,19 @@ def test_packed_ball_does_not_depend_on_the_cells_overlap():
     assert large**2 - small**2 == pytest.approx(4.0 * (25.0 - 1.0), rel=1e-9)
 
 
-def test_ball_with_core_gives_core_and_rim():
-    position = _uniform_ball(100.0)
-    core = np.linalg.norm(position, axis=1) < 60.0
-    state = np.where(core, State.NECROTIC, State.PROLIFERATING)
-    cells = cells_at(position, radius=0.2, state=state)
-    assert observables.necrotic_radius(cells, 3) == pytest.approx(60.0, rel=4e-3)
-    assert observables.viable_rim(cells, 3) == pytest.approx(40.0, rel=1e-2)
-    counts = observables.state_counts(cells)
-    assert counts == {"proliferating": int((~core).sum()), "quiescent": 0, "necrotic": core.sum(),
-                      "apoptotic": 0}  # fmt: skip
-
-
-def test_layers_of_a_ball_give_the_rim_that_proliferates_and_its_part():
+def test_layers_of_a_ball_give_core_rims_and_the_part_that_proliferates():
     """A ball of radius 100 whose cells are necrotic within 60 and quiescent up to 80 µm."""
     position = _uniform_ball(100.0)
     states = np.array([State.NECROTIC, State.QUIESCENT, State.PROLIFERATING])
-    state = states[np.digitize(np.linalg.norm(position, axis=1), [60.0, 80.0])]
+    layer = np.digitize(np.linalg.norm(position, axis=1), [60.0, 80.0])
+    state = states[layer]
     frame = Frame(0.0, 0, cells_at(position, radius=0.2, state=state), {})
     row = history_row(BARE.with_changes({"growth": {}}), frame)
     assert row["proliferating_rim"] == pytest.approx(20.0, rel=2e-2)
     assert row["viable_rim"] == pytest.approx(40.0, rel=1e-2)
+    assert row["necrotic_radius"] == pytest.approx(60.0, rel=4e-3)
+    names = ("necrotic", "quiescent", "proliferating", "apoptotic")
+    assert [row[name] for name in names] == np.bincount(layer, minlength=4).tolist()
     assert row["radius"] == pytest.approx(0.5 * row["diameter"])
     part = (1.0 - 0.8**3) / (1.0 - 0.6**3)
     assert row["growth_fraction"] == pytest.approx(part, abs=4 * (part / len(position)) ** 0.5)
@@ -127,11 +113,6 @@ def test_profile_of_a_linear_concentration_is_its_mean_by_shell():
     np.testing.assert_allclose(profile.concentrations["oxygen"], [np.nan, 3.0, 10.0])
 
 
-def test_profile_refuses_no_bins():
-    with pytest.raises(ValueError, match="at least 1 bin"):
-        observables.radial_profile(spheroid(20), 3, bins=0)
-
-
 def test_field_profile_of_the_squared_radius():
     n, spacing = 40, 2.0
     axis = (np.arange(n) + 0.5) * spacing
@@ -149,7 +130,7 @@ def test_field_profile_of_the_squared_radius():
     [
         ({"origin": np.zeros(2)}, "origin"),
         ({"spacing": 0.0}, "spacing"),
-        ({"values": [1.0]}, "1 d"),
+        ({"values": []}, "1 d"),
     ],
 )
 def test_field_refuses_wrong_shapes(change, words):
@@ -168,7 +149,7 @@ def _with_cycling_share(share, count=20_000, radius=100.0):
     return cells
 
 
-@pytest.mark.parametrize("edge", [0.0, 30.0, 70.0, 95.0])
+@pytest.mark.parametrize("edge", [0.0, 30.0, 95.0])
 def test_inhibited_radius_is_where_cycling_stops(edge):
     cells = _with_cycling_share(lambda r: 0.5 * (r > edge))
     assert observables.inhibited_radius(cells, 3) == pytest.approx(edge, abs=1.0)

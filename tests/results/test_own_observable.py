@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import multicell as mc
 from multicell.calibration.data import read_data
 from multicell.calibration.sensitivity import observables_of as asked_of
 from multicell.calibration.simulator import SceneSimulator
+from multicell.cli.main import main
 from multicell.errors import SceneError
 from multicell.results.measures import OBSERVABLES, observables_of
 from multicell.results.observable import OWN
@@ -49,7 +51,15 @@ def oxygen(state):
     return state.concentrations["oxygen"].sum()
 
 
-def test_it_is_in_history_summary_tables_and_report(tmp_path):
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(TEXT, encoding="utf-8")
+    return path
+
+
+def test_it_is_in_history_summary_tables_and_report(tmp_path, monkeypatch):
+    monkeypatch.setattr("multicell.report.page.PICTURES", {})
     scene = GROWING.with_observables(surface)
     result = mc.run(scene, output=tmp_path / "run")
     for frame, row in zip(result.frames, result.history["surface"], strict=True):
@@ -71,9 +81,7 @@ def test_a_run_with_it_has_the_same_bits():
         np.testing.assert_array_equal(values, observed.history[name])
 
 
-def test_it_is_read_and_resumed_by_a_process_that_knows_it_only_if_loaded(tmp_path):
-    file = tmp_path / "mine.py"
-    file.write_text(TEXT, encoding="utf-8")
+def test_it_is_read_and_resumed_by_a_process_that_knows_it_only_if_loaded(file, tmp_path):
     own = mc.load_observable(f"{file}:surface")
     mc.run(GROWING.with_observables(own), output=tmp_path / "run", report=False)
     code = f"""
@@ -105,9 +113,7 @@ def test_data_and_analyses_may_name_it():
         asked_of(GROWING, ["surface"])
 
 
-def test_runs_of_a_fit_load_and_measure_it(tmp_path):
-    file = tmp_path / "mine.py"
-    file.write_text(TEXT, encoding="utf-8")
+def test_runs_of_a_fit_load_and_measure_it(file):
     own = mc.load_observable(f"{file}:surface")
     scene = GROWING.with_observables(own)
     measured = read_data({"time / min": [40], "surface_of_cells / um^2": [900.0]}, scene)
@@ -119,9 +125,7 @@ def test_runs_of_a_fit_load_and_measure_it(tmp_path):
     assert large.values[0] == pytest.approx(1.44 * small.values[0], rel=0.02)
 
 
-def test_workers_of_studies_load_it(tmp_path):
-    file = tmp_path / "mine.py"
-    file.write_text(TEXT, encoding="utf-8")
+def test_workers_of_studies_load_it(file, tmp_path):
     scene = GROWING.with_observables(mc.load_observable(f"{file}:surface"))
     made = mc.study(scene, vary={"cells.division_radius": ["5 um", "6 um"]}, output=tmp_path / "s")
     made.run(cores=2)
@@ -130,20 +134,18 @@ def test_workers_of_studies_load_it(tmp_path):
     assert np.isfinite(table["surface_of_cells"].isel(time=-1)).all()
 
 
-def test_the_command_records_it(tmp_path):
-    file = tmp_path / "mine.py"
-    file.write_text(TEXT, encoding="utf-8")
-    command = [sys.executable, "-m", "multicell", "run", "growth", "--set", "duration=20 min",
-               "--observable", f"{file}:surface", "--no-report",
-               "-o", str(tmp_path / "run")]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert "surface of cells" in done.stdout + done.stderr
+def test_the_command_records_it(file, tmp_path):
+    def call(spec, *more):
+        given = ["--set", "duration=20 min", "--no-report", "-o", str(tmp_path / "run"), *more]
+        return CliRunner().invoke(main, ["run", "growth", "--observable", spec, *given])
+
+    done = call(f"{file}:surface")
+    assert done.exit_code == 0, done.output
+    assert "surface of cells" in done.output
     assert len(mc.load_result(tmp_path / "run").history["surface_of_cells"]) > 1
-    command[command.index("--observable") + 1] = f"{file}:TEXT"
-    refused = subprocess.run([*command, "--overwrite"], capture_output=True, text=True, timeout=300)
-    assert refused.returncode == 2
-    assert "has nothing called 'TEXT'" in refused.stderr
+    refused = call(f"{file}:TEXT", "--overwrite")
+    assert refused.exit_code == 2
+    assert "has nothing called 'TEXT'" in refused.output
 
 
 def test_a_scene_without_what_it_needs_refuses_it():
@@ -235,27 +237,22 @@ def test_a_fault_in_a_run_has_file_and_line_and_the_run_can_be_resumed(tmp_path)
     assert result.history["of_a_test"].tolist() == [1.0, 1.0, 1.0, 2.0]
 
 
-WALLED = {
-    "duration": "1 h",
-    "initial": {"count": 9},
-    "domain": {**{axis: [-60.0, 60.0] for axis in "xyz"}, "wall": "elastic"},
-}
+FEW = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9}}
+WALLED = {**FEW, "domain": {**{axis: [-60.0, 60.0] for axis in "xyz"}, "wall": "elastic"}}
 PULLED = {"duration": "1 min", "coupling_step": "10 s", "initial": {"count": 2, "spacing": 0.95},
           "pull": {"force": 1.0, "rate": 0.01}}  # fmt: skip
-HIT = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9}, "growth": {},
+HIT = {**FEW, "growth": {},
        "radiation": {"course": {"dose": "2 Gy", "times": ["10 min"], "alpha": "0.3 1/Gy",
                                 "mitotic_divisions": 1}}}  # fmt: skip
-PHASED = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9},
+PHASED = {**FEW,
           "growth": {"phases": {"G1": {"duration": "9 h"}, "S": {"duration": "8 h"},
                                 "G2": {"duration": "4 h"}, "M": {"duration": "1 h"}}}}  # fmt: skip
-DYING = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9}, "growth": {}}
-GEL = {"duration": "1 h", "initial": {"count": 9},
-       "domain": {"shape": "sphere", "radius": "60 um", "stiffness": "10 kPa"}}  # fmt: skip
+GEL = {**FEW, "domain": {"shape": "sphere", "radius": "60 um", "stiffness": "10 kPa"}}
 FURTHER = {
     **dict.fromkeys(("necrotic_ratio", "inhibited_radius", "inhibited_ratio"), PHASED),
     **dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
-    "core_pressure": {**DYING, "death": {"core": "fluid"}}, "domain_radius": GEL,
-    "largest_hole": {**DYING, "death": {"inflow": True}},
+    "core_pressure": {**FEW, "growth": {}, "death": {"core": "fluid"}}, "domain_radius": GEL,
+    "largest_hole": {**FEW, "growth": {}, "death": {"inflow": True}},
     "pull": PULLED, "clonogens": HIT, "doomed": HIT,
 }  # fmt: skip
 

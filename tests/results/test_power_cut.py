@@ -10,29 +10,28 @@ import pytest
 CALLS = "write,pwrite64,ftruncate,fsync,fdatasync,rename,renameat,renameat2,unlink"
 STEPS = """
 import multicell as mc
+from multicell.results import journal
+journal._SYNC_EVERY = 0.0  # frames that come later than a second after each other
 scene = mc.load_scene("settle").with_changes(
-    {{"duration": "5 min", "initial.count": 8, "output.every": "1 min"}}
+    {"duration": "5 min", "initial.count": 8, "output.every": "1 min"}
 )
-{act}
+mc.run(scene, output="out")
+mc.resume("out", changes={"duration": "6 min"}, report=False)
+mc.export("out", "tables")
 """
-RUN = 'mc.run(scene, output="out", report=False)'
-ACTS = {
-    "run": RUN,
-    "slow": "from multicell.results import journal\njournal._SYNC_EVERY = 0.0\n" + RUN,
-    "resume": RUN + '\nmc.resume("out", changes={"duration": "6 min"}, report=False)',
-    "report": RUN.replace(", report=False", ""),
-    "export": RUN + '\nfrom multicell.report.exports import export\nexport("out", "tables")',
-}
 CALL = re.compile(r"^(?:\d+ +)?(\w+)\((.*)\) += (\d+)")
 PLACE = re.compile(r"^\d+<(.*?)>")
 
 
-def calls(act, folder):
-    """Return name and paths of the system calls that change files in a folder, in their order."""
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return a folder, and name and paths of the calls that change files in it, in their order."""
+    folder = tmp_path_factory.mktemp("power").resolve() / "place"
+    folder.mkdir()
     trace = folder.parent / "trace"
     subprocess.run(
         ["strace", "-f", "-y", "-qq", "-s", "4", "-e", f"trace={CALLS}", "-o", trace,
-         sys.executable, "-c", STEPS.format(act=ACTS[act])],
+         sys.executable, "-c", STEPS],
         check=True, cwd=folder, capture_output=True,
     )  # fmt: skip
     found = []
@@ -41,26 +40,20 @@ def calls(act, folder):
         if call is None:
             continue
         name, arguments, _ = call.groups()
-        opened = PLACE.match(arguments)
-        if name.startswith("rename"):
-            paths = [str((folder / text).resolve()) for text in re.findall(r'"([^"]*)"', arguments)]
-        elif opened is not None:
-            paths = [opened[1]]
-        else:
-            paths = [str((folder / text).resolve()) for text in re.findall(r'"([^"]*)"', arguments)]
+        opened = None if name.startswith("rename") else PLACE.match(arguments)
+        paths = [str((folder / text).resolve()) for text in re.findall(r'"([^"]*)"', arguments)]
+        paths = paths if opened is None else [opened[1]]
         if paths and paths[0].startswith(str(folder)):
             found.append(("rename" if name.startswith("rename") else name, *paths))
-    return found
+    return folder, found
 
 
 @pytest.mark.skipif(shutil.which("strace") is None, reason="there is no strace")
-@pytest.mark.parametrize("act", ACTS)
-def test_content_is_on_disk_before_a_name_and_the_folder_after_it(act, tmp_path):
-    folder = (tmp_path / "place").resolve()
-    folder.mkdir()
-    made = calls(act, folder)
+def test_content_is_on_disk_before_a_name_and_the_folder_after_it(made):
+    _, made = made
     renamed = [(k, call) for k, call in enumerate(made) if call[0] == "rename"]
-    assert {call[2].rpartition("/")[2] for _, call in renamed} >= {"frames.h5", "summary.json"}
+    names = {call[2].rpartition("/")[2] for _, call in renamed}
+    assert names >= {"frames.h5", "scene.toml", "summary.json", "report.html", "cells.csv"}
     for k, (_, part, path) in renamed:
         # of one that a name was given to before, this has been checked
         touched = [call[0] for call in made[:k] if part in (call[1], call[-1])]
@@ -71,12 +64,11 @@ def test_content_is_on_disk_before_a_name_and_the_folder_after_it(act, tmp_path)
 
 
 @pytest.mark.skipif(shutil.which("strace") is None, reason="there is no strace")
-@pytest.mark.parametrize("act", ["run", "slow"])
-def test_a_frame_is_on_disk_before_one_that_comes_much_later(act, tmp_path):
-    folder = (tmp_path / "place").resolve()
-    folder.mkdir()
+def test_a_frame_is_on_disk_before_one_that_comes_much_later(made):
+    folder, made = made
     journal = str(folder / "out" / "frames.journal")
-    made = [call[0] for call in calls(act, folder) if call[1].startswith(journal)]
+    made = [call[0] for call in made if call[1].startswith(journal)]
+    made = made[: made.index("unlink")]  # of the first run
     # one opening and six frames, each in one piece with the history before it
     written = [k for k, name in enumerate(made) if name == "write"]
     assert len(written) >= 7

@@ -21,9 +21,24 @@ from multicell.scene.sizes import birth_radius, typical_radius
 def contact_parts(scene: Scene) -> list[Part]:
     """Return contact law and what else acts between and on cells, used or absent."""
     active, load = scene.motility, scene.pull
+    given = any(kind.surface_energy is not None for kind in scene.types.values())
+    energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
+    total = sum(kind.fraction for kind in scene.types.values())
+    shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
+    forces = [
+        f"{name}: {math.hypot(*law.force):.3g} nN on {_whom(law)}{_when(law)}"
+        for name, law in scene.forces.items()
+    ]
+    motions = [
+        f"{name}: {_whom(law)} "
+        + (f"moved at {speed:.3g} um/s" if speed else "held where they are")
+        + _when(law)
+        for name, law in scene.motions.items()
+        for speed in [math.hypot(*law.velocity)]
+    ]
     return [
-        part("contact", _law(scene)),
-        part("types", _types(scene)),
+        part("contact", scene.contact.describe("by type" if given else energy)),
+        part("types", ", ".join(shares)),
         part("adhesion", _adhesion(scene)),
         part("drag", f"Stokes drag in a medium of {scene.drag.viscosity:g} kPa s"),
         part(
@@ -45,7 +60,8 @@ def contact_parts(scene: Scene) -> list[Part]:
             and f"outwards with {load.force:g} nN and {load.rate:g} nN/s more; the run ends when "
             "the last contact breaks",
         ),
-        *driven_parts(scene),
+        part("forces", "; ".join(forces)),
+        part("motions", "; ".join(motions)),
     ]
 
 
@@ -105,30 +121,13 @@ def contact_notes(scene: Scene) -> Iterator[str]:
                 "The directions of motility change at the ends of coupling steps only: take a "
                 "coupling_step below motility.persistence."
             )
-    yield from _pull_notes(scene)
-
-
-def _pull_notes(scene: Scene) -> Iterator[str]:
-    if scene.pull is None:
-        return
-    most = scene.pull.load(scene.duration)
-    load = min(load for _, load in _loads(scene))
-    if load == 0.0:
-        yield "Nothing sticks: the pull meets no resistance but drag."
-    elif most < load:
-        yield f"The pull ends at {most:.3g} nN: too little for one contact, {load:.3g} nN."
-
-
-def _law(scene: Scene) -> str:
-    given = any(kind.surface_energy is not None for kind in scene.types.values())
-    energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
-    return scene.contact.describe("by type" if given else energy)
-
-
-def _types(scene: Scene) -> str:
-    total = sum(kind.fraction for kind in scene.types.values())
-    shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
-    return ", ".join(shares)
+    if scene.pull is not None:
+        most = scene.pull.load(scene.duration)
+        load = min(load for _, load in _loads(scene))
+        if load == 0.0:
+            yield "Nothing sticks: the pull meets no resistance but drag."
+        elif most < load:
+            yield f"The pull ends at {most:.3g} nN: too little for one contact, {load:.3g} nN."
 
 
 def _adhesion(scene: Scene) -> str:
@@ -167,7 +166,6 @@ def _pair_numbers(scene: Scene, label: str, pair: Pair) -> list[Number]:
 
 
 def _smoothing(pair: Pair) -> list[Number]:
-    """Return the model error of smoothing (see the model page)."""
     length = getattr(pair.law, "smoothing", 0.0)
     if length == 0.0 or _surface_energy(pair) == 0.0:
         return []
@@ -180,7 +178,6 @@ def _smoothing(pair: Pair) -> list[Number]:
 
 
 def _friction(scene: Scene, area: float, stokes: float) -> list[Number]:
-    """Return friction of one contact of an area (µm²) against Stokes drag (nN s/µm)."""
     if scene.friction is None:
         return []
     both = {way: getattr(scene.friction, way) * area for way in ("normal", "tangential")}
@@ -256,19 +253,6 @@ def _jkr_overlap(pair: Pair) -> float:
     return float(law.equilibrium_overlap(pair.modulus, pair.radius))
 
 
-def driven_parts(scene: Scene) -> list[Part]:
-    """Return forces from outside and prescribed motions, used or absent."""
-    forces = [
-        f"{name}: {math.hypot(*law.force):.3g} nN on {_whom(law)}{_when(law)}"
-        for name, law in scene.forces.items()
-    ]
-    motions = [
-        f"{name}: {_whom(law)} {_motion_words(law.velocity)}{_when(law)}"
-        for name, law in scene.motions.items()
-    ]
-    return [part("forces", "; ".join(forces)), part("motions", "; ".join(motions))]
-
-
 def drift(bias: float, dimensions: int) -> float:
     """Return the mean part of a cell's speed along its bias, from -1 to 1.
 
@@ -306,8 +290,3 @@ def _when(driver: Driver) -> str:
         return ""
     end = "the end" if driver.end is None else hours(driver.end)
     return f", from {hours(driver.begin)} to {end}"
-
-
-def _motion_words(velocity: tuple[float, float, float]) -> str:
-    speed = math.hypot(*velocity)
-    return f"moved at {speed:.3g} um/s" if speed else "held where they are"

@@ -55,17 +55,12 @@ _NOTED_SHARE: Final = 0.01  # part of the tissue whose death at the start is wor
 @final
 @dataclass(frozen=True)
 class Prediction:
-    """What a run is expected to be.
+    """What a run is expected to be."""
 
-    - ``course``: of the population
-    - ``seconds``: wall time on one core, without compilation
-    - ``memory``, ``file``, bytes: of the process at its largest; of ``frames.h5``
-    """
-
-    course: Course
-    seconds: float
-    memory: float
-    file: float
+    course: Course  # of the population
+    seconds: float  # wall time on one core, without compilation
+    memory: float  # bytes of the process at its largest
+    file: float  # bytes of frames.h5
 
 
 def predict(scene: Scene, found: Course | None = None) -> Prediction:
@@ -98,11 +93,8 @@ def _mean(found: Course, values: FloatArray) -> float:
 def cost_of_step(scene: Scene) -> tuple[float, float]:
     """Return what a coupling step costs without its fields: for itself, and for each cell, s."""
     count = evaluations(scene)
-    return _STEP + count * _EVALUATION, count * _cell_cost(scene)
-
-
-def _cell_cost(scene: Scene) -> float:
-    return _CELL_EVALUATION * (_FRICTION if scene.friction is not None else 1.0)
+    rubbing = _FRICTION if scene.friction is not None else 1.0
+    return _STEP + count * _EVALUATION, count * _CELL_EVALUATION * rubbing
 
 
 def evaluations(scene: Scene) -> float:

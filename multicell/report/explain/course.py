@@ -27,7 +27,6 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import circles, solving_order
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
-from multicell.scene.parts import Death
 from multicell.scene.scales import height
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
@@ -48,18 +47,12 @@ _FIELD_TOLERANCE: Final = 1e-3  # change of a field, relative to its medium, tha
 @final
 @dataclass(frozen=True)
 class Course:
-    """The number of cells over simulated time, and the radius of the tissue.
+    """The number of cells over simulated time, and the radius of the tissue."""
 
-    - ``times``, (k,), s
-    - ``cells``, (k,): dead ones included until they are removed
-    - ``radius``, (k,), µm
-    - ``starved``, float: part of the tissue of the start that finds so little that it dies at once
-    """
-
-    times: FloatArray
-    cells: FloatArray
-    radius: FloatArray
-    starved: float = 0.0
+    times: FloatArray  # (k,), s
+    cells: FloatArray  # (k,), dead ones included until they are removed
+    radius: FloatArray  # (k,), µm
+    starved: float = 0.0  # part of the tissue of the start that finds too little and dies at once
 
 
 def course(scene: Scene) -> Course:
@@ -79,7 +72,6 @@ def course(scene: Scene) -> Course:
 
 
 def _times(scene: Scene) -> FloatArray:
-    """Return the times of the forecast, with all at which a medium is switched."""
     if scene.growth is None and scene.death is None:
         return np.array([0.0, scene.duration])
     cycle = scene.duration if scene.growth is None else scene.growth.mean_cycle
@@ -132,12 +124,10 @@ class _Tissue:
         return self._radius(self._living * self._volume + self._core())
 
     def _radius(self, volume: float) -> float:
-        return (
-            math.sqrt(volume / math.pi) if self._dimensions == 2 else (volume / SPHERE) ** (1 / 3)
-        )
+        d = self._dimensions
+        return float((volume / (math.pi if d == 2 else SPHERE)) ** (1.0 / d))
 
     def _core(self) -> float:
-        """Return what the dead still fill."""
         death = self._scene.death
         if death is None:
             return sum(count for _, count in self._dead) * self._volume
@@ -156,8 +146,15 @@ class _Tissue:
         growth *= self._pressure_factor(shells, growth)
         if math.isnan(self.starved):  # cells that die at a rate do not at once
             self.starved = min(float(share[np.isinf(hazard)].sum()), 1.0)  # rounding may exceed 1
-        self._grow(float((share * growth).sum()), dt)
-        self._die(min(float((share * -np.expm1(-hazard * dt)).sum()), 1.0), begin, dt)
+        if self._scene.growth is not None:
+            rate = self._rate * float((share * growth).sum())
+            self._living *= math.exp(min(rate * dt, _MAX_EXPONENT))
+        lost = min(float((share * -np.expm1(-hazard * dt)).sum()), 1.0)
+        if self._scene.death is not None:
+            lost += (1.0 - lost) * -math.expm1(-self._scene.death.apoptosis_rate * dt)
+        if lost > 0.0:
+            self._dead.append((end, lost * self._living))
+            self._living *= 1.0 - lost
         self._clear(end)
 
     def _supply(
@@ -198,15 +195,11 @@ class _Tissue:
         return hazard
 
     def _clear(self, end: float) -> None:
-        """Remove the remains of those that died long ago."""
         self._now, death = end, self._scene.death
         if death is not None:
-            gone = death.lysis_time * math.log(self._volume_at_death() / death.removal_fraction)
+            size = 1.0 if self._scene.growth is None else 1.0 / math.log(2.0)  # at birth it is 1
+            gone = death.lysis_time * math.log(size / death.removal_fraction)
             self._dead = [(since, n) for since, n in self._dead if end - since < gone]
-
-    def _volume_at_death(self) -> float:
-        """Return the volume of a cell that dies over that at birth."""
-        return 1.0 / math.log(2.0) if self._scene.growth is not None else 1.0
 
     def _pressure_factor(self, shells: FloatArray, growth: FloatArray) -> FloatArray:
         """Return the factor of pressure on growth in each shell.
@@ -233,32 +226,16 @@ class _Tissue:
         self._factor = factor
         return factor
 
-    def _grow(self, factor: float, dt: float) -> None:
-        if self._scene.growth is not None:
-            self._living *= math.exp(min(self._rate * factor * dt, _MAX_EXPONENT))
-
-    def _die(self, lost: float, begin: float, dt: float) -> None:
-        death: Death | None = self._scene.death
-        if death is not None:
-            lost += (1.0 - lost) * -math.expm1(-death.apoptosis_rate * dt)
-        if lost > 0.0:
-            self._dead.append((begin + dt, lost * self._living))
-            self._living *= 1.0 - lost
-
-
-def _limits(field: Nutrient) -> bool:
-    """Return whether a field has any effect on how many cells there are."""
-    effects = (field.growth_half_saturation, field.growth_inhibition, field.quiescence,
-               field.necrosis, field.necrosis_above)  # fmt: skip
-    return any(effect is not None for effect in effects)
-
 
 def _effective_fields(scene: Scene) -> set[str]:
     """Return the fields that have an effect on how many cells there are, directly or over others.
 
     What a field depends on that takes part in reactions is left out, as reactions are.
     """
-    needed = {name for name, field in scene.nutrients.items() if _limits(field)}
+    effects = ("growth_half_saturation", "growth_inhibition", "quiescence", "necrosis",
+               "necrosis_above")  # fmt: skip
+    fields = scene.nutrients.items()
+    needed = {name for name, f in fields if any(getattr(f, x) is not None for x in effects)}
     if scene.energy is not None:
         needed |= set(scene.energy.yields or ())
     while more := {x for name in needed for x in scene.nutrients[name].uptake_on} - needed:
@@ -348,7 +325,6 @@ class Profile:
             self._medium *= math.exp(-rate * dt)
 
     def _outside(self, radius: float) -> float:
-        """Return the conductance of the medium round the tissue."""
         field = self.nutrient
         width = field.margin if field.layer is None else field.layer
         coefficient = field.diffusion_medium or field.diffusion

@@ -49,11 +49,9 @@ def _reaction_words(reaction: Reaction) -> str:
     if reaction.kind == "mass-action":
         rate = f"mass action, {reaction.rate:g} {reaction.unit}"
     else:
+        trends = ("more", reaction.activated_by), ("less", reaction.inhibited_by)
         terms = [
-            f"more {name} (half at {t.half:g} mM)" for name, t in reaction.activated_by.items()
-        ]
-        terms += [
-            f"less {name} (half at {t.half:g} mM)" for name, t in reaction.inhibited_by.items()
+            f"{x} {n} (half at {t.half:g} mM)" for x, terms in trends for n, t in terms.items()
         ]
         rate = f"{reaction.rate:g} mM/s at most, faster with {', '.join(terms)}"
     place = "" if reaction.where == "everywhere" else f", in {reaction.where}"
@@ -98,7 +96,13 @@ def _regime_reason(scene: Scene, name: str) -> str:
 
 def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
     if scene.box is not None:
-        return _domain_words(scene, spacing)
+        lengths = box.sides(scene.box)
+        counts = box.filling(lengths, spacing) or ()
+        step = lengths[0] / counts[0] if counts else spacing
+        kind = "squares" if scene.dimensions == 2 else "cubes"
+        return (
+            f"{' x '.join(map(str, counts))} {kind} of {step:g} um that stand still on the domain"
+        )
     if scene.dimensions == 2:
         return f"squares of {spacing:g} um that follow the cells, since the scene is flat"
     if nutrient.layout == "radial":
@@ -114,33 +118,20 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
     return f"a grid of cubes of {spacing:g} um that follows the cells"
 
 
-def _domain_words(scene: Scene, spacing: float) -> str:
-    assert scene.box is not None
-    lengths = box.sides(scene.box)
-    counts = box.filling(lengths, spacing) or ()
-    step = lengths[0] / counts[0] if counts else spacing
-    kind = "squares" if scene.dimensions == 2 else "cubes"
-    return f"{' x '.join(map(str, counts))} {kind} of {step:g} um that stand still on the domain"
-
-
 def _medium(nutrient: Nutrient) -> str:
-    if nutrient.finite_medium is not None:
-        return _finite(nutrient)
+    finite = nutrient.finite_medium
+    if finite is not None:
+        words = f"{finite.volume:g} um^3 of medium that the cells use up, "
+        words += f"{nutrient.medium(0.0):g} mM"
+        if finite.unstirred is not None:
+            words += f" behind an unstirred layer of {finite.unstirred:g} um"
+        changes = sum(time > 0.0 for time, _ in nutrient.media or ())
+        part = "" if finite.replaced == 1.0 else f" by {100.0 * finite.replaced:g} %"
+        return f"{words}, replaced{part} {changes} time(s)" if changes else words
     if nutrient.media is None:
         return f"{nutrient.boundary:g} mM in the medium"
     values = [nutrient.boundary, *(value for _, value in nutrient.media)]
     return f"medium of {min(values):g} to {max(values):g} mM, changed {len(nutrient.media)} time(s)"
-
-
-def _finite(nutrient: Nutrient) -> str:
-    finite = nutrient.finite_medium
-    assert finite is not None
-    words = f"{finite.volume:g} um^3 of medium that the cells use up, {nutrient.medium(0.0):g} mM"
-    if finite.unstirred is not None:
-        words += f" behind an unstirred layer of {finite.unstirred:g} um"
-    changes = sum(time > 0.0 for time, _ in nutrient.media or ())
-    part = "" if finite.replaced == 1.0 else f" by {100.0 * finite.replaced:g} %"
-    return f"{words}, replaced{part} {changes} time(s)" if changes else words
 
 
 def nutrient_numbers(scene: Scene) -> list[Number]:

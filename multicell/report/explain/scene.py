@@ -8,6 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from multicell.behaviours.catalogue import behaviour_named, signal_unit
+from multicell.behaviours.laws import Constant, Hill, Linear, Monod, Table, Threshold
 from multicell.biology.durations import malthusian_rate
 from multicell.biology.plan import founders
 from multicell.integrators.base import MethodInfo
@@ -16,11 +18,10 @@ from multicell.report.explain.contact import contact_notes, contact_numbers, con
 from multicell.report.explain.cost import cost_notes, cost_numbers, predict
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
-from multicell.report.explain.responses import response_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
-from multicell.scene.parts import PHASES
-from multicell.scene.responses import effects
+from multicell.scene.parts import PHASES, Death
+from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
@@ -45,17 +46,23 @@ def explain(scene: Scene) -> dict[str, Any]:
 
 
 def _parts(scene: Scene) -> list[Part]:
+    told = effects(scene) if scene.responses else ()
+    method = scene.integrator.method
+    info = METHODS.get(method) or MethodInfo(method)
+    integrator = f"{method}: {info.words}"
+    if info.control == "tolerance":
+        integrator += f"; absolute tolerance {scene.integrator.tolerance:g} um"
     return [
         part("initial", _start_words(scene)),
         *contact_parts(scene),
         part("growth", _growth_words(scene)),
         part("death", _death_words(scene)),
-        *response_parts(scene),
+        *(Part(e.key, True, _sentence(scene, e)) for e in told if not e.short),
         part("radiation", "; ".join(_radiation_words(scene))),
         *_taxis(scene),
         Part("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
-        part("integrator", _integrator_words(scene)),
+        part("integrator", integrator),
         part("output", f"a frame every {hours(scene.output.every)}"),
     ]
 
@@ -76,11 +83,11 @@ def _start_words(scene: Scene) -> str:
 
 def _stage(scene: Scene) -> str:
     growth, stage, table = scene.growth, scene.initial.stage, scene.initial.cells
-    found = (
-        "; resting and dead ones are found with the fields"
-        if table is None and _may_lack(scene)
-        else ""
-    )
+    behaviours = ("rest", "necrosis rate", "damage rate")
+    lacking = {x for e in effects(scene) if e.behaviour in behaviours for x in e.signals}
+    found = ""
+    if table is None and lacking - {"pressure"}:
+        found = "; resting and dead ones are found with the fields"
     if growth is None or stage == "birth":
         return found
     if stage == "uniform":
@@ -90,17 +97,6 @@ def _stage(scene: Scene) -> str:
     if founders(scene):
         words += ", with the longer cycles that its cells have"
     return words
-
-
-def _may_lack(scene: Scene) -> bool:
-    """Return whether cells rest or die by what they find."""
-    signals = {
-        name
-        for effect in effects(scene)
-        if effect.behaviour in ("rest", "necrosis rate", "damage rate")
-        for name in effect.signals
-    }
-    return bool(signals - {"pressure"})
 
 
 def _growth_words(scene: Scene) -> str:
@@ -129,7 +125,8 @@ def _death_words(scene: Scene) -> str:
         words = f"starved cells die after {hours(1.0 / death.necrosis_rate)} on average; "
     if death.damage_time is not None:
         words = f"cells beyond a threshold of necrosis die after {hours(death.damage_time)} of it; "
-    words += _damage_words(scene)
+    if any(effect.behaviour == "damage rate" for effect in effects(scene)):
+        words += f"{_damage_words(death)}; "
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
@@ -145,10 +142,7 @@ def _death_words(scene: Scene) -> str:
     return words
 
 
-def _damage_words(scene: Scene) -> str:
-    death = scene.death
-    if death is None or not any(e.behaviour == "damage rate" for e in effects(scene)):
-        return ""
+def _damage_words(death: Death) -> str:
     words, repair = "damage stays", death.damage_repair_time
     if repair is not None:
         words = f"damage falls to 1/e in {hours(repair)}"
@@ -156,7 +150,53 @@ def _damage_words(scene: Scene) -> str:
             words += ", as fast as it comes: a mean cell bears it for ever"
     if death.damage_variation > 0.0:
         words += f", tolerance varies by {100.0 * death.damage_variation:g} %"
-    return f"{words}; "
+    return words
+
+
+def _sentence(scene: Scene, effect: Effect) -> str:
+    """Return a response as a sentence with its numbers."""
+    behaviour = behaviour_named(effect.behaviour, "")[0]
+    whose = f" of {' and '.join(effect.types)} cells" if effect.types else ""
+    what = f"the {effect.behaviour}{whose}"
+    if behaviour.is_factor and not isinstance(effect.law, Table):
+        what += ", as a factor,"
+
+    def value(number: float) -> str:
+        return "death at once" if math.isinf(number) else _amount(number, behaviour.unit)
+
+    signal = " and ".join(effect.signals)
+    law, end = _law_words(scene, effect), f"{value(effect.low)} to {value(effect.high)}"
+    if isinstance(effect.law, Constant):
+        return f"{what} is {value(effect.high)}"
+    if isinstance(effect.law, Table):
+        return f"{what} follows a table over {signal}: {law}"
+    if effect.falls:
+        end = f"{value(effect.high)} to {value(effect.low)}"
+    return f"as {signal} rises, {what} goes from {end} ({law})"
+
+
+def _law_words(scene: Scene, effect: Effect) -> str:
+    law = effect.law
+    known = len(effect.signals) == 1
+    unit = signal_unit(effect.signals[0], scene.nutrients, scene.signals, "") if known else ""
+    if isinstance(law, Threshold):
+        return f"at once at {_amount(law.half, unit)}"
+    if isinstance(law, Hill):
+        return f"half way at {_amount(law.half, unit)}, Hill's exponent {law.power:g}"
+    if isinstance(law, Monod):
+        return f"half way at {_amount(law.half, unit)}"
+    if isinstance(law, Linear):
+        return f"in a line from {_amount(law.begin, unit)} to {_amount(law.end, unit)}"
+    if isinstance(law, Table):
+        return ", ".join(f"{y:.4g} at {_amount(x, unit)}" for x, y in law.points)
+    return f"by {type(law).__name__}"
+
+
+def _amount(number: float, unit: str) -> str:
+    """Return a number with its unit, rates per hour."""
+    if unit == "1/s":
+        return f"{3600.0 * number:.4g} 1/h"
+    return f"{number:.4g} {unit}".strip()
 
 
 def _radiation_words(scene: Scene) -> Iterator[str]:
@@ -204,28 +244,13 @@ def _domain_words(scene: Scene) -> str:
             most = domain.stiffness * 2.5 / 3.0
             words += f"; the cavity of a gel of {domain.stiffness:g} kPa, which presses with at "
             return f"{words}most {most:.3g} kPa: from there on it widens without end"
-        return f"{words}; {_wall_words(scene)}"
-    lengths = " x ".join(f"{length:g}" for length in sides(domain))
-    words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
-    return f"{words}; {_wall_words(scene)}"
-
-
-def _wall_words(scene: Scene) -> str:
-    domain = scene.domain
-    assert domain is not None
+    else:
+        lengths = " x ".join(f"{length:g}" for length in sides(domain))
+        words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
     if domain.wall == "refuse":
-        return "no walls: a cell whose centre leaves it ends the run"
+        return f"{words}; no walls: a cell whose centre leaves it ends the run"
     young = scene.cells.young if domain.young is None else domain.young
-    return f"its sides are elastic walls of {young:g} kPa"
-
-
-def _integrator_words(scene: Scene) -> str:
-    method = scene.integrator.method
-    info = METHODS.get(method) or MethodInfo(method)
-    words = f"{method}: {info.words}"
-    if info.control == "tolerance":
-        words += f"; absolute tolerance {scene.integrator.tolerance:g} um"
-    return words
+    return f"{words}; its sides are elastic walls of {young:g} kPa"
 
 
 def _run(scene: Scene) -> list[Number]:

@@ -31,12 +31,10 @@ def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> l
     features = [title for title in table if title not in (*_PLACE, *_WHO)]
     who = pandas.DataFrame({title: table[title] for title in _WHO if title in table})
     who.index = [f"{k}-{id}" for k, id in zip(who["frame"], who["id"], strict=True)]
-    for title in ("state", "kind", "phase"):
-        if title in who:
-            who[title] = who[title].astype("category")
+    words = {title: "category" for title in ("state", "kind", "phase") if title in who}
     data = anndata.AnnData(
         X=np.column_stack([table[title].astype(float) for title in features]),
-        obs=who,
+        obs=who.astype(words),
         var=pandas.DataFrame(index=features),
         obsm={"spatial": np.column_stack([table[title] for title in _PLACE])},
         uns={"scene": run.scene.to_toml(), "versions": versions()},

@@ -26,24 +26,17 @@ if TYPE_CHECKING:
 class Format:
     """A format of exported files.
 
-    - ``function``: ``module.name`` in the room ``report``: called as
-      ``write(run, frames, folder, tables)``
-      it writes into a folder and returns the names; ``frames()`` gives the chosen frames with their
-      numbers
-    - ``files``: names of the files that are written in any case, ``{table}`` stands for each table
-    - ``packages``: that write it, beside those of every installation
-    - ``tables``: whether the format has one file for each table, out of which a user may choose
+    - ``function``: ``module.name`` in the room ``report``: ``write(run, frames, folder, tables)``
+      writes into a folder and returns the names; ``frames()`` gives frames with their numbers
     """
 
     function: str
-    files: Sequence[str]
-    packages: Sequence[str] = ()
-    tables: bool = False
+    files: Sequence[str]  # that are written in any case, "{table}" stands for each table
+    packages: Sequence[str] = ()  # that write it, beside those of every installation
+    tables: bool = False  # whether there is one file for each table, out of which a user may choose
 
     def names(self, tables: Iterable[str]) -> list[str]:
         """Return the names of the files that are written in any case."""
-        if not self.tables:
-            return list(self.files)
         return [name.format(table=table) for table in tables for name in self.files]
 
     def writer(self) -> Callable[..., Any]:
@@ -57,9 +50,9 @@ class Format:
 FORMATS: Final = {
     "csv": Format("tables.write_csv", ["{table}.csv"], tables=True),
     "parquet": Format("tables.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
-    "vtk": Format("exports.vtk.write", ["run.pvd"], ["pyvista"]),
+    "vtk": Format("exports.arrays.write_vtk", ["run.pvd"], ["pyvista"]),
     "anndata": Format("exports.annotated.write", ["cells.h5ad"], ["anndata"]),
-    "netcdf": Format("exports.netcdf.write", ["history.nc"], ["xarray", "h5netcdf"]),
+    "netcdf": Format("exports.arrays.write_netcdf", ["history.nc"], ["xarray", "h5netcdf"]),
     "simularium": Format("exports.simularium.write", ["run.simularium"]),
     "openvt": Format("exports.openvt.write", ["openvt.csv"]),
     "page": Format("viewer.embed.write", ["view.html"]),
@@ -183,6 +176,5 @@ def _refuse_old(folder: Path, names: Iterable[str]) -> None:
 
 def _frames(run: Result, frame: int | None) -> Iterator[tuple[int, Frame]]:
     count = len(run.frames)
-    chosen: Iterable[int] = range(count) if frame is None else [frame % count]
-    for k in chosen:
+    for k in range(count) if frame is None else [frame % count]:
         yield k, run.frames[k]

@@ -18,8 +18,9 @@ from multicell.report.plots.style import COLOURS
 from multicell.report.tables import Frames
 
 if TYPE_CHECKING:
-    from multicell.cells import Cells, FloatArray
+    from multicell.cells import FloatArray
     from multicell.report.result import Result
+    from multicell.scene.scene import Scene
 
 NAME: Final = "run.simularium"
 _SPHERE: Final = 1000.0
@@ -29,7 +30,6 @@ _ROWS: Final = 10_000
 
 def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
     """Write the cells of all frames into one file and return its name."""
-    kinds = list(run.scene.types) or ["cell"]
     times: list[float] = []
     seen: set[int] = set()
     largest = np.zeros(3)
@@ -37,55 +37,41 @@ def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> l
         file.write('{"spatialData": {"version": 1, "msgType": 1, "bundleStart": 0, "bundleData": [')
         for k, (_, frame) in enumerate(frames()):
             cells = frame.cells
-            sort = _types(cells)
+            sort = cells.kind.astype(np.int64) * len(State) + cells.state
             seen.update(np.unique(sort).tolist())
             extent = np.abs(cells.position) + cells.radius[:, None]
             largest = np.maximum(largest, extent.max(axis=0, initial=0.0))
             head = f'"frameNumber": {k}, "time": {json.dumps(frame.time)}, "data": ['
             file.write(f"{', ' if k else ''}{{{head}")
             for first in range(0, len(cells), _ROWS):
-                rows = _agents(cells, sort, slice(first, first + _ROWS))
-                file.write((", " if first else "") + json.dumps(rows.ravel().tolist())[1:-1])
+                rows = slice(first, first + _ROWS)
+                table = np.zeros((len(sort[rows]), 11))  # three angles, and no further points
+                table[:, 0], table[:, 1], table[:, 2] = _SPHERE, cells.id[rows], sort[rows]
+                table[:, 3:6], table[:, 9] = cells.position[rows], cells.radius[rows]
+                file.write((", " if first else "") + json.dumps(table.ravel().tolist())[1:-1])
             file.write("]}")
             times.append(frame.time)
         file.write(f'], "bundleSize": {len(times)}}}, "trajectoryInfo": ')
-        json.dump(_info(run.scene.title, times, 2.0 * largest, _names(kinds, seen)), file)
+        json.dump(_info(run.scene, times, 2.0 * largest, seen), file)
         file.write(', "plotData": {"version": 1, "data": []}}\n')
     return [NAME]
 
 
-def _types(cells: Cells) -> Any:
-    """Return a number for type and state of each cell, (n,) int64."""
-    return cells.kind.astype(np.int64) * len(State) + cells.state
+def _info(scene: Scene, times: Sequence[float], size: FloatArray, seen: set[int]) -> dict[str, Any]:
+    """Return what the format holds of a trajectory; ``seen``: its numbers of type and state."""
+    names, kinds = {}, list(scene.types) or ["cell"]
+    for number in sorted(seen):
+        kind, state = divmod(number, len(State))
+        word = State(state).name.lower()
+        look = {"displayType": "SPHERE", "color": COLOURS[word]}
+        names[str(number)] = {"name": f"{kinds[kind]}#{word}", "geometry": look}
 
-
-def _names(kinds: Sequence[str], seen: set[int]) -> dict[str, Any]:
-    """Return name and colour of the types and states that occur, by number."""
-    words = [state.name.lower() for state in sorted(State)]
-    return {
-        str(number): {
-            "name": f"{kinds[number // len(words)]}#{words[number % len(words)]}",
-            "geometry": {"displayType": "SPHERE", "color": COLOURS[words[number % len(words)]]},
-        }
-        for number in sorted(seen)
-    }
-
-
-def _agents(cells: Cells, sort: Any, rows: slice) -> FloatArray:
-    """Return what the format holds of some cells, one row of eleven numbers each."""
-    table = np.zeros((len(cells.id[rows]), 11))  # three angles, and no further points
-    table[:, 0], table[:, 1], table[:, 2] = _SPHERE, cells.id[rows], sort[rows]
-    table[:, 3:6], table[:, 9] = cells.position[rows], cells.radius[rows]
-    return table
-
-
-def _info(title: str, times: Sequence[float], size: FloatArray, names: Any) -> dict[str, Any]:
     def vector(x: float, y: float, z: float) -> dict[str, float]:
         return {"x": float(x), "y": float(y), "z": float(z)}
 
     return {
         "version": 3,
-        "trajectoryTitle": title,
+        "trajectoryTitle": scene.title,
         "timeUnits": {"magnitude": 1.0, "name": "s"},
         "timeStepSize": times[1] - times[0] if len(times) > 1 else 0.0,
         "totalSteps": len(times),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -79,13 +79,8 @@ def distinguishable_colours(wanted: Mapping[str, str]) -> dict[str, str]:
     """
     given: dict[str, str] = {}
     for name, own in wanted.items():
-        given[name] = _free([own] if own else [], [PALE, *given.values()])
+        taken, choice = [PALE, *given.values()], [own, *SPARE] if own else SPARE
+        nearest = {c: min(distance(c, other) for other in taken) for c in choice}
+        apart = (colour for colour, least in nearest.items() if least >= APART)
+        given[name] = next(apart, max(nearest, key=nearest.__getitem__))
     return given
-
-
-def _free(own: Sequence[str], taken: Iterable[str]) -> str:
-    """Return the first of its own and the spare colours that is apart from those taken."""
-    taken = list(taken)
-    nearest = {c: min(distance(c, other) for other in taken) for c in (*own, *SPARE)}
-    apart = (colour for colour, least in nearest.items() if least >= APART)
-    return next(apart, max(nearest, key=nearest.__getitem__))

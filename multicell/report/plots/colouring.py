@@ -33,24 +33,14 @@ _NO_VALUE: Final = "#d5dbe0"  # of a cell without a value
 @final
 @dataclass(frozen=True, eq=False)
 class Colouring:
-    """The colours of all cells of a frame, and what explains them.
-
-    - ``title``: what is shown
-    - ``rgb``, (n, 3) float64
-    - ``group``, (n,) int64 or None: group of each cell; None for the values of a quantity
-    - ``palette``, name -> colour: of the groups in their order; empty where they are too many to be
-      listed
-    - ``values``, (n,) float64 or None: of a quantity
-    - ``range``: of its colours: all but the lowest and the highest half per cent of the values,
-      which have the colours of its ends
-    """
+    """The colours of all cells of a frame, and what explains them."""
 
     title: str
-    rgb: FloatArray
-    group: IntArray | None = None
-    palette: Mapping[str, str] | None = None
-    values: FloatArray | None = None
-    range: tuple[float, float] | None = None
+    rgb: FloatArray  # (n, 3)
+    group: IntArray | None = None  # of each cell, (n,); None for the values of a quantity
+    palette: Mapping[str, str] | None = None  # of the groups by name; empty where they are too many
+    values: FloatArray | None = None  # of a quantity, (n,)
+    range: tuple[float, float] | None = None  # of its colours, those of its ends beyond it
 
 
 SCALE: Final = "viridis"  # of quantities: even in lightness and for any colour vision
@@ -81,8 +71,13 @@ def colouring(
     if name == "state":
         colours = {word: COLOURS[word] for word in NAMED["state"]}
         return _by_group("state", frame.cells.state, colours)
-    if name == "type":
-        return _by_type(frame.cells, list(scene.types) or ["cells"])
+    if name == "type":  # cells that are necrotic are dark
+        types = list(scene.types) or ["cells"]
+        colours = type_colours(types)
+        # a type may be named like the state
+        dead = "necrotic" if "necrotic" not in colours else "dead (necrotic)"
+        group = np.where(frame.cells.state == State.NECROTIC, len(types), frame.cells.kind)
+        return _by_group("type", group, {**colours, dead: COLOURS["necrotic"]})
     if name == "phase":
         return _by_group("phase", frame.cells.phase, type_colours(NAMED["phase"]))
     if name == "clone":
@@ -101,15 +96,6 @@ def colouring(
 def _by_group(title: str, group: NDArray[Any], palette: Mapping[str, str]) -> Colouring:
     colours = np.array([to_rgb(colour) for colour in palette.values()])
     return Colouring(title, colours[group], group.astype(np.int64), palette)
-
-
-def _by_type(cells: Cells, types: Sequence[str]) -> Colouring:
-    """Return the colours of types; cells that are necrotic are dark."""
-    colours = type_colours(types)
-    # a type may be named like the state
-    dead = "necrotic" if "necrotic" not in colours else "dead (necrotic)"
-    group = np.where(cells.state == State.NECROTIC, len(types), cells.kind)
-    return _by_group("type", group, {**colours, dead: COLOURS["necrotic"]})
 
 
 def _by_clone(cells: Cells, lineage: Mapping[str, NDArray[Any]]) -> Colouring:
@@ -162,7 +148,6 @@ def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
 
 
 def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Colouring:
-    """Return colours of the values of a quantity, by default over their own range."""
     values, unit = quantity(frame, name)
     finite = np.isfinite(values)
     low, high = limits or limits_of([values], from_zero=name in frame.concentrations)

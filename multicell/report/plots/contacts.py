@@ -14,7 +14,7 @@ from multicell.contact.pair import Pair
 from multicell.report.plots import style
 from multicell.report.wording import TimeUnit, percent, time_unit
 from multicell.results.frame import Frame
-from multicell.results.observables import centre, distances, sizes
+from multicell.results.observables import centre, distances, means, sizes
 from multicell.scene.pairs import pair_of
 from multicell.scene.scene import Scene
 
@@ -39,11 +39,7 @@ def mean_distances(cells: Cells, types: int, dimensions: int) -> FloatArray:
     if len(cells) == 0:
         return np.full(types, np.nan)
     distance = distances(cells, centre(cells, dimensions))
-    number = np.bincount(cells.kind, minlength=types)
-    total = np.bincount(cells.kind, weights=distance, minlength=types)
-    mean = np.full(types, np.nan)
-    np.divide(total, number, out=mean, where=number > 0)
-    return mean
+    return means(cells.kind, np.arange(-0.5, types), distance)
 
 
 @style.styled
@@ -194,6 +190,5 @@ def _draw_law(axes: Axes, pair: Pair, x: FloatArray) -> None:
 
 
 def _draw_load(axes: Axes, load: float, label: str) -> None:
-    """Mark the load that separates a contact, where there is one."""
     if load > 0.0:
         axes.axhline(load, color=style.INK, lw=1.6, ls="--", label=f"{label} = {load:.4g} nN")

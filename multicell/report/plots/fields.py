@@ -14,8 +14,13 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from multicell.cells import FloatArray, State
 from multicell.report.plots import style
-from multicell.report.plots.necrosis import draw_necrotic
-from multicell.report.plots.section import draw_discs, draw_field, frame_window, window
+from multicell.report.plots.section import (
+    draw_discs,
+    draw_field,
+    draw_necrotic,
+    frame_window,
+    window,
+)
 from multicell.report.wording import TimeUnit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
@@ -57,7 +62,10 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
     draw_discs(windows[0], place, radius, colours[cells.state[cut > 0.0]])
     for axes, name in zip(windows[1:], shown, strict=True):
         nutrient, field = scene.nutrients[name], frame.fields[name]
-        medium, viridis = medium_at(frame, name, nutrient), mpl.colormaps["viridis"]
+        # of a finite medium what was left
+        ledger = {} if frame.progress is None else frame.progress.ledger.get(name, {})
+        medium = float(ledger.get("level", nutrient.medium(frame.time)))
+        viridis = mpl.colormaps["viridis"]
         shades, _ = draw_field(axes, field, float(middle[2]), nutrient, medium, None, viridis)
         if nutrient.necrosis is not None:
             draw_necrotic(axes, cells, cells.position, float(middle[2]))
@@ -68,12 +76,6 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
         bar.ax.tick_params(labelsize=9)
         bar.ax.grid(False)
     return figure
-
-
-def medium_at(frame: Frame, name: str, nutrient: Nutrient) -> float:
-    """Return the concentration of the medium round a field, mM: of a finite one what was left."""
-    ledger = {} if frame.progress is None else frame.progress.ledger.get(name, {})
-    return float(ledger.get("level", nutrient.medium(frame.time)))
 
 
 def draw_hypoxic(axes: Axes, time: FloatArray, history: Mapping[str, FloatArray]) -> float:

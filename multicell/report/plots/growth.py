@@ -1,6 +1,8 @@
-"""Growth of a population: numbers, diameters and states against time."""
+"""Growth of a population: numbers, diameters and states against time; columns of several runs."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,10 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from multicell.cells import FloatArray
+from multicell.errors import OutputError
 from multicell.report.plots import style
 from multicell.report.plots.fields import draw_hypoxic, mark_media
-from multicell.report.wording import TimeUnit, cell_count, time_unit
+from multicell.report.wording import TimeUnit, cell_count, time_unit, written
+from multicell.results.quantities import known_unit, title_of
 from multicell.scene.scene import Scene
+from multicell.schema import near_miss
 
 
 @style.styled
@@ -53,6 +58,42 @@ def motion(history: style.History, scene: Scene) -> Figure:
     lower.set(title="Largest pressure of a cell", ylabel="pressure (Pa)")
     style.time_axes((upper, lower), time, unit)
     upper.set_xlabel("")
+    return figure
+
+
+@style.styled
+def overlay(runs: Mapping[str, style.History], quantity: str) -> Figure:
+    """Draw a column of the histories of runs against time.
+
+    - ``runs``: histories by the names that the legend gives them
+    - ``quantity``: name of the column
+    """
+    for label, history in runs.items():
+        columns = [name for name in history if name != "time"]
+        if not columns:
+            raise OutputError(f"the run '{label}' has no history yet")
+        if quantity not in history:
+            hint = near_miss(quantity, columns)
+            raise OutputError(f"the history of '{label}' has no {quantity!r}. {hint}")
+    unit = time_unit(max(float(history["time"][-1]) for history in runs.values()))
+    title = title_of(quantity).capitalize()
+    count = "one run" if len(runs) == 1 else f"{len(runs)} runs"
+    figure = style.blank(title, count)
+    axes = figure.add_axes((0.1, 0.11, 0.86 if len(runs) == 1 else 0.6, 0.72))
+    colours = style.type_colours(runs)
+    for k, (label, history) in enumerate(runs.items()):
+        time = history["time"] / unit.seconds
+        axes.plot(
+            time, history[quantity], color=colours[label], lw=2, label=style.type_label(label),
+            ls=("-", "--", "-.", ":")[k % 4], marker="" if len(time) > 1 else "o",
+        )  # fmt: skip
+    dimension = known_unit(quantity)
+    axes.set_xlabel(f"time ({unit.name})")
+    axes.set_ylabel(f"{title.lower()} ({written(dimension)})" if dimension else title.lower())
+    times = np.concatenate([history["time"] for history in runs.values()])
+    axes.set_xlim(*style.span(np.sort(times) / unit.seconds))
+    if len(runs) > 1:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02))
     return figure
 
 
@@ -114,7 +155,6 @@ def _draw_rim(axes: Axes, time: FloatArray, history: style.History) -> None:
 
 
 def _draw_states(axes: Axes, time: FloatArray, history: style.History) -> None:
-    """Draw the numbers of cells in each state on top of each other, necrotic ones below."""
     axes.set_title("Cells by state")
     names = [name for name in reversed(style.COLOURS) if history[name].max() > 0]
     single = len(time) == 1

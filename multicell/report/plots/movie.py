@@ -73,7 +73,12 @@ def movie(
         raise OutputError("a background can be left out of a .webp of cells in space only")
     if space and plane is not None:
         raise OutputError("cells in space are cut through their centre: name a cut, or a section")
-    settings = _encoder(path.suffix.lower())
+    settings: dict[Any, str] = {}
+    if path.suffix.lower() == ".mp4":
+        needs("imageio_ffmpeg")
+        import imageio_ffmpeg
+
+        settings = {"animation.ffmpeg_path": imageio_ffmpeg.get_ffmpeg_exe()}
     numbers = [k for k, frame in enumerate(result.frames) if len(frame.cells)]
     if not numbers:
         raise OutputError("no frame of the run has cells: there is nothing to show")
@@ -95,17 +100,15 @@ def movie(
         where = None if plane is None else Plane.parse(plane)
         figures = (section(frames[k], scene, shades(k), where, half) for k in numbers)
 
-    def report(done: int) -> None:
-        if progress is not None:
-            progress(done, len(numbers))
-
     with (
         file_errors("write", path),
         tempfile.TemporaryDirectory() as place,
         mpl.rc_context(settings),
     ):
         film = Path(place) / f"film{path.suffix.lower()}"
-        _save(figures, film, rate, hold, report)
+        for done in _save(figures, film, rate, hold):
+            if progress is not None:
+                progress(done, len(numbers))
         write_bytes(path, film.read_bytes())
     return path
 
@@ -126,10 +129,8 @@ def _shades(result: Result, numbers: list[int], colour: str | None) -> Callable[
     return lambda k: colouring(result.frames[k], result.scene, colour, result.lineage, limits)
 
 
-def _save(
-    figures: Iterator[Figure], path: Path, rate: float, hold: int, progress: Callable[[int], None]
-) -> None:
-    """Write figures as a film by matplotlib's writers; the last one stays for ``hold`` more."""
+def _save(figures: Iterator[Figure], path: Path, rate: float, hold: int) -> Iterator[int]:
+    """Write figures as a film, yield how many are done; the last one stays for ``hold`` more."""
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
     fps: Any = rate  # annotated as whole numbers, but any will do
@@ -139,15 +140,6 @@ def _save(
         for done, figure in enumerate(chain([first], figures), start=1):
             writer.fig = figure
             writer.grab_frame()
-            progress(done)
+            yield done
         for _ in range(hold):
             writer.grab_frame()
-
-
-def _encoder(kind: str) -> dict[Any, str]:
-    if kind != ".mp4":
-        return {}
-    needs("imageio_ffmpeg")
-    import imageio_ffmpeg
-
-    return {"animation.ffmpeg_path": imageio_ffmpeg.get_ffmpeg_exe()}

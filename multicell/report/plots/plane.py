@@ -13,7 +13,7 @@ from multicell.errors import OutputError
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.results.frame import Field, Frame
+    from multicell.results.frame import Frame
 
 AXES: Final = ("x", "y", "z")
 _TEXT: Final = re.compile(r"([xyz])(?:=(.+))?")
@@ -69,13 +69,11 @@ def turn_frame(frame: Frame, plane: Plane) -> Frame:
     order = list(_ORDERS[plane.axis])
     cells = frame.cells.shared()
     cells.position = np.ascontiguousarray(frame.cells.position[:, order])
-    fields = {name: _turn_field(field, order) for name, field in frame.fields.items()}
+    fields = {}
+    for name, field in frame.fields.items():
+        values = field.values if field.kind == "radial" else field.values.transpose(order)
+        fields[name] = replace(field, origin=field.origin[order], values=values)
     return replace(frame, cells=cells, fields=fields)
-
-
-def _turn_field(field: Field, order: list[int]) -> Field:
-    values = field.values if field.kind == "radial" else field.values.transpose(order)
-    return replace(field, origin=field.origin[order], values=values)
 
 
 def height(frame: Frame, plane: Plane, middle: FloatArray) -> float:

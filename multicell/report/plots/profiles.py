@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from multicell.cells import FloatArray
 from multicell.report.plots import style
 from multicell.results.frame import Frame
 from multicell.results.observables import (
@@ -17,6 +16,7 @@ from multicell.results.observables import (
     centre,
     distances,
     field_profile,
+    means,
     radial_profile,
     uniform_radius,
 )
@@ -96,28 +96,31 @@ def _draw_field(
     values = profile.concentrations[name]
     top = float(np.nanmax(values))
     if name in frame.fields:
-        field = frame.fields[name]
-        edges = np.arange(0.0, profile.edges[-1] + field.spacing, field.spacing)
-        means = field_profile(field, centre(frame.cells, scene.dimensions), edges)
-        filled = np.isfinite(means)
+        there = frame.fields[name]
+        edges = np.arange(0.0, profile.edges[-1] + there.spacing, there.spacing)
+        found = field_profile(there, centre(frame.cells, scene.dimensions), edges)
+        filled = np.isfinite(found)
         middles = 0.5 * (edges[1:] + edges[:-1])
-        axes.plot(middles[filled], means[filled], color=style.BLUE, lw=2, alpha=0.6, label=words[0])
-        top = max(top, float(means[filled].max(initial=0.0)))
+        axes.plot(middles[filled], found[filled], color=style.BLUE, lw=2, alpha=0.6, label=words[0])
+        top = max(top, float(found[filled].max(initial=0.0)))
     axes.plot(profile.middles, values, "o", color=style.BLUE, ms=6, label=words[1], zorder=4)
-    for meaning, level, dashes in style.thresholds(scene.nutrients[name]):
-        if 0.0 < level < 1.1 * top:  # within the axis
+    field = scene.nutrients[name]
+    for meaning, level, dashes in ("rest", field.quiescence, "-"), ("die", field.necrosis, "--"):
+        if level is not None and 0.0 < level < 1.1 * top:  # within the axis
             label = words[2].format(level, meaning)
             axes.axhline(level, color=style.RED, lw=1.4, ls=dashes, label=label)
     axes.set_ylim(0.0, 1.1 * top if top > 0.0 else 1.0)
 
 
 def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) -> None:
-    """Draw which part of the cells of each shell is in a state or of a type."""
     bottom, width, types = np.zeros(len(profile.counts)), np.diff(profile.edges), list(scene.types)
     parts, colours = profile.fractions, dict(style.COLOURS)
     if len(types) > 1:
-        middle = centre(frame.cells, scene.dimensions)
-        parts = _types_by_shell(frame, middle, profile.edges, types)
+        radius, kind = (
+            distances(frame.cells, centre(frame.cells, scene.dimensions)),
+            frame.cells.kind,
+        )
+        parts = {name: means(radius, profile.edges, kind == k) for k, name in enumerate(types)}
         colours |= style.type_colours(types)
     for name in [n for n in reversed(colours) if n in parts and np.nansum(parts[n]) > 0]:
         part = np.nan_to_num(100.0 * parts[name])
@@ -127,13 +130,3 @@ def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) 
     title = "Cells by type" if len(types) > 1 else "Cells by state"
     axes.set(title=title, ylabel="part of the cells (%)", ylim=(0, 100))
     axes.set(xlabel="distance from the centre (µm)", xlim=(0.0, float(profile.edges[-1])))
-
-
-def _types_by_shell(
-    frame: Frame, middle: FloatArray, edges: FloatArray, types: Sequence[str]
-) -> dict[str, FloatArray]:
-    """Return the part of the cells of each shell that are of a type: name -> (b,)."""
-    radius = distances(frame.cells, middle)
-    counts = [np.histogram(radius[frame.cells.kind == k], edges)[0] for k in range(len(types))]
-    whole = np.maximum(np.sum(counts, axis=0), 1)
-    return {name: count / whole for name, count in zip(types, counts, strict=True)}

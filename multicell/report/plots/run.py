@@ -31,17 +31,12 @@ _MIN_CROWD: Final = 10  # cells, below which averages over shells say nothing
 @final
 @dataclass(frozen=True)
 class PictureKind:
-    """A picture of a run.
+    """A picture of a run."""
 
-    - ``options``: what its method takes, such as ``"frame"`` or ``"colour"``
-    - ``caption``, ``flat_caption``: on the page of a run in space, and of one in a plane
-    - ``on_page``: whether the page of a run shows it: whether there is enough to draw
-    """
-
-    options: Sequence[str]
-    caption: str
-    flat_caption: str
-    on_page: Callable[[Plots], bool]
+    options: Sequence[str]  # what its method takes, such as "frame" or "colour"
+    caption: str  # on the page of a run in space
+    flat_caption: str  # and of one in a plane
+    on_page: Callable[[Plots], bool]  # whether the page of a run shows it: has enough to draw
 
 
 PICTURES: Final[dict[str, PictureKind]] = {}
@@ -172,7 +167,7 @@ class Plots:
         OutputError
             If a run has no such column.
         """
-        from multicell.report.plots.overlay import overlay
+        from multicell.report.plots.growth import overlay
 
         runs = {"this run": self.history}
         runs |= {label: run.history for label, run in (others or {}).items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -14,11 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 
-from multicell.cells import FloatArray
+from multicell.cells import Cells, FloatArray, State
 from multicell.errors import OutputError
 from multicell.report.plots import style
 from multicell.report.plots.colouring import SCALE, Colouring
-from multicell.report.plots.necrosis import LABEL, STYLE, draw_necrotic
 from multicell.report.plots.plane import Plane, height, turn_frame
 from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
@@ -29,6 +29,11 @@ from multicell.scene.scene import Scene
 _MIN_LEVEL = 1e-9  # part of the highest concentration of a field below which it is not drawn
 _LEAST_RANGE: Final = 1e-3  # of the shades of a field, as a part of its highest concentration
 _DEPTH_DIAMETERS: Final = 3.0  # mean diameters behind a plane within which cells are drawn
+_SMOOTHING: Final = 1.5  # mean radii, the standard deviation: a bell about two diameters wide
+_FINE: Final = 4  # points of the grid to a smoothing length
+_MAX_POINTS: Final = 2000  # points along a side
+_MIN_DENSITY: Final = 1e-9  # of the largest density, below which there is no tissue
+LABEL: Final = "most cells are necrotic"
 _WATER: Final = LinearSegmentedColormap.from_list("water", ["#ffffff", "#8fbce0"])
 """Shades of a field behind cells: white to a light blue, against which cells stand out."""
 
@@ -52,11 +57,20 @@ def section(
     dimensions, where = scene.dimensions, plane or Plane()
     if dimensions == 2 and where.axis != "z":
         raise OutputError(f"the cells lie in the plane z = 0: a plane {where.axis} is none of them")
-    middle, place, level = _set_up(frame, scene, plane)
+    ahead = turn_frame(frame, where)
+    middle = centre(ahead.cells, dimensions)
+    place, level = ahead.cells.position, height(ahead, where, middle)
+    if plane is None and 1 < len(frame.cells) <= 3 and not frame.fields:
+        # turned about the centre so that the last axis is their thinnest one
+        _, _, turn = np.linalg.svd(place - middle)
+        place = middle + (place - middle) @ turn.T
     square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
     inside = square > 0.0
-    cells = cell_count(int(inside.sum()))
-    cut = _where(where, cells) if dimensions == 3 else ""
+    cut = ""
+    if dimensions == 3:
+        across = "" if where.axis == "z" else f" across {where.axis}"
+        at = f" at {where.axis} = {where.at:g} µm" if where.at is not None else None
+        cut = f": section{at or f'{across} through the centre'} ({cell_count(int(inside.sum()))})"
     figure = style.headed(scene, style.moment(frame) + cut)
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     half = half or window(frame, scene)
@@ -64,7 +78,7 @@ def section(
     axes.spines[["top", "right"]].set_visible(True)
     _draw_deep(axes, place, frame.cells.radius, level, shade.rgb)
     draw_discs(axes, place[inside, :2], np.sqrt(square[inside]), shade.rgb[inside])
-    fields = turn_frame(frame, where).fields
+    fields = ahead.fields
     name = next((name for name in scene.nutrients if name in fields), "")
     if shade.title in ("state", "type"):
         dead = draw_necrotic(axes, frame.cells, place, level) if fields else False
@@ -83,25 +97,6 @@ def window(frame: Frame, scene: Scene) -> float:
     return 1.22 * size + 2.0 * float(frame.cells.radius.max())
 
 
-def _set_up(
-    frame: Frame, scene: Scene, plane: Plane | None
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the centre and all positions in the axes of the picture, and the plane's height."""
-    where = plane or Plane()
-    ahead = turn_frame(frame, where)
-    middle = centre(ahead.cells, scene.dimensions)
-    few = plane is None and 1 < len(frame.cells) <= 3 and not frame.fields
-    place = _in_plane(ahead.cells.position, middle) if few else ahead.cells.position
-    return middle, place, height(ahead, where, middle)
-
-
-def _where(plane: Plane, cells: str) -> str:
-    if plane.at is not None:
-        return f": section at {plane.axis} = {plane.at:g} µm ({cells})"
-    axis = "" if plane.axis == "z" else f" across {plane.axis}"
-    return f": section{axis} through the centre ({cells})"
-
-
 def _draw_deep(
     axes: Axes, place: FloatArray, radius: FloatArray, level: float, rgb: FloatArray
 ) -> None:
@@ -118,7 +113,6 @@ def _draw_deep(
 
 
 def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> None:
-    """Name the axes to the right and upwards in the lower right corner."""
     right, up = plane.shown
     long = 0.16 * half
     x = axes.get_xlim()[1] - 0.34 * half
@@ -130,23 +124,6 @@ def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> Non
                         "shrinkB": 0},
         )  # fmt: skip
         axes.text(x + 1.35 * dx, y + 1.35 * dy, name, ha="center", va="center", zorder=5)
-
-
-def _scale_legend(figure: Figure, shade: Colouring) -> None:
-    assert shade.range is not None
-    assert shade.values is not None
-    low, high = shade.range
-    shades = ScalarMappable(Normalize(low, high), SCALE)
-    below, above = bool((shade.values < low).any()), bool((shade.values > high).any())
-    beyond = ("neither", "min", "max", "both")[below + 2 * above]
-    title = shade.title[0].upper() + shade.title[1:]
-    _draw_bar(figure, shades, title, 0.5, extend=beyond)
-
-
-def _in_plane(position: FloatArray, middle: FloatArray) -> FloatArray:
-    """Return positions turned about the centre so that the last axis is their thinnest one."""
-    _, _, axes = np.linalg.svd(position - middle)
-    return np.asarray(middle + (position - middle) @ axes.T)
 
 
 def frame_window(axes: Axes, middle: FloatArray, half: float, width: float | None = None) -> None:
@@ -208,7 +185,7 @@ def draw_field(
 ) -> tuple[AxesImage, float | None]:  # fmt: skip
     """Draw a field on the plane at z as shades, and where cells rest as a line over all else.
 
-    There is no line at the threshold of necrosis: see :mod:`multicell.report.plots.necrosis`.
+    There is no line at the threshold of necrosis: see :func:`necrotic_share`.
 
     - ``medium``: concentration around the grid, mM
     - ``low``: where the colours begin, mM; None for the lowest value
@@ -238,6 +215,55 @@ def draw_field(
     return shades, resting
 
 
+def necrotic_share(
+    cells: Cells, place: FloatArray, level: float
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return which part of the nearby cells is necrotic, on a grid over a plane.
+
+    "Nearby" is a Gaussian in space whose standard deviation is 1.5 mean radii of the cells: a
+    line through this field says where the core ends as far as cells can tell. An isoline of the
+    nutrient cannot: dead cells take up nothing, so that the concentration in the core levels off
+    close to the threshold itself.
+
+    - ``cells``: radii and states
+    - ``place``, (n, 3) µm: positions in the axes of the picture
+    - ``level``: height of the plane on the third axis, µm
+
+    Returns x, (nx,), y, (ny,) µm; share, (ny, nx): 0 to 1, NaN away from cells; None if no cell
+    is necrotic.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    dead = cells.state == State.NECROTIC
+    if not dead.any():
+        return None
+    width = _SMOOTHING * float(cells.radius.mean())
+    low, high = place[:, :2].min(axis=0) - 2.0 * width, place[:, :2].max(axis=0) + 2.0 * width
+    step = max(width / _FINE, float((high - low).max()) / _MAX_POINTS)
+    edges = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
+    weight = np.exp(-0.5 * ((place[:, 2] - level) / width) ** 2)
+    smooth: Any = partial(gaussian_filter, sigma=width / step, mode="constant", truncate=8.0)
+    flat = place[:, 0], place[:, 1], edges
+    whole, part = (smooth(np.histogram2d(*flat, weights=w)[0]) for w in (weight, weight * dead))
+    known = whole > _MIN_DENSITY * whole.max()
+    share = np.divide(part, whole, out=np.full_like(whole, np.nan), where=known)
+    x, y = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)
+    return x, y, share.T
+
+
+def draw_necrotic(axes: Axes, cells: Cells, place: FloatArray, level: float) -> bool:
+    """Draw a line round where most cells are necrotic, and return whether there is such a place."""
+    found = necrotic_share(cells, place, level)
+    if found is None or not np.nanmax(found[2]) > 0.5:
+        return False
+    x, y, share = found
+    filled = np.nan_to_num(share)
+    line: dict[str, Any] = {"levels": [0.5], "zorder": 3}
+    axes.contour(x, y, filled, colors="white", linewidths=3.6, **line)
+    axes.contour(x, y, filled, colors=style.RED, linewidths=1.8, linestyles="--", **line)
+    return True
+
+
 def _draw_behind(
     figure: Figure, axes: Axes, field: Field | None, z: float, nutrient: Nutrient | None, dead: bool
 ) -> None:
@@ -246,11 +272,11 @@ def _draw_behind(
     What is left of one that has been used up or has decayed is not: shades of it would be rounding.
     """
     line: dict[str, Any] = {"color": style.RED, "lw": 1.8}
-    handles = [Line2D([], [], ls=STYLE, label=LABEL, **line)] if dead else []
+    handles = [Line2D([], [], ls="--", label=LABEL, **line)] if dead else []
     if (
         field is not None
         and nutrient is not None
-        and (max(float(field.values.max()), nutrient.boundary) > _MIN_LEVEL * nutrient.highest)
+        and max(field.values.max(), nutrient.boundary) > _MIN_LEVEL * nutrient.highest
     ):
         shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
         bar = _draw_bar(figure, shades, f"{field.name.capitalize()} ({field.unit})", 0.27)
@@ -265,7 +291,6 @@ def _draw_behind(
 def _draw_bar(
     figure: Figure, shades: ScalarMappable, title: str, high: float, **options: Any
 ) -> Colorbar:
-    """Explain shades by a bar beside a section, so high in parts of the figure."""
     place = figure.add_axes((0.73, 0.28, 0.018, high))
     bar = figure.colorbar(shades, cax=place, **options)
     bar.outline.set_visible(False)
@@ -293,7 +318,13 @@ def explain_colours(figure: Figure, shade: Colouring, title: str, shown: Any = s
     - ``shown``: rows of the cells that are counted
     """
     if shade.group is None:
-        _scale_legend(figure, shade)
+        assert shade.range is not None
+        assert shade.values is not None
+        low, high = shade.range
+        below, above = bool((shade.values < low).any()), bool((shade.values > high).any())
+        beyond = ("neither", "min", "max", "both")[below + 2 * above]
+        words = shade.title[0].upper() + shade.title[1:]
+        _draw_bar(figure, ScalarMappable(Normalize(low, high), SCALE), words, 0.5, extend=beyond)
         return
     palette = shade.palette or {}
     title = title if shade.title in ("state", "type") else shade.title.capitalize()

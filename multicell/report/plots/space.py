@@ -84,7 +84,6 @@ def _refuse_flat(scene: Scene) -> None:
 def _draw(
     axes: Axes, frame: Frame, shade: Colouring, view: View, half: float, size: tuple[float, float]
 ) -> None:
-    """Draw the spheres and a scale into axes that are so many pixels wide and high."""
     wide, high = round(size[0]), round(size[1])
     half *= max(1.0, high / wide)
     across = half * wide / high

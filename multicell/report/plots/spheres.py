@@ -83,13 +83,8 @@ def spheres(
         seen, radius, colours, planes, _LIGHT, 0.5 * (front + back), front,
         float(half[0]), float(half[1]), picture, depth,
     )  # fmt: skip
-    return _mean_of_squares(picture)
-
-
-def _mean_of_squares(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the means of squares of points; colours count as much as they are opaque."""
-    high, wide = picture.shape[0] // _LEVELS, picture.shape[1] // _LEVELS
-    blocks = picture.reshape(high, _LEVELS, wide, _LEVELS, 4)
+    # means of squares of points; colours count as much as they are opaque
+    blocks = picture.reshape(pixels[1], _LEVELS, pixels[0], _LEVELS, 4)
     opaque = blocks[..., 3] > 0
     count = opaque.sum(axis=(1, 3))
     # points where nothing is are black, and do not count

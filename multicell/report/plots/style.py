@@ -5,10 +5,9 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Callable, Iterable, Mapping, Sized
-from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import matplotlib as mpl
 import numpy as np
@@ -22,7 +21,6 @@ from multicell.errors import OutputError
 from multicell.report.wording import TimeUnit, cell_count, time_unit
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
-from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
 
 History = Mapping[str, NDArray[np.float64]]  # columns of a run's history by name, (m,) each
@@ -119,22 +117,18 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     def drawn(*args: Any, **kwargs: Any) -> Figure:
         with mpl.rc_context(_STYLE):
             figure = draw(*args, **kwargs)
-            _let_powers_be_formulas(figure)
+            # labels such as 10² are formulas: ticks made under the style would show their source
+            for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+                for formatter, ticks in (
+                    (axis.get_major_formatter(), axis.get_major_ticks()),
+                    (axis.get_minor_formatter(), axis.get_minor_ticks()),
+                ):
+                    for tick in ticks if isinstance(formatter, LogFormatter) else ():
+                        tick.label1.set_parse_math(True)
+                        tick.label2.set_parse_math(True)
             return figure
 
     return drawn
-
-
-def _let_powers_be_formulas(figure: Figure) -> None:
-    """Let labels such as 10² be drawn: ticks made under the style would show their source."""
-    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-        for formatter, ticks in (
-            (axis.get_major_formatter(), axis.get_major_ticks()),
-            (axis.get_minor_formatter(), axis.get_minor_ticks()),
-        ):
-            for tick in ticks if isinstance(formatter, LogFormatter) else ():
-                tick.label1.set_parse_math(True)
-                tick.label2.set_parse_math(True)
 
 
 @final
@@ -149,14 +143,11 @@ def blank(title: str, subtitle: str, size: tuple[float, float] = SIZE) -> Figure
     """Return an empty figure of a size in inches with its heading."""
     figure = Picture(figsize=size, dpi=DPI)
     shown = title if len(title) <= 70 else title[:69] + "…"
-    lines: list[tuple[str, str, float, dict[str, Any]]] = [
-        (TITLE, shown, 0.3125, {"fontsize": 16, "weight": "bold"}),
-        (SUBTITLE, subtitle, 0.59375, {"fontsize": 12, "color": QUIET}),
-    ]
-    for gid, text, inches, look in lines:
-        # a dollar sign in a title is not a formula
-        height = 1.0 - inches / size[1]
-        figure.text(0.04, height, text, va="center", parse_math=False, gid=gid, **look)
+    # a dollar sign in a title is not a formula
+    look: dict[str, Any] = {"va": "center", "parse_math": False}
+    top, below = (1.0 - inches / size[1] for inches in (0.3125, 0.59375))
+    figure.text(0.04, top, shown, gid=TITLE, fontsize=16, weight="bold", **look)
+    figure.text(0.04, below, subtitle, gid=SUBTITLE, fontsize=12, color=QUIET, **look)
     return figure
 
 
@@ -189,45 +180,34 @@ def render(figure: Figure, format: str) -> bytes:
     return picture.getvalue()
 
 
-@final
-@dataclass(frozen=True)
-class InlinePicture:
-    """A picture as a page shows it; ``style.css`` turns its colours in dark mode.
+class InlinePicture(NamedTuple):
+    """A picture as a page shows it; ``style.css`` turns its colours in dark mode."""
 
-    - ``png``: the picture in base64
-    - ``wide``, ``high``: pixels
-    - ``subtitle``: what the picture says of itself
-    """
-
-    png: str
-    wide: int
+    png: str  # in base64
+    wide: int  # pixels
     high: int
-    subtitle: str
+    subtitle: str  # what the picture says of itself
 
 
 def inline_picture(figure: Figure) -> InlinePicture:
     """Return a figure for a page; its title is hidden afterwards."""
-    wide, high = figure.get_size_inches()
-    titles = [text for text in figure.texts if text.get_gid() == TITLE]
-    for text in titles:
-        text.set_visible(False)
-    shown_height = high - _TITLE_HEIGHT if titles else high
-    png, size = _png(figure, Bbox([[0.0, 0.0], [wide, shown_height]]))
-    subtitles = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
-    return InlinePicture(png, *size, subtitle="".join(subtitles))
-
-
-def _png(figure: Figure, shown: Bbox) -> tuple[str, tuple[int, int]]:
-    """Return a figure as PNG in base64, and its pixels; a palette makes it a third as large."""
     from PIL import Image
 
+    wide, high = figure.get_size_inches()
+    for text in figure.texts:
+        if text.get_gid() == TITLE:
+            text.set_visible(False)
+            high -= _TITLE_HEIGHT
     drawn, packed = io.BytesIO(), io.BytesIO()
-    background: Any = figure.get_facecolor()
-    figure.savefig(drawn, format="png", dpi=DPI, bbox_inches=shown, facecolor=background)
+    look: dict[str, Any] = {"dpi": DPI, "facecolor": figure.get_facecolor()}
+    figure.savefig(drawn, format="png", bbox_inches=Bbox([[0.0, 0.0], [wide, high]]), **look)
     image = Image.open(drawn).convert("RGB")
+    # a palette makes it a third as large
     few = image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(packed, format="PNG", optimize=True)
-    return base64.b64encode(packed.getvalue()).decode("ascii"), image.size
+    png = base64.b64encode(packed.getvalue()).decode("ascii")
+    subtitles = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
+    return InlinePicture(png, *image.size, subtitle="".join(subtitles))
 
 
 def type_colours(names: Iterable[str]) -> dict[str, str]:
@@ -237,19 +217,12 @@ def type_colours(names: Iterable[str]) -> dict[str, str]:
     names = list(names)
     if len(names) <= len(_TYPES):
         return dict(zip(names, _TYPES, strict=False))
-    scale = mpl.colormaps["cividis"]
     # the darkest end is left to necrotic cells
-    places = (0.15 + 0.85 * k / (len(names) - 1) for k in range(len(names)))
-    return {name: to_hex(scale(place)) for name, place in zip(names, places, strict=True)}
+    shades = mpl.colormaps["cividis"](0.15 + 0.85 * np.arange(len(names)) / (len(names) - 1))
+    return {name: to_hex(shade) for name, shade in zip(names, shades, strict=True)}
 
 
 def type_label(name: str, most: int = 22) -> str:
     """Return a name as a legend shows it: of few letters, and never taken for a hidden label."""
     short = name if len(name) <= most else name[: most - 1] + "…"
     return f"\u200b{short}" if short.startswith("_") else short
-
-
-def thresholds(nutrient: Nutrient) -> list[tuple[str, float, str]]:
-    """Return the meaning, the value (mM) and the line style of a nutrient's thresholds."""
-    known = [("rest", nutrient.quiescence, "-"), ("die", nutrient.necrosis, "--")]
-    return [(meaning, value, style) for meaning, value, style in known if value is not None]

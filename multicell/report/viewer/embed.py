@@ -6,7 +6,6 @@ import base64
 import hashlib
 import json
 from collections.abc import Sequence
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -40,7 +39,8 @@ def view(
         return None
     # within a script "<" must not begin a tag; in JSON it can be written otherwise
     about = json.dumps(contents.about, allow_nan=False).replace("<", "\\u003c")
-    scripts = _scripts()
+    folder = files("multicell.report.viewer")
+    scripts = [(folder / name).read_text(encoding="utf-8") for name in _SCRIPTS]
     hashes = (hashlib.sha256(text.encode()).digest() for text in scripts)
     return {
         "about": Markup(about),
@@ -72,9 +72,3 @@ def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> l
         raise OutputError("no frame of the run has cells: there is nothing to show")
     (folder / "view.html").write_text(page, encoding="utf-8")
     return ["view.html"]
-
-
-@cache
-def _scripts() -> tuple[str, ...]:
-    folder = files("multicell.report.viewer")
-    return tuple((folder / name).read_text(encoding="utf-8") for name in _SCRIPTS)

@@ -13,6 +13,7 @@ import gzip
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, final
 
 import matplotlib as mpl
@@ -51,25 +52,26 @@ _MAX_CLONES: Final = 250
 @final
 @dataclass(frozen=True)
 class Column:
-    """What is packed of each cell.
-
-    - ``name``, ``label``, ``unit``: of the quantity
-    - ``kind``: ``"u1"``, ``"u2"`` or ``"u4"``: its integers
-    - ``values``: returns the column of a frame
-    - ``words``: names of its numbers, for groups
-    - ``plain``: whether the numbers are not scaled, such as identities
-    - ``low``, ``high``: range that is scaled
-    """
+    """What is packed of each cell."""
 
     name: str
-    label: str
     unit: str
-    kind: str
-    values: Callable[[Frame], NDArray[Any]]
-    words: Sequence[str] = ()
-    plain: bool = False
-    low: float = 0.0
+    kind: str  # of its integers: "u1", "u2" or "u4"
+    values: Callable[[Frame], NDArray[Any]]  # returns the column of a frame
+    words: Sequence[str] = ()  # names of its numbers, for groups
+    title: str = ""
+    low: float = 0.0  # range that is scaled
     high: float = 1.0
+
+    @property
+    def label(self) -> str:
+        """Name in words."""
+        return self.title or self.name.replace("_", " ")
+
+    @property
+    def plain(self) -> bool:
+        """Whether the numbers are not scaled: identities and groups."""
+        return self.kind == "u4" or bool(self.words)
 
     @property
     def top(self) -> int:
@@ -144,60 +146,58 @@ def _frame_numbers(result: Result) -> list[int]:
 
 def _thin(frame: Frame, most: int) -> Frame:
     """Return a frame with at most so many cells, in the order of their identities, no fields."""
-    rows = _visible_rows(frame.cells.id, most)
+    ids = frame.cells.id
+    rows = np.argsort(ids, kind="stable")
+    if len(rows) > most:
+        rank = random.uniform(0, Purpose.VIEW, 0, ids[rows])[:, 0]
+        rows = rows[np.sort(np.argpartition(rank, most)[:most])]
     values = {name: column[rows] for name, column in frame.concentrations.items()}
     return Frame(frame.time, frame.step, frame.cells.take(rows), values)
 
 
 def _groups(frame: Frame) -> dict[str, list[int]]:
     cells = frame.cells
-    columns: tuple[NDArray[Any], ...] = (cells.state, cells.kind, cells.phase)
-    counts = [np.bincount(column).tolist() for column in columns]
-    return dict(zip(("state", "type", "phase"), counts, strict=True))
+    columns: dict[str, NDArray[Any]] = {
+        "state": cells.state,
+        "type": cells.kind,
+        "phase": cells.phase,
+    }
+    return {name: np.bincount(column).tolist() for name, column in columns.items()}
 
 
 def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
     scene, lineage = result.scene, result.lineage
     columns = [
-        Column("id", "cell", "", "u4", lambda f: f.cells.id, plain=True),
-        *(
-            Column(axis, axis, "µm", "u2", _axis(k))
-            for k, axis in enumerate("xyz")
-        ),
-        Column("radius", "radius", "µm", "u1", lambda f: f.cells.radius),
-        Column("state", "state", "", "u1", lambda f: f.cells.state, NAMED["state"]),
-    ]  # fmt: skip
+        Column("id", "", "u4", lambda f: f.cells.id, title="cell"),
+        *(Column(x, "µm", "u2", partial(_axis, k)) for k, x in enumerate("xyz")),
+        Column("radius", "µm", "u1", lambda f: f.cells.radius),
+        Column("state", "", "u1", lambda f: f.cells.state, NAMED["state"]),
+    ]
     if len(scene.types) > 1:
-        columns.append(Column("type", "type", "", "u1", lambda f: f.cells.kind, list(scene.types)))
+        columns.append(Column("type", "", "u1", lambda f: f.cells.kind, list(scene.types)))
     if scene.growth is not None:
         if scene.growth.phases:
-            columns.append(
-                Column("phase", "phase", "", "u1", lambda f: f.cells.phase, NAMED["phase"])
-            )
-        columns.append(_quantity("age", "h", lambda f: f.cells.age / 3600.0))
+            columns.append(Column("phase", "", "u1", lambda f: f.cells.phase, NAMED["phase"]))
+        columns.append(Column("age", "h", "u1", lambda f: f.cells.age / 3600.0))
         clones = _clone_numbers(frames, lineage)
         if clones is not None:
             known, count = clones
             words = [f"clone {k + 1}" for k in range(count)]
-            columns.append(Column("clone", "clone", "", "u1", known, words))
-    columns.append(_quantity("pressure", "kPa", lambda f: f.cells.pressure))
+            columns.append(Column("clone", "", "u1", known, words))
+    columns.append(Column("pressure", "kPa", "u1", lambda f: f.cells.pressure))
     for name in scene.nutrients:
         if all(name in frame.concentrations for frame in frames):
             unit = written(unit_of(f"cells.concentration_{name}"))
-            columns.append(_quantity(name, unit, _field(name)))
+            columns.append(Column(name, unit, "u1", partial(_field, name)))
     return columns
 
 
-def _axis(k: int) -> Callable[[Frame], FloatArray]:
-    return lambda frame: frame.cells.position[:, k]
+def _axis(k: int, frame: Frame) -> FloatArray:
+    return frame.cells.position[:, k]
 
 
-def _field(name: str) -> Callable[[Frame], FloatArray]:
-    return lambda frame: frame.concentrations[name]
-
-
-def _quantity(name: str, unit: str, values: Callable[[Frame], FloatArray]) -> Column:
-    return Column(name, name.replace("_", " "), unit, "u1", values)
+def _field(name: str, frame: Frame) -> FloatArray:
+    return frame.concentrations[name]
 
 
 def _clone_numbers(
@@ -218,7 +218,7 @@ def _clone_numbers(
 
 
 def _ranged(column: Column, frames: Sequence[Frame]) -> Column:
-    if column.plain or column.words:
+    if column.plain:
         return replace(column, high=float(column.top))
     values = np.concatenate([column.values(frame) for frame in frames])
     values = values[np.isfinite(values)]
@@ -271,18 +271,9 @@ def _planes(change: NDArray[np.unsignedinteger[Any]]) -> bytes:
     return folded.astype(f"<i{size}").view("u1").reshape(-1, size).T.tobytes()
 
 
-def _visible_rows(ids: IntArray, most: int) -> IntArray:
-    """Return the rows of the cells to show in the order of their identities."""
-    rows = np.argsort(ids, kind="stable")
-    if len(rows) <= most:
-        return rows
-    rank = random.uniform(0, Purpose.VIEW, 0, ids[rows])[:, 0]
-    return rows[np.sort(np.argpartition(rank, most)[:most])]
-
-
 def _integers(column: Column, values: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
     """Return values as small integers over their range; what is no number is the least one."""
-    if column.plain or column.words:
+    if column.plain:
         return values.astype(column.kind)
     share = np.nan_to_num((values - column.low) / (column.high - column.low), nan=0.0)
     return np.rint(column.top * share).astype(column.kind)
@@ -300,7 +291,7 @@ def _colourings(
     several = len(result.scene.types) > 1
     order = sorted(columns, key=lambda column: column.name != ("type" if several else "state"))
     for column in order:
-        if column.plain or column.name in ("x", "y", "z"):
+        if column.name in ("id", "x", "y", "z"):
             continue
         entry: dict[str, Any] = {"name": column.name, "label": column.label, "unit": column.unit}
         if column.words:
