@@ -28,14 +28,10 @@ FAULTS = {
         "overlap",
     ),
     "a parameter": (LAW, "    return p.stifness * overlap", "AttributeError", "stiffness"),
-    "a function": (LAW, "    return math.sqr(overlap)", "AttributeError", "sqrt"),
     "an exception": (LAW, "    raise ValueError('not today')", "ValueError: not today", ""),
     "two results": (LAW, "    return p.stiffness * overlap, 1.0", "The force is one number", ""),
-    "text": (LAW, "    return 'much'", "The force is one number", ""),
-    "nothing": (LAW, "    return None", "The force is one number", ""),
     "a method's name": (METHOD, "        return system.velocty(0.0, position)",
                         "AttributeError", "velocity"),
-    "a method's exception": (METHOD, "        return 1 / 0", "ZeroDivisionError", ""),
     "a file beside": (METHOD, "        return scaled(position)", "NameError", "factor"),
 }  # fmt: skip
 

@@ -6,7 +6,6 @@ from scipy.integrate import cumulative_trapezoid
 
 import multicell as mc
 from multicell.cli.progress import Forecast
-from multicell.cli.tables import time_text
 from multicell.report.explain.cost import predict
 
 DAY = 86400.0
@@ -110,11 +109,3 @@ def test_a_forecast_is_that_of_explain():
     assert (np.diff(forecast.cost) > 0.0).all()
     early = Forecast.of(scene.with_changes({"stop_cells": 3}))
     assert early.times[-1] < scene.duration
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(3.2, "3.2 s"), (59.0, "59 s"), (91.0, "1.5 min"), (7200.0, "2 h"), (2e5, "2.3 d")],
-)
-def test_times_are_put_into_words(seconds, words):
-    assert time_text(seconds, 2) == words

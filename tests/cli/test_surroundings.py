@@ -116,16 +116,11 @@ def test_compiled_code_of_others_is_refused(tmp_path):
 
 
 VARIABLES = {
-    "home unset": {"HOME": None, "XDG_CACHE_HOME": None},
     "home nowhere": {"HOME": "/nonexistent", "XDG_CACHE_HOME": None, "MPLCONFIGDIR": None},
     "temporary nowhere": {"TMPDIR": "/nonexistent"},
     "columns": {"COLUMNS": "abc", "LINES": "-1"},
-    "narrow": {"COLUMNS": "1"},
     "language": {"LANG": "xx_YY.nonsense", "LC_ALL": "C", "PYTHONUTF8": "0"},
     "threads": {"NUMBA_NUM_THREADS": "abc", "OMP_NUM_THREADS": "-3"},
-    "no threads": {"NUMBA_NUM_THREADS": "0"},
-    "layer": {"NUMBA_THREADING_LAYER": "nonsense"},
-    "optimisation": {"NUMBA_OPT": "nonsense"},
     "backend": {"MPLBACKEND": "module://evil"},
     "settings": {"MATPLOTLIBRC": "/dev/zero"},
     "cpu": {"NUMBA_CPU_NAME": "nonsense"},

@@ -15,18 +15,6 @@ def scene(name="oxygen", **nutrient):
     return Scene.from_dict({"duration": "1 h", "nutrients": {name: nutrient}})
 
 
-# mg/L in water in moist air of 101.325 kPa (Benson & Krause 1984), vapour pressure in kPa
-AIR = {10.0: (11.29, 1.228), 20.0: (9.09, 2.339), 25.0: (8.26, 3.170), 30.0: (7.56, 4.247),
-       35.0: (6.95, 5.629)}  # fmt: skip
-
-
-@pytest.mark.parametrize("temperature", AIR)
-def test_water_in_air_holds_what_the_tables_say(temperature):
-    dissolved, vapour = AIR[temperature]
-    found = oxygen_solubility(temperature) * 0.20946 * (101.325 - vapour)
-    assert found * 31.998 == pytest.approx(dissolved, rel=5e-3)
-
-
 def test_at_body_temperature_as_physiology_has_it():
     """A Bunsen coefficient of 0.0239 (litres at 0 °C and 101.325 kPa in a litre of water)."""
     bunsen = oxygen_solubility(37.0) * 101.325 * 22.392e-3

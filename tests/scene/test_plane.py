@@ -97,12 +97,6 @@ def test_a_dense_tissue_with_a_core(dimensions):
     assert observables.packing_ratio(cells, dimensions) == pytest.approx(filled, rel=2e-2)
 
 
-def test_growth_speed_of_a_disc_is_that_of_its_edge():
-    """A disc whose edge moves at 10 µm/h is seen to do so."""
-    sizes = [observables.diameter(cells_at(uniform(r, 2), radius=0.5), 2) for r in (100.0, 110.0)]
-    assert sizes[1] - sizes[0] == pytest.approx(20.0, rel=1e-3)
-
-
 @BOTH
 def test_cells_that_do_not_overlap_never_pass_a_packing_ratio_of_one(dimensions):
     """No body has a smaller radius of gyration than the ball of its volume."""

@@ -6,7 +6,6 @@ import os
 import pickle
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -30,59 +29,15 @@ def refusal(entries):
 # --- built-in scenes ---------------------------------------------------------------------------
 
 
-def test_built_in_scenes_have_names_and_titles():
-    assert scene_names() == [
-        "chemotaxis", "compression", "confined", "division-shock", "dosing", "doublet",
-        "doublet-settle",
-        "emt6", "emt6-rim",
-        "grow-2000", "growth", "monolayer", "openvt-chain", "openvt-monolayer",
-        "openvt-sorting", "settle", "settle-1000", "sorting", "sorting-cams",
-        "sorting-signal", "spheroid", "stiff-inclusions", "treatment", "wm983b",
-    ]  # fmt: skip
+def test_built_in_scenes_have_titles():
     titles = {load_scene(name).title for name in scene_names()}
-    assert len(titles) == len(scene_names())
+    assert len(titles) == len(scene_names()) > 20
     assert all(len(title) > 10 for title in titles)
 
 
-def test_spheroid_has_all_parts():
-    scene = load_scene("spheroid")
-    assert scene.initial.count == 1
-    assert list(scene.nutrients) == ["oxygen"]
-    assert scene.growth is not None
-    assert scene.death is not None
-    assert isinstance(scene.contact, JKR)
-
-
-def test_growth_has_no_nutrient():
-    scene = load_scene("growth")
-    assert (scene.duration, scene.initial.count) == (5 * 86400.0, 1)
-    assert scene.growth is not None
-    assert len(scene.nutrients) == 0
-    assert scene.death is None
-
-
-def test_settle_is_mechanics_only():
-    scene = load_scene("settle")
-    assert (scene.duration, scene.coupling_step) == (3600.0, 60.0)
-    assert (scene.initial.count, scene.initial.spacing, scene.initial.jitter) == (200, 0.8, 0.05)
-    assert scene.growth is None
-    assert scene.death is None
-    assert not scene.nutrients
-
-
 def test_reading_a_scene_loads_nothing_heavy():
-    heavy = [
-        "numba",
-        "pint",
-        "pde",
-        "scipy.sparse",
-        "scipy.fft",
-        "matplotlib",
-        "h5py",
-        "rich",
-        "sksundae",
-        "tomli_w",
-    ]
+    heavy = ["numba", "pint", "pde", "scipy.sparse", "scipy.fft", "matplotlib", "h5py", "rich",
+             "sksundae", "tomli_w"]  # fmt: skip
     code = (
         "import sys; import multicell.scene.scene as s; "
         f"s.load_scene('spheroid'); print([m for m in {heavy} if m in sys.modules])"
@@ -176,38 +131,15 @@ def test_unreadable_file(tmp_path):
 @pytest.mark.parametrize(
     ("entries", "path", "words"),
     [
-        ({"duration": 0}, "duration", "is 0 s, must be above 0 s"),
-        ({"duration": "-1 d"}, "duration", "is -1 d, must be above 0 s"),
-        ({"duration": "5"}, "duration", "without a unit"),
-        ({"duration": float("nan")}, "duration", "finite"),
-        ({"duration": True}, "duration", "is True, must be a number"),
-        ({"seed": -1}, "seed", "at least 0"),
-        ({"seed": 1.5}, "seed", "whole number"),
         ({"seed": 2**63}, "seed", "at most"),
-        ({"title": 3}, "title", "one line of text"),
-        ({"initial": {"stage": "old"}}, "initial.stage", "'birth', 'uniform'"),
-        ({"cells": {"young_variation": 0.6}}, "cells.young_variation", "at most 0.5"),
         ({"cells": {"poisson": 0.75}}, "cells.poisson", "is 0.75, must be above -1 and at most"),
-        ({"cells": {"poisson": "0.5"}}, "cells.poisson", "without unit and quotes"),
-        ({"cells": [1]}, "cells", "is a list, must be a table"),
         ({"contact": {"law": "yukawa"}}, "contact.law", "must be one of 'hertz', 'jkr'"),
         (
             {"contact": {"law": "hertz", "surface_energy": 0.1}},
             "contact.surface_energy",
             "is not a known key here",
         ),
-        ({"drag": {"viscosity": "0 kPa s"}}, "drag.viscosity", "must be above 0 kPa s"),
-        ({"drag": {"viscosity": "5 kPa"}}, "drag.viscosity", "must be a viscosity"),
-        ({"growth": {"cycle_variation": 0.51}}, "growth.cycle_variation", "at most 0.5"),
-        ({"growth": True}, "growth", "is True, must be a table"),
-        ({"death": {"removal_fraction": 1}}, "death.removal_fraction", "below 1"),
-        ({"nutrients": 5}, "nutrients", "must be a table"),
         ({"nutrients": {"2,3-DPG": {}}}, "nutrients", "letters, digits"),
-        (
-            {"nutrients": {"oxygen": {"necrosis": "0.03 mM", "quiescence": "0.02 mM"}}},
-            "nutrients.oxygen.necrosis",
-            "thresholds in the wrong order",
-        ),
         (
             {"nutrients": {"oxygen": {"necrosis": 0.02, "quiescence": 0.02}}},
             "nutrients.oxygen.necrosis",
@@ -223,35 +155,13 @@ def test_unreadable_file(tmp_path):
             "nutrients.o2.spacing",
             "must be at most 8 um",
         ),
-        ({"nutrients": {"o2": {"uptake": "20 amol"}}}, "nutrients.o2.uptake", "amount per time"),
-        ({"nutrients": {"o2": {"quiescent_uptake": 2}}}, "nutrients.o2.quiescent_uptake", "most 1"),
         ({"integrator": "rk99"}, "integrator.method", "is 'rk99', must be one of 'auto', 'cvode'"),
-        ({"integrator": 3}, "integrator", "must be a table"),
-        ({"integrator": {"rtol": 0.2}}, "integrator.rtol", "at most 0.1"),
-        ({"integrator": {"max_displacement": 1.1}}, "integrator.max_displacement", "at most 1"),
     ],
 )
 def test_bad_value(entries, path, words):
     error = refusal(entries)
     assert error.path == path
     assert words in error.problem
-
-
-@pytest.mark.parametrize(
-    ("entries", "hint"),
-    [
-        ({"durration": 1}, "Did you mean 'duration'?"),
-        ({"drag": {"viscositty": 1}}, "Did you mean 'viscosity'? Allowed: viscosity"),
-        ({"nutrients": {"o2": {"difusion": 1}}}, "Did you mean 'diffusion'?"),
-        ({"integrator": "cvodes"}, "Did you mean 'cvode'?"),
-        ({"contact": {"law": "JKR"}}, "Did you mean 'jkr'?"),
-        ({"cells": {"poisson": 0.75}}, "No isotropic solid"),
-        ({"drag": {"viscosity": 0}}, "without drag no velocity"),
-        ({"contact": {"law": "hertz", "surface_energy": 0.1}}, "Allowed: law"),
-    ],
-)
-def test_hint(entries, hint):
-    assert hint in refusal(entries).hint
 
 
 def test_limits_that_are_allowed():
@@ -337,15 +247,10 @@ def test_changes_leave_their_input_alone():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"cels.young": 1}, "Did you mean 'cells'?"),
-        ({"cells.yong": 1}, "Did you mean 'young'?"),
         ({"growht": None}, "Did you mean 'growth'?"),
         ({"death.lysis_time": None}, "cannot be removed: the scene has no 'death'"),
         ({"duration.x": 1}, "'duration' is a value, not a table"),
         ({"duration": None}, "duration: is missing"),
-        ({"cells.young": -1}, "cells.young: is -1 kPa, must be above 0 kPa"),
-        ({"integrator": "eular"}, "Did you mean 'euler'?"),
-        ({"contact.law": "jrk"}, "Did you mean 'jkr'?"),
         ({"": 1}, "not a dotted key"),
         ({"cells..young": 1}, "not a dotted key"),
         ({3: 1}, "not a dotted key"),
@@ -378,11 +283,6 @@ def test_toml_names_units_seed_and_extra_facts():
     assert "# seed: 1\n" in head
     assert "# numpy: 2.4.6\n" in head
     assert all(line.startswith("#") for line in head.splitlines())
-    assert "duration = 1036800.0  # s\n" in text
-    assert "viscosity = 5.0  # kPa s\n" in text
-    assert "surface_energy = 0.02  # nN/um\n" in text
-    assert "boundary = 0.05  # mM\n" in text
-    assert tomllib.loads(text) == load_scene("spheroid").to_dict()
 
 
 def test_scene_survives_pickle_and_hash():

@@ -24,9 +24,6 @@ def test_a_missing_package_is_told_with_what_to_do():
 @pytest.mark.parametrize(
     "code",
     [
-        "import multicell",
-        "import multicell; multicell.load_scene('emt6')",
-        "from multicell.cli.main import main; main(['--help'], standalone_mode=False)",
         "from multicell.cli.main import main; main(['run', '--help'], standalone_mode=False)",
         "import multicell.runner",
     ],

@@ -96,7 +96,6 @@ def test_a_plan_says_what_is_expected_of_hands(tmp_path):
         assert words in text
 
 
-HEAD = 'design = "grid"\n'
 BY_HAND = {
     f'seeds = 2\n[vary]\n"{OXYGEN}" = "0.1, 0.2 mM"\n': 4,
     f'[vary]\n{OXYGEN} = "0.1, 0.2 mM"\n{GLUCOSE} = [0.8, 1.8]\n': 4,
@@ -119,43 +118,22 @@ def test_plans_written_by_hand_are_read(tmp_path, text):
 BAD = {
     f'[vary]\n{OXYGEN} = "0.1"\n{OXYGEN} = "0.2"\n': "not valid TOML",
     f'[vary]\n{OXYGEN} = "0.1"\n"{OXYGEN}" = "0.2"\n': "is varied twice",
-    '[vary]\nnutrients.oxygen.boundry = "0.1 mM"\n': "Did you mean 'nutrients.oxygen.boundary'",
-    f'[vary]\n{OXYGEN} = "0.1 s"\n': "must be a concentration",
-    f"[vary]\n{OXYGEN} = []\n": "has no values",
-    f"[vary]\n{OXYGEN} = 0.1\n": "must have a list",
-    f'[vary]\n{OXYGEN} = "0.1:0.2 mM"\n': "needs values",
-    f'[vary]\n{OXYGEN} = ["0.1 mM", "100 uM"]\n': "twice",
     "seeds = 0\n": "seeds: is 0, must be a whole number from 1",
-    "seeds = -1\n": "seeds: is -1",
-    "seeds = 2.5\n": "seeds: is 2.5",
     "seeds = true\n": "seeds: is True",
-    'seeds = "5"\n': "seeds: is '5'",
-    "seeds = 1000000000\n": "seeds: is 1000000000",
-    'design = "gird"\n': "Did you mean 'grid'",
     "design = 3\n": "design: is 3",
-    'design = "lhs"\nsize = 4\n': "vary: is empty",
     f'design = "lhs"\n[vary]\n{LENGTH} = "8:25 h"\n': "size: is missing",
-    f'design = "sobol"\nsize = 5\n[vary]\n{LENGTH} = "8:25 h"\n': "a power of two",
     f'design = "lhs"\nsize = 0\n[vary]\n{LENGTH} = "8:25 h"\n': "size: is 0",
-    "size = 4\n": "size: has no meaning",
     'design = "list"\n': "points: is missing",
     'design = "list"\npoints = "absent.csv"\n': "cannot be read",
-    'design = "list"\n[points]\ncells.young = []\n': "has no values",
     'design = "lhs"\nsize = 2\n[points]\ncells.young = [1]\n': "points: has no meaning",
     "[points]\ncells.young = [1]\n[vary]\nduration = [1]\n": "cannot stand beside keys",
     "points = 3\n": "points: is 3",
     "vary = 3\n": "vary: is 3",
-    f'design = "list"\n[points]\ncells.young = [1, 2]\n{OXYGEN} = [1]\n': "lists of other lengths",
     "sead = 3\n": "Did you mean 'seeds'",
     "every = 0\n": "every: is 0 s, must be above",
-    'every = "6 um"\n': "must be a time",
     "scene = 3\n": "scene: is 3",
-    'scene = "absent.toml"\n': "does not exist",
     "sample_seed = -1\n": "sample_seed: is -1",
     'integrator = "mine.py:Mid"\n': "by --integrator 'mine.py:Mid'",
-    "[vary]\ngrowth.cycle_time = [1]\n": "has no effect: the phases",
-    '[vary]\ncontact.law = "jkr,hertz"\ncontact.surface_energy = "0.1,0.2 nN/um"\n':
-        "has no meaning where",
     '[vary]\nnutrients.oxygen.necrosis = "0.001,0.03 mM"\n':
         "(where nutrients.oxygen.necrosis = '0.03 mM')",
     f'[vary]\n{OXYGEN} = "0.1 mM"\nseeds = 3\n': "stands below [vary]",
