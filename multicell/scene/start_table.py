@@ -205,15 +205,15 @@ class StartTable:
         return content
 
 
-def place_table(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the entries of a scene with the file of its table, if it has one, in a folder."""
+def place_table(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
+    """Return the entries of a scene file with the path of its table, if it has one, made whole."""
     initial = entries.get("initial")
     cells = initial.get("cells") if isinstance(initial, dict) else None
     file = cells.get("file") if isinstance(cells, dict) else cells
     if not isinstance(file, str) or not file:
         return entries
     try:
-        whole = str(folder / os.path.expanduser(file))
+        whole = str(Path(os.path.expanduser(source)).parent / os.path.expanduser(file))
     except (OSError, ValueError):
         return entries  # whoever reads it will say what is wrong
     table = {**cells, "file": whole} if isinstance(cells, dict) else whole
