@@ -105,14 +105,19 @@ def with_values(
     return items
 
 
-changes_option = click.option(
+def keyed(option: str, name: str, metavar: str, help: str, **more: Any) -> Option:
+    """Return an option for keys with values, which may be given several times."""
+    return click.option(
+        option, name, multiple=True, type=KEYS, callback=with_values, metavar=metavar, help=help,
+        **more,
+    )  # fmt: skip
+
+
+changes_option = keyed(
     "--set",
     "changes",
-    multiple=True,
-    type=KEYS,
-    callback=with_values,
-    metavar="KEY=VALUE",
-    help="Change one value of the scene, for example --set duration='8 d' or "
+    "KEY=VALUE",
+    "Change one value of the scene, for example --set duration='8 d' or "
     "--set nutrients.oxygen.boundary='0.07 mM'. An empty value removes an optional part "
     "(--set growth=). May be given several times.",
 )

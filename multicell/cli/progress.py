@@ -9,13 +9,13 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, Self, cast, final
 
 import numpy as np
 
-from multicell.cli.tables import time_text
 from multicell.report.wording import time_unit
+from multicell.units import time_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,33 +27,47 @@ if TYPE_CHECKING:
 Progress = Callable[[Any], None]  # called after every coupling step with the simulation
 
 
-@contextmanager
-def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
-    """Yield what a run calls after each coupling step, or None if nothing shall be shown."""
-    if not show:
-        yield None
-        return
+def reporter(scene: Scene, *, show: bool = True) -> AbstractContextManager[Progress | None]:
+    """Return a context with what a run calls after each coupling step."""
     clock = _Clock(scene)
-    with display(clock.words, refresh=5, lines=10) as update:
-
-        def advance(simulation: Any) -> None:
-            clock.note(simulation)
-            update(simulation.time / scene.duration)
-
-        yield advance
+    return display(clock.words, clock.note, refresh=5, lines=10, show=show)
 
 
 @contextmanager
 def display(
-    words: Callable[[], Sequence[str]], *, refresh: float, lines: int
-) -> Iterator[Callable[[float], None]]:
-    """Yield what is called with the part that is done.
+    words: Callable[[], Sequence[str]],
+    share: Callable[..., float | None],
+    *,
+    refresh: float = 2,
+    lines: int = 20,
+    show: bool = True,
+) -> Iterator[Callable[..., None] | None]:
+    """Yield what is called with whatever ``share`` takes, or None if nothing shall be shown.
 
     - ``words``: returns what stands beside the bar, or in a line: what matters most comes first,
       and what finds no room in a line of the terminal is left out
+    - ``share``: returns the part that is done; None where that has not changed
     - ``refresh``: how often a terminal is drawn anew, 1/s
     - ``lines``: how many lines are printed in all where there is no terminal
     """
+    if not show:
+        yield None
+        return
+    with _meter(words, refresh, lines) as update:
+
+        def note(*event: Any) -> None:
+            done = share(*event)
+            if done is not None:
+                update(done)
+
+        yield note
+
+
+@contextmanager
+def _meter(
+    words: Callable[[], Sequence[str]], refresh: float, lines: int
+) -> Iterator[Callable[[float], None]]:
+    """Yield what is called with the part that is done."""
     console = on_stderr()
     if not console.is_terminal:
         printed = 0
@@ -115,23 +129,6 @@ def on_stderr() -> Console:
     stream = cast(IO[str], Faltering(sys.stderr))
     notebook = "JPY_PARENT_PID" in os.environ
     return Console(file=stream, highlight=False, force_terminal=False if notebook else None)
-
-
-@contextmanager
-def count_progress(what: str, *, show: bool = True) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield what is called with how much is done and how much there is, or None to show nothing.
-
-    A bar in a terminal; elsewhere nothing, since such work is short.
-    """
-    from rich.progress import Progress as Bar
-
-    console = on_stderr()
-    if not show or not console.is_terminal:
-        yield None
-        return
-    with Bar(console=console, transient=True) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, of: bar.update(task, completed=done, total=of)
 
 
 def status(simulation: Any, wall: float, left: float | None = None) -> list[str]:
@@ -203,8 +200,8 @@ class _Clock:
             return ["preparing"]
         return status(self._simulation, time.perf_counter() - self._start, self._left)
 
-    def note(self, simulation: Any) -> None:
-        """Note a step."""
+    def note(self, simulation: Any) -> float:
+        """Note a step, and return the part of the time that is simulated."""
         self._simulation, compiled = simulation, simulation.wall["compile"]
         now = time.perf_counter()
         if self._forecast is None and now - self._start > _FORECAST_AFTER:
@@ -214,3 +211,4 @@ class _Clock:
         if self._forecast is not None:
             begin, before = self._since
             self._left = self._forecast.left(begin, simulation.time, now - compiled - before)
+        return float(simulation.time / self._scene.duration)

@@ -15,8 +15,8 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json, words_after
-from multicell.cli.tables import time_text
 from multicell.errors import MissingPackage
+from multicell.units import time_text
 
 if TYPE_CHECKING:
     from multicell.studies.cost import StudyCost
@@ -34,13 +34,11 @@ cores_option = click.option(
 scheduler_option = click.option(
     "--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster, as tcp://host:8786."
 )
-free_option = click.option(
+free_option = shared.keyed(
     "--free",
-    multiple=True,
-    type=shared.KEYS,
-    callback=shared.with_values,
-    metavar="KEY=LOW:HIGH",
-    help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
+    "free",
+    "KEY=LOW:HIGH",
+    "A free parameter and its range, as growth.cycle_time='8:25 h' or "
     "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
 )
 yes_option = click.option(
@@ -71,13 +69,11 @@ def study() -> None:
 @study.command()
 @click.argument("scene", type=shared.SCENE)
 @shared.output_option("Folder of the study.")
-@click.option(
+@shared.keyed(
     "--vary",
-    multiple=True,
-    type=shared.KEYS,
-    callback=shared.with_values,
-    metavar="KEY=VALUES",
-    help="Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "
+    "vary",
+    "KEY=VALUES",
+    "Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "
     "of them) or contact.law=jkr,hertz; with lhs and sobol a range, '8:25 h' or "
     "'log 1e-3:1 1/s'. May be given several times.",
 )

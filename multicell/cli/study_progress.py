@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, final
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, final
 
 from multicell.cli.progress import display
-from multicell.cli.tables import time_text
+from multicell.units import time_text
 
 if TYPE_CHECKING:
     from multicell.studies.engine import Outcome
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from multicell.studies.study import Study
 
 Progress = Callable[["Outcome"], None]
-_LINES: Final = 20  # lines of a log
 
 
 @final
@@ -81,18 +80,14 @@ class Pace:
         ]
 
 
-@contextmanager
-def reporter(study: Study, cores: int | None, *, show: bool = True) -> Iterator[Progress | None]:
-    """Yield what is called with every outcome, or None if nothing shall be shown."""
-    if not show:
-        yield None
-        return
+def reporter(
+    study: Study, cores: int | None, *, show: bool = True
+) -> AbstractContextManager[Progress | None]:
+    """Return a context with what is called with every outcome."""
     pace = Pace(study.runs, cores, time.perf_counter())
-    with display(lambda: pace.words(time.perf_counter()), refresh=2, lines=_LINES) as update:
 
-        def note(outcome: Outcome) -> None:
-            pace.note(outcome, time.perf_counter())
-            if not outcome.reused:
-                update(pace.share)
+    def note(outcome: Outcome) -> float | None:
+        pace.note(outcome, time.perf_counter())
+        return None if outcome.reused else pace.share
 
-        yield note
+    return display(lambda: pace.words(time.perf_counter()), note, show=show)
