@@ -248,8 +248,6 @@ def test_explain_tells_of_phases_death_and_taxis():
     parts = {p["part"]: p["what"] for p in explain(load_scene("emt6"))["parts"]}
     assert "G1 11.5 h, S 7 h, G2 3 h, M 1 h" in parts["growth"]
     assert "5 per oxygen + 2 per glucose" in parts["energy"]
-    parts = {p["part"]: p["what"] for p in explain(load_scene("treatment"))["parts"]}
-    assert "die by themselves" in parts["death"]
     parts = {p["part"]: p["what"] for p in explain(load_scene("chemotaxis"))["parts"]}
     # 0.4 nN over 6 pi 0.5 kPa s times the birth radius, in an hour
     speed = 3600 * 0.4 / (6 * np.pi * 0.5 * 5.0 / 2 ** (1 / 3))

@@ -16,7 +16,6 @@ from studied import SHORT
 import multicell as mc
 from multicell.cli.main import main
 from multicell.cli.study_progress import Pace
-from multicell.studies import study as studies
 from multicell.studies.engine import Outcome
 from multicell.studies.runs import Run
 
@@ -62,13 +61,6 @@ def test_a_new_study_is_written_and_told(folder):
     assert study.plan.seeds == 5
     assert len(study.runs) == 30
     assert not (folder / "runs").exists()
-
-
-def test_a_new_study_as_json(folder):
-    answer = call("new", RICH, "-o", folder, f"--vary={OXYGEN}=0.07,0.14 mM", "--json")
-    told = json.loads(answer.output)
-    assert (told["points"], told["seeds"], told["runs"], told["done"]) == (2, 1, 2, 0)
-    assert told["expected"]["core_seconds"] > 0.0
 
 
 def test_designs_by_option(folder, tmp_path):
@@ -254,9 +246,3 @@ def test_the_time_left_is_corrected_by_what_was_measured():
 def test_the_longest_run_decides_over_many_cores():
     pace = Pace([_run("a", 100.0), _run("b", 1.0)], 8, 0.0)
     assert pace.remaining(0.0) == 100.0
-
-
-def test_public_names_are_those_of_the_room():
-    assert mc.study is studies.study
-    assert mc.load_study is studies.load_study
-    assert mc.Study is studies.Study

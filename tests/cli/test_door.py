@@ -62,10 +62,8 @@ VALUES = [
     "1 = 2", "5 kPa\nb = 2", "x" * 100_000, "0x10", "1_000", "#", "1 # comment", "[1,]",
 ]  # fmt: skip
 KEYS = [
-    "duration", "seed", "drag.viscosity", "initial.count", "initial", "growth", "nutrients",
-    "nutrients.oxygen", "nutrients.oxygen.boundary", "nutrients.oxygen.media", "integrator",
-    "integrator.method", "contact", "contact.law", "types", "output.every", "cells.young",
-    "growth.phases", "chemotaxis", "dimensions",
+    "duration", "seed", "initial", "growth", "nutrients", "nutrients.oxygen.boundary",
+    "nutrients.oxygen.media", "integrator", "contact.law", "growth.phases",
 ]  # fmt: skip
 
 
@@ -192,13 +190,6 @@ def test_closed_streams_do_not_reach_the_results(closed, tmp_path):
     assert len(call("export", tmp_path / "o", "-o", tmp_path / "t").output.splitlines()) >= 3
 
 
-@pytest.mark.parametrize("columns", ["1", "1000"])
-def test_any_width_of_terminal(columns):
-    done = process("explain", "spheroid", env={"COLUMNS": columns, "NO_COLOR": "1"})
-    assert done.returncode == 0
-    assert b"\x1b" not in done.stdout
-
-
 # what is no file
 
 
@@ -246,11 +237,11 @@ def test_what_is_no_folder_holds_no_results(command, place, tmp_path, monkeypatc
 @pytest.mark.parametrize(
     "place", ["file", "file/below", "/dev/null", "/dev/null/below", "x" * 5000]
 )
-@pytest.mark.parametrize("command", ["run", "compare", "stability", "export", "resume"])
+@pytest.mark.parametrize("command", ["run", "compare", "export"])
 def test_what_is_no_place_for_results_is_refused(command, place, folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("mine")
-    source = folder if command in ("export", "resume") else "settle"
+    source = folder if command == "export" else "settle"
     one_error(call(command, source, "-o", place))
     assert Path("file").read_text() == "mine"
 

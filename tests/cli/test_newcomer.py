@@ -86,20 +86,12 @@ def test_a_run_that_is_done_says_how_to_prolong_it(folder):
     [
         (["run", "spheroid", "-o", "out", "--set", "duration", "3 d"], "--set duration='…'"),
         (["study", "new", "growth", "-o", "out", "--vary", "seed", "1,2"], "--vary seed='…'"),
-        (["fit", "growth", "--data", "x", "-o", "out", "--free", "a.b", "1:2"], "--free a.b='…'"),
-        (["sensitivity", "growth", "-o", "out", "--free", "a.b", "1:2"], "--free a.b='…'"),
     ],
 )
 def test_a_space_in_place_of_the_equals_sign_is_told(given, told):
     code, output = words(*given)
     assert code == 2
     assert f"write the value without a space, as {told}" in output
-
-
-def test_steps_of_equations_count_from_zero():
-    scene = mc.load_scene("doublet-settle").with_changes({"duration": "10 min"})
-    with pytest.raises(mc.SceneError, match=r"ends after 1 coupling steps.*Steps count from 0"):
-        mc.ode_problem(scene, step=1)
 
 
 def test_a_scene_may_be_a_name_or_a_path_wherever_one_is_run(tmp_path):

@@ -3,7 +3,6 @@
 import pytest
 
 from multicell.errors import SceneError
-from multicell.report.explain.scene import explain
 from multicell.scene.checks import solving_order
 from multicell.scene.reactions import Reaction, groups
 from multicell.scene.scales import regime, spacing
@@ -137,14 +136,3 @@ def test_fields_are_grouped_by_what_reacts_with_what():
 
     known = {"x": of("a", "c"), "y": of("d", "e"), "z": of("c", "d"), "w": of("f")}
     assert groups("abcdefg", known) == [["a", "c", "d", "e"], ["f"]]
-
-
-def test_explain_tells_of_reactions():
-    hill = {"kind": "hill", "rate": 1e-3, "consumes": {"c": 1}, "where": "tissue"}
-    hill["activated_by"] = {"c": {"half": 0.1, "exponent": 2}}
-    told = explain(scene(reactions={"x": {**A_TO_B, "produces": {"b": 2}}, "y": hill}))
-    words = {part["part"]: part["what"] for part in told["parts"]}
-    assert words["reactions.x"] == "a -> 2 b: mass action, 0.001 1/s"
-    assert "c -> nothing: 0.001 mM/s at most" in words["reactions.y"]
-    assert "solved together with b" in words["nutrients.a"]
-    assert "it takes part in reactions" in words["nutrients.a"]

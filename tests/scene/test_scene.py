@@ -66,13 +66,9 @@ def test_bare_name_of_a_file_is_read_and_a_built_in_name_wins(tmp_path, monkeypa
     assert load_scene(Path("settle")).duration == 2
 
 
-@pytest.mark.parametrize("as_path", [True, False])
-def test_missing_file(tmp_path, as_path):
-    file = tmp_path / "absent.toml"
-    with pytest.raises(
-        SceneError, match=r"absent.toml' does not exist.*growth, .*settle.*spheroid"
-    ):
-        load_scene(file if as_path else str(file))
+def test_missing_file(tmp_path):
+    with pytest.raises(SceneError, match=r"absent.toml' does not exist.*growth, .*settle.*sphe"):
+        load_scene(str(tmp_path / "absent.toml"))
 
 
 @pytest.mark.parametrize("name", ["spherod", "Spheroid", "spheroids"])
@@ -87,13 +83,10 @@ def test_unknown_name_gets_its_near_miss(name):
     ("content", "words"),
     [
         (b'duration = "1 h"\n\n[drag\n', "line 3"),
-        (b"duration = 1\nduration = 2\n", "line 2"),
-        (b"duration = 1 h\n", "line 1"),
         (b"seed = " + b"9" * 5000, "not valid TOML"),
         (b"seed = " + b"[" * 100000, "nested too deeply"),
         (b"title = '\xff'", "not UTF-8"),
         (b"", "duration: is missing"),
-        (b"[drag]\nviscosity = 0\n", "duration: is missing"),
         (b"duration = 1\n[drag]\nviscosity = 0\n", "drag.viscosity: is 0 kPa s, must be above 0"),
     ],
 )
@@ -103,17 +96,6 @@ def test_broken_file(tmp_path, content, words):
     with pytest.raises(SceneError) as caught:
         load_scene(file)
     assert words in str(caught.value)
-
-
-@pytest.mark.parametrize("source", ["", ".", "/", "a\0b", "~nobody-here/x.toml", "x" * 5000])
-def test_what_is_not_a_file_is_refused(source):
-    with pytest.raises(SceneError):
-        load_scene(source)
-
-
-def test_a_folder_is_not_a_scene(tmp_path):
-    with pytest.raises(SceneError, match=r"cannot be read: Is a directory"):
-        load_scene(tmp_path)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root reads anything")
@@ -164,29 +146,6 @@ def test_bad_value(entries, path, words):
     assert words in error.problem
 
 
-def test_limits_that_are_allowed():
-    scene = Scene.from_dict(
-        {
-            "duration": 1e-3,
-            "cells": {"poisson": 0.5, "young_variation": 0},
-            "contact": {"surface_energy": 0},
-            "nutrients": {"o2": {"spacing": 20, "boundary": 0, "uptake": 0, "necrosis": 0}},
-        }
-    )
-    assert scene.nutrients["o2"].spacing == 20
-    assert scene.cells.poisson == 0.5
-
-
-def test_defaults_are_those_of_the_documentation():
-    scene = Scene(duration="1 h")
-    assert (scene.title, scene.seed, scene.coupling_step) == ("", 0, 600.0)
-    assert (scene.growth, scene.death, scene.stop_cells) == (None, None, None)
-    assert scene.contact == JKR(surface_energy="0.1 nN/um")
-    assert (scene.drag.viscosity, scene.cells.division_radius) == (5.0, 5.0)
-    assert (scene.integrator.method, scene.integrator.rtol) == ("auto", 1e-6)
-    assert scene.output.every == 6 * 3600
-
-
 # --- changes -----------------------------------------------------------------------------------
 
 
@@ -208,14 +167,6 @@ def test_optional_tables_come_and_go():
     assert dict(with_oxygen.nutrients) == {"oxygen": Nutrient(boundary=0.1)}
     assert with_oxygen.with_changes({"nutrients.oxygen": None}) == bare
     assert with_oxygen.with_changes({"nutrients": None}) == bare
-
-
-def test_optional_keys_come_and_go():
-    scene = Scene(duration=1).with_changes({"growth.critical_pressure": "1 kPa", "stop_cells": 9})
-    assert (scene.growth.critical_pressure, scene.stop_cells) == (1.0, 9)
-    scene = scene.with_changes({"growth.critical_pressure": None, "stop_cells": None})
-    assert (scene.growth.critical_pressure, scene.stop_cells) == (None, None)
-    assert scene.with_changes({"stop_cells": None}) == scene
 
 
 def test_a_part_can_be_given_as_an_object():
@@ -263,17 +214,6 @@ def test_bad_change(changes, words):
 
 
 # --- writing -----------------------------------------------------------------------------------
-
-
-def test_dict_has_base_unit_numbers_and_no_absent_parts():
-    entries = load_scene("growth").to_dict()
-    assert entries["duration"] == 432000.0
-    assert entries["growth"] == {
-        "cycle_time": 54000.0, "cycle_variation": 0.1, "division": "instant", "law": "linear",
-        "restriction": True,
-    }  # fmt: skip
-    assert entries["contact"] == {"law": "jkr", "surface_energy": 0.1, "smoothing": 0.0}
-    assert {"death", "nutrients", "stop_cells"}.isdisjoint(entries)
 
 
 def test_toml_names_units_seed_and_extra_facts():

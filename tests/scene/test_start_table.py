@@ -17,7 +17,6 @@ from stored import assert_same_bits
 
 import multicell as mc
 from multicell.biology.initial import initial_cells
-from multicell.calibration.data import read_data
 from multicell.cells import Phase, State
 from multicell.cli.main import main
 from multicell.errors import DataError, SceneError
@@ -470,14 +469,3 @@ def test_what_is_no_number_is_refused_by_row_and_column(kind, source):
         normalise(given_as(source, column))
     if "single values" not in str(refused.value):
         assert refused.value.place == f"cells, row {row}, 'position_x_um'"
-
-
-@pytest.mark.parametrize("kind", [kind for kind in NO_NUMBERS if kind != "beyond whole numbers"])
-def test_measured_data_that_is_no_number_is_refused_by_row_and_column(kind):
-    column = NO_NUMBERS[kind][0]
-    frame = pd.DataFrame({"time / h": [1.0, 2.0, 3.0], "cells": pd.Series(column)})
-    for source in (frame, {"time / h": [1.0, 2.0, 3.0], "cells": column}):
-        with pytest.raises(
-            DataError, match=r"^data, (row [0-2]|'cells': is not a column of single)"
-        ):
-            read_data(source, mc.load_scene("growth"))

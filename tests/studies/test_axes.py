@@ -48,14 +48,6 @@ def test_values_are_read(emt6, key, text, values, numbers):
     assert axis.numbers == (None if numbers is None else pytest.approx(numbers, rel=1e-14))
 
 
-def test_a_partial_pressure_becomes_a_concentration(emt6):
-    warm = emt6.with_changes({"nutrients.oxygen.temperature": 20})
-    body, cold = (parse_axis(OXYGEN, "40 mmHg", scene).numbers[0] for scene in (emt6, warm))
-    assert body == emt6.with_changes({OXYGEN: "40 mmHg"}).nutrients["oxygen"].boundary
-    assert cold == warm.with_changes({OXYGEN: "40 mmHg"}).nutrients["oxygen"].boundary
-    assert cold > body
-
-
 def test_an_entry_of_a_table_of_numbers_is_an_axis():
     scene = mc.load_scene("sorting")
     kind, other = list(scene.types)[:2]
