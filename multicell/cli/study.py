@@ -437,9 +437,12 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
         if counts[name]
     ]
     say(f"{_count(len(states), 'run')}: {', '.join(shown)}")
+    units = {axis.name: axis.unit for axis in made.plan.design.axes}
     for run, state in zip(made.runs, states, strict=True):
         if state.state == "running":
-            _print_running(made, run, state)
+            share = 100.0 * state.time / run.scene.duration
+            where, cells = _where(run.coordinates, units), _count(state.cells, "cell")
+            say(f"  running at {where}: {share:.0f} % of the time, {cells}")
     if left > 0.0:
         cores = max(counts["running"], 1)
         now = (
@@ -449,13 +452,6 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
     failed = [(r.coordinates, s.reason) for r, s in zip(made.runs, states, strict=True)
               if s.state == "failed"]  # fmt: skip
     _list_failed(failed, made)
-
-
-def _print_running(made: Study, run: Any, state: RunStatus) -> None:
-    units = {axis.name: axis.unit for axis in made.plan.design.axes}
-    share = 100.0 * state.time / run.scene.duration
-    where, cells = _where(run.coordinates, units), _count(state.cells, "cell")
-    say(f"  running at {where}: {share:.0f} % of the time, {cells}")
 
 
 def _time_left(made: Study, states: Sequence[RunStatus]) -> float:

@@ -160,13 +160,9 @@ def spacing(scene: Scene, name: str) -> float:
     group = [name, *group_of(name, scene.reactions)]
     given = [scene.nutrients[other].spacing for other in group]
     stated = [x for x in given if x is not None]
-    return stated[0] if stated else min(_usual_spacing(scene, other) for other in group)
-
-
-def _usual_spacing(scene: Scene, name: str) -> float:
-    """Return the spacing of a field for which the scene gives none, µm."""
     diameter = 2.0 * scene.cells.division_radius
-    return max(min(scales(scene, name).depth / _POINTS, diameter), 0.5 * diameter)
+    finest = min(scales(scene, other).depth for other in group) / _POINTS if not stated else 0.0
+    return stated[0] if stated else max(min(finest, diameter), 0.5 * diameter)
 
 
 @final

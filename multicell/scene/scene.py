@@ -459,8 +459,6 @@ def with_units(scene: Scene, toml: str) -> str:
         unit = units.get((*table, *_keys(tomllib.loads(f"{key[0]}0"))), "") if key else ""
         if unit.startswith("[") and not line.endswith("["):
             unit = ""  # a course that is one number
-        if line.endswith('"'):
-            unit = ""  # a name in place of a quantity
         lines.append(f"{line}  # {unit}" if unit else line)
     return "\n".join(lines) + "\n"
 

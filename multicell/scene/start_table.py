@@ -34,7 +34,7 @@ _MAX_BYTES: Final = 16_000_000_000
 MAX_IDS: Final = 10**8
 """Identities of cells at the start are below."""
 
-COPIES: Final = ("cells.csv", "cells.parquet")
+COPIES: Final[tuple[str, ...]] = ("cells.csv", "cells.parquet")
 """Names of the copy of a table in the folder of a run."""
 
 START_COLUMNS: Final[Mapping[str, str]] = {

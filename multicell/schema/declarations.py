@@ -34,32 +34,18 @@ def quantity(
     above: float | None = None,
     at_least: float | None = None,
     at_most: float | None = None,
-    below: float | None = None,
-    names: Iterable[str] = (),
     doc: str = "",
     hint: str = "",
 ) -> Any:
     """Declare a quantity: a number in the base unit or a string with a unit.
 
     With ``default=None`` the value may be None: the quantity is absent. ``hint`` is given when a
-    value lies outside the bounds. One of ``names`` may stand in its place.
+    value lies outside the bounds.
     """
-    bounds, known = Bounds(above, at_least, at_most, below), tuple(names)
-    read = reader(unit, bounds, hint=hint)
-
-    def convert(value: object, path: str) -> float | str:
-        if isinstance(value, str) and value in known:
-            return value
-        try:
-            return read(value, path)
-        except SceneError as error:
-            also = f"Allowed in its place: {', '.join(map(repr, known))}." if known else ""
-            hints = " ".join(filter(None, (error.hint, also)))
-            raise SceneError(path, error.problem, hints) from None
-
+    bounds = Bounds(above, at_least, at_most)
     return declare(
-        "quantity", convert, default, unit=unit, doc=doc, bounds=bounds, options=known,
-        allowed=" or ".join([bounds.words(unit), *map(repr, known)]),
+        "quantity", reader(unit, bounds, hint=hint), default, unit=unit, doc=doc, bounds=bounds,
+        allowed=bounds.words(unit),
     )  # fmt: skip
 
 
@@ -238,19 +224,12 @@ def interval(
     )  # fmt: skip
 
 
-def vector(
-    unit: str,
-    *,
-    default: Any = MISSING,
-    at_least: float | None = None,
-    at_most: float | None = None,
-    doc: str = "",
-) -> Any:
+def vector(unit: str, *, default: Any = MISSING, doc: str = "") -> Any:
     """Declare a vector of quantities along x, y and z; stored as a tuple of three.
 
     Of two quantities the third is zero, as it must be in two dimensions.
     """
-    bounds = Bounds(at_least=at_least, at_most=at_most)
+    bounds = Bounds()
     read, kind = reader(unit, bounds), "quantities" if unit else "numbers"
 
     def convert(value: object, path: str) -> tuple[float, float, float]:
