@@ -160,9 +160,11 @@ def spacing(scene: Scene, name: str) -> float:
     group = [name, *group_of(name, scene.reactions)]
     given = [scene.nutrients[other].spacing for other in group]
     stated = [x for x in given if x is not None]
+    if stated:
+        return stated[0]
+    depth = min(scales(scene, other).depth for other in group)
     diameter = 2.0 * scene.cells.division_radius
-    finest = min(scales(scene, other).depth for other in group) / _POINTS if not stated else 0.0
-    return stated[0] if stated else max(min(finest, diameter), 0.5 * diameter)
+    return max(min(depth / _POINTS, diameter), 0.5 * diameter)
 
 
 @final
