@@ -10,7 +10,7 @@ from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
-from multicell.scene.reactions import groups
+from multicell.scene.reactions import group_of, groups
 from multicell.scene.scales import MAX_NODES, height, level_fixed, spacing, touches_medium
 from multicell.schema import leaves, near_miss, separated
 
@@ -346,8 +346,6 @@ def solving_order(
     needs = _needs(nutrients, responses)
     known = circles(nutrients, reactions, responses)
     if reactions:
-        from multicell.scene.reactions import group_of
-
         for name in needs:
             group = [x for x in group_of(name, reactions) if x in needs]
             known[name] = group or known[name]

@@ -17,6 +17,8 @@ from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml
+from multicell.results.quantities import UNITS
+from multicell.scene.parts import own_names
 from multicell.scene.scene import Scene
 from multicell.studies.keys import Key, key_of, refuse_ineffective
 from multicell.studies.limits import MAX_POINTS
@@ -183,9 +185,6 @@ def with_unique_names(axes: Iterable[Axis | Range]) -> list[Any]:
 
 def _reserved() -> set[str]:
     """Return the names that observables of a run and other coordinates have."""
-    from multicell.results.quantities import UNITS
-    from multicell.scene.parts import own_names
-
     own = {"point", "state", "reason", *own_names()}
     return own | {name for name in UNITS if "." not in name}
 

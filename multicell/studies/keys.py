@@ -17,7 +17,7 @@ from multicell.integrators.registry import METHODS
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.responses import Response, effects, in_base_units, unit_of
 from multicell.scene.scene import Scene, check_dotted
-from multicell.schema import SYNONYMS, Parameter, near_miss, specs
+from multicell.schema import SYNONYMS, Parameter, chosen, near_miss, specs
 
 _TABLES: Final = ("table", "variant", "tables")
 _NO_AXES: Final = {
@@ -65,8 +65,6 @@ class Key:
 
     def _word(self, value: Any) -> str:
         """Return the name of a part, such as that of a contact law."""
-        from multicell.schema import chosen
-
         assert self.spec.parts is not None
         return chosen(value, self.spec.parts, self.name, getattr(self.spec.parts, "hint", None))
 

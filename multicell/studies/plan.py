@@ -17,7 +17,7 @@ from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml, read_regular
-from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
 from multicell.studies.axes import Axis, Range, change, parse_axis
 from multicell.studies.design import SAMPLED, Design, Point, parse_axis_or_range, read_points
@@ -231,8 +231,6 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
     - ``integrator``: ``file.py:Name`` of a method of the user's own; what files name is never
       executed
     """
-    from multicell.scene.scene import load_scene
-
     folder = Path(folder)
     path = folder / NAME
     entries = _entries(path)

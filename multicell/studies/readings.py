@@ -23,7 +23,6 @@ from multicell.studies.table import at_times
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.scene.scene import Scene
     from multicell.studies.engine import Outcome
 
 _USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",

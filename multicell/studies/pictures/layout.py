@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from multicell.report.plots.style import DPI, SIZE, blank
 
@@ -39,9 +40,10 @@ def panels(
     return figure, grid[:count]
 
 
-def write_plainly(axis: Any) -> None:
-    """Write the numbers of an axis with commas and without powers of ten."""
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.7g}"))
+def write_plainly(axis: Any, text: Callable[[float], str] = "{:,.7g}".format) -> None:
+    """Write the numbers of an axis with commas and without powers of ten, or as another text."""
+    axis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: text(value)))
 
 
 def spread(count: int, most: int) -> list[int]:
