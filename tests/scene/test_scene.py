@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -33,17 +31,6 @@ def test_built_in_scenes_have_titles():
     titles = {load_scene(name).title for name in scene_names()}
     assert len(titles) == len(scene_names()) > 20
     assert all(len(title) > 10 for title in titles)
-
-
-def test_reading_a_scene_loads_nothing_heavy():
-    heavy = ["numba", "pint", "pde", "scipy.sparse", "scipy.fft", "matplotlib", "h5py", "rich",
-             "sksundae", "tomli_w"]  # fmt: skip
-    code = (
-        "import sys; import multicell.scene.scene as s; "
-        f"s.load_scene('spheroid'); print([m for m in {heavy} if m in sys.modules])"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == "[]"
 
 
 # --- files -------------------------------------------------------------------------------------

@@ -47,7 +47,7 @@ def shuffled(entries, chance, path=""):
 
 
 @given(plausible(extreme=0.0), st.integers(0, 2**32))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_equal_scenes_have_one_digest(entries, seed):
     try:
         scene = mc.Scene.from_dict(entries)
