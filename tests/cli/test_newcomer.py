@@ -44,18 +44,6 @@ def test_progress_draws_no_bar_in_the_cell_of_a_notebook(monkeypatch, parent, te
     assert progress.on_stderr().is_terminal is terminal
 
 
-@pytest.mark.parametrize(
-    ("duration", "shown"),
-    [("4 d", "1.00 of 4 d"), ("4 h", "1.00 of 4 h"), ("4 s", "1.00 of 4 s")],
-)
-def test_progress_is_told_in_a_unit_that_suits_the_run(duration, shown):
-    class Moment:
-        scene = mc.load_scene("growth").with_changes({"duration": duration})
-        time, step_index, cells = scene.duration / 4.0, 7, [None]
-
-    assert progress.status(Moment, wall=1.0)[0] == shown
-
-
 def test_a_time_outside_the_run_is_not_its_last_frame(folder, tmp_path):
     picture = tmp_path / "late.png"
     code, output = words("plot", folder, "-o", picture, "--time", "40 d")

