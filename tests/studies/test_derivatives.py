@@ -75,7 +75,7 @@ def test_depth_that_oxygen_reaches():
 def test_scatter_cancels_in_a_spheroid():
     """Different seeds on both sides would take half as many runs more at least."""
     scene = mc.load_scene("spheroid").with_changes(
-        {"initial.count": 100, "initial.stage": "asynchronous", "duration": "2 d",
+        {"initial.count": 100, "initial.stage": "asynchronous", "duration": "1 d",
          "nutrients.oxygen.boundary": "0.03 mM"}
     )  # fmt: skip
     row = mc.gradient(scene, "diameter", "nutrients.oxygen.boundary", step=0.1).row()
