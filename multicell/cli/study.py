@@ -243,10 +243,10 @@ def run(
     if any(state.state != "done" for state in made.status()):
         count = cores_wanted(cores, scheduler)
         confirm(made.expected(count or 1), count, yes, quiet or as_json)
-    from multicell.cli.study_progress import reporter
+    from multicell.cli.progress import study_reporter
 
     try:
-        with reporter(made, count, show=not quiet) as progress:
+        with study_reporter(made, count, show=not quiet) as progress:
             outcomes = made.run(cores, scheduler, progress, retry=retry)
     except KeyboardInterrupt:
         _print_stop(made)
@@ -322,7 +322,7 @@ def carry_out_study(
     - ``carry_out``: called with it, the folder, what says where runs go, and ``progress``
     - ``how``: the values of ``analysis_options``
     """
-    from multicell.cli.study_progress import reporter
+    from multicell.cli.progress import study_reporter
     from multicell.studies.study import write_study
 
     workers = {name: how[name] for name in ("cores", "scheduler", "retry")}
@@ -330,7 +330,7 @@ def carry_out_study(
     study = write_study(plan.study, output, overwrite=how["overwrite"])
     confirm(study.expected(count or 1), count, how["yes"], how["quiet"] or how["as_json"])
     try:
-        with reporter(study, count, show=not how["quiet"]) as progress:
+        with study_reporter(study, count, show=not how["quiet"]) as progress:
             return carry_out(plan, output, progress=progress, **workers)
     except KeyboardInterrupt:
         complain("Stopped: the same command continues with what is there.")

@@ -389,7 +389,6 @@ def circles(
 def _needs(
     nutrients: Mapping[str, Nutrient], responses: Mapping[str, Response] | None
 ) -> dict[str, list[str]]:
-    """Return the fields that each depends on."""
     needs = {
         name: [*nutrient.uptake_on, *(nutrient.secretion_from or ())]
         for name, nutrient in nutrients.items()
@@ -433,7 +432,6 @@ def check_own(scene: Scene, reactions: Mapping[str, Any]) -> None:
 
 
 def _check_groups(scene: Scene, reactions: Mapping[str, Joining]) -> None:
-    """Check the fields that react with each other, group by group."""
     for group in groups(scene.nutrients, reactions):
         _check_grid(scene, group)
         _check_regime(scene, group)

@@ -178,6 +178,5 @@ def check_members(scene: DrivingTables, cells: Cells) -> None:
 
 
 def _overlap(first: Driver, second: Driver) -> bool:
-    """Return whether two drivers act at the same time."""
     ends = [math.inf if driver.end is None else driver.end for driver in (first, second)]
     return first.begin < ends[1] and second.begin < ends[0]

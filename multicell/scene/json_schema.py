@@ -66,7 +66,6 @@ def _table(part: type, parts: dict[str, Schema], also: Schema | None = None) -> 
 
 
 def _reference(part: type, parts: dict[str, Schema]) -> Schema:
-    """Return a reference to the schema of a part."""
     if part.__name__ not in parts:
         parts[part.__name__] = {}
         parts[part.__name__] = _table(part, parts)
@@ -86,7 +85,6 @@ def _describe(field: Field[Any], parts: dict[str, Schema]) -> Schema:
 
 
 def _number(bounds: Bounds | None, kind: str = "number") -> Schema:
-    """Return the schema of a number within bounds."""
     ends = {} if bounds is None else vars(bounds)
     limits = {_LIMITS[name]: end for name, end in ends.items() if end is not None}
     return {"type": kind, **limits}
@@ -101,7 +99,6 @@ def _amount(unit: str, bounds: Bounds | None = None) -> Schema:
 
 
 def _curve(x: Schema, y: Schema) -> Schema:
-    """Return the schema of a list of points."""
     point = {"type": "array", "prefixItems": [x, y], "minItems": 2, "maxItems": 2}
     return {"type": "array", "items": point, "minItems": 1}
 
@@ -118,7 +115,6 @@ def _one_table(spec: Parameter, parts: dict[str, Schema]) -> Schema:
 
 
 def _tables(spec: Parameter, parts: dict[str, Schema]) -> Schema:
-    """Return the schema of named tables."""
     assert spec.table is not None
     one = _reference(spec.table, parts)
     if spec.options:
@@ -148,7 +144,6 @@ def _variant(spec: Parameter, parts: dict[str, Schema]) -> Schema:
 
 
 def _choice(spec: Parameter) -> Schema:
-    """Return the schema of a name out of several, or of further ones."""
     names = {"enum": list(spec.options)}
     own = {"type": "string", "pattern": spec.further}
     return {"anyOf": [names, own]} if spec.further else names

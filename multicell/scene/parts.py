@@ -231,7 +231,6 @@ class Growth:
             raise SceneError("phases", "have no phase in which cells grow", hint)
 
     def _of_law(self) -> dict[str, float]:
-        """Return the parameters of the law by name."""
         target = {} if self.target is None else {"target": self.target}
         return {**target, **(self.parameters or {})}
 

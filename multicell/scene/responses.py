@@ -266,7 +266,6 @@ def _ends(
 
 
 def _law(part: Response) -> ResponseLaw:
-    """Return the law of a response in base units."""
     half: Any = part.half
     if part.law in OWN:
         law = OWN[part.law]

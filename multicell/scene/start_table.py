@@ -323,7 +323,6 @@ def _refuse_coinciding(given: Given) -> None:
 
 
 def _one_frame(given: Given) -> None:
-    """Refuse a table of several frames."""
     if "frame" not in given.titles:
         return
     frames = np.unique(given.source.columns[given.titles["frame"]])
@@ -406,7 +405,6 @@ def _ids(given: Given, raw: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def _read_names(given: Given, name: str, raw: NDArray[Any]) -> NDArray[np.int8]:
-    """Return a column of names as numbers."""
     known = _NAMES[name]
     words, codes = np.unique(raw.astype(str), return_inverse=True)
     numbers = np.array([known.get(str(word), -1) for word in words])[codes]

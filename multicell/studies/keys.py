@@ -215,7 +215,6 @@ def refuse_ineffective(
 
 
 def _controlled(scene: Scene) -> bool:
-    """Return whether a known method chooses its steps."""
     info = METHODS.get(scene.integrator.method)
     return info is not None and info.control != "step"
 
@@ -227,7 +226,6 @@ def _lacks(scene: Scene, name: str) -> bool:
 
 
 def _responds(scene: Scene, behaviour: str) -> bool:
-    """Return whether anything changes a behaviour."""
     return any(effect.behaviour == behaviour for effect in effects(scene))
 
 

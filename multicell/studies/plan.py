@@ -103,7 +103,6 @@ class Plan:
         return made
 
     def _each(self) -> Iterator[tuple[int, Scene]]:
-        """Yield number of the point and scene of each run."""
         for k, scene in enumerate(self.scenes):
             for j in range(self.seeds):
                 yield k, replace(scene, seed=scene.seed + j) if j else scene
@@ -190,7 +189,6 @@ def _parse_vary(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, .
 
 
 def _columns(points: Any, scene: Scene) -> tuple[Axis, ...]:
-    """Return the columns of a list of points."""
     if isinstance(points, str | Path):
         return read_points(points, scene)
     to_dict = getattr(points, "to_dict", None)

@@ -68,7 +68,6 @@ def read_final(
 def _read_run(
     place: Path, observables: Sequence[str], times: FloatArray | None
 ) -> dict[str, FloatArray | float]:
-    """Return the values of a run."""
     from multicell.results.reader import Contents
 
     history = Contents(place).history()

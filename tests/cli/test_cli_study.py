@@ -15,7 +15,7 @@ from studied import SHORT
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.cli.study_progress import Pace
+from multicell.cli.progress import Pace
 from multicell.studies.engine import Outcome
 from multicell.studies.runs import Run
 
