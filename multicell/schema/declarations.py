@@ -34,6 +34,7 @@ def quantity(
     above: float | None = None,
     at_least: float | None = None,
     at_most: float | None = None,
+    below: float | None = None,
     doc: str = "",
     hint: str = "",
 ) -> Any:
@@ -42,7 +43,7 @@ def quantity(
     With ``default=None`` the value may be None: the quantity is absent. ``hint`` is given when a
     value lies outside the bounds.
     """
-    bounds = Bounds(above, at_least, at_most)
+    bounds = Bounds(above, at_least, at_most, below)
     return declare(
         "quantity", reader(unit, bounds, hint=hint), default, unit=unit, doc=doc, bounds=bounds,
         allowed=bounds.words(unit),
