@@ -14,6 +14,17 @@ from multicell.cli import options as shared
 from multicell.cli import study as studies
 
 
+def _observables(what: str, several: str) -> shared.Option:
+    help = (
+        f"{what}, at the end of the runs: a column of the history, as diameter, or one of your "
+        f"own, as mine.py:rim_area. {several}"
+    )
+    return click.option(
+        "--observable", "observables", multiple=True, callback=shared.observable_names,
+        metavar="NAME", help=help,
+    )  # fmt: skip
+
+
 @click.command()
 @click.argument("scene", type=shared.SCENE)
 @shared.output_option("Folder of the analysis; its runs are kept there.")
@@ -37,15 +48,9 @@ from multicell.cli import study as studies
     help="Runs at each point, with the same seeds at all points; from two on indices are set "
     "against the noise.",
 )
-@click.option(
-    "--observable",
-    "observables",
-    multiple=True,
-    callback=shared.observable_names,
-    metavar="NAME",
-    help="What the indices are of, at the end of the runs: a column of the history, as diameter, "
-    "or one of your own, as mine.py:rim_area. May be given several times; by default the usual "
-    "ones of the scene.",
+@_observables(
+    "What the indices are of",
+    "May be given several times; by default the usual ones of the scene.",
 )
 @shared.changes_option
 @shared.law_option
@@ -84,13 +89,11 @@ def sensitivity(
 @click.command(name="dose-response")
 @click.argument("scene", required=False, type=shared.SCENE)
 @shared.output_option("Folder of the analysis; its runs are kept there.")
-@click.option(
+@shared.keyed(
     "--dose",
     "drugs",
-    multiple=True,
-    callback=shared.with_values,
-    metavar="KEY=DOSES",
-    help="A dose and its values, the control first: nutrients.drug.boundary='0, log 0.01:10:8 uM' "
+    "KEY=DOSES",
+    "A dose and its values, the control first: nutrients.drug.boundary='0, log 0.01:10:8 uM' "
     "(eight with equal ratios). KEY,KEY=DOSES: several keys that all take it. Twice: two drugs, "
     "all pairs of whose doses run.",
 )
@@ -100,15 +103,10 @@ def sensitivity(
     help="In place of a SCENE measured responses, a CSV file with the titles 'dose / uM', response "
     "and replicate; of two drugs 'dose A / uM' and 'dose B / uM'.",
 )
-@click.option(
-    "--observable",
-    "observables",
-    multiple=True,
-    callback=shared.observable_names,
-    metavar="NAME",
-    help="The response, at the end of the runs: a column of the history, as diameter, or one of "
-    "your own, as mine.py:rim_area; given several times they are added up. By default the living "
-    "cells, proliferating and quiescent.",
+@_observables(
+    "The response",
+    "Given several times they are added up. By default the living cells, proliferating and "
+    "quiescent.",
 )
 @shared.valued("--seeds", default=5, help="Runs at each dose.")
 @shared.valued(

@@ -10,6 +10,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json
+from multicell.schema import separated
 
 if TYPE_CHECKING:
     from multicell.comparison.result import WorkPrecision
@@ -24,10 +25,8 @@ def _positive(context: click.Context, option: click.Parameter, value: float | No
 
 
 def _names(context: click.Context, option: click.Parameter, text: str | None) -> list[str] | None:
-    if text is None:
-        return None
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    if not names:
+    names = None if text is None else list(separated(text))
+    if names == []:
         raise click.BadParameter("no method is named", param_hint="'--methods'")
     return names
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 
     from multicell.calibration.fit_plan import FitPlan
     from multicell.calibration.fitted import Fit
-
-_LINES: Final = 20  # lines of a log
 
 
 def _budget(context: click.Context, option: click.Parameter, value: str | None) -> int | str | None:
@@ -136,10 +133,16 @@ def fit(
 
     with studies.planning():
         plan = plan_of(described, data, pairs, **options)
-    count = studies.cores_wanted(cores, scheduler)
+    count, words = studies.cores_wanted(cores, scheduler), "starting"
+
+    def note(what: str, done: int, wanted: int) -> float:
+        nonlocal words
+        words = f"{what}: {done:,} of {wanted:,}"
+        return done / max(wanted, 1)
+
     studies.confirm(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
     try:
-        with _reporter(show=not quiet) as progress:
+        with display(lambda: [words], note, show=not quiet) as progress:
             found = carry_out(
                 plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
                 progress=progress,
@@ -162,23 +165,6 @@ def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
     memory = max(cost_of(c.scene).memory for c in plan.problem.measured.conditions)
     many = cores or 1
     return StudyCost(runs, core_seconds, core_seconds / many, memory * many, disk=0.0)
-
-
-@contextmanager
-def _reporter(*, show: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Yield what reports the stages of a fit, or None to show nothing."""
-    if not show:
-        yield None
-        return
-    words = "starting"
-    with display(lambda: [words], refresh=2, lines=_LINES) as update:
-
-        def note(what: str, done: int, wanted: int) -> None:
-            nonlocal words
-            words = f"{what}: {done:,} of {wanted:,}"
-            update(done / max(wanted, 1))
-
-        yield note
 
 
 def _print(out: Console, found: Fit, output: Path) -> None:

@@ -18,8 +18,9 @@ import click
 from multicell import __version__
 from multicell.cli import options as shared
 from multicell.cli.process import Commands, complain, print_json
-from multicell.cli.tables import filled_table, key_table, plain, time_text
+from multicell.cli.tables import filled_table, key_table, plain
 from multicell.errors import OutputError, StepFailed
+from multicell.units import time_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 
 _ELSEWHERE = {
-    "compare": "compare:compare", "stability": "compare:stability", "doctor": "doctor:doctor",
+    "compare": "compare:compare", "stability": "compare:stability",
     "dose-response": "analyses:dose_response", "sensitivity": "analyses:sensitivity",
     "fit": "fit:fit", "import": "importing:importing", "play": "play:play", "study": "study:study",
     "scenes": "scenes:scenes", "init": "scenes:init", "coarsen": "scenes:coarsen",
@@ -185,6 +186,30 @@ def export(folder: Path, output: Path, tables: str | None, as_json: bool, **opti
         return
     for path in paths:
         click.echo(path, file=sys.stdout)
+
+
+@main.command()
+@shared.as_json_option
+def doctor(as_json: bool) -> None:
+    """Show what there is to run with: versions, cores, memory, cache, missing packages.
+
+    Include it when you report a problem.
+    """
+    from multicell.host.extras import checkup
+
+    found = checkup()
+    if as_json:
+        print_json(found)
+        return
+    rows = {"system": found["system"], "Python": found["python"], **found["versions"]}
+    rows["cores"] = f"{found['cores']}, of which multicell uses {found['threads']}"
+    if found["memory_GiB"] is not None:
+        rows["memory"] = f"{found['memory_GiB']:g} GiB"
+    kept = "" if found["cache_writable"] else " (cannot be written to: every command compiles anew)"
+    rows["compiled code"] = f"{found['cache']}{kept}"
+    for extra, names in found["missing"].items():
+        rows[f"extra '{extra}'"] = f'lacks {", ".join(names)}: pip install ".[{extra}]"'
+    shared.console().print(key_table(rows.items()))
 
 
 def _simulate(

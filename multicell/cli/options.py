@@ -88,7 +88,6 @@ def _keys(context: click.Context) -> list[str]:
 SCENE = Names("scene", _scenes)
 KEYS = Names("text", _keys)
 _SHORT = 500.0  # s; a time of a scene that is shorter is likely meant in hours
-_MAX_DEPTH = 20  # tables and lists of a scene stand at most five deep
 
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 
@@ -105,14 +104,19 @@ def with_values(
     return items
 
 
-changes_option = click.option(
+def keyed(option: str, name: str, metavar: str, help: str, **more: Any) -> Option:
+    """Return an option for keys with values, which may be given several times."""
+    return click.option(
+        option, name, multiple=True, type=KEYS, callback=with_values, metavar=metavar, help=help,
+        **more,
+    )  # fmt: skip
+
+
+changes_option = keyed(
     "--set",
     "changes",
-    multiple=True,
-    type=KEYS,
-    callback=with_values,
-    metavar="KEY=VALUE",
-    help="Change one value of the scene, for example --set duration='8 d' or "
+    "KEY=VALUE",
+    "Change one value of the scene, for example --set duration='8 d' or "
     "--set nutrients.oxygen.boundary='0.07 mM'. An empty value removes an optional part "
     "(--set growth=). May be given several times.",
 )
@@ -293,20 +297,9 @@ def _value(key: str, text: str) -> Any:
     except ValueError as error:  # nested too deeply, integers of thousands of digits
         raise SceneError(key, f"is {shown(text)}, which cannot be read: {error}") from None
     value = parsed["value"]
-    if _depth(value) > _MAX_DEPTH:
-        raise SceneError(key, f"is nested more than {_MAX_DEPTH} deep")
     known = isinstance(value, bool | int | float | str | list | dict)
     # a line break would smuggle in a second key; a date is no value of a scene
     return value if known and set(parsed) == {"value"} else text
-
-
-def _depth(value: Any) -> int:
-    """Return how many tables and lists stand in each other, without recursion."""
-    depth, level = 0, [value]
-    while level := [x for x in level if isinstance(x, list | dict)]:
-        depth += 1
-        level = [y for x in level for y in (x.values() if isinstance(x, dict) else x)]
-    return depth
 
 
 def console() -> Console:

@@ -20,16 +20,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("scene", type=shared.SCENE)
-@click.option(
+@shared.keyed(
     "--key",
     "keys",
-    multiple=True,
-    required=True,
-    type=shared.KEYS,
-    callback=shared.with_values,
-    metavar="KEY=LOW:HIGH",
-    help="A slider, as nutrients.oxygen.boundary='1:21 %' or drag.viscosity='log 0.1:10 kPa s'. "
+    "KEY=LOW:HIGH",
+    "A slider, as nutrients.oxygen.boundary='1:21 %' or drag.viscosity='log 0.1:10 kPa s'. "
     "May be given several times.",
+    required=True,
 )
 @click.option(
     "--coarse",

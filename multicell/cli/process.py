@@ -132,7 +132,8 @@ def _explain(error: Exception, as_json: bool) -> int:
             import traceback
 
             complain("".join(traceback.format_exception(error)).rstrip())
-    if as_json and not _unwritable(error):
+    unwritable = isinstance(error, OSError) and error.filename is None
+    if as_json and not unwritable:
         with quietly():
             print_json({"error": message, "kind": type(error).__name__})
     return code
@@ -238,10 +239,6 @@ class Faltering(io.TextIOBase):
             action()
         except (OSError, ValueError):
             self.lost = True
-
-
-def _unwritable(error: Exception) -> bool:
-    return isinstance(error, OSError) and error.filename is None
 
 
 @contextmanager

@@ -9,51 +9,68 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, Self, cast, final
 
 import numpy as np
 
-from multicell.cli.tables import time_text
 from multicell.report.wording import time_unit
+from multicell.units import time_text
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
+    from multicell.studies.engine import Outcome
+    from multicell.studies.runs import Run
+    from multicell.studies.study import Study
 
 
 Progress = Callable[[Any], None]  # called after every coupling step with the simulation
 
 
-@contextmanager
-def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
-    """Yield what a run calls after each coupling step, or None if nothing shall be shown."""
-    if not show:
-        yield None
-        return
+def reporter(scene: Scene, *, show: bool = True) -> AbstractContextManager[Progress | None]:
+    """Return a context with what a run calls after each coupling step."""
     clock = _Clock(scene)
-    with display(clock.words, refresh=5, lines=10) as update:
-
-        def advance(simulation: Any) -> None:
-            clock.note(simulation)
-            update(simulation.time / scene.duration)
-
-        yield advance
+    return display(clock.words, clock.note, refresh=5, lines=10, show=show)
 
 
 @contextmanager
 def display(
-    words: Callable[[], Sequence[str]], *, refresh: float, lines: int
-) -> Iterator[Callable[[float], None]]:
-    """Yield what is called with the part that is done.
+    words: Callable[[], Sequence[str]],
+    share: Callable[..., float | None],
+    *,
+    refresh: float = 2,
+    lines: int = 20,
+    show: bool = True,
+) -> Iterator[Callable[..., None] | None]:
+    """Yield what is called with whatever ``share`` takes, or None if nothing shall be shown.
 
     - ``words``: returns what stands beside the bar, or in a line: what matters most comes first,
       and what finds no room in a line of the terminal is left out
+    - ``share``: returns the part that is done; None where that has not changed
     - ``refresh``: how often a terminal is drawn anew, 1/s
     - ``lines``: how many lines are printed in all where there is no terminal
     """
+    if not show:
+        yield None
+        return
+    with _meter(words, refresh, lines) as update:
+
+        def note(*event: Any) -> None:
+            done = share(*event)
+            if done is not None:
+                update(done)
+
+        yield note
+
+
+@contextmanager
+def _meter(
+    words: Callable[[], Sequence[str]], refresh: float, lines: int
+) -> Iterator[Callable[[float], None]]:
+    """Yield what is called with the part that is done."""
     console = on_stderr()
     if not console.is_terminal:
         printed = 0
@@ -115,23 +132,6 @@ def on_stderr() -> Console:
     stream = cast(IO[str], Faltering(sys.stderr))
     notebook = "JPY_PARENT_PID" in os.environ
     return Console(file=stream, highlight=False, force_terminal=False if notebook else None)
-
-
-@contextmanager
-def count_progress(what: str, *, show: bool = True) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield what is called with how much is done and how much there is, or None to show nothing.
-
-    A bar in a terminal; elsewhere nothing, since such work is short.
-    """
-    from rich.progress import Progress as Bar
-
-    console = on_stderr()
-    if not show or not console.is_terminal:
-        yield None
-        return
-    with Bar(console=console, transient=True) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, of: bar.update(task, completed=done, total=of)
 
 
 def status(simulation: Any, wall: float, left: float | None = None) -> list[str]:
@@ -203,8 +203,8 @@ class _Clock:
             return ["preparing"]
         return status(self._simulation, time.perf_counter() - self._start, self._left)
 
-    def note(self, simulation: Any) -> None:
-        """Note a step."""
+    def note(self, simulation: Any) -> float:
+        """Note a step, and return the part of the time that is simulated."""
         self._simulation, compiled = simulation, simulation.wall["compile"]
         now = time.perf_counter()
         if self._forecast is None and now - self._start > _FORECAST_AFTER:
@@ -214,3 +214,79 @@ class _Clock:
         if self._forecast is not None:
             begin, before = self._since
             self._left = self._forecast.left(begin, simulation.time, now - compiled - before)
+        return float(simulation.time / self._scene.duration)
+
+
+@final
+class Pace:
+    """Progress of a study and prediction of the time that is left.
+
+    What runs are expected to take is corrected by the ratio of what those that ended took to what
+    they were expected to; the expectation counts as much as one more run.
+
+    - ``runs``: all of the study
+    - ``cores``: on which they go; None if that is not known
+    - ``now``: of the clock, s
+    """
+
+    def __init__(self, runs: Sequence[Run], cores: int | None, now: float) -> None:
+        self.expected = {run.name: run.expected for run in runs}
+        self.left = dict(self.expected)
+        self.total = len(self.expected)
+        self.failed = self.computed = 0
+        self._cores = cores
+        self._usual = sum(self.expected.values()) / max(self.total, 1)
+        self._took = self._foreseen = 0.0
+        self._last = now
+
+    @property
+    def done(self) -> int:
+        """How many runs have ended, well or not."""
+        return self.total - len(self.left)
+
+    @property
+    def share(self) -> float:
+        """The part of all work that has ended."""
+        whole = sum(self.expected.values())
+        return 1.0 - sum(self.left.values()) / whole if self.left and whole > 0.0 else 1.0
+
+    def note(self, outcome: Outcome, now: float) -> None:
+        """Note that a run has ended."""
+        foreseen = self.left.pop(outcome.name, 0.0)
+        self.failed += outcome.state != "done"
+        self._last = now
+        if not outcome.reused:
+            self.computed += 1
+        if not outcome.reused and outcome.state == "done":
+            self._took, self._foreseen = self._took + outcome.wall, self._foreseen + foreseen
+
+    def remaining(self, now: float) -> float | None:
+        """Return the wall time that is left, s; None if nobody knows on how many cores."""
+        if self._cores is None:
+            return None
+        factor = (self._took + self._usual) / (self._foreseen + self._usual)
+        rest = self.left.values()
+        time = max(sum(rest) / self._cores, max(rest, default=0.0))
+        return max(0.0, factor * time - (now - self._last))
+
+    def words(self, now: float) -> list[str]:
+        """Return how the study stands in words."""
+        left = self.remaining(now)
+        return [
+            f"{self.done:,} of {self.total:,} runs",
+            *([f"{self.failed:,} failed"] if self.failed else []),
+            *([] if left is None or not self.left else [f"about {time_text(left, 2)} left"]),
+        ]
+
+
+def study_reporter(
+    study: Study, cores: int | None, *, show: bool = True
+) -> AbstractContextManager[Callable[[Outcome], None] | None]:
+    """Return a context with what is called with every outcome."""
+    pace = Pace(study.runs, cores, time.perf_counter())
+
+    def note(outcome: Outcome) -> float | None:
+        pace.note(outcome, time.perf_counter())
+        return None if outcome.reused else pace.share
+
+    return display(lambda: pace.words(time.perf_counter()), note, show=show)

@@ -11,8 +11,9 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import print_json
-from multicell.cli.tables import filled_table, time_text
+from multicell.cli.tables import filled_table
 from multicell.errors import OutputError
+from multicell.units import time_text
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene

@@ -11,7 +11,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import complain, print_file
-from multicell.cli.progress import count_progress
+from multicell.cli.progress import display
 from multicell.errors import OutputError
 from multicell.report.plots.run import PICTURES
 
@@ -207,7 +207,9 @@ def movie(
 
     shared.refuse_existing(output, overwrite=overwrite)
     run = load_result(folder)
-    with count_progress("pictures", show=not quiet) as progress:
+    with display(
+        lambda: ["pictures"], lambda done, of: done / of, lines=0, show=not quiet
+    ) as progress:
         written(run, output, progress=progress, space=space, **given)
     if as_json or not quiet:
         print_file(output, as_json)

@@ -15,8 +15,8 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json, words_after
-from multicell.cli.tables import time_text
 from multicell.errors import MissingPackage
+from multicell.units import time_text
 
 if TYPE_CHECKING:
     from multicell.studies.cost import StudyCost
@@ -34,13 +34,11 @@ cores_option = click.option(
 scheduler_option = click.option(
     "--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster, as tcp://host:8786."
 )
-free_option = click.option(
+free_option = shared.keyed(
     "--free",
-    multiple=True,
-    type=shared.KEYS,
-    callback=shared.with_values,
-    metavar="KEY=LOW:HIGH",
-    help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
+    "free",
+    "KEY=LOW:HIGH",
+    "A free parameter and its range, as growth.cycle_time='8:25 h' or "
     "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
 )
 yes_option = click.option(
@@ -71,13 +69,11 @@ def study() -> None:
 @study.command()
 @click.argument("scene", type=shared.SCENE)
 @shared.output_option("Folder of the study.")
-@click.option(
+@shared.keyed(
     "--vary",
-    multiple=True,
-    type=shared.KEYS,
-    callback=shared.with_values,
-    metavar="KEY=VALUES",
-    help="Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "
+    "vary",
+    "KEY=VALUES",
+    "Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "
     "of them) or contact.law=jkr,hertz; with lhs and sobol a range, '8:25 h' or "
     "'log 1e-3:1 1/s'. May be given several times.",
 )
@@ -247,10 +243,10 @@ def run(
     if any(state.state != "done" for state in made.status()):
         count = cores_wanted(cores, scheduler)
         confirm(made.expected(count or 1), count, yes, quiet or as_json)
-    from multicell.cli.study_progress import reporter
+    from multicell.cli.progress import study_reporter
 
     try:
-        with reporter(made, count, show=not quiet) as progress:
+        with study_reporter(made, count, show=not quiet) as progress:
             outcomes = made.run(cores, scheduler, progress, retry=retry)
     except KeyboardInterrupt:
         _print_stop(made)
@@ -326,7 +322,7 @@ def carry_out_study(
     - ``carry_out``: called with it, the folder, what says where runs go, and ``progress``
     - ``how``: the values of ``analysis_options``
     """
-    from multicell.cli.study_progress import reporter
+    from multicell.cli.progress import study_reporter
     from multicell.studies.study import write_study
 
     workers = {name: how[name] for name in ("cores", "scheduler", "retry")}
@@ -334,7 +330,7 @@ def carry_out_study(
     study = write_study(plan.study, output, overwrite=how["overwrite"])
     confirm(study.expected(count or 1), count, how["yes"], how["quiet"] or how["as_json"])
     try:
-        with reporter(study, count, show=not how["quiet"]) as progress:
+        with study_reporter(study, count, show=not how["quiet"]) as progress:
             return carry_out(plan, output, progress=progress, **workers)
     except KeyboardInterrupt:
         complain("Stopped: the same command continues with what is there.")
@@ -441,9 +437,12 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
         if counts[name]
     ]
     say(f"{_count(len(states), 'run')}: {', '.join(shown)}")
+    units = {axis.name: axis.unit for axis in made.plan.design.axes}
     for run, state in zip(made.runs, states, strict=True):
         if state.state == "running":
-            _print_running(made, run, state)
+            share = 100.0 * state.time / run.scene.duration
+            where, cells = _where(run.coordinates, units), _count(state.cells, "cell")
+            say(f"  running at {where}: {share:.0f} % of the time, {cells}")
     if left > 0.0:
         cores = max(counts["running"], 1)
         now = (
@@ -453,13 +452,6 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
     failed = [(r.coordinates, s.reason) for r, s in zip(made.runs, states, strict=True)
               if s.state == "failed"]  # fmt: skip
     _list_failed(failed, made)
-
-
-def _print_running(made: Study, run: Any, state: RunStatus) -> None:
-    units = {axis.name: axis.unit for axis in made.plan.design.axes}
-    share = 100.0 * state.time / run.scene.duration
-    where, cells = _where(run.coordinates, units), _count(state.cells, "cell")
-    say(f"  running at {where}: {share:.0f} % of the time, {cells}")
 
 
 def _time_left(made: Study, states: Sequence[RunStatus]) -> float:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from multicell.units import time_text as time_text
-
 if TYPE_CHECKING:
     from rich.table import Table
 

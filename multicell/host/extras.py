@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from multicell import __version__
 from multicell.errors import MissingPackage
+from multicell.host.memory import physical_memory
 
 EXTRAS: Final = {
     "export": ("anndata", "h5netcdf", "pandas", "pyarrow", "pyvista", "xarray"),
@@ -73,6 +74,7 @@ def checkup() -> dict[str, Any]:
     import numba
 
     needed, extras = _requirements()
+    memory = physical_memory()
     settings: Any = numba.config
     cache = settings.CACHE_DIR or os.path.join(os.path.dirname(__file__), "__pycache__")
     return {
@@ -81,7 +83,7 @@ def checkup() -> dict[str, Any]:
         "versions": {"multicell": __version__} | {name: _version(name) for name in needed},
         "cores": os.cpu_count() or 1,
         "threads": int(settings.NUMBA_NUM_THREADS),
-        "memory_GiB": _memory(),
+        "memory_GiB": memory and round(memory / 2**30, 1),
         "cache": cache,
         "cache_writable": _writable(cache),
         "missing": {
@@ -117,14 +119,6 @@ def _version(name: str) -> str:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return ""
-
-
-def _memory() -> float | None:
-    """Return the memory of the machine, GiB, where the system tells it."""
-    try:
-        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
-    except (AttributeError, ValueError, OSError):
-        return None
 
 
 def _writable(folder: str) -> bool:

@@ -7,6 +7,7 @@ cells frees arrays of all sizes in every step, and in hours holds twice what it 
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 import time as clock
 from typing import Any, Final, final
@@ -40,6 +41,14 @@ def peak() -> float | None:
         return None
     most = float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     return most / (1e6 if sys.platform == "darwin" else 1e6 / 1024.0)  # bytes there, KiB elsewhere
+
+
+def physical_memory() -> int | None:
+    """Return the memory of this machine in bytes, or None where it is unknown."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return None
 
 
 def _trim() -> Any:

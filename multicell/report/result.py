@@ -194,11 +194,12 @@ def load_result(folder: str | Path) -> Result:
 def recorded_scene(contents: Contents) -> Scene:
     """Return the scene of a result folder."""
     from multicell.host.files import parse_toml
-    from multicell.scene.scene import Scene, beside, load_scene
+    from multicell.scene.scene import Scene, load_scene
+    from multicell.scene.start_table import place_table
 
     path = contents.folder / "scene.toml"
     try:
-        run = Scene.from_dict(beside(parse_toml(contents.scene), path))
+        run = Scene.from_dict(place_table(parse_toml(contents.scene), path))
     except ValueError as error:
         raise OutputError(f"the scene in '{contents.folder}' is damaged: {error}") from error
     if path.exists() and not path.is_file():

@@ -10,9 +10,9 @@ from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
-from multicell.scene.reactions import groups
+from multicell.scene.reactions import group_of, groups
 from multicell.scene.scales import MAX_NODES, height, level_fixed, spacing, touches_medium
-from multicell.schema import near_miss
+from multicell.schema import leaves, near_miss, separated
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
@@ -30,6 +30,14 @@ def check_names(names: Iterable[str] | None, known: Iterable[str], path: str, wh
             raise SceneError(f"{path}.{name}", f"is not {what}", near_miss(name, known))
 
 
+def check_kinds(scene: Scene, path: str, text: str | None) -> None:
+    """Raise ``SceneError`` for the name of a type, in a list with commas, that is none."""
+    for kind in separated(text):
+        if kind not in scene.types:
+            problem = f"names {kind!r}, which is no type of this scene"
+            raise SceneError(path, problem, near_miss(kind, scene.types))
+
+
 FIELD = "a field of this scene"
 _TIGHTEST = 1e9  # µm: resistance over 1/D of a side up to which its inverse is a valid rate
 
@@ -42,7 +50,8 @@ def check_types(scene: Scene) -> None:
     for name, kind in types.items():
         if kind.surface_energy is not None:
             _check_energies(scene, f"types.{name}.surface_energy", kind)
-        _check_responses(scene, f"types.{name}", kind)
+        for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
+            check_names(getattr(kind, key), scene.nutrients, f"types.{name}.{key}", FIELD)
         if kind.sticks and scene.adhesion is None:
             path = f"types.{name}.{'receptor' if any(v for _, v in kind.receptor) else 'ligand'}"
             hint = "An [adhesion] table says how strongly receptors bind."
@@ -60,17 +69,37 @@ def check_integrator(scene: Scene) -> None:
         raise SceneError("integrator.method", *refused)
 
 
-def check_motility(scene: Scene) -> None:
-    """Raise ``SceneError`` for a bias along what the scene does not have."""
-    law = scene.motility
-    if law is None:
-        return
-    if law.towards and law.towards not in scene.nutrients:
-        problem = f"is {law.towards!r}, which is not {FIELD}"
-        raise SceneError("motility.towards", problem, near_miss(law.towards, scene.nutrients))
-    if scene.dimensions == 2 and law.direction is not None and law.direction[2] != 0.0:
-        problem = "points out of the plane of a scene of 2 dimensions"
-        raise SceneError("motility.direction", problem)
+def check_towards(scene: Scene) -> None:
+    """Raise ``SceneError`` for motility towards a field that the scene does not have."""
+    towards = "" if scene.motility is None else scene.motility.towards
+    if towards and towards not in scene.nutrients:
+        problem = f"is {towards!r}, which is not {FIELD}"
+        raise SceneError("motility.towards", problem, near_miss(towards, scene.nutrients))
+
+
+def check_flat(scene: Scene) -> None:
+    """Raise ``SceneError`` for what a scene of 2 dimensions does not have."""
+    scene_of = "a scene of 2 dimensions"
+    stiffness = None if scene.domain is None else scene.domain.stiffness
+    for key, part, hint in (
+        ("compression", scene.compression, "A layer of cells yields out of its plane."),
+        ("surface", scene.surface, ""),
+        ("domain.stiffness", stiffness, "A gel surrounds cells in space."),
+    ):
+        if part is not None:
+            raise SceneError(key, f"has no meaning in {scene_of}", hint)
+    for path, value, spec in leaves(scene):
+        where = ".".join(path)
+        if path[-1] == "z" and spec.kind in ("interval", "quantity"):
+            hint = "The cells lie in the plane z = 0; leave z out."
+            raise SceneError(where, f"does not exist in {scene_of}", hint)
+        if path[2:3] == ("sides",) and path[3] in ("z", "z-", "z+", "r+"):
+            hint = "Use 'x-' to 'y+' or '*'."
+            raise SceneError(".".join(path[:4]), f"does not exist in {scene_of}", hint)
+        if spec.kind == "vector" and value[2] != 0.0:
+            raise SceneError(where, f"points out of the plane of {scene_of}")
+        if (path[-1], value) in (("geometry", "radial"), ("axis", "z")):
+            raise SceneError(where, f"is {value!r} in {scene_of}")
 
 
 def followed(scene: Scene) -> tuple[str, ...]:
@@ -100,12 +129,6 @@ def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
             raise SceneError(f"{path}.{other}", problem)
 
 
-def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
-    """Check that factors of a type refer to fields that there are."""
-    for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
-        check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", FIELD)
-
-
 def check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -> None:
     """Raise ``SceneError`` unless factors by phase name phases, of which the scene has some."""
     check_names(phases, Phase.__members__, path, "a phase of the cycle")
@@ -129,7 +152,9 @@ def check_nutrients(scene: Scene) -> None:
         _check_names(scene, path, nutrient)
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
-        _check_medium(path, nutrient)
+        if nutrient.media is not None and nutrient.media[0][0] < 0.0:
+            problem = f"begins at {nutrient.media[0][0]:g} s, before the run"
+            raise SceneError(f"{path}.media", problem)
         _check_finite(scene, path, nutrient)
         _check_places(scene, path, nutrient)
         _check_layer(path, nutrient)
@@ -170,15 +195,7 @@ def _check_spacing(scene: Scene, path: str, nutrient: Nutrient) -> None:
 
 
 def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
-    """Check that the sides exist in the scene's dimensions and that something fixes the level."""
-    flat = scene.dimensions == 2
-    if flat and nutrient.geometry == "radial":
-        hint = "In two dimensions fields live on a grid of squares."
-        raise SceneError(f"{path}.geometry", "is 'radial' in a scene of 2 dimensions", hint)
-    for face in nutrient.sides:
-        if flat and (face.startswith("z") or face == "r+"):
-            problem = "does not exist in a scene of 2 dimensions"
-            raise SceneError(f"{path}.sides.{face}", problem, "Use 'x-' to 'y+' or '*'.")
+    """Check that rates and layers go together, and that something fixes the level."""
     layer = None if nutrient.finite_medium is None else nutrient.finite_medium.unstirred
     for face, side in nutrient.sides.items():
         if layer is not None and side.rate is not None and 1.0 / side.rate + layer > _TIGHTEST:
@@ -193,16 +210,10 @@ def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
             problem = "is 'steady', but the sides fix no level: there is no steady state"
             hint = "Start from 'medium', or give one side a value, or a perfusion."
             raise SceneError(f"{path}.initial", problem, hint)
-    shaped = nutrient.shaped_sides
+    shaped = {face for face in nutrient.sides if face not in ("*", "r+")}
     if nutrient.geometry == "auto" and shaped:
         hint = "Take geometry = 'box', or only '*'."
-        face = min(shaped)
-        raise SceneError(f"{path}.sides.{face}", "is not the same all round", hint)
-
-
-def _check_medium(path: str, nutrient: Nutrient) -> None:
-    if nutrient.media is not None and nutrient.media[0][0] < 0.0:
-        raise SceneError(f"{path}.media", f"begins at {nutrient.media[0][0]:g} s, before the run")
+        raise SceneError(f"{path}.sides.{min(shaped)}", "is not the same all round", hint)
 
 
 def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
@@ -241,7 +252,7 @@ def _check_places(scene: Scene, path: str, nutrient: Nutrient) -> None:
     for name, source in nutrient.sources.items():
         where = f"{path}.sources.{name}"
         for axis, place in source.place.items():
-            low, high = _ends(scene, where, axis)
+            low, high = getattr(scene.box, axis, None) or (-math.inf, math.inf)
             if not low <= place <= high:
                 problem = f"is {place:g} um, outside the domain: from {low:g} to {high:g} um"
                 raise SceneError(f"{where}.{axis}", problem)
@@ -255,17 +266,10 @@ def _check_places(scene: Scene, path: str, nutrient: Nutrient) -> None:
         where = f"{path}.regions.{name}"
         for axis in "xyz":
             ends = getattr(region, axis)
-            low, high = (0.0, 0.0) if ends is None else _ends(scene, where, axis)
+            low, high = getattr(scene.box, axis, None) or (-math.inf, math.inf)
             if ends is not None and (ends[1] <= low or ends[0] >= high):
                 problem = f"lies outside the domain: from {low:g} to {high:g} um"
                 raise SceneError(f"{where}.{axis}", problem)
-
-
-def _ends(scene: Scene, path: str, axis: str) -> tuple[float, float]:
-    """Return the ends of the domain along an axis, infinite without one; check the axis."""
-    if axis not in "xyz"[: scene.dimensions]:
-        raise SceneError(f"{path}.{axis}", "does not exist in a scene of 2 dimensions")
-    return getattr(scene.box, axis, None) or (-math.inf, math.inf)
 
 
 def _check_layer(path: str, nutrient: Nutrient) -> None:
@@ -342,8 +346,6 @@ def solving_order(
     needs = _needs(nutrients, responses)
     known = circles(nutrients, reactions, responses)
     if reactions:
-        from multicell.scene.reactions import group_of
-
         for name in needs:
             group = [x for x in group_of(name, reactions) if x in needs]
             known[name] = group or known[name]
@@ -387,7 +389,6 @@ def circles(
 def _needs(
     nutrients: Mapping[str, Nutrient], responses: Mapping[str, Response] | None
 ) -> dict[str, list[str]]:
-    """Return the fields that each depends on."""
     needs = {
         name: [*nutrient.uptake_on, *(nutrient.secretion_from or ())]
         for name, nutrient in nutrients.items()
@@ -431,7 +432,6 @@ def check_own(scene: Scene, reactions: Mapping[str, Any]) -> None:
 
 
 def _check_groups(scene: Scene, reactions: Mapping[str, Joining]) -> None:
-    """Check the fields that react with each other, group by group."""
     for group in groups(scene.nutrients, reactions):
         _check_grid(scene, group)
         _check_regime(scene, group)

@@ -41,15 +41,8 @@ def check_domain(scene: Scene) -> None:
         if scene.domain.radius < 0.5 * widest:
             problem = f"is {scene.domain.radius:g} um, must be at least {0.5 * widest:g} um"
             raise SceneError("domain.radius", problem, "A cell that divides must fit in.")
-        if scene.dimensions == 2 and scene.domain.stiffness is not None:
-            problem = "does not exist in a scene of 2 dimensions"
-            raise SceneError("domain.stiffness", problem, "A gel surrounds cells in space.")
         return
-    axes = "xyz"[: scene.dimensions]
-    if scene.dimensions == 2 and scene.domain.z is not None:
-        hint = "The cells lie in the plane z = 0; leave z out."
-        raise SceneError("domain.z", "does not exist in a scene of 2 dimensions", hint)
-    for axis in axes:
+    for axis in "xyz"[: scene.dimensions]:
         ends = getattr(scene.domain, axis)
         if ends is None:
             hint = f"For example {axis} = ['-100 um', '100 um']."

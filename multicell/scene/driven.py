@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
+from multicell.scene.checks import check_kinds
 from multicell.scene.parts import span
-from multicell.schema import near_miss, parameters, quantity, text, vector, whole_numbers
+from multicell.schema import parameters, quantity, text, vector, whole_numbers
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
@@ -125,9 +126,7 @@ def within(driver: Driver, begin: float, end: float) -> float:
 def check_driven(scene: Scene) -> None:
     """Raise ``SceneError`` for drivers that do not fit to the rest of the scene."""
     for path, driver in drivers(scene):
-        _check_cells(scene, path, driver)
-        if scene.dimensions == 2:
-            _check_flat(path, driver)
+        check_kinds(scene, f"{path}.type", driver.type)
     for name, motion in scene.motions.items():
         way = scene.coupling_step * math.hypot(*motion.velocity)
         most = scene.cells.division_radius
@@ -138,23 +137,6 @@ def check_driven(scene: Scene) -> None:
             )
             hint = f"Take a coupling_step of {most / math.hypot(*motion.velocity):.3g} s or less."
             raise SceneError(f"motions.{name}.velocity", problem, hint)
-
-
-def _check_cells(scene: Scene, path: str, driver: Driver) -> None:
-    if driver.type and driver.type not in scene.types:
-        hint = near_miss(driver.type, scene.types)
-        problem = f"is {driver.type!r}, which is no type of this scene"
-        raise SceneError(f"{path}.type", problem, hint)
-
-
-def _check_flat(path: str, driver: Driver) -> None:
-    if driver.z is not None:
-        hint = "The cells lie in the plane z = 0; leave z out."
-        raise SceneError(f"{path}.z", "does not exist in a scene of 2 dimensions", hint)
-    keys = ("force", "rate") if isinstance(driver, Force) else ("velocity",)
-    for key in keys:
-        if getattr(driver, key)[2] != 0.0:
-            raise SceneError(f"{path}.{key}", "points out of the plane of a scene of 2 dimensions")
 
 
 def members(types: Iterable[str], driver: Driver, cells: Cells) -> NDArray[np.bool_]:
@@ -196,6 +178,5 @@ def check_members(scene: DrivingTables, cells: Cells) -> None:
 
 
 def _overlap(first: Driver, second: Driver) -> bool:
-    """Return whether two drivers act at the same time."""
     ends = [math.inf if driver.end is None else driver.end for driver in (first, second)]
     return first.begin < ends[1] and second.begin < ends[0]

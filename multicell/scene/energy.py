@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
+from multicell.scene.checks import FIELD, check_names
+from multicell.scene.nutrient import Nutrient, check_order
 from multicell.schema import parameters, quantities, quantity
 
 if TYPE_CHECKING:
-    from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
 
 _rate = partial(quantity, "mM/s", default=None, above=0, at_most=1e6)
@@ -65,12 +66,10 @@ def check_energy(scene: Scene) -> None:
 
     ATP is made per volume, and so must be what it is made from.
     """
-    from multicell.scene.checks import check_names
-
     energy = scene.energy
     if energy is None:
         return
-    check_names(energy.yields, scene.nutrients, "energy.yields", "a field of this scene")
+    check_names(energy.yields, scene.nutrients, "energy.yields", FIELD)
     for name in energy.yields or ():
         if scene.nutrients[name].uptake_per_volume is None:
             problem = "is a field whose uptake is that of a cell, not of a volume"
@@ -79,18 +78,8 @@ def check_energy(scene: Scene) -> None:
     if not any((energy.yields or {}).values()):
         hint = "yields = { oxygen = 5, glucose = 2 }, for example."
         raise SceneError("energy.yields", "name no field from which ATP is made", hint)
-    _check_effects(energy)
-
-
-def _check_effects(energy: Energy) -> None:
-    """Check that the thresholds have an effect, and that starving cells rest before they die."""
     rest, death = energy.quiescence, energy.necrosis
     if rest is None and death is None and energy.growth_half_saturation is None:
         hint = "Give growth_half_saturation, quiescence or necrosis."
         raise SceneError("energy.necrosis", "is missing: energy has no effect on the cells", hint)
-    if rest is not None and death is not None and not death < rest:
-        problem = (
-            f"is {death:g} mM/s, must be below quiescence ({rest:g} mM/s): "
-            "thresholds in the wrong order"
-        )
-        raise SceneError("energy.necrosis", problem, "Starving cells first rest, then die.")
+    check_order(death, rest, "mM/s", "energy.necrosis")

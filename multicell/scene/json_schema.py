@@ -8,7 +8,7 @@ quantity that is written with a unit, or what concerns several keys, is checked 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields
 from typing import Any, Final
 
@@ -66,7 +66,6 @@ def _table(part: type, parts: dict[str, Schema], also: Schema | None = None) -> 
 
 
 def _reference(part: type, parts: dict[str, Schema]) -> Schema:
-    """Return a reference to the schema of a part."""
     if part.__name__ not in parts:
         parts[part.__name__] = {}
         parts[part.__name__] = _table(part, parts)
@@ -86,29 +85,22 @@ def _describe(field: Field[Any], parts: dict[str, Schema]) -> Schema:
 
 
 def _number(bounds: Bounds | None, kind: str = "number") -> Schema:
-    """Return the schema of a number within bounds."""
     ends = {} if bounds is None else vars(bounds)
     limits = {_LIMITS[name]: end for name, end in ends.items() if end is not None}
     return {"type": kind, **limits}
 
 
-def _amount(unit: str, bounds: Bounds | None = None, names: Iterable[str] = ()) -> Schema:
+def _amount(unit: str, bounds: Bounds | None = None) -> Schema:
     """Return the schema of a quantity, or of a number where there is no unit."""
     if not unit:
         return _number(bounds)
     text = {"type": "string", "pattern": _QUANTITY, "examples": [f"1 {unit}"]}
-    words = [{"enum": list(names)}] if names else []
-    return {"anyOf": [_number(bounds), text, *words], "x-unit": unit}
+    return {"anyOf": [_number(bounds), text], "x-unit": unit}
 
 
 def _curve(x: Schema, y: Schema) -> Schema:
-    """Return the schema of a list of points."""
     point = {"type": "array", "prefixItems": [x, y], "minItems": 2, "maxItems": 2}
     return {"type": "array", "items": point, "minItems": 1}
-
-
-def _course(spec: Parameter) -> Schema:
-    return {"anyOf": [_number(spec.bounds), _curve(_amount("s"), _number(spec.bounds))]}
 
 
 def _one_table(spec: Parameter, parts: dict[str, Schema]) -> Schema:
@@ -123,7 +115,6 @@ def _one_table(spec: Parameter, parts: dict[str, Schema]) -> Schema:
 
 
 def _tables(spec: Parameter, parts: dict[str, Schema]) -> Schema:
-    """Return the schema of named tables."""
     assert spec.table is not None
     one = _reference(spec.table, parts)
     if spec.options:
@@ -153,15 +144,13 @@ def _variant(spec: Parameter, parts: dict[str, Schema]) -> Schema:
 
 
 def _choice(spec: Parameter) -> Schema:
-    """Return the schema of a name out of several, or of further ones."""
     names = {"enum": list(spec.options)}
-    return (
-        {"anyOf": [names, {"type": "string", "pattern": spec.further}]} if spec.further else names
-    )
+    own = {"type": "string", "pattern": spec.further}
+    return {"anyOf": [names, own]} if spec.further else names
 
 
 _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = {
-    "quantity": lambda spec, _: _amount(spec.unit, spec.bounds, spec.options),
+    "quantity": lambda spec, _: _amount(spec.unit, spec.bounds),
     "measure": lambda spec, _: _MEASURE,
     "measures": lambda spec, _: {"type": "object", "additionalProperties": _MEASURE},
     "measure_points": lambda spec, _: {
@@ -188,7 +177,9 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
     "moments": lambda spec, _: {
         "type": "array", "items": _amount(spec.unit, spec.bounds), "minItems": 1,
     },
-    "course": lambda spec, _: _course(spec),
+    "course": lambda spec, _: {
+        "anyOf": [_number(spec.bounds), _curve(_amount("s"), _number(spec.bounds))],
+    },
     "schedule": lambda spec, _: _curve(_amount("s"), _amount(spec.unit, spec.bounds)),
     "responses": lambda spec, _: {
         "type": "object",

@@ -308,8 +308,7 @@ class Nutrient:
             problem = "and uptake are given both, must be one of them"
             hint = "uptake is that of a cell whatever its size; remove one of them."
             raise SceneError("uptake_per_volume", problem, hint)
-        if self.necrosis is not None and self.quiescence is not None:
-            self._check_order(self.necrosis, self.quiescence)
+        check_order(self.necrosis, self.quiescence, "mM", "necrosis")
         if self.geometry == "radial":
             for face in self.sides:
                 if face not in ("*", "r+"):
@@ -317,14 +316,6 @@ class Nutrient:
                     raise SceneError(f"sides.{face}", "does not exist on a radial grid", hint)
         elif "r+" in self.sides and self.layout == "box":
             raise SceneError("sides.r+", "does not exist on a grid of cubes", "Use 'x-' or '*'.")
-
-    def _check_order(self, necrosis: float, quiescence: float) -> None:
-        if not necrosis < quiescence:
-            problem = (
-                f"is {necrosis:g} mM, must be below quiescence ({quiescence:g} mM): "
-                "thresholds in the wrong order"
-            )
-            raise SceneError("necrosis", problem, "Starving cells first rest, then die.")
 
     @property
     def takes_up(self) -> bool:
@@ -344,11 +335,6 @@ class Nutrient:
     def layout(self) -> str:
         """What its grid may be: ``"box"``, ``"radial"``, or ``"auto"`` for either."""
         return self.geometry or "box"
-
-    @property
-    def shaped_sides(self) -> set[str]:
-        """Names of sides that only cubes have."""
-        return {face for face in self.sides if face not in ("*", "r+")}
 
     def medium(self, time: float) -> float:
         """Return the concentration of the medium at a time in s, mM."""
@@ -374,3 +360,13 @@ class Nutrient:
         """The highest concentration that medium and sides ever have, mM."""
         sides = [side.value or 0.0 for side in self.sides.values()]
         return max([self.boundary, *sides, *(value for _, value in self.media or ())])
+
+
+def check_order(death: float | None, rest: float | None, unit: str, path: str) -> None:
+    """Raise ``SceneError`` unless the threshold of death is below that of rest, if both are."""
+    if rest is not None and death is not None and not death < rest:
+        problem = (
+            f"is {death:g} {unit}, must be below quiescence ({rest:g} {unit}): "
+            "thresholds in the wrong order"
+        )
+        raise SceneError(path, problem, "Starving cells first rest, then die.")

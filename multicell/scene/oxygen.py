@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, Final
 
@@ -63,29 +63,22 @@ def _field(path: tuple[str | int, ...]) -> str | None:
 def concentration(text: str, field: str, path: str, nutrients: Any) -> Any:
     """Return a text, if it is a pressure or a percentage as a concentration in mM."""
     percent = _PERCENT.fullmatch(text)
-    pressure: Callable[[float], float]
     if percent is not None:
-        share = to_base(f"{percent[1]} mM", "mM", path) / 100.0
-        if share > 1.0:
+        amount = to_base(f"{percent[1]} mM", "mM", path) / 100.0
+        if amount > 1.0:
             raise SceneError(path, f"is {shown(text)}, must be at most 100 % of the gas")
-
-        def pressure(temperature: float) -> float:
-            return share * (_ATMOSPHERE - vapour_pressure(temperature))
     else:
         try:
-            known = to_base(text, "kPa", path)
+            amount = to_base(text, "kPa", path)
         except SceneError:
             return text
-
-        def pressure(_: float) -> float:
-            return known
-
     if field != NAME:
         what = "a partial pressure" if percent is None else "a part of a gas"
         hint = f"Only of the field named '{NAME}' is known how much dissolves."
         raise SceneError(path, f"is {shown(text)}, {what}, must be a concentration", hint)
     temperature = _temperature(nutrients)
-    return pressure(temperature) * oxygen_solubility(temperature)
+    dry = 1.0 if percent is None else _ATMOSPHERE - vapour_pressure(temperature)
+    return amount * dry * oxygen_solubility(temperature)
 
 
 def saturated(temperature: float) -> float:

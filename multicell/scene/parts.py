@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -145,11 +145,15 @@ class PhaseLength:
             raise SceneError("variation", f"is {self.variation:g}, must be at most 0.5", hint)
 
 
-def _own_growth_law(name: str) -> bool:
-    """Return whether a name is that of a loaded law of the user's own; refuse one not loaded."""
-    if ":" in name and name not in LAWS:
-        raise SceneError("law", f"is {shown(name)}, which is not loaded", LAWS.hint(name))
-    return name in LAWS
+def loaded_in(laws: Any) -> Callable[[str], bool]:
+    """Return what tells names of loaded laws of the user's own, and refuses those not loaded."""
+
+    def known(name: str) -> bool:
+        if ":" in name and name not in laws:
+            raise SceneError("law", f"is {shown(name)}, which is not loaded", laws.hint(name))
+        return name in laws
+
+    return known
 
 
 @final
@@ -173,7 +177,7 @@ class Growth:
         LAWS,
         default="linear",
         doc="how the volume grows in time",
-        other=_own_growth_law,
+        other=loaded_in(LAWS),
         further=OWN_OBJECT,
     )
     target: float | None = number(
@@ -227,7 +231,6 @@ class Growth:
             raise SceneError("phases", "have no phase in which cells grow", hint)
 
     def _of_law(self) -> dict[str, float]:
-        """Return the parameters of the law by name."""
         target = {} if self.target is None else {"target": self.target}
         return {**target, **(self.parameters or {})}
 

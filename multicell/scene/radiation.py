@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.errors import SceneError
-from multicell.scene.checks import FIELD, check_phases
+from multicell.scene.checks import FIELD, check_kinds, check_phases
 from multicell.schema import (
     count,
     moments,
@@ -17,6 +17,7 @@ from multicell.schema import (
     parameters,
     quantities,
     quantity,
+    separated,
     text,
 )
 
@@ -77,7 +78,7 @@ class Radiation:
     @property
     def types(self) -> tuple[str, ...]:
         """The types that are hit; empty for all cells."""
-        return tuple(name.strip() for name in (self.cells or "").split(",") if name.strip())
+        return separated(self.cells)
 
     def survival(self, pressure: Any = np.inf, factor: Any = 1.0) -> Any:
         """Return the part of cells that survives a fraction.
@@ -99,10 +100,7 @@ def check_radiation(scene: Scene) -> None:
     """Raise ``SceneError`` for irradiation that does not fit to the rest of the scene."""
     for name, part in scene.radiation.items():
         path = f"radiation.{name}"
-        for kind in part.types:
-            if kind not in scene.types:
-                problem = f"names {kind!r}, which is no type of this scene"
-                raise SceneError(f"{path}.cells", problem, near_miss(kind, scene.types))
+        check_kinds(scene, f"{path}.cells", part.cells)
         if part.oxygen and part.oxygen not in scene.nutrients:
             problem = f"is {part.oxygen!r}, which is not {FIELD}"
             hint = near_miss(part.oxygen, scene.nutrients)

@@ -8,13 +8,13 @@ merely unusual.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
+from multicell.host.memory import physical_memory
 from multicell.integrators.registry import METHODS
 
 if TYPE_CHECKING:
@@ -151,11 +151,3 @@ def check_memory(scene: Scene) -> None:
             f"machine has {present / 1e9:.3g} GB"
         )
         raise SceneError("initial.count", problem, "Start with fewer cells.")
-
-
-def physical_memory() -> int | None:
-    """Return the memory of this machine in bytes, or None where it is unknown."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, OSError, ValueError):
-        return None

@@ -35,7 +35,9 @@ from multicell.behaviours.laws import (
 from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.plugins.named import OWN_OBJECT
+from multicell.scene.checks import check_kinds
 from multicell.scene.oxygen import concentration
+from multicell.scene.parts import loaded_in
 from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
@@ -50,6 +52,7 @@ from multicell.schema import (
     number,
     parameters,
     quantities,
+    separated,
     text,
 )
 from multicell.schema.bounds import reader, rises
@@ -57,13 +60,6 @@ from multicell.units import shown
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
-
-
-def _is_own_law(name: str) -> bool:
-    """Return whether a name is that of a loaded law of the user's own; refuse one not loaded."""
-    if ":" in name and name not in OWN:
-        raise SceneError("law", f"is {shown(name)}, which is not loaded", OWN.hint(name))
-    return name in OWN
 
 
 @final
@@ -83,7 +79,7 @@ class Response:
     )  # fmt: skip
     cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")
     law: str = choice(
-        KEYS, default="hill", doc="by which it responds", other=_is_own_law,
+        KEYS, default="hill", doc="by which it responds", other=loaded_in(OWN),
         further=OWN_OBJECT,
     )  # fmt: skip
     falls: bool = flag(default=False, doc="whether the effect falls as the signal rises")
@@ -129,12 +125,12 @@ class Response:
     @property
     def signals(self) -> tuple[str, ...]:
         """The signals by name."""
-        return tuple(name.strip() for name in (self.signal or "").split(",") if name.strip())
+        return separated(self.signal)
 
     @property
     def types(self) -> tuple[str, ...]:
         """The types that respond; empty for all cells."""
-        return tuple(name.strip() for name in (self.cells or "").split(",") if name.strip())
+        return separated(self.cells)
 
 
 @final
@@ -270,7 +266,6 @@ def _ends(
 
 
 def _law(part: Response) -> ResponseLaw:
-    """Return the law of a response in base units."""
     half: Any = part.half
     if part.law in OWN:
         law = OWN[part.law]
@@ -328,10 +323,7 @@ def in_base_units(scene: Scene, part: Response) -> Response:
     """Return a response in base units."""
     behaviour, of = behaviour_named(part.behaviour, "behaviour")
     _check_behaviour(scene, behaviour, of)
-    for kind in part.types:
-        if kind not in scene.types:
-            problem = f"names {kind!r}, which is no type of this scene"
-            raise SceneError("cells", problem, near_miss(kind, scene.types))
+    check_kinds(scene, "cells", part.cells)
     if len(part.signals) > 1 and part.law not in OWN:
         hint = "Give each a response of its own, or derive one from them in [signals]."
         raise SceneError("signal", "names several, as only laws of the user's own have", hint)

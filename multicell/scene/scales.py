@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, final
 
 from multicell.cells import SPHERE
 from multicell.scene import domain as box
+from multicell.scene.nutrient import Nutrient, Side
+from multicell.scene.reactions import group_of
+from multicell.scene.sizes import typical_radius
 
 if TYPE_CHECKING:
-    from multicell.scene.nutrient import Nutrient, Side
     from multicell.scene.scene import Scene
 
 _SETTLED = 1.0
@@ -51,8 +53,6 @@ def _faces(dimensions: int) -> tuple[str, ...]:
 
 def _side(nutrient: Nutrient, face: str) -> Side:
     """Return the condition on a face: its own, its axis', that of all, or the medium's value."""
-    from multicell.scene.nutrient import Side
-
     found = next((nutrient.sides[k] for k in (face, face[0], "*") if k in nutrient.sides), Side())
     finite = nutrient.finite_medium
     if finite is None or finite.unstirred is None or found.type == "derivative":
@@ -88,7 +88,7 @@ class Scales:
 def scales(scene: Scene, name: str) -> Scales:
     """Return the scales of a field of a scene."""
     nutrient = scene.nutrients[name]
-    radius = _typical_radius(scene)
+    radius = typical_radius(scene)
     typical = SPHERE * radius**3
     room = typical if scene.dimensions == 3 else math.pi * radius**2 * height(scene, name)
     demand = float(nutrient.largest_uptake(typical)) / room
@@ -123,19 +123,12 @@ def tissue_radius(scene: Scene) -> float:
     if scene.growth is not None:
         doublings = min(scene.duration / scene.growth.mean_cycle, 60.0)
         cells = min(cells * 2.0**doublings, float(scene.stop_cells or 1e6))
-    return float(_typical_radius(scene) * cells ** (1.0 / scene.dimensions))
+    return float(typical_radius(scene) * cells ** (1.0 / scene.dimensions))
 
 
 def height(scene: Scene, name: str) -> float:
     """Return the height in µm of the layer that a field in a plane fills."""
     return scene.nutrients[name].height or 2.0 * scene.cells.division_radius
-
-
-def _typical_radius(scene: Scene) -> float:
-    """Return the radius of a typical cell of the scene, µm."""
-    from multicell.scene.sizes import typical_radius
-
-    return float(typical_radius(scene))
 
 
 def regime(scene: Scene, name: str) -> str:
@@ -146,7 +139,7 @@ def regime(scene: Scene, name: str) -> str:
     part in reactions it takes as transient, however fast they diffuse: reactions may be slow.
     """
     nutrient = scene.nutrients[name]
-    group = _reacting(scene, name)
+    group = group_of(name, scene.reactions)
     if group:
         given = [scene.nutrients[other].regime for other in group]
         return next((x for x in given if x != "auto"), "transient")
@@ -157,15 +150,6 @@ def regime(scene: Scene, name: str) -> str:
     return "steady" if settles and fixed else "transient"
 
 
-def _reacting(scene: Scene, name: str) -> list[str]:
-    """Return the fields that a field reacts with, itself included; none if it does not react."""
-    if not scene.reactions:
-        return []
-    from multicell.scene.reactions import group_of
-
-    return group_of(name, scene.reactions)
-
-
 def spacing(scene: Scene, name: str) -> float:
     """Return the largest spacing of a field's grid, µm.
 
@@ -173,16 +157,14 @@ def spacing(scene: Scene, name: str) -> float:
     the diameter of a dividing cell nor below half of it, since cells are the sources. Of fields
     that react with each other those without a spacing have that of the others, or the smallest.
     """
-    group = [name, *_reacting(scene, name)]
+    group = [name, *group_of(name, scene.reactions)]
     given = [scene.nutrients[other].spacing for other in group]
     stated = [x for x in given if x is not None]
-    return stated[0] if stated else min(_usual_spacing(scene, other) for other in group)
-
-
-def _usual_spacing(scene: Scene, name: str) -> float:
-    """Return the spacing of a field for which the scene gives none, µm."""
+    if stated:
+        return stated[0]
+    depth = min(scales(scene, other).depth for other in group)
     diameter = 2.0 * scene.cells.division_radius
-    return max(min(scales(scene, name).depth / _POINTS, diameter), 0.5 * diameter)
+    return max(min(depth / _POINTS, diameter), 0.5 * diameter)
 
 
 @final

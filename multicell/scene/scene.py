@@ -23,9 +23,11 @@ from multicell.host.files import DEEPEST, parse_toml, read_text
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.checks import (
+    check_flat,
     check_integrator,
-    check_motility,
     check_nutrients,
+    check_reactions,
+    check_towards,
     check_types,
 )
 from multicell.scene.domain import check_domain
@@ -55,7 +57,7 @@ from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
 from multicell.scene.responses import Response, Signal, check_responses
-from multicell.scene.start_table import Initial
+from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
     SYNONYMS,
     build,
@@ -176,9 +178,11 @@ class Scene:
             from multicell.scene.start_checks import check_start_table
 
             check_start_table(self)
+        if self.dimensions == 2:
+            check_flat(self)
         check_types(self)
         check_integrator(self)
-        check_motility(self)
+        check_towards(self)
         if self.responses or self.signals:
             check_responses(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
@@ -190,18 +194,8 @@ class Scene:
         check_driven(self)
         check_nutrients(self)
         check_energy(self)
-        if self.reactions:
-            from multicell.scene.checks import check_reactions
-
-            check_reactions(self)
+        check_reactions(self)
         check_radiation(self)
-        if self.dimensions == 2 and self.compression is not None:
-            problem = "does not exist in a scene of 2 dimensions"
-            raise SceneError("compression", problem, "A layer of cells yields out of its plane.")
-        if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
-            raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
-        if self.dimensions == 2 and self.surface is not None:
-            raise SceneError("surface", "has no meaning in a scene of 2 dimensions")
 
     @property
     def box(self) -> Domain | None:
@@ -224,11 +218,20 @@ class Scene:
         return plain(self)
 
     def __repr__(self) -> str:
-        return in_a_line(self)
+        facts = ", ".join(f"{name}: {text}" for name, text in key_facts(self).items())
+        return f"<Scene {self.title!r}, {facts}>"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows."""
-        return as_html(self)
+        """Return what a notebook shows: key facts, and all keys where one opens them."""
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{name}</th><td style='text-align:left'>"
+            f"{escape(text)}</td></tr>"
+            for name, text in key_facts(self).items()
+        )
+        return (
+            f"<div><b>{escape(self.title or 'Untitled scene')}</b><table>{rows}</table><details>"
+            f"<summary>All keys</summary><pre>{escape(self.to_toml())}</pre></details></div>"
+        )
 
     def with_changes(self, changes: Mapping[str, Any]) -> Scene:
         """Return a scene with other values.
@@ -296,11 +299,6 @@ def scene_names() -> list[str]:
     return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml"))
 
 
-def scene_text(source: str | Path) -> str:
-    """Return a scene as its author wrote it: the TOML of a built-in scene or of a file."""
-    return _read(source)
-
-
 def load_scene(source: str | Path) -> Scene:
     """Return a built-in scene or one that is read from a TOML file.
 
@@ -316,30 +314,22 @@ def load_scene(source: str | Path) -> Scene:
         For an unknown name, a file that is missing or cannot be read, broken TOML (with its
         line) and for any value that is refused.
     """
-    content = _read(source)
+    content = scene_text(source)
     try:
         entries = parse_toml(content)
     except ValueError as error:  # also integers of thousands of digits
         bare = _BARE.search(content)
         hint = f"A value with a unit stands in quotes: '{bare[1]}'." if bare else ""
         raise SceneError("", f"{str(source)!r} is not valid TOML: {error}", hint) from None
-    return Scene.from_dict(beside(entries, source))
+    return Scene.from_dict(place_table(entries, source))
 
 
 _BARE = re.compile(r"^[ \t]*[\w.]+[ \t]*=[ \t]*([\d.]+ *[A-Za-zµ%][^\s#]*)", re.MULTILINE)
 """A quantity without quotes in a scene file."""
 
 
-def beside(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
-    """Return the entries of a scene file with paths that count from its folder made whole."""
-    from multicell.scene.start_table import place_table
-
-    folder = Path(os.path.expanduser(source)).parent
-    return place_table(entries, folder)
-
-
-def _read(source: str | Path) -> str:
-    """Return the text of a built-in scene or of a file."""
+def scene_text(source: str | Path) -> str:
+    """Return a scene as its author wrote it: the TOML of a built-in scene or of a file."""
     from importlib.resources import files
 
     if isinstance(source, str) and source in (names := scene_names()):
@@ -469,8 +459,6 @@ def with_units(scene: Scene, toml: str) -> str:
         unit = units.get((*table, *_keys(tomllib.loads(f"{key[0]}0"))), "") if key else ""
         if unit.startswith("[") and not line.endswith("["):
             unit = ""  # a course that is one number
-        if line.endswith('"'):
-            unit = ""  # a name in place of a quantity
         lines.append(f"{line}  # {unit}" if unit else line)
     return "\n".join(lines) + "\n"
 
@@ -495,22 +483,3 @@ def key_facts(scene: Scene) -> dict[str, str]:
         "seed": str(scene.seed),
     }
     return {name: text for name, text in facts.items() if text}
-
-
-def in_a_line(scene: Scene) -> str:
-    """Return a scene in a line."""
-    facts = ", ".join(f"{name}: {text}" for name, text in key_facts(scene).items())
-    return f"<Scene {scene.title!r}, {facts}>"
-
-
-def as_html(scene: Scene) -> str:
-    """Return a scene as HTML: key facts, and all keys where one opens them."""
-    rows = "".join(
-        f"<tr><th style='text-align:left'>{name}</th><td style='text-align:left'>"
-        f"{escape(text)}</td></tr>"
-        for name, text in key_facts(scene).items()
-    )
-    return (
-        f"<div><b>{escape(scene.title or 'Untitled scene')}</b><table>{rows}</table>"
-        f"<details><summary>All keys</summary><pre>{escape(scene.to_toml())}</pre></details></div>"
-    )

@@ -33,7 +33,7 @@ _MAX_BYTES: Final = 16_000_000_000
 MAX_IDS: Final = 10**8
 """Identities of cells at the start are below."""
 
-COPIES: Final = ("cells.csv", "cells.parquet")
+COPIES: Final[tuple[str, ...]] = ("cells.csv", "cells.parquet")
 """Names of the copy of a table in the folder of a run."""
 
 START_COLUMNS: Final[Mapping[str, str]] = {
@@ -204,15 +204,15 @@ class StartTable:
         return content
 
 
-def place_table(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the entries of a scene with the file of its table, if it has one, in a folder."""
+def place_table(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
+    """Return the entries of a scene file with the path of its table, if it has one, made whole."""
     initial = entries.get("initial")
     cells = initial.get("cells") if isinstance(initial, dict) else None
     file = cells.get("file") if isinstance(cells, dict) else cells
     if not isinstance(file, str) or not file:
         return entries
     try:
-        whole = str(folder / os.path.expanduser(file))
+        whole = str(Path(os.path.expanduser(source)).parent / os.path.expanduser(file))
     except (OSError, ValueError):
         return entries  # whoever reads it will say what is wrong
     table = {**cells, "file": whole} if isinstance(cells, dict) else whole
@@ -322,7 +322,6 @@ def _refuse_coinciding(given: Given) -> None:
 
 
 def _one_frame(given: Given) -> None:
-    """Refuse a table of several frames."""
     if "frame" not in given.titles:
         return
     frames = np.unique(given.source.columns[given.titles["frame"]])
@@ -405,7 +404,6 @@ def _ids(given: Given, raw: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def _read_names(given: Given, name: str, raw: NDArray[Any]) -> NDArray[np.int8]:
-    """Return a column of names as numbers."""
     known = _NAMES[name]
     words, codes = np.unique(raw.astype(str), return_inverse=True)
     numbers = np.array([known.get(str(word), -1) for word in words])[codes]

@@ -36,7 +36,6 @@ from multicell.schema.declarations import (
     text,
     variant,
     vector,
-    whole,
     whole_numbers,
 )
 from multicell.schema.part import (
@@ -48,6 +47,7 @@ from multicell.schema.part import (
     leaves,
     near_miss,
     plain,
+    separated,
     specs,
 )
 
@@ -57,5 +57,5 @@ __all__ = [
     "flag", "interval", "leaves", "measure", "measure_points", "measures", "moments", "names",
     "near_miss", "number", "parameters", "plain",
     "quantities", "quantity", "responses", "schedule",
-    "specs", "table", "tables", "text", "variant", "vector", "whole", "whole_numbers",
+    "separated", "specs", "table", "tables", "text", "variant", "vector", "whole_numbers",
 ]  # fmt: skip

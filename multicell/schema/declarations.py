@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields
 from itertools import pairwise
 from numbers import Integral
@@ -35,31 +35,18 @@ def quantity(
     at_least: float | None = None,
     at_most: float | None = None,
     below: float | None = None,
-    names: Iterable[str] = (),
     doc: str = "",
     hint: str = "",
 ) -> Any:
     """Declare a quantity: a number in the base unit or a string with a unit.
 
     With ``default=None`` the value may be None: the quantity is absent. ``hint`` is given when a
-    value lies outside the bounds. One of ``names`` may stand in its place.
+    value lies outside the bounds.
     """
-    bounds, known = Bounds(above, at_least, at_most, below), tuple(names)
-    read = reader(unit, bounds, hint=hint)
-
-    def convert(value: object, path: str) -> float | str:
-        if isinstance(value, str) and value in known:
-            return value
-        try:
-            return read(value, path)
-        except SceneError as error:
-            also = f"Allowed in its place: {', '.join(map(repr, known))}." if known else ""
-            hints = " ".join(filter(None, (error.hint, also)))
-            raise SceneError(path, error.problem, hints) from None
-
+    bounds = Bounds(above, at_least, at_most, below)
     return declare(
-        "quantity", convert, default, unit=unit, doc=doc, bounds=bounds, options=known,
-        allowed=" or ".join([bounds.words(unit), *map(repr, known)]),
+        "quantity", reader(unit, bounds, hint=hint), default, unit=unit, doc=doc, bounds=bounds,
+        allowed=bounds.words(unit),
     )  # fmt: skip
 
 
@@ -74,6 +61,16 @@ def measure(*, default: Any = None, doc: str = "") -> Any:
 def _measure(value: object, path: str) -> float | str:
     wanted = "a number or a string with a unit"
     return value if isinstance(value, str) else finite(value, path, wanted)
+
+
+def _each(
+    value: object, path: str, one: Callable[[Any, str], T], what: str, hint: str = "",
+    sizes: Container[int] = range(1, 10**9),
+) -> tuple[T, ...]:  # fmt: skip
+    """Return the entries of a list, each read by ``one``; refuse what is no list of such a size."""
+    if not isinstance(value, list | tuple) or len(value) not in sizes:
+        raise SceneError(path, f"is {shown(value)}, must be a list of {what}", hint)
+    return tuple(one(entry, path) for entry in value)
 
 
 def measures(*, doc: str = "") -> Any:
@@ -153,14 +150,9 @@ def choice(
         return chosen(value, known, path)
 
     return declare(
-        "choice",
-        convert,
-        default,
-        allowed=" or ".join(known),
-        doc=doc,
-        options=known,
+        "choice", convert, default, allowed=" or ".join(known), doc=doc, options=known,
         further=further,
-    )
+    )  # fmt: skip
 
 
 def text(*, default: Any = MISSING, doc: str = "") -> Any:
@@ -202,9 +194,10 @@ def names(options: Iterable[str], *, doc: str = "") -> Any:
     known = tuple(options)
 
     def convert(value: object, path: str) -> tuple[str, ...]:
-        if not isinstance(value, list | tuple):
-            raise SceneError(path, f"is {shown(value)}, must be a list of names")
-        return tuple(chosen(name, known, path) for name in value)
+        return _each(value, path, one, "names", sizes=range(10**9))
+
+    def one(name: object, path: str) -> str:
+        return chosen(name, known, path)
 
     return declare(
         "names", convert, (), plain=list, allowed=", ".join(known), doc=doc, options=known
@@ -219,10 +212,8 @@ def interval(
     read = reader(unit, bounds)
 
     def convert(value: object, path: str) -> tuple[float, float]:
-        if not isinstance(value, list | tuple) or len(value) != 2:
-            hint = f"For example ['-100 {unit}', '100 {unit}']."
-            raise SceneError(path, f"is {shown(value)}, must be a list of two quantities", hint)
-        low, high = (read(end, path) for end in value)
+        hint = f"For example ['-100 {unit}', '100 {unit}']."
+        low, high = _each(value, path, read, "two quantities", hint, (2,))
         if not low < high:
             problem = f"goes from {low:g} to {high:g} {unit}, must have the lower end first"
             raise SceneError(path, problem)
@@ -234,26 +225,17 @@ def interval(
     )  # fmt: skip
 
 
-def vector(
-    unit: str,
-    *,
-    default: Any = MISSING,
-    at_least: float | None = None,
-    at_most: float | None = None,
-    doc: str = "",
-) -> Any:
+def vector(unit: str, *, default: Any = MISSING, doc: str = "") -> Any:
     """Declare a vector of quantities along x, y and z; stored as a tuple of three.
 
     Of two quantities the third is zero, as it must be in two dimensions.
     """
-    bounds = Bounds(at_least=at_least, at_most=at_most)
+    bounds = Bounds()
     read, kind = reader(unit, bounds), "quantities" if unit else "numbers"
 
     def convert(value: object, path: str) -> tuple[float, float, float]:
-        if not isinstance(value, list | tuple) or len(value) not in (2, 3):
-            hint = f"For example ['1 {unit}', 0, 0]." if unit else "For example [1, 0, 0]."
-            raise SceneError(path, f"is {shown(value)}, must be a list of three {kind}", hint)
-        x, y, z = (*(read(part, path) for part in value), 0.0)[:3]
+        hint = f"For example ['1 {unit}', 0, 0]." if unit else "For example [1, 0, 0]."
+        x, y, z = (*_each(value, path, read, f"three {kind}", hint, (2, 3)), 0.0)[:3]
         return x, y, z
 
     return declare(
@@ -266,10 +248,7 @@ def whole_numbers(*, doc: str = "") -> Any:
     """Declare an optional list of different whole numbers from zero on; stored as a tuple."""
 
     def convert(value: object, path: str) -> tuple[int, ...]:
-        if not isinstance(value, list | tuple) or not value:
-            hint = "For example [0, 7]."
-            raise SceneError(path, f"is {shown(value)}, must be a list of whole numbers", hint)
-        found = tuple(whole(entry, path) for entry in value)
+        found = _each(value, path, whole, "whole numbers", "For example [0, 7].")
         if len(set(found)) < len(found):
             raise SceneError(path, "names a number twice")
         return found
@@ -285,9 +264,7 @@ def moments(*, doc: str = "") -> Any:
     read = reader("s", bounds)
 
     def convert(value: object, path: str) -> tuple[float, ...]:
-        if not isinstance(value, list | tuple) or not value:
-            raise SceneError(path, f"is {shown(value)}, must be a list of times", "['1 d', '2 d'].")
-        found = tuple(read(entry, path) for entry in value)
+        found = _each(value, path, read, "times", "For example ['1 d', '2 d'].")
         if any(b <= a for a, b in pairwise(found)):
             raise SceneError(path, f"has the times {list(found)} s, must have times that rise")
         return found

@@ -275,5 +275,10 @@ def mapping(value: object, path: str) -> dict[str, Any]:
     return dict(value)
 
 
+def separated(text: str | None) -> tuple[str, ...]:
+    """Return the names in a text that are separated by commas."""
+    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
 def _join(path: str, key: str) -> str:
     return f"{path}.{key}" if path and key else path or key

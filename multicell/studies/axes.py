@@ -17,8 +17,10 @@ from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml
+from multicell.results.quantities import UNITS
+from multicell.scene.parts import own_names
 from multicell.scene.scene import Scene
-from multicell.studies.keys import Key, key_of
+from multicell.studies.keys import Key, key_of, refuse_ineffective
 from multicell.studies.limits import MAX_POINTS
 from multicell.units import shown
 
@@ -29,8 +31,7 @@ _SPACED: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER}):(\d+)\s*(.*)")
 _RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
 _FIRST: Final = ("contact.law",)
 """Keys that are set before others: those that decide which others there are."""
-_NUMERIC: Final = ("quantity", "number", "count", "measure")
-_RANGES: Final = (*_NUMERIC, "quantities", "course")
+_RANGES: Final = ("quantity", "number", "count", "measure", "quantities", "course")
 
 
 @final
@@ -54,7 +55,11 @@ class Axis:
     @property
     def coordinates(self) -> tuple[float | str, ...]:
         """The values as coordinates of a table: numbers in base units, or words."""
-        return self.numbers if self.numbers is not None else tuple(map(_word, self.values))
+        if self.numbers is not None:
+            return self.numbers
+        return tuple(
+            x if isinstance(x, str) else json.dumps(x, sort_keys=True) for x in self.values
+        )
 
 
 @final
@@ -180,9 +185,6 @@ def with_unique_names(axes: Iterable[Axis | Range]) -> list[Any]:
 
 def _reserved() -> set[str]:
     """Return the names that observables of a run and other coordinates have."""
-    from multicell.results.quantities import UNITS
-    from multicell.scene.parts import own_names
-
     own = {"point", "state", "reason", *own_names()}
     return own | {name for name in UNITS if "." not in name}
 
@@ -191,7 +193,11 @@ def _listed(key: Key, text: str) -> list[Any]:
     """Return the values that a text lists."""
     text = text.strip()
     if text.startswith("["):
-        return _toml_list(key, text)
+        try:
+            return list(parse_toml(f"value = {text}")["value"])
+        except ValueError as error:
+            problem = f"has values that are not valid TOML: {shown(text)}"
+            raise SceneError(key.name, problem, str(error)) from None
     items = [item.strip() for item in text.split(",")] if text else []
     if not all(items):
         problem = f"has an empty value in {shown(text)}"
@@ -199,15 +205,6 @@ def _listed(key: Key, text: str) -> list[Any]:
     if items and is_numeric(key):
         return _with_unit(key, [one for item in items for one in _spaced(key, item)])
     return [bare(item) for item in items]
-
-
-def _toml_list(key: Key, text: str) -> list[Any]:
-    try:
-        value = parse_toml(f"value = {text}")["value"]
-    except ValueError as error:
-        problem = f"has values that are not valid TOML: {shown(text)}"
-        raise SceneError(key.name, problem, str(error)) from None
-    return list(value)
 
 
 def _with_unit(key: Key, items: list[str]) -> list[Any]:
@@ -307,11 +304,6 @@ def _described(text: str | Sequence[Any]) -> str:
     return repr(text) if isinstance(text, str) else " to ".join(map(str, text))
 
 
-def _word(value: Any) -> str:
-    """Return a value as a word of a table."""
-    return value if isinstance(value, str) else json.dumps(value, sort_keys=True)
-
-
 def _example(key: Key) -> str:
     if key.spec.options:
         return "'" + ",".join(key.spec.options[:2]) + "'"
@@ -320,8 +312,6 @@ def _example(key: Key) -> str:
 
 def check_ranges(scene: Scene, ranges: Sequence[Range]) -> None:
     """Refuse ranges that do not fit to a scene."""
-    from multicell.studies.keys import refuse_ineffective
-
     for free in ranges:
         others = [other for other in ranges if other is not free]
         for end in _ends_of(free):

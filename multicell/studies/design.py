@@ -212,7 +212,6 @@ def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
 
 
 def _column(table: Table, title: str, cells: Sequence[str], scene: Scene) -> Axis:
-    """Return one column of a table of points."""
     name, unit = split_title(title)
     if not name:
         raise SceneError("points", f"'{table.name}' has a column without a key in its header")

@@ -17,7 +17,7 @@ from multicell.integrators.registry import METHODS
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.responses import Response, effects, in_base_units, unit_of
 from multicell.scene.scene import Scene, check_dotted
-from multicell.schema import SYNONYMS, Parameter, near_miss, specs
+from multicell.schema import SYNONYMS, Parameter, chosen, near_miss, specs
 
 _TABLES: Final = ("table", "variant", "tables")
 _NO_AXES: Final = {
@@ -65,8 +65,6 @@ class Key:
 
     def _word(self, value: Any) -> str:
         """Return the name of a part, such as that of a contact law."""
-        from multicell.schema import chosen
-
         assert self.spec.parts is not None
         return chosen(value, self.spec.parts, self.name, getattr(self.spec.parts, "hint", None))
 
@@ -217,7 +215,6 @@ def refuse_ineffective(
 
 
 def _controlled(scene: Scene) -> bool:
-    """Return whether a known method chooses its steps."""
     info = METHODS.get(scene.integrator.method)
     return info is not None and info.control != "step"
 
@@ -229,7 +226,6 @@ def _lacks(scene: Scene, name: str) -> bool:
 
 
 def _responds(scene: Scene, behaviour: str) -> bool:
-    """Return whether anything changes a behaviour."""
     return any(effect.behaviour == behaviour for effect in effects(scene))
 
 

@@ -152,7 +152,6 @@ def _unfinished(states: Sequence[RunStatus]) -> str:
 def _run_table(
     table: xr.Dataset, runs: Sequence[Run], states: Sequence[RunStatus], names: Sequence[str]
 ) -> dict[str, Any]:
-    """Return heads and rows of the table of runs."""
     axes = [(name, of.scale(table, name)) for name in of.axes_of(table)]
     ends = [of.at_end(table, name).values.ravel() for name in names]
     chosen = _rows_shown(states)

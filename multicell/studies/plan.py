@@ -17,7 +17,7 @@ from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml, read_regular
-from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
 from multicell.studies.axes import Axis, Range, change, parse_axis
 from multicell.studies.design import SAMPLED, Design, Point, parse_axis_or_range, read_points
@@ -103,7 +103,6 @@ class Plan:
         return made
 
     def _each(self) -> Iterator[tuple[int, Scene]]:
-        """Yield number of the point and scene of each run."""
         for k, scene in enumerate(self.scenes):
             for j in range(self.seeds):
                 yield k, replace(scene, seed=scene.seed + j) if j else scene
@@ -190,7 +189,6 @@ def _parse_vary(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, .
 
 
 def _columns(points: Any, scene: Scene) -> tuple[Axis, ...]:
-    """Return the columns of a list of points."""
     if isinstance(points, str | Path):
         return read_points(points, scene)
     to_dict = getattr(points, "to_dict", None)
@@ -231,8 +229,6 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
     - ``integrator``: ``file.py:Name`` of a method of the user's own; what files name is never
       executed
     """
-    from multicell.scene.scene import load_scene
-
     folder = Path(folder)
     path = folder / NAME
     entries = _entries(path)

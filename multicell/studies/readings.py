@@ -23,7 +23,6 @@ from multicell.studies.table import at_times
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.scene.scene import Scene
     from multicell.studies.engine import Outcome
 
 _USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
@@ -69,7 +68,6 @@ def read_final(
 def _read_run(
     place: Path, observables: Sequence[str], times: FloatArray | None
 ) -> dict[str, FloatArray | float]:
-    """Return the values of a run."""
     from multicell.results.reader import Contents
 
     history = Contents(place).history()

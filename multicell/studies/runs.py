@@ -77,8 +77,6 @@ class PlainScene:
 
     def load(self) -> Scene:
         """Return the scene; laws and observables of the user's own are loaded first."""
-        from multicell.scene.scene import Scene
-
         for law in self.laws:
             from multicell.contact.custom import load_law
 

@@ -19,10 +19,9 @@ however many processes work on it. A run is
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import Final, Literal, final
 
 from multicell.errors import MulticellError, OutputError
 from multicell.results import hdf5, journal
@@ -83,19 +82,14 @@ def status(name: str, folder: Path, integrator: str = "", *, ours: bool = False)
         done = _finished_status(name, place, integrator)
         if done is not None:
             return done
-        return _failure_status(_unfinished_status(name, place, "partial"), place)
+        found, note = _unfinished_status(name, place, "partial"), read_table(place / NOTE)
+        if note is None:
+            return found
+        kind = note.get("kind")
+        known: Kind = kind if kind in ("machine", "damage") else "run"
+        return replace(found, state="failed", reason=str(note.get("reason", "")), kind=known)
     except MulticellError as error:
         return RunStatus(name, "failed", f"damaged: {error}", kind="damage")
-
-
-def _failure_status(found: RunStatus, place: Path) -> RunStatus:
-    """Return the state of a run that is not under way, with why it failed if it did."""
-    note = read_note(place)
-    if note is None:
-        return found
-    kind = note.get("kind")
-    known: Kind = kind if kind in ("machine", "damage") else "run"
-    return replace(found, state="failed", reason=str(note.get("reason", "")), kind=known)
 
 
 _Stamps = tuple[tuple[int, int, int], ...]
@@ -158,11 +152,6 @@ def _unfinished_status(name: str, place: Path, state: str) -> RunStatus:
     row = min(last.step, len(cells) - 1)
     count = int(cells[row]) if row >= 0 else 0
     return RunStatus(name, state, "", count, last.time, frames=len(contents.places))
-
-
-def read_note(place: Path) -> Mapping[str, Any] | None:
-    """Return why a run failed, as its folder says; None where it does not."""
-    return read_table(place / NOTE)
 
 
 def write_note(place: Path, reason: str, kind: Kind) -> None:

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.errors import OutputError
+from multicell.results.folder import make_folder, with_copy, write_text
+from multicell.scene.scene import Scene, load_scene
 from multicell.studies.cost import StudyCost, costs_of, total_cost
 from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan
 from multicell.studies.runs import Run, canonical, digest
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-    from multicell.scene.scene import Scene
     from multicell.studies.engine import Outcome
     from multicell.studies.plots import StudyPlots
     from multicell.studies.status import RunStatus
@@ -226,8 +227,6 @@ def study(
     OutputError
         If the folder holds another study, or something else, or cannot be written to.
     """
-    from multicell.scene.scene import Scene, load_scene
-
     base = scene if isinstance(scene, Scene) else load_scene(scene)
     plan = make_plan(
         base, vary, points=points, seeds=seeds, design=design, size=size,
@@ -256,8 +255,6 @@ def load_study(folder: str | Path, *, integrator: str = "") -> Study:
 
 def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
     """Write a plan to a folder, and return the study."""
-    from multicell.results.folder import make_folder, with_copy, write_text
-
     folder = Path(folder)
     there = (folder / NAME).is_file()
     if there and not overwrite:

@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.results.documents import read_table
-from multicell.results.folder import file_errors, put_in_place, sync_file, versions
+from multicell.results.folder import file_errors, put_in_place, replace_file, sync_file, versions
 from multicell.results.hdf5 import check_contained
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import Axis, Range
 from multicell.studies.runs import MODEL_VERSION, digest
+from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
     import xarray
@@ -271,9 +272,6 @@ def checksum(table: xarray.Dataset) -> str:
 def write_csv(table: xarray.Dataset, path: Path) -> None:
     """Write a table as CSV, one row for each run and time, with units in the header."""
     needs("pandas")
-    from multicell.results.folder import replace_file
-    from multicell.tables.titles import titled
-
     frame = table.to_dataframe().reset_index()
     names = {n: titled(n, table[n].attrs.get("units", "")) for n in frame if n in table.variables}
     with replace_file(path, "w", newline="", encoding="utf-8") as file:

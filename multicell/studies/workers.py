@@ -110,7 +110,6 @@ def _local_cluster(cores: int | None) -> Iterator[Any]:
 
 
 def _start_cluster(count: int) -> Any:
-    """Return a cluster of so many processes."""
     import distributed
 
     local: Any = distributed.LocalCluster
@@ -182,7 +181,6 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _client(kind: type[Client], place: Any, security: Any = None) -> Client:
-    """Return a client of a cluster or of an address."""
     client = kind.__new__(kind)
     try:
         client.__init__(  # type: ignore[misc]

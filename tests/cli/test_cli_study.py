@@ -15,8 +15,7 @@ from studied import SHORT
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.cli.study_progress import Pace
-from multicell.studies import study as studies
+from multicell.cli.progress import Pace
 from multicell.studies.engine import Outcome
 from multicell.studies.runs import Run
 
@@ -64,13 +63,6 @@ def test_a_new_study_is_written_and_told(folder):
     assert not (folder / "runs").exists()
 
 
-def test_a_new_study_as_json(folder):
-    answer = call("new", RICH, "-o", folder, f"--vary={OXYGEN}=0.07,0.14 mM", "--json")
-    told = json.loads(answer.output)
-    assert (told["points"], told["seeds"], told["runs"], told["done"]) == (2, 1, 2, 0)
-    assert told["expected"]["core_seconds"] > 0.0
-
-
 def test_designs_by_option(folder, tmp_path):
     sample = ["--design", "sobol", "--size", 8, f"--vary={LENGTH}=8:25 h"]
     assert call("new", RICH, "-o", folder, *sample).exit_code == 0
@@ -82,26 +74,12 @@ def test_designs_by_option(folder, tmp_path):
 
 
 REFUSED = {
-    ("--vary=nutrients.oxygen.boundry=1,2 mM",): f"Did you mean '{OXYGEN}'",
-    (f"--vary={OXYGEN}=1,2 s",): "must be a concentration",
-    (f"--vary={OXYGEN}=1,,2 mM",): "has an empty value",
-    (f"--vary={OXYGEN}=",): "has no values",
     (f"--vary={OXYGEN}",): "is not KEY=VALUES",
     ("--vary==1",): "is not KEY=VALUES",
     (f"--vary={OXYGEN}=1 mM", f"--vary={OXYGEN}=2 mM"): "is given twice",
-    ("--vary=growth.cycle_time=8,9 h",): "has no effect: the phases",
-    ("--vary=contact.law=jkr,hertz", "--vary=contact.surface_energy=0.1,0.2 nN/um"):
-        "has no meaning where contact.law = 'hertz'",
     ("--vary=nutrients.oxygen.necrosis=0.001,0.5 mM",):
         "(where nutrients.oxygen.necrosis = '0.5 mM')",
-    ("--seeds", "0"): "seeds: is 0",
     ("--seeds", "many"): "is not a valid integer",
-    ("--design", "gird"): "Did you mean 'grid'",
-    ("--design", "lhs", "--size", "4"): "vary: is empty",
-    ("--design", "lhs", f"--vary={LENGTH}=8:25 h"): "size: is missing",
-    ("--design", "sobol", "--size", "6", f"--vary={LENGTH}=8:25 h"): "take 4 or 8",
-    (f"--vary={LENGTH}=8:25 h",): "needs values",
-    ("--size", "6"): "size: has no meaning",
     ("--points", "absent.csv"): "cannot be read",
     ("--every", "6 um"): "must be a time",
     ("--set", "friction.normal=x"): "friction.normal",
@@ -268,9 +246,3 @@ def test_the_time_left_is_corrected_by_what_was_measured():
 def test_the_longest_run_decides_over_many_cores():
     pace = Pace([_run("a", 100.0), _run("b", 1.0)], 8, 0.0)
     assert pace.remaining(0.0) == 100.0
-
-
-def test_public_names_are_those_of_the_room():
-    assert mc.study is studies.study
-    assert mc.load_study is studies.load_study
-    assert mc.Study is studies.Study

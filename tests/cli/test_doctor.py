@@ -62,8 +62,3 @@ def test_sources_that_are_not_installed_know_no_packages(monkeypatch):
     monkeypatch.setattr(doctor.metadata, "version", absent)
     found = doctor.checkup()
     assert (found["versions"], found["missing"]) == ({"multicell": __version__}, {})
-
-
-def test_a_folder_that_is_still_to_be_made_counts_as_its_parent(tmp_path):
-    assert doctor._writable(str(tmp_path / "a" / "b"))
-    assert not doctor._writable("nowhere")

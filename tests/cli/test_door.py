@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -63,10 +62,8 @@ VALUES = [
     "1 = 2", "5 kPa\nb = 2", "x" * 100_000, "0x10", "1_000", "#", "1 # comment", "[1,]",
 ]  # fmt: skip
 KEYS = [
-    "duration", "seed", "drag.viscosity", "initial.count", "initial", "growth", "nutrients",
-    "nutrients.oxygen", "nutrients.oxygen.boundary", "nutrients.oxygen.media", "integrator",
-    "integrator.method", "contact", "contact.law", "types", "output.every", "cells.young",
-    "growth.phases", "chemotaxis", "dimensions",
+    "duration", "seed", "initial", "growth", "nutrients", "nutrients.oxygen.boundary",
+    "nutrients.oxygen.media", "integrator", "contact.law", "growth.phases",
 ]  # fmt: skip
 
 
@@ -85,17 +82,11 @@ def test_any_value_of_any_kind_is_taken_or_refused_with_its_key(key):
     assert all(key.split(".")[0] in text and len(text) < 1000 for text in refused)
 
 
-@pytest.mark.parametrize("value", [DIGITS, "[" * 10_000 + "]" * 10_000, "[" * 200 + "]" * 200])
+@pytest.mark.parametrize("value", [DIGITS, "[" * 10_000 + "]" * 10_000, "\udcff"])
 def test_a_value_that_cannot_be_read_is_named_by_its_key(value):
     line = one_error(call("explain", "settle", "--set", f"drag.viscosity={value}"))
     assert "drag.viscosity" in line
     assert len(line) < 300
-
-
-@pytest.mark.parametrize("value", ["\udcff", "'\udcff'", "title \udcff"])
-def test_a_value_that_is_no_text_is_refused(value):
-    line = one_error(call("explain", "settle", "--set", f"title={value}"))
-    assert "title: is not UTF-8 text" in line
 
 
 def test_the_last_of_repeated_keys_counts_at_its_place():
@@ -141,30 +132,12 @@ def test_output_fits_a_narrow_encoding(arguments):
 def test_runs_print_in_ascii(tmp_path):
     env = {"PYTHONIOENCODING": "ascii"}
     out = tmp_path / "µ→out"
-    for arguments in (
-        ("run", *SETTLE, "-o", out),
-        ("resume", out, "--set", "duration=3 min", "--no-report"),
-        ("export", out, "-o", tmp_path / "tables²"),
-        ("export", out, "-o", out / "scene.toml"),
-        ("run", *SETTLE, "-o", out),
-    ):
-        done = process(*arguments, env=env)
+    for code in (0, 2):
+        done = process("run", *SETTLE, "-o", out, env=env)
         assert b"Traceback" not in done.stderr
         shown = (done.stdout + done.stderr).decode("ascii")
-        refused = arguments[-1] == out / "scene.toml" or (
-            arguments[0] == "run" and "not empty" in shown
-        )
-        assert done.returncode == (2 if refused else 0), shown
-    assert refused
-
-
-@pytest.mark.slow
-def test_compare_and_stability_print_in_ascii(tmp_path):
-    env = {"PYTHONIOENCODING": "ascii"}
-    small = ("settle", "--set", "initial.count=4", "--set", "duration=1 min", "--methods", "euler")
-    for arguments in (("compare", "--repeats", "1", "--budget", "1"), ("stability",)):
-        done = process(*arguments, *small, "-o", tmp_path / "µ²" / arguments[0], env=env)
-        assert done.returncode == 0, done.stderr
+        assert done.returncode == code, shown
+    assert "not empty" in shown
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no device that is always full")
@@ -203,7 +176,7 @@ def test_a_pipe_that_nobody_reads_ends_quietly(arguments):
     assert done.stderr == b""
 
 
-@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+@pytest.mark.parametrize("closed", [(1,), (0, 1, 2)])
 def test_closed_streams_do_not_reach_the_results(closed, tmp_path):
     """A file that is opened next must not become standard output for C libraries."""
 
@@ -215,13 +188,6 @@ def test_closed_streams_do_not_reach_the_results(closed, tmp_path):
     assert done.returncode == 0
     assert b"Traceback" not in done.stderr
     assert len(call("export", tmp_path / "o", "-o", tmp_path / "t").output.splitlines()) >= 3
-
-
-@pytest.mark.parametrize("columns", ["1", "1000"])
-def test_any_width_of_terminal(columns):
-    done = process("explain", "spheroid", env={"COLUMNS": columns, "NO_COLOR": "1"})
-    assert done.returncode == 0
-    assert b"\x1b" not in done.stdout
 
 
 # what is no file
@@ -271,11 +237,11 @@ def test_what_is_no_folder_holds_no_results(command, place, tmp_path, monkeypatc
 @pytest.mark.parametrize(
     "place", ["file", "file/below", "/dev/null", "/dev/null/below", "x" * 5000]
 )
-@pytest.mark.parametrize("command", ["run", "compare", "stability", "export", "resume"])
+@pytest.mark.parametrize("command", ["run", "compare", "export"])
 def test_what_is_no_place_for_results_is_refused(command, place, folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("mine")
-    source = folder if command in ("export", "resume") else "settle"
+    source = folder if command == "export" else "settle"
     one_error(call(command, source, "-o", place))
     assert Path("file").read_text() == "mine"
 
@@ -283,45 +249,22 @@ def test_what_is_no_place_for_results_is_refused(command, place, folder, tmp_pat
 # wrong on purpose
 
 WRONG = [
-    ["explain"], ["explain", "settle", "more"], ["explain", "settle", "--set"],
-    ["explain", "settle", "--json=5"], ["run", "settle"], ["run", "-o", "o"],
-    ["run", "settle", "-o", "o", "--threads", "two"],
-    ["run", "settle", "-o", "o", "--threads", "0"],
-    ["run", "settle", "-o", "o", "--threads", "-1"],
-    ["run", "settle", "-o", "o", "--threads", "1.5"],
-    ["run", "settle", "-o", "o", "--threads", "9" * 30],
-    ["run", "settle", "-o", "o", "--threads", "100000"],
+    ["explain"], ["explain", "settle", "more"], ["explain", "settle", "--json=5"],
+    ["explain", "nonsense"], ["run", "settle", "-o", "o", "--threads", "100000"],
     ["run", "settle", "-o", "o", "--integrator", ""],
-    ["run", "settle", "-o", "o", "--integrator", "rk5"],
     ["run", "settle", "-o", "o", "--integrator", "\udcff"],
-    ["run", "settle", "-o", "o", "--frame", "1"], ["resume", "FOLDER", "--frame", "99"],
-    ["resume", "FOLDER", "--frame", "-99"], ["resume", "FOLDER", "--frame", "first"],
-    ["resume", "FOLDER", "--frame", "9" * 30], ["resume", "FOLDER", "--set", "seed=7"],
-    ["resume", "FOLDER", "--set", "duration=1 s"], ["resume", "FOLDER", "--threads", "0"],
-    ["resume"], ["resume", "FOLDER", "--integrator", "euler"], ["export", "FOLDER"],
+    ["resume", "FOLDER", "--frame", "-99"], ["resume", "FOLDER", "--set", "seed=7"],
+    ["resume", "FOLDER", "--set", "duration=1 s"], ["resume", "FOLDER", "--integrator", "euler"],
     ["export", "FOLDER", "-o", "o", "--tables", "nothing"],
-    ["export", "FOLDER", "-o", "o", "--tables", ""],
     ["export", "FOLDER", "-o", "o", "--tables", ","],
     ["export", "FOLDER", "-o", "o", "--frame", "99"],
-    ["export", "FOLDER", "-o", "o", "--frame", "x"],
-    ["export", "FOLDER", "-o", "o", "--frame", "9" * 30], ["compare", "settle"],
+    ["export", "FOLDER", "-o", "o", "--frame", "9" * 30],
     ["compare", "settle", "-o", "o", "--methods", "rk5"],
     ["compare", "settle", "-o", "o", "--methods", "\udcff"],
-    ["compare", "settle", "-o", "o", "--methods", ""],
     ["stability", "settle", "-o", "o", "--methods", ","],
     ["compare", "settle", "-o", "o", "--stepwise", "0"],
-    ["compare", "settle", "-o", "o", "--stepwise", "x"],
-    ["compare", "settle", "-o", "o", "--clock", "sand"],
-    ["compare", "settle", "-o", "o", "--repeats", "0"],
-    ["compare", "settle", "-o", "o", "--patience", "soon"],
     ["compare", "settle", "-o", "o", "--patience", "-1"],
-    ["compare", "settle", "-o", "o", "--patience", "nan"],
-    ["compare", "settle", "-o", "o", "--budget", "-1"],
-    ["compare", "settle", "-o", "o", "--budget", "nan"],
-    ["compare", "settle", "-o", "o", "--threads", "0"], ["stability", "settle"],
-    ["stability", "settle", "-o", "o", "--methods", "rk5"],
-    ["stability", "settle", "-o", "o", "--threads", "0"], ["stability", "nonsense", "-o", "o"],
-    ["nonsense"], ["--nonsense"], ["run", "--nonsense"],
+    ["compare", "settle", "-o", "o", "--budget", "nan"], ["nonsense"], ["run", "--nonsense"],
 ]  # fmt: skip
 
 
@@ -341,7 +284,7 @@ def test_wrong_input_ends_with_2_and_one_line(arguments, folder, tmp_path, monke
 # interrupts and the last resort
 
 
-@pytest.mark.parametrize("delay", [0.1, 0.3, 1.0, 2.4])
+@pytest.mark.parametrize("delay", [0.3, 2.4])
 def test_ctrl_c_at_any_moment(delay, tmp_path):
     # what happens before the first line of ours is the interpreter's own
     program = "from multicell.__main__ import run; print('on', flush=True); run()"
@@ -393,17 +336,7 @@ def test_an_unexpected_error_is_one_line_that_says_what_to_do(error, monkeypatch
     assert "Traceback" in call("explain", "settle").stderr
 
 
-def test_too_little_memory_is_said():
-    limit = 3 * 2**30
-
-    def little():
-        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-
-    done = process("explain", "settle", "--set", "initial.count=4", preexec_fn=little)
-    assert b"Traceback" not in done.stderr
-    assert door.in_words(MemoryError())[1] == 1
-
-
 def test_errors_of_the_system_name_the_file():
     words, code = door.in_words(PermissionError(13, "Permission denied", "somewhere"))
     assert (words, code) == ("'somewhere' cannot be used: Permission denied", 1)
+    assert door.in_words(MemoryError()) == ("there is not enough memory for this", 1)

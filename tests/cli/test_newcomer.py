@@ -44,18 +44,6 @@ def test_progress_draws_no_bar_in_the_cell_of_a_notebook(monkeypatch, parent, te
     assert progress.on_stderr().is_terminal is terminal
 
 
-@pytest.mark.parametrize(
-    ("duration", "shown"),
-    [("4 d", "1.00 of 4 d"), ("4 h", "1.00 of 4 h"), ("4 s", "1.00 of 4 s")],
-)
-def test_progress_is_told_in_a_unit_that_suits_the_run(duration, shown):
-    class Moment:
-        scene = mc.load_scene("growth").with_changes({"duration": duration})
-        time, step_index, cells = scene.duration / 4.0, 7, [None]
-
-    assert progress.status(Moment, wall=1.0)[0] == shown
-
-
 def test_a_time_outside_the_run_is_not_its_last_frame(folder, tmp_path):
     picture = tmp_path / "late.png"
     code, output = words("plot", folder, "-o", picture, "--time", "40 d")
@@ -86,20 +74,12 @@ def test_a_run_that_is_done_says_how_to_prolong_it(folder):
     [
         (["run", "spheroid", "-o", "out", "--set", "duration", "3 d"], "--set duration='…'"),
         (["study", "new", "growth", "-o", "out", "--vary", "seed", "1,2"], "--vary seed='…'"),
-        (["fit", "growth", "--data", "x", "-o", "out", "--free", "a.b", "1:2"], "--free a.b='…'"),
-        (["sensitivity", "growth", "-o", "out", "--free", "a.b", "1:2"], "--free a.b='…'"),
     ],
 )
 def test_a_space_in_place_of_the_equals_sign_is_told(given, told):
     code, output = words(*given)
     assert code == 2
     assert f"write the value without a space, as {told}" in output
-
-
-def test_steps_of_equations_count_from_zero():
-    scene = mc.load_scene("doublet-settle").with_changes({"duration": "10 min"})
-    with pytest.raises(mc.SceneError, match=r"ends after 1 coupling steps.*Steps count from 0"):
-        mc.ode_problem(scene, step=1)
 
 
 def test_a_scene_may_be_a_name_or_a_path_wherever_one_is_run(tmp_path):

@@ -6,7 +6,6 @@ from scipy.integrate import cumulative_trapezoid
 
 import multicell as mc
 from multicell.cli.progress import Forecast
-from multicell.cli.tables import time_text
 from multicell.report.explain.cost import predict
 
 DAY = 86400.0
@@ -80,24 +79,6 @@ def test_steps_that_take_turns_do_not_make_what_is_left_jump():
     assert min(left[:-1]) > 0.0
 
 
-@pytest.mark.parametrize("amiss", [0.93, 1.0, 1.07])
-def test_growth_that_slows_down_is_not_continued(amiss):
-    """Cells double in 15 h until only a rim grows, as in a spheroid of 12 days."""
-    times = np.arange(0.0, 12.0 * DAY + 1.0, STEP)
-    free, rim = 2.0 ** (times / 54000.0 / 3.0), 2.0 + 3.0 * times / DAY
-    cells = (1.5 * free * rim / (free + rim)) ** 3
-    spent = np.cumsum(
-        (0.002 + 2e-6 * cells) * np.random.default_rng(2).gamma(4.0, 0.25, len(cells))
-    )
-    forecast = forecast_of(times[::10], cells[::10] ** amiss, 0.002, 2e-6)
-    found = [
-        (forecast.left(times[10], times[k], spent[k] - spent[10]) + spent[k]) / spent[-1]
-        for k in range(30, int(0.98 * len(times)))
-    ]
-    assert min(found) > 0.3
-    assert max(found) < 3.0
-
-
 def test_nothing_is_left_at_the_end():
     assert forecast_of(TIMES, np.zeros_like(TIMES), 1.0, 1.0).left(600.0, TIMES[-1], 1.0) == 0.0
 
@@ -110,11 +91,3 @@ def test_a_forecast_is_that_of_explain():
     assert (np.diff(forecast.cost) > 0.0).all()
     early = Forecast.of(scene.with_changes({"stop_cells": 3}))
     assert early.times[-1] < scene.duration
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(3.2, "3.2 s"), (59.0, "59 s"), (91.0, "1.5 min"), (7200.0, "2 h"), (2e5, "2.3 d")],
-)
-def test_times_are_put_into_words(seconds, words):
-    assert time_text(seconds, 2) == words

@@ -109,6 +109,13 @@ def gone(processes, within=5.0):
     return False
 
 
+def wait_for(condition, within=60.0):
+    end = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
 def alive(process):
     try:
         return process.is_running() and process.status() != psutil.STATUS_ZOMBIE

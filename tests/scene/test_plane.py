@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from synthetic import cells_at
@@ -75,12 +73,6 @@ def test_unlike_cells_are_measured_as_their_bodies_are(dimensions):
 
 
 @BOTH
-def test_a_uniform_disc_or_ball_of_500_um(dimensions):
-    cells = cells_at(uniform(250.0, dimensions) + SHIFT, radius=0.5)
-    assert observables.diameter(cells, dimensions) == pytest.approx(500.0, rel=3e-3)
-
-
-@BOTH
 def test_a_dense_tissue_with_a_core(dimensions):
     """Diameter, core, rim, hypoxic part and packing of touching cells in a disc and in a ball."""
     position = lattice(150.0 if dimensions == 2 else 80.0, 4.0, dimensions)
@@ -95,12 +87,6 @@ def test_a_dense_tissue_with_a_core(dimensions):
     assert lacking == pytest.approx(0.7 * edge, rel=1e-2)
     filled = np.pi / 4 if dimensions == 2 else np.pi / 6
     assert observables.packing_ratio(cells, dimensions) == pytest.approx(filled, rel=2e-2)
-
-
-def test_growth_speed_of_a_disc_is_that_of_its_edge():
-    """A disc whose edge moves at 10 µm/h is seen to do so."""
-    sizes = [observables.diameter(cells_at(uniform(r, 2), radius=0.5), 2) for r in (100.0, 110.0)]
-    assert sizes[1] - sizes[0] == pytest.approx(20.0, rel=1e-3)
 
 
 @BOTH
@@ -216,12 +202,9 @@ def test_a_contact_inhibited_monolayer_tells_that_it_is(tmp_path):
     assert 0.1 < summary["pressure_factor"] < 0.9
     assert history["held_by_pressure"][-1] == summary["held_by_pressure"]
     assert (history["held_by_pressure"] <= history["cells"]).all()
-    assert "growth halved by pressure" in dict(measures(summary))
-    lines = [line.get_label() for axes in result.plot.growth().axes for line in axes.get_lines()]
-    assert any("halved by pressure" in label for label in lines)
     page = (tmp_path / "report.html").read_text()
-    assert re.search("rings about the centre", page)
-    assert "shells" not in page
+    assert "growth halved by pressure" in page
+    assert "rings about the centre" in page
     free = mc.run(scene.with_changes({"growth.critical_pressure": None, "duration": "15 min"}))
     assert "pressure_factor" not in free.history
     assert "held_by_pressure" not in free.summary()

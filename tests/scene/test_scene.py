@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import subprocess
-import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -30,65 +27,10 @@ def refusal(entries):
 # --- built-in scenes ---------------------------------------------------------------------------
 
 
-def test_built_in_scenes_have_names_and_titles():
-    assert scene_names() == [
-        "chemotaxis", "compression", "confined", "division-shock", "dosing", "doublet",
-        "doublet-settle",
-        "emt6", "emt6-rim",
-        "grow-2000", "growth", "monolayer", "openvt-chain", "openvt-monolayer",
-        "openvt-sorting", "settle", "settle-1000", "sorting", "sorting-cams",
-        "sorting-signal", "spheroid", "stiff-inclusions", "treatment", "wm983b",
-    ]  # fmt: skip
+def test_built_in_scenes_have_titles():
     titles = {load_scene(name).title for name in scene_names()}
-    assert len(titles) == len(scene_names())
+    assert len(titles) == len(scene_names()) > 20
     assert all(len(title) > 10 for title in titles)
-
-
-def test_spheroid_has_all_parts():
-    scene = load_scene("spheroid")
-    assert scene.initial.count == 1
-    assert list(scene.nutrients) == ["oxygen"]
-    assert scene.growth is not None
-    assert scene.death is not None
-    assert isinstance(scene.contact, JKR)
-
-
-def test_growth_has_no_nutrient():
-    scene = load_scene("growth")
-    assert (scene.duration, scene.initial.count) == (5 * 86400.0, 1)
-    assert scene.growth is not None
-    assert len(scene.nutrients) == 0
-    assert scene.death is None
-
-
-def test_settle_is_mechanics_only():
-    scene = load_scene("settle")
-    assert (scene.duration, scene.coupling_step) == (3600.0, 60.0)
-    assert (scene.initial.count, scene.initial.spacing, scene.initial.jitter) == (200, 0.8, 0.05)
-    assert scene.growth is None
-    assert scene.death is None
-    assert not scene.nutrients
-
-
-def test_reading_a_scene_loads_nothing_heavy():
-    heavy = [
-        "numba",
-        "pint",
-        "pde",
-        "scipy.sparse",
-        "scipy.fft",
-        "matplotlib",
-        "h5py",
-        "rich",
-        "sksundae",
-        "tomli_w",
-    ]
-    code = (
-        "import sys; import multicell.scene.scene as s; "
-        f"s.load_scene('spheroid'); print([m for m in {heavy} if m in sys.modules])"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == "[]"
 
 
 # --- files -------------------------------------------------------------------------------------
@@ -111,13 +53,9 @@ def test_bare_name_of_a_file_is_read_and_a_built_in_name_wins(tmp_path, monkeypa
     assert load_scene(Path("settle")).duration == 2
 
 
-@pytest.mark.parametrize("as_path", [True, False])
-def test_missing_file(tmp_path, as_path):
-    file = tmp_path / "absent.toml"
-    with pytest.raises(
-        SceneError, match=r"absent.toml' does not exist.*growth, .*settle.*spheroid"
-    ):
-        load_scene(file if as_path else str(file))
+def test_missing_file(tmp_path):
+    with pytest.raises(SceneError, match=r"absent.toml' does not exist.*growth, .*settle.*sphe"):
+        load_scene(str(tmp_path / "absent.toml"))
 
 
 @pytest.mark.parametrize("name", ["spherod", "Spheroid", "spheroids"])
@@ -132,13 +70,10 @@ def test_unknown_name_gets_its_near_miss(name):
     ("content", "words"),
     [
         (b'duration = "1 h"\n\n[drag\n', "line 3"),
-        (b"duration = 1\nduration = 2\n", "line 2"),
-        (b"duration = 1 h\n", "line 1"),
         (b"seed = " + b"9" * 5000, "not valid TOML"),
         (b"seed = " + b"[" * 100000, "nested too deeply"),
         (b"title = '\xff'", "not UTF-8"),
         (b"", "duration: is missing"),
-        (b"[drag]\nviscosity = 0\n", "duration: is missing"),
         (b"duration = 1\n[drag]\nviscosity = 0\n", "drag.viscosity: is 0 kPa s, must be above 0"),
     ],
 )
@@ -148,17 +83,6 @@ def test_broken_file(tmp_path, content, words):
     with pytest.raises(SceneError) as caught:
         load_scene(file)
     assert words in str(caught.value)
-
-
-@pytest.mark.parametrize("source", ["", ".", "/", "a\0b", "~nobody-here/x.toml", "x" * 5000])
-def test_what_is_not_a_file_is_refused(source):
-    with pytest.raises(SceneError):
-        load_scene(source)
-
-
-def test_a_folder_is_not_a_scene(tmp_path):
-    with pytest.raises(SceneError, match=r"cannot be read: Is a directory"):
-        load_scene(tmp_path)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root reads anything")
@@ -176,38 +100,15 @@ def test_unreadable_file(tmp_path):
 @pytest.mark.parametrize(
     ("entries", "path", "words"),
     [
-        ({"duration": 0}, "duration", "is 0 s, must be above 0 s"),
-        ({"duration": "-1 d"}, "duration", "is -1 d, must be above 0 s"),
-        ({"duration": "5"}, "duration", "without a unit"),
-        ({"duration": float("nan")}, "duration", "finite"),
-        ({"duration": True}, "duration", "is True, must be a number"),
-        ({"seed": -1}, "seed", "at least 0"),
-        ({"seed": 1.5}, "seed", "whole number"),
         ({"seed": 2**63}, "seed", "at most"),
-        ({"title": 3}, "title", "one line of text"),
-        ({"initial": {"stage": "old"}}, "initial.stage", "'birth', 'uniform'"),
-        ({"cells": {"young_variation": 0.6}}, "cells.young_variation", "at most 0.5"),
         ({"cells": {"poisson": 0.75}}, "cells.poisson", "is 0.75, must be above -1 and at most"),
-        ({"cells": {"poisson": "0.5"}}, "cells.poisson", "without unit and quotes"),
-        ({"cells": [1]}, "cells", "is a list, must be a table"),
         ({"contact": {"law": "yukawa"}}, "contact.law", "must be one of 'hertz', 'jkr'"),
         (
             {"contact": {"law": "hertz", "surface_energy": 0.1}},
             "contact.surface_energy",
             "is not a known key here",
         ),
-        ({"drag": {"viscosity": "0 kPa s"}}, "drag.viscosity", "must be above 0 kPa s"),
-        ({"drag": {"viscosity": "5 kPa"}}, "drag.viscosity", "must be a viscosity"),
-        ({"growth": {"cycle_variation": 0.51}}, "growth.cycle_variation", "at most 0.5"),
-        ({"growth": True}, "growth", "is True, must be a table"),
-        ({"death": {"removal_fraction": 1}}, "death.removal_fraction", "below 1"),
-        ({"nutrients": 5}, "nutrients", "must be a table"),
         ({"nutrients": {"2,3-DPG": {}}}, "nutrients", "letters, digits"),
-        (
-            {"nutrients": {"oxygen": {"necrosis": "0.03 mM", "quiescence": "0.02 mM"}}},
-            "nutrients.oxygen.necrosis",
-            "thresholds in the wrong order",
-        ),
         (
             {"nutrients": {"oxygen": {"necrosis": 0.02, "quiescence": 0.02}}},
             "nutrients.oxygen.necrosis",
@@ -223,58 +124,13 @@ def test_unreadable_file(tmp_path):
             "nutrients.o2.spacing",
             "must be at most 8 um",
         ),
-        ({"nutrients": {"o2": {"uptake": "20 amol"}}}, "nutrients.o2.uptake", "amount per time"),
-        ({"nutrients": {"o2": {"quiescent_uptake": 2}}}, "nutrients.o2.quiescent_uptake", "most 1"),
         ({"integrator": "rk99"}, "integrator.method", "is 'rk99', must be one of 'auto', 'cvode'"),
-        ({"integrator": 3}, "integrator", "must be a table"),
-        ({"integrator": {"rtol": 0.2}}, "integrator.rtol", "at most 0.1"),
-        ({"integrator": {"max_displacement": 1.1}}, "integrator.max_displacement", "at most 1"),
     ],
 )
 def test_bad_value(entries, path, words):
     error = refusal(entries)
     assert error.path == path
     assert words in error.problem
-
-
-@pytest.mark.parametrize(
-    ("entries", "hint"),
-    [
-        ({"durration": 1}, "Did you mean 'duration'?"),
-        ({"drag": {"viscositty": 1}}, "Did you mean 'viscosity'? Allowed: viscosity"),
-        ({"nutrients": {"o2": {"difusion": 1}}}, "Did you mean 'diffusion'?"),
-        ({"integrator": "cvodes"}, "Did you mean 'cvode'?"),
-        ({"contact": {"law": "JKR"}}, "Did you mean 'jkr'?"),
-        ({"cells": {"poisson": 0.75}}, "No isotropic solid"),
-        ({"drag": {"viscosity": 0}}, "without drag no velocity"),
-        ({"contact": {"law": "hertz", "surface_energy": 0.1}}, "Allowed: law"),
-    ],
-)
-def test_hint(entries, hint):
-    assert hint in refusal(entries).hint
-
-
-def test_limits_that_are_allowed():
-    scene = Scene.from_dict(
-        {
-            "duration": 1e-3,
-            "cells": {"poisson": 0.5, "young_variation": 0},
-            "contact": {"surface_energy": 0},
-            "nutrients": {"o2": {"spacing": 20, "boundary": 0, "uptake": 0, "necrosis": 0}},
-        }
-    )
-    assert scene.nutrients["o2"].spacing == 20
-    assert scene.cells.poisson == 0.5
-
-
-def test_defaults_are_those_of_the_documentation():
-    scene = Scene(duration="1 h")
-    assert (scene.title, scene.seed, scene.coupling_step) == ("", 0, 600.0)
-    assert (scene.growth, scene.death, scene.stop_cells) == (None, None, None)
-    assert scene.contact == JKR(surface_energy="0.1 nN/um")
-    assert (scene.drag.viscosity, scene.cells.division_radius) == (5.0, 5.0)
-    assert (scene.integrator.method, scene.integrator.rtol) == ("auto", 1e-6)
-    assert scene.output.every == 6 * 3600
 
 
 # --- changes -----------------------------------------------------------------------------------
@@ -298,14 +154,6 @@ def test_optional_tables_come_and_go():
     assert dict(with_oxygen.nutrients) == {"oxygen": Nutrient(boundary=0.1)}
     assert with_oxygen.with_changes({"nutrients.oxygen": None}) == bare
     assert with_oxygen.with_changes({"nutrients": None}) == bare
-
-
-def test_optional_keys_come_and_go():
-    scene = Scene(duration=1).with_changes({"growth.critical_pressure": "1 kPa", "stop_cells": 9})
-    assert (scene.growth.critical_pressure, scene.stop_cells) == (1.0, 9)
-    scene = scene.with_changes({"growth.critical_pressure": None, "stop_cells": None})
-    assert (scene.growth.critical_pressure, scene.stop_cells) == (None, None)
-    assert scene.with_changes({"stop_cells": None}) == scene
 
 
 def test_a_part_can_be_given_as_an_object():
@@ -337,15 +185,10 @@ def test_changes_leave_their_input_alone():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"cels.young": 1}, "Did you mean 'cells'?"),
-        ({"cells.yong": 1}, "Did you mean 'young'?"),
         ({"growht": None}, "Did you mean 'growth'?"),
         ({"death.lysis_time": None}, "cannot be removed: the scene has no 'death'"),
         ({"duration.x": 1}, "'duration' is a value, not a table"),
         ({"duration": None}, "duration: is missing"),
-        ({"cells.young": -1}, "cells.young: is -1 kPa, must be above 0 kPa"),
-        ({"integrator": "eular"}, "Did you mean 'euler'?"),
-        ({"contact.law": "jrk"}, "Did you mean 'jkr'?"),
         ({"": 1}, "not a dotted key"),
         ({"cells..young": 1}, "not a dotted key"),
         ({3: 1}, "not a dotted key"),
@@ -360,17 +203,6 @@ def test_bad_change(changes, words):
 # --- writing -----------------------------------------------------------------------------------
 
 
-def test_dict_has_base_unit_numbers_and_no_absent_parts():
-    entries = load_scene("growth").to_dict()
-    assert entries["duration"] == 432000.0
-    assert entries["growth"] == {
-        "cycle_time": 54000.0, "cycle_variation": 0.1, "division": "instant", "law": "linear",
-        "restriction": True,
-    }  # fmt: skip
-    assert entries["contact"] == {"law": "jkr", "surface_energy": 0.1, "smoothing": 0.0}
-    assert {"death", "nutrients", "stop_cells"}.isdisjoint(entries)
-
-
 def test_toml_names_units_seed_and_extra_facts():
     text = load_scene("spheroid").to_toml({"numpy": "2.4.6", "note": "two\nlines = 1 \u2028 µ"})
     head = text[: text.index("title =")]
@@ -378,11 +210,6 @@ def test_toml_names_units_seed_and_extra_facts():
     assert "# seed: 1\n" in head
     assert "# numpy: 2.4.6\n" in head
     assert all(line.startswith("#") for line in head.splitlines())
-    assert "duration = 1036800.0  # s\n" in text
-    assert "viscosity = 5.0  # kPa s\n" in text
-    assert "surface_energy = 0.02  # nN/um\n" in text
-    assert "boundary = 0.05  # mM\n" in text
-    assert tomllib.loads(text) == load_scene("spheroid").to_dict()
 
 
 def test_scene_survives_pickle_and_hash():

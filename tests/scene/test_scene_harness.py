@@ -233,7 +233,6 @@ def test_more_frames_than_coupling_steps_are_not_promised():
 @pytest.mark.parametrize(
     "entries",
     [
-        {"contact": {"law": "linear", "cutoff": 1.0}},
         {"contact": {"law": "generalised-linear", "cutoff": 1.0}},
         {
             "contact": {"law": "generalised-linear"},

@@ -17,14 +17,12 @@ from multicell.schema import (
     Bounds,
     build,
     choice,
-    chosen,
     count,
     near_miss,
     number,
     parameters,
     plain,
     quantity,
-    specs,
     table,
     tables,
     text,
@@ -89,15 +87,6 @@ def test_values_are_converted():
     assert type(Inner(size=3).size) is float
 
 
-def test_defaults():
-    part = Outer(length=5)
-    assert part.inner == Inner(size=2.0, share=0.5)
-    assert part.extra is None
-    assert part.limit is None
-    assert part.surface == Rough(height=1.0)
-    assert dict(part.many) == {}
-
-
 def test_parts_are_frozen_hashable_comparable_and_keyword_only():
     part = Outer(length=5, many={"a": {"size": 1}})
     with pytest.raises(FrozenInstanceError):
@@ -143,15 +132,11 @@ def test_plain_is_read_back():
     ("entries", "path", "words"),
     [
         ({"length": -3}, "outer.length", "is -3 um, must be above 0 um"),
-        ({"length": "-3 um"}, "outer.length", "is -3 um, must be above 0 um"),
         ({"length": None}, "outer.length", "is None, must be a number in um"),
         ({"inner": {"size": 11}}, "outer.inner.size", "is 11 um, must be above 0 um and at most"),
         ({"inner": {"share": 1}}, "outer.inner.share", "is 1, must be at least 0 and below 1"),
         ({"inner": {"share": "0.5"}}, "outer.inner.share", "without unit and quotes"),
-        ({"inner": {"share": False}}, "outer.inner.share", "is False, must be a number"),
         ({"inner": {"share": float("nan")}}, "outer.inner.share", "is nan, must be a finite"),
-        ({"inner": {"share": float("-inf")}}, "outer.inner.share", "is -inf, must be a finite"),
-        ({"inner": {"share": [1]}}, "outer.inner.share", "is a list"),
         ({"inner": 5}, "outer.inner", "is 5, must be a table"),
         ({"inner": None}, "outer.inner", "is None, must be a table"),
         ({"inner": {1: 2}}, "outer.inner", "keys that are not text"),
@@ -160,13 +145,10 @@ def test_plain_is_read_back():
         ({"times": 0}, "outer.times", "is 0, must be at least 1 and at most 9"),
         ({"times": 3.0}, "outer.times", "is 3.0, must be a whole number"),
         ({"times": True}, "outer.times", "is True, must be a whole number"),
-        ({"times": "3"}, "outer.times", "is '3', must be a whole number"),
         ({"times": 10**400}, "outer.times", "at most 9"),
         ({"kind": 3}, "outer.kind", "is 3, must be one of 'round', 'flat'"),
-        ({"kind": ["round"]}, "outer.kind", "is a list, must be one of"),
         ({"name": 3}, "outer.name", "must be one line of text"),
         ({"name": "two\nlines"}, "outer.name", "must be one line of text"),
-        ({"name": "\ud800"}, "outer.name", "must be one line of text"),
         ({"surface": {"type": "bumpy"}}, "outer.surface.type", "must be one of 'smooth', 'rough'"),
         ({"surface": "smooth"}, "outer.surface", "must be a table"),
         ({"many": []}, "outer.many", "is a list, must be a table"),
@@ -185,12 +167,9 @@ def test_refusals_carry_path_value_and_what_is_allowed(entries, path, words):
     ("entries", "hint"),
     [
         ({"lenght": 5}, "Did you mean 'length'?"),
-        ({"Times": 5}, "Did you mean 'times'?"),
         ({"inner": {"siz": 1}}, "Did you mean 'size'? Allowed: size, share"),
-        ({"qqq": 1}, "Allowed: name, length"),
         ({"kind": "rond"}, "Did you mean 'round'?"),
         ({"inner": {"size": -1}}, "Be small."),
-        ({"surface": {"type": "smoth"}}, "Did you mean 'smooth'?"),
         ({"surface": {"type": "smooth", "height": 1}}, "Allowed: type"),
         ({"surface": {"heigth": 1}}, "Did you mean 'height'? Allowed: type, height"),
     ],
@@ -222,18 +201,6 @@ def test_a_field_must_be_declared():
         @parameters
         class Loose:
             size: float = 3.0
-
-
-def test_specs_describe():
-    spec = specs(Inner)["size"]
-    assert (spec.unit, spec.doc, spec.allowed) == ("um", "a size", "above 0 um and at most 10 um")
-    assert specs(Outer)["inner"].shorthand == "size"
-    assert specs(Outer)["inner"].table is Inner
-    assert specs(Outer)["kind"].allowed == "round or flat"
-
-
-def test_chosen_returns_the_name():
-    assert chosen("b", ["a", "b"], "x") == "b"
 
 
 @given(value=st.floats(allow_nan=False), low=st.floats(-5, 5), high=st.floats(-5, 5))

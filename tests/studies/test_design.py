@@ -1,7 +1,6 @@
 """Designs: grids, lists, samples, and values that go together."""
 
 import itertools
-import os
 
 import numpy as np
 import pytest
@@ -160,12 +159,6 @@ def test_tables_of_points_that_are_none_are_told(tmp_path, text, said):
 def test_a_table_of_points_that_cannot_be_read_is_told(tmp_path):
     with pytest.raises(SceneError, match="cannot be read"):
         read_points(tmp_path / "absent.csv", EMT6)
-    (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(SceneError, match="not UTF-8"):
-        read_points(tmp_path / "bytes.csv", EMT6)
-    os.mkfifo(tmp_path / "pipe.csv")  # it never ends
-    with pytest.raises(SceneError, match="no regular file"):
-        read_points(tmp_path / "pipe.csv", EMT6)
     (tmp_path / "long.csv").write_text(f'cells.young [kPa]\n"{"1" * 200_000}"\n')
     with pytest.raises(SceneError, match="line 2: field larger than"):
         read_points(tmp_path / "long.csv", EMT6)

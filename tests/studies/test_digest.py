@@ -19,9 +19,17 @@ LAW = """
 import multicell as mc
 
 # REMARK
-@mc.pair_law(parameters={"stiffness": "nN/um"})
+@mc.pair_law(parameters={})
 def square(overlap, modulus, radius, p):
-    return p.stiffness * overlap * overlap / radius
+    return modulus * overlap * overlap / (radius + 0.5)
+"""
+GROWTH_LAW = """
+import multicell as mc
+
+# REMARK
+@mc.growth_law(parameters={})
+def power(volume, p):
+    return volume ** (0.0 + 0.5)
 """
 
 
@@ -39,7 +47,7 @@ def shuffled(entries, chance, path=""):
 
 
 @given(plausible(extreme=0.0), st.integers(0, 2**32))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_equal_scenes_have_one_digest(entries, seed):
     try:
         scene = mc.Scene.from_dict(entries)
@@ -54,8 +62,6 @@ def test_equal_scenes_have_one_digest(entries, seed):
     [
         ("nutrients.oxygen.boundary", "0.07 mM", "70 uM"),
         ("duration", "2 d", 172800),
-        ("duration", "48 h", 172800.0),
-        ("cells.young", "1 kPa", "1000 Pa"),
         ("integrator", "cvode", {"method": "cvode"}),
     ],
 )
@@ -100,18 +106,23 @@ def test_the_version_of_the_model_counts(monkeypatch):
     assert digest(scene) != before
 
 
-def test_an_own_law_counts_by_all_that_it_computes(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "name", "key"),
+    [(LAW, "square", "contact"), (GROWTH_LAW, "power", "growth.law")],
+    ids=["contact", "growth"],
+)
+def test_an_own_law_counts_by_all_that_it_computes(text, name, key, tmp_path):
     found = []
-    for folder, old, new in (("a", "", ""), ("b", "REMARK", "other"), ("c", "/ radius", "")):
+    for folder, old, new in (("a", "", ""), ("b", "REMARK", "other"), ("c", "+ 0.5", "+ 0.6")):
         file = tmp_path / folder / "mine.py"
         file.parent.mkdir()
-        file.write_text(LAW.replace(old, new) if old else LAW)
-        law = mc.load_law(f"{file}:square")
-        found.append(mc.load_scene("growth").with_changes({"contact": law(stiffness=1.0)}))
+        file.write_text(text.replace(old, new) if old else text)
+        law = mc.load_law(f"{file}:{name}")()
+        found.append(mc.load_scene("growth").with_changes({key: law}))
     one, same, other = map(digest, found)
     assert one == same
     assert one != other
-    assert runs.own_laws(found[2]) == (f"{tmp_path / 'c' / 'mine.py'}:square",)
+    assert runs.own_laws(found[2]) == (f"{tmp_path / 'c' / 'mine.py'}:{name}",)
     assert runs.own_laws(mc.load_scene("growth")) == ()
 
 
@@ -125,20 +136,3 @@ def test_an_own_method_counts_by_the_text_of_its_file(tmp_path):
     assert len(found | {digest(scene)}) == 3
     with pytest.raises(SceneError, match="cannot be read"):
         digest(scene, f"{tmp_path / 'absent.py'}:A")
-
-
-def test_an_own_growth_law_counts_by_all_that_it_computes(tmp_path):
-    found = []
-    for name, exponent in (("a", "0.5"), ("b", "0.6"), ("c", "0.5")):
-        file = tmp_path / name / "mine.py"
-        file.parent.mkdir()
-        file.write_text(
-            "import multicell as mc\n"
-            "@mc.growth_law(parameters={})\n"
-            f"def power(volume, p):\n    return volume ** {exponent}\n"
-        )
-        law = mc.load_law(f"{file}:power")
-        found.append(mc.load_scene("growth").with_changes({"growth.law": law()}))
-    assert digest(found[0]) != digest(found[1])
-    assert digest(found[0]) == digest(found[2])
-    assert runs.own_laws(found[1]) == (f"{tmp_path / 'b' / 'mine.py'}:power",)

@@ -6,12 +6,9 @@ import re
 import h5py
 import numpy as np
 import pytest
-from cheap_fits import MATRIX, linear
 from studied import SHORT
 
 import multicell as mc
-from multicell.calibration.pool import Pool
-from multicell.calibration.search import Search
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_table, write_table
 from multicell.studies import table
@@ -63,17 +60,6 @@ def test_a_summary_that_was_edited_is_refused(study):
     assert [state.state for state in study.status()] == ["failed", "done"]
     path.write_text(text)
     assert [state.state for state in study.status()] == ["done", "done"]
-
-
-def test_a_reading_that_was_edited_is_refused(tmp_path):
-    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05)
-    path = tmp_path / "search.log"
-    Search(problem, path, seed=4).run(Pool(), 12)
-    text = path.read_text()
-    (number, value) = re.findall(r'"values":\[([-0-9.e]+)(.)', text)[5]
-    path.write_text(text.replace(f'"values":[{number}{value}', f'"values":[0.5{value}'))
-    with pytest.raises(OutputError, match=r"search\.log' is damaged in line"):
-        Search(problem, path, seed=4)
 
 
 @pytest.mark.parametrize("way", ["left out", "repeated", "exchanged", "cut"])

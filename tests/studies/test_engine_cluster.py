@@ -2,13 +2,12 @@
 
 import gc
 import sys
-import time
 
 import psutil
 import pytest
 from clusters import Cluster
 from stored import assert_same_bits
-from studied import CHANGES, alive, gone, runs_of, short_runs, started, statuses
+from studied import CHANGES, alive, gone, runs_of, short_runs, started, statuses, wait_for
 
 import multicell as mc
 from multicell.errors import ClusterError
@@ -119,13 +118,6 @@ def test_workers_that_do_not_see_the_folder_are_named(tmp_path):
 
 
 LONG = "20 h"
-
-
-def wait_for(condition, within=60.0):
-    end = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 def states(runs, folder):

@@ -10,7 +10,7 @@ import time
 import psutil
 import pytest
 from stored import assert_same_bits
-from studied import alive, family, gone, is_worker, runs_of, short_runs, started, statuses
+from studied import alive, family, gone, is_worker, runs_of, short_runs, started, statuses, wait_for
 
 import multicell as mc
 from multicell.studies.engine import carry_out
@@ -91,13 +91,6 @@ def test_killed_studies_go_on_to_the_same_bits(undisturbed, tmp_path, pytestconf
     assert code == 0, text
     assert_no_tracebacks(text)
     assert_complete(folder, whole)
-
-
-def wait_for(condition, within=60.0):
-    end = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def under_way(folder, count=1):

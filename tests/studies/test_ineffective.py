@@ -6,14 +6,13 @@ from rich_medium import RICH
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import check_ranges, parse_ranges
-from multicell.studies.keys import _RULES, all_keys, key_of, no_effect
+from multicell.studies.keys import _RULES, all_keys, no_effect
 from multicell.studies.plan import make_plan
 
 RAYS = {"radiation": {"rays": {"dose": 2.0, "start": "1 d", "alpha": 0.3}}}
 
 NONE = [
     (RICH, {}, "growth.cycle_time", "phases of the cycle"),
-    (RICH, {}, "growth.cycle_variation", "phases of the cycle"),
     ("spheroid", {}, "growth.restriction", "has no phases"),
     (RICH, {}, "growth.phases.S.variation", "a fixed duration"),
     (RICH, {}, "integrator.step", "chooses its steps"),
@@ -27,21 +26,8 @@ NONE = [
     (RICH, {"nutrients.oxygen.regime": "steady"}, "nutrients.oxygen.time_tolerance", "steady"),
     (RICH, {"nutrients.oxygen.uptake": 0}, "nutrients.oxygen.half_saturation", "uptake"),
     ("growth", RAYS, "radiation.rays.oer", "no field of oxygen"),
-    ("growth", RAYS, "radiation.rays.half_oxygen", "no field of oxygen"),
     ("growth", {}, "initial.spacing", "one cell"),
-    ("growth", {"death": {}}, "death.lysis_time", "threshold of necrosis"),
     ("sorting", {}, "contact.surface_energy", "surface energy of its own"),
-    (
-        "emt6",
-        {
-            "nutrients.glucose.uptake_per_volume": 0,
-            "nutrients.glucose.uptake_on": None,
-            "nutrients.oxygen.uptake_on": None,
-            "nutrients.lactate": None,
-        },
-        "nutrients.glucose.half_saturation",
-        "uptake",
-    ),
     (
         "emt6",
         {"energy.necrosis": None, "nutrients.lactate": None},
@@ -61,37 +47,20 @@ def test_keys_without_effect(name, changes, key, said):
     ("name", "changes", "key"),
     [
         (RICH, {}, "growth.phases.G1.variation"),
-        ("spheroid", {}, "growth.cycle_time"),
         (RICH, {"integrator": "euler"}, "integrator.step"),
         (RICH, {}, "integrator.atol"),
-        (RICH, {}, "integrator.method"),
         (RICH, {}, "death.lysis_time"),
         ("spheroid", {"death.damage_time": "9 h"}, "death.damage_repair_time"),
         (RICH, {}, "death.apoptosis_time"),
-        (RICH, {}, "nutrients.oxygen.boundary"),
         (RICH, {"nutrients.oxygen.media": [["1 d", 0.1]]}, "nutrients.oxygen.boundary"),
-        (RICH, {}, "cells.young"),
         ("growth", {}, "contact.surface_energy"),
         ("emt6", {**RAYS, "radiation.rays.oxygen": "oxygen"}, "radiation.rays.oer"),
         ("growth", {**RAYS, "death": {}}, "death.apoptosis_time"),
-        ("growth", {**RAYS, "death": {}}, "death.removal_fraction"),
         ("emt6", {}, "death.lysis_time"),
-        ("emt6", {}, "death.removal_fraction"),
-        ("emt6", {}, "nutrients.oxygen.half_saturation"),
     ],
 )
 def test_keys_with_an_effect(name, changes, key):
     assert no_effect(mc.load_scene(name).with_changes(changes), key) == ""
-
-
-@pytest.mark.parametrize("name", mc.scene_names())
-def test_every_key_of_a_scene_is_found_and_can_be_asked_for_its_effect(name):
-    scene = mc.load_scene(name)
-    keys = all_keys(scene)
-    assert len(keys) > 20
-    for key in keys:
-        assert key_of(scene, key).name == key
-        assert isinstance(no_effect(scene, key), str)
 
 
 def test_rules_name_keys_that_there_are():
@@ -130,10 +99,6 @@ def planned(scene, **given):
             "contact.surface_energy: has no meaning where contact.law = 'hertz'",
         ),
         (
-            {"contact.surface_energy": "0.1:0.2 nN/um", "contact.law": "jkr,hertz"},
-            "contact.surface_energy: has no meaning where contact.law = 'hertz'",
-        ),
-        (
             {"integrator.method": "euler,cvode", "integrator.step": "1,2 s"},
             "integrator.step: has no effect where integrator.method = 'cvode'",
         ),
@@ -143,7 +108,6 @@ def planned(scene, **given):
         ),
         ({"growth.cycle_time": "8:25 h"}, "growth.cycle_time: has no effect: the phases"),
         ({"nutrients.oxygen.necrosis": "0.001:0.05 mM"}, "must be below quiescence"),
-        ({"nutrients.oxygen.necrosis": "0.001,0.05 mM"}, "must be below quiescence"),
     ],
 )
 def test_axes_that_do_not_go_together_are_told(given, said):

@@ -1,4 +1,4 @@
-"""Packages that only studies need."""
+"""What is loaded only where it is needed."""
 
 import subprocess
 import sys
@@ -8,7 +8,8 @@ import pytest
 from multicell.errors import MissingPackage
 from multicell.host.extras import needs
 
-HEAVY = ("dask", "distributed", "xarray", "pandas", "optuna", "SALib", "h5netcdf")
+STUDIES = ("dask", "distributed", "xarray", "pandas", "optuna", "SALib", "h5netcdf")
+RUNNING = ("numba", "pde", "sksundae")
 
 
 def test_a_missing_package_is_told_with_what_to_do():
@@ -21,18 +22,25 @@ def test_a_missing_package_is_told_with_what_to_do():
     assert error.value.exit_code == 2
 
 
+MAIN = "from multicell.cli.main import main; main({}, standalone_mode=False)"
+DRAWING = ("matplotlib", "h5py", "rich")
+
+
 @pytest.mark.parametrize(
-    "code",
+    ("code", "heavy"),
     [
-        "import multicell",
-        "import multicell; multicell.load_scene('emt6')",
-        "from multicell.cli.main import main; main(['--help'], standalone_mode=False)",
-        "from multicell.cli.main import main; main(['run', '--help'], standalone_mode=False)",
-        "import multicell.runner",
+        (MAIN.format(["run", "--help"]), STUDIES),
+        ("import multicell.runner", STUDIES),
+        (MAIN.format(["explain", "settle", "--json"]), (*RUNNING, *DRAWING, "jinja2")),
+        (
+            "import multicell.scene.scene as s; s.load_scene('spheroid')",
+            (*RUNNING, *DRAWING, "pint", "scipy.sparse", "scipy.fft", "tomli_w"),
+        ),
     ],
+    ids=["help", "runner", "explain", "scene"],
 )
-def test_nothing_else_loads_them(code):
-    check = f"{code}\nimport sys\nprint(sorted(set({HEAVY}) & set(sys.modules)))"
+def test_nothing_else_loads_them(code, heavy):
+    check = f"{code}\nimport sys\nprint(sorted(set({heavy}) & set(sys.modules)))"
     found = subprocess.run(
         [sys.executable, "-c", check], capture_output=True, text=True, check=True
     )

@@ -10,7 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
@@ -100,8 +100,7 @@ def _draw(
         bar.outline.set_visible(False)
         bar.ax.grid(False)
         bar.set_label(shown.label)
-        bar.ax.yaxis.set_minor_formatter(NullFormatter())
-        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: of.number_text(value)))
+        write_plainly(bar.ax.yaxis, of.number_text)
         return
     lost = {} if of.is_sampled(table) else _missing(table, values, axis)
     handles = [
@@ -165,7 +164,6 @@ def _set_limits(axes: Axes, values: FloatArray) -> None:
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     if low > 0.0 and high >= _LOG_RATIO * low:
         axes.set_yscale("log")
-        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set_ylim(low / 1.15, high * 1.15)
     else:
         room = 0.06 * (high - low) or 0.05 * abs(high) or 1.0

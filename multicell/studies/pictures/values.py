@@ -17,7 +17,7 @@ from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
-from multicell.report.wording import time_unit
+from multicell.report.wording import time_unit, written
 from multicell.results.quantities import known_unit
 from multicell.schema import near_miss
 
@@ -148,15 +148,14 @@ def statistics(values: xr.DataArray, over: Sequence[str] = (SEED,)) -> Statistic
         return Statistics(values.mean(over), values.std(over, ddof=1), values.count(over))
 
 
-def unit_text(table: xr.Dataset, name: str) -> str:
+def unit_of(table: xr.Dataset, name: str) -> str:
     """Return the unit of a variable or axis as it is read."""
-    unit = table[name].attrs.get("units") or known_unit(name)
-    return str(unit).replace("um", "µm").replace("^3", "³").replace("^2", "²")
+    return written(str(table[name].attrs.get("units") or known_unit(name)))
 
 
 def label(table: xr.Dataset, name: str) -> str:
     """Return name and unit of a variable."""
-    unit = unit_text(table, name)
+    unit = unit_of(table, name)
     return f"{words(name)} ({unit})" if unit else words(name)
 
 
@@ -179,7 +178,7 @@ def scale(table: xr.Dataset, name: str) -> Scale:
     if found.dtype.kind not in "fiu":
         values = [str(value) for value in found]
         return Scale(name, long, values, None, values, 1.0)
-    unit, factor = unit_text(table, name), 1.0
+    unit, factor = unit_of(table, name), 1.0
     if unit == "s" and len(found):
         shown = time_unit(float(found.max()))
         unit, factor = shown.name, shown.seconds
