@@ -33,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 from strategies import cluster, mechanics
 
-from multicell.mechanics import forces as kernels
+from multicell.mechanics import blocks as kernels
 from multicell.mechanics import neighbours
 from multicell.mechanics.friction import Friction
 

@@ -251,7 +251,7 @@ def test_a_law_goes_through_the_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(LAW.format(factor=1.0))
     own = ("--law", "mine.py:Square")
-    scene = ("doublet-settle", "--set", "duration=10 min")
+    scene = ("doublet-settle", "--set", "duration=10 min", "--set", "integrator=cvode")
     assert "contact.stiffness: is missing" in invoked("explain", *scene, *own, code=2)
     stiff = (*own, "--set", "contact.stiffness=2")
     told = invoked("explain", *scene, *stiff)

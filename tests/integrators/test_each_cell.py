@@ -4,7 +4,6 @@ import functools
 
 import numpy as np
 import pytest
-from estimates import accepted_steps
 from formulas import end_of
 from oracles import reference, smooth_scene
 from strategies import mechanics
@@ -12,6 +11,7 @@ from strategies import mechanics
 from multicell.contact.jkr import JKR
 from multicell.integrators.auto import Auto
 from multicell.integrators.cvode import Cvode, CvodeAdams
+from multicell.integrators.restarts import Run
 
 VISCOSITY, DURATION = 0.05, 60.0
 SEEDS = range(3)
@@ -38,6 +38,29 @@ def divided(n, seed, share=0.1):
 
 def system(radius):
     return mechanics(radius, np.ones(len(radius)), duration=DURATION, viscosity=VISCOSITY)
+
+
+def accepted_steps(monkeypatch):
+    """Return a list to which each step adds begin, start, end, stop and its estimated error."""
+    taken, step = [], Run._step
+
+    class Noted:
+        def __init__(self, solver):
+            self.solver = solver
+
+        def step(self):
+            reached, position, self.error = self.solver.step()
+            return reached, position, self.error
+
+    def noted(run, solver):
+        before = run.elapsed, run.position.copy()
+        watched = Noted(solver)
+        length = step(run, watched)
+        taken.append((*before, run.elapsed, run.position.copy(), watched.error))
+        return length
+
+    monkeypatch.setattr(Run, "_step", noted)
+    return taken
 
 
 @pytest.mark.parametrize(("method", "n"), [(Cvode, 300), (Cvode, 1300), (CvodeAdams, 1300)])
@@ -71,16 +94,6 @@ def test_cvode_steps_have_the_errors_that_are_estimated(light, atol, monkeypatch
         part.motion.begin, part.motion.end = begin, end
         true.append(np.linalg.norm(stop - reference(part, start), axis=1).max())
     assert 0.5 < np.nanmax([step[4] for step in taken]) / max(true) < 3.0
-
-
-@pytest.mark.parametrize(("n", "share"), [(1, 1.0 / 3.0**0.5), (2, 1.0 / 6.0**0.5), (1000, 0.03)])
-def test_few_cells_get_the_share_that_bounds_each_of_them(n, share):
-    from multicell.integrators.restarts import Run
-
-    used = mechanics(np.full(n, 5.0), np.ones(n))
-    position = np.arange(3.0 * n).reshape(-1, 3)
-    assert Run(used, position, 10, 0.5, 1e-2, each_cell=True).share == pytest.approx(share)
-    assert Run(used, position, 10, 0.5, 1e-2).share == 1.0
 
 
 @functools.cache

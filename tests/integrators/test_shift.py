@@ -17,7 +17,7 @@ from multicell.mechanics.motion import Work
 from multicell.results.records import progress_of
 from multicell.simulation import Simulation
 
-METHODS = ["auto", "cvode", "rkc2", "euler-adaptive", "rosenbrock", "ab2", "multirate-euler"]
+METHODS = ["auto", "cvode", "rkc2", "ab2"]
 
 
 def scene_of(**changes):
