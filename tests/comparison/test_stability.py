@@ -16,7 +16,7 @@ from multicell.comparison.stability_limits.charts import COLOURS
 from multicell.comparison.stability_limits.modes import largest_decay
 from multicell.comparison.stability_limits.moving_states import state_of
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
-from multicell.comparison.stability_limits.search import bisect, bracket, limit_in_theory, stability
+from multicell.comparison.stability_limits.search import bisect, bracket, stability
 from multicell.comparison.stability_limits.state import MIN_NOTICED, PUSH, settled_state
 from multicell.comparison.stability_limits.trial import (
     BLOW_UP,
@@ -363,17 +363,6 @@ def test_bisection_ends_within_three_per_cent_below_the_limit(true):
     found = bracket(lambda s: s <= true, 1.0, 1000.0, 0.03)
     assert true / 1.03 <= found <= true
     assert 2.0 / 1.01 <= bisect(lambda s: s <= 2.0, 1.0, 8.0, 0.01) <= 2.0
-
-
-def test_theory_of_methods():
-    def method(name):
-        return Method(name, "step", lambda s: Planted())
-
-    assert limit_in_theory(method("euler"), 0.5) == 4.0
-    assert limit_in_theory(method("rk4"), 1.0) == 2.785
-    assert limit_in_theory(method("rkc2-10"), 1.0) == pytest.approx(0.65 * 100, rel=0.02)
-    assert math.isinf(limit_in_theory(method("cvode"), 1.0))
-    assert math.isnan(limit_in_theory(method("planted"), 1.0))
 
 
 def test_files_hold_what_was_found(tmp_path):
