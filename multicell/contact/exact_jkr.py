@@ -206,16 +206,6 @@ class ExactJKR(PairLaw):
         """Return -(5/6) π w r_ij in nN, from which the force jumps to zero at fixed grips."""
         return np.asarray(self.pull_off_force(radius) * (5.0 / 9.0))
 
-    def forming_loss(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
-        """Return the energy (18/5) 4^{4/3} P k in fJ that is lost when a contact forms."""
-        unit, scale = self._units(modulus, radius)
-        return np.asarray(unit * scale * (3.6 * 4.0 ** (4.0 / 3.0)))
-
-    def breaking_loss(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
-        """Return the energy (12/5) P k in fJ that is lost when a contact breaks."""
-        unit, scale = self._units(modulus, radius)
-        return np.asarray(unit * scale * 2.4)
-
     def reach(
         self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None
     ) -> FloatArray:

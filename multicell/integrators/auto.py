@@ -260,11 +260,6 @@ def _fastest(system: Mechanics, position: FloatArray) -> float:
     return float(np.sqrt(squares(velocity).max())) if len(position) else 0.0
 
 
-def decay_rate(system: Mechanics, position: FloatArray) -> float:
-    """Return an estimate of the largest |eigenvalue| of J, 1/s; see :func:`largest_rate`."""
-    return largest_rate(system, position)[0]
-
-
 def largest_rate(system: Mechanics, position: FloatArray) -> tuple[float, bool]:
     """Return an estimate of the largest |eigenvalue| of J, 1/s, and whether it is one of growth.
 

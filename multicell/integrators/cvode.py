@@ -32,9 +32,7 @@ class Cvode(ErrorControl):
     - ``side``: ``"left"``, ``"right"`` or ``"both"``. On the right the Krylov method measures the
       true residual.
     - ``refresh``: when the Jacobian is taken anew: ``"moved"``, where some coordinate has changed
-      by more than ``far`` since (further where the step is mild); ``"solve"``, before every linear
-      solve, with the preconditioner; ``"product"``, the same, but the preconditioner only when
-      SUNDIALS sets it up; ``"setup"``, both only then; ``"asked"``, the Jacobian only when SUNDIALS
+      by more than ``far`` since (further where the step is mild); ``"asked"``, only when SUNDIALS
       asks for it (``jok`` is zero)
     - ``far``: see ``refresh``, in mean radii
     - ``max_order``: highest order
@@ -119,11 +117,8 @@ class CvodeAdams(ErrorControl):
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        method = Cvode(
-            self.rtol, self.atol, self.max_steps, self.max_displacement,
-            max_order=12, formula="Adams",
-        )  # fmt: skip
-        return method.integrate(system, position)
+        options = self.rtol, self.atol, self.max_steps, self.max_displacement
+        return Cvode(*options, max_order=12, formula="Adams").integrate(system, position)
 
 
 METHODS = (Cvode, CvodeAdams)

@@ -13,8 +13,7 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.integrators import driver, stepping
 from multicell.integrators.loops import multirate
 from multicell.integrators.loops.multirate import _grouped, adaptive_multirate
-from multicell.integrators.multirate import MultirateEuler
-from multicell.integrators.runge_kutta import AdaptiveEuler
+from multicell.integrators.runge_kutta import AdaptiveEuler, MultirateEuler
 from multicell.integrators.stepping import compiled
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
