@@ -72,7 +72,7 @@ def test_a_planted_shift_is_found_in_the_positions_only(size):
         assert row[f"error_{norm}"] == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("size", [0.1, 1e-4])
+@pytest.mark.parametrize("size", [0.1])
 def test_cells_drawn_apart_are_found_in_every_norm(size):
     row = only(compared([step_method(lambda s: Planted(apart=s * RADIUS))], [size]))
     # each of the two cells is off by half of what they are apart
@@ -84,12 +84,6 @@ def test_cells_drawn_apart_are_found_in_every_norm(size):
     loss = np.maximum(overlap - size * RADIUS, 0.0) ** 2.5 - overlap**2.5
     expected = np.abs(loss).max() / (overlap**2.5).max()
     assert row["error_energy"] == pytest.approx(expected, rel=1e-6)
-
-
-def test_pair_distances_of_many_cells_are_those_of_a_part():
-    position = np.random.default_rng(1).normal(size=(4000, 3))
-    assert len(pair_distances(position)) == 1334 * 1333 // 2
-    assert pair_distances(position[:2]) == pytest.approx(np.linalg.norm(position[0] - position[1]))
 
 
 def test_wasserstein_distance_agrees_with_scipy(exact):
@@ -362,6 +356,7 @@ def test_every_method_there_is_meets_the_exact_solution():
     ladder = {"tolerance": [1e-6], "step": [0.5]}
     result = compare(PAIR, None, ladder, cache=False, references=BOTH_EXACT, repeats=1)
     assert result.methods == list(METHODS)
+    assert result.facts["named"] == []
     assert result.failures() == []
     for row in result.table:
         assert row["error_position"] < (1e-3 if row["control"] == "step" else 3e-5), row["method"]
