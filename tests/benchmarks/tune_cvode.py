@@ -30,7 +30,7 @@ from sksundae.cvode import CVODE
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
-from strategies import cluster
+from strategies import cluster, divided
 
 from multicell import JKR
 from multicell.integrators.base import Outcome
@@ -65,21 +65,12 @@ def ball(n, spacing, viscosity, duration):
     return Case(position[order], radius[order], young[order], np.zeros(n), viscosity, duration)
 
 
-def settled(n, viscosity, duration, divided, growth):
+def settled(n, viscosity, duration, number, growth):
     """Return a ball at rest in which the first of a random order of cells have divided."""
     case = ball(n, 0.88, 0.5, 2000.0)
-    case.position = Cvode(atol=1e-2).integrate(case.system(), case.position).position
-    mothers = np.random.default_rng(2).permutation(n)[:divided]
-    axis = np.random.default_rng(3).normal(size=(divided, 3))
-    axis /= np.linalg.norm(axis, axis=1)[:, None]
-    shift = case.radius[mothers, None] * (1.0 - 2.0 ** (-1 / 3)) * axis
-    radius = case.radius.copy()
-    radius[mothers] *= 2.0 ** (-1 / 3)
-    position = case.position.copy()
-    position[mothers] += shift
-    position = np.concatenate([position, case.position[mothers] - shift])
-    radius = np.concatenate([radius, radius[mothers]])
-    young = np.concatenate([case.young, case.young[mothers]])
+    position = Cvode(atol=1e-2).integrate(case.system(), case.position).position
+    mothers = np.random.default_rng(2).permutation(n)[:number]
+    position, radius, young = divided(position, case.radius, case.young, mothers, 3)
     order = neighbours.spatial_order(position, 10.0)
     rate = np.full(len(order), growth)
     return Case(position[order], radius[order], young[order], rate, viscosity, duration)

@@ -8,11 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import two_cells
 from formulas import dense_jacobian
 from scipy.linalg import expm
 from strategies import cluster, mechanics
+from two_cells import BOTH_IN_STEPS as BOTH_EXACT
+from two_cells import IN_STEPS as EXACT
 from two_cells import PAIR, RADIUS, PlantedInSteps, parted, step_method
+from two_cells import compared_in_steps as compared
 
 from multicell import Hertz
 from multicell.comparison.conditioning import conditioning_of, shift_starts
@@ -23,16 +25,6 @@ from multicell.comparison.reference import key, method_pair, reference
 from multicell.comparison.replay import Problem, Step, replay
 from multicell.comparison.result import FILES, WorkPrecision
 from multicell.mechanics.growth_rate import largest_growth_rate
-
-EXACT = step_method(lambda _: PlantedInSteps(), "exact")
-BOTH_EXACT = [(EXACT, 1.0), (EXACT, 1.0)]
-
-
-def compared(methods, ladder, scene=PAIR, **options):
-    return two_cells.compared(
-        methods, ladder, scene, **{"references": BOTH_EXACT, "stepwise": True, **options}
-    )
-
 
 # the worst cell
 

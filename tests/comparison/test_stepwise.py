@@ -7,9 +7,10 @@ import math
 
 import numpy as np
 import pytest
-import two_cells
 from click.testing import CliRunner
 from two_cells import GROWING, PAIR, RADIUS, PlantedInSteps, parted, step_method
+from two_cells import IN_STEPS as EXACT
+from two_cells import compared_in_steps as compared
 
 import multicell.comparison.measure as measure
 from multicell.cli.main import main
@@ -20,16 +21,6 @@ from multicell.comparison.replay import Trajectory, replay
 from multicell.comparison.result import WorkPrecision
 from multicell.comparison.work_precision import compare
 from multicell.integrators.runge_kutta import Euler
-
-EXACT = step_method(lambda _: PlantedInSteps(), "exact")
-BOTH_EXACT = [(EXACT, 1.0), (EXACT, 1.0)]
-
-
-def compared(methods, ladder, scene=PAIR, **options):
-    return two_cells.compared(
-        methods, ladder, scene, **{"references": BOTH_EXACT, "stepwise": True, **options}
-    )
-
 
 # errors
 
