@@ -281,10 +281,10 @@ def test_adams_changes_its_steps_with_what_happens():
     assert early.work.steps > 0.2 * equal
 
 
-@pytest.mark.parametrize("method", ALL, ids=name_of)
-def test_external_forces_and_bonds_reach_the_loops(method):
+@pytest.mark.parametrize("method", [Euler(2.0), Dopri5(), AdaptiveAdams()], ids=name_of)
+def test_external_forces_reach_the_loops(method):
     """One cell pulled by a growing force: x = (f t + f' t²/2) / drag, a known answer."""
-    system = Mechanics(Hertz(), 5.0)
+    system = Mechanics(JKR(), 5.0)
     push = np.array([[3.0, 0.0, 1.0, 0.0, 0.02, 0.0]])
     one = np.ones(1)
     system.begin(Motion(5.0 * one, 0.0 * one, one, 0.5 * one, 0.0, 40.0, push=push))

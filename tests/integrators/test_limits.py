@@ -34,9 +34,7 @@ def method(name, **options):
 LONELY = [
     (name, law)
     for name, law in itertools.product(sorted(METHODS), sorted(LAWS))
-    if law == "jkr"
-    or name in ("cvode", "backward-euler", "scipy-rk45")
-    or (name, law) == ("rk4", "physicell")
+    if law == "jkr" or name in ("cvode", "backward-euler", "scipy-rk45")
 ]
 
 
