@@ -386,14 +386,14 @@ def test_a_scene_is_compared_from_its_file_and_nothing_is_overwritten(tmp_path):
     path = tmp_path / "pair.toml"
     path.write_text(PAIR.with_changes({"duration": "120 s"}).to_toml())
     options = {"ladder": {"euler": [30.0]}, "references": BOTH_EXACT, "cache": False}
-    options["methods"] = ["euler"]
-    result = compare(path, output=tmp_path / "out", **options)
+    options |= {"methods": ["euler"], "output": tmp_path / "out"}
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="not empty"):
+        compare(path, **options)
+    result = compare(path, overwrite=True, **options)
     assert result.facts["coupling_steps"] == 2
     assert (tmp_path / "out" / "report.html").exists()
-    with pytest.raises(OutputError, match="not empty"):
-        compare(path, output=tmp_path / "out", **options)
-    (tmp_path / "out" / "notes.txt").write_text("mine")
-    compare(path, output=tmp_path / "out", overwrite=True, **options)
     assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
 
 

@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+from html import unescape
 
 import numpy as np
 import pytest
@@ -150,7 +151,8 @@ def test_axes_end_where_the_data_end_and_decades_are_squares(uncertainty):
     result = result_of(
         ladders(["a", "b"]), [("a", 1e-6), ("b", 1e5), ("b", 2.0)], uncertainty=uncertainty
     )
-    for figure in (result.figure(), result.norms_figure()):
+    figures = [result.figure(), *([result.norms_figure()] if uncertainty > 0.0 else [])]
+    for figure in figures:
         for axes in panels(figure):
             x, y = (
                 np.concatenate(part) for part in zip(*map(data, series(axes).values()), strict=True)
@@ -187,7 +189,7 @@ def test_one_method_with_one_solve_is_drawn():
         assert len(series(axes)["only"].get_xdata()) == 1
 
 
-def test_failures_only_and_exact_zeros_are_drawn(tmp_path):
+def test_failures_only_and_exact_zeros_are_drawn():
     failures = result_of([], [("a", 0.1), ("b", 10.0)])
     strip = next(axes for axes in failures.figure().axes if axes.get_label() == "failures")
     low, high = strip.get_xlim()
@@ -196,8 +198,9 @@ def test_failures_only_and_exact_zeros_are_drawn(tmp_path):
     zeros = result_of([("a", 0.1, 0.0)])
     for axes in panels(zeros.figure()):
         assert [text.get_text() for text in axes.texts] == ["no error above zero"]
-    for k, result in enumerate((failures, zeros)):
-        assert result.save(tmp_path / str(k)).exists()
+    for result in (failures, zeros):
+        assert not any(result.page()["verdicts"]["position"].values())
+        result.norms_figure()
 
 
 # spread of the repeats
@@ -225,15 +228,14 @@ def test_points_are_medians_with_bars_from_the_shortest_to_the_longest(monkeypat
 
 
 def test_every_pale_series_is_named_in_the_page(tmp_path):
-    result = crowd(15)
+    result = result_of(ladders(["<b>mine</b>", *(f"method {k}" for k in range(14))]))
     page = result.save(tmp_path).read_text(encoding="utf-8")
     pale = [name for name, (colour, _, _) in appearance(result).items() if colour == PALE]
     assert len(pale) == 15 - MAX_COLOURED
     keys = re.search(r'<ul class="keys">(.*?)</ul>', page, re.S)[1]
     shown = re.findall(r"background:(#\w+)[^>]*></span>([^<]+)</li>", keys)
-    assert {name: colour for colour, name in shown} == {
+    assert {unescape(name): colour for colour, name in shown} == {
         name: colour for name, (colour, _, _) in appearance(result).items()
     }
     assert "<script" not in page
-    hostile = result_of([("<b>mine</b>", 1.0, 1e-2)]).save(tmp_path / "other")
-    assert "<b>mine" not in hostile.read_text(encoding="utf-8")
+    assert "<b>mine" not in page

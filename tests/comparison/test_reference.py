@@ -197,7 +197,7 @@ SORTING = GROWING.with_changes(
 
 
 def test_events_pairs_and_types_of_a_growing_problem_survive_the_cache(tmp_path):
-    pair = method_pair([("euler", 10.0), ("euler", 20.0)], SORTING, 4.0)
+    pair = method_pair([("euler", 5.0), ("euler", 10.0)], SORTING, 4.0)
     first, second = (reference(SORTING, pair=pair, cache=tmp_path) for _ in range(2))
     assert (first.cached, second.cached) == (False, True)
     assert any(step.before is not None for step in first.problem.steps)

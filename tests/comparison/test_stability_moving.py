@@ -46,7 +46,7 @@ SMALL = Scene.from_dict(
         "growth": {"cycle_time": "15 h"},
     }
 )
-EVEN = SMALL.with_changes({"initial.count": 30, "initial.stage": "birth"})
+EVEN = SMALL.with_changes({"initial.count": 50, "initial.stage": "birth"})
 RADIUS, DISTANCE, SOFT, VISCOSITY, TINY = 5.0, 8.0, 0.5, 2.0, 1e-3
 
 

@@ -11,14 +11,14 @@ from multicell.integrators.restarts import Run
 
 
 def ball(n):
-    """Return centres and radii of a settled ball in which one cell of 250 has just divided."""
+    """Return centres and radii of a settled ball in which the innermost cell has just divided."""
     lattice = np.stack(np.meshgrid(*3 * [np.arange(-5.0, 6.0)]), axis=-1).reshape(-1, 3)
     position = 7.6 * lattice[np.argsort((lattice**2).sum(axis=1), kind="stable")[:n]]
     position += np.random.default_rng(1).normal(0.0, 0.3, position.shape)
     radius, young = np.full(n, 4.5), np.ones(n)
     settled = mechanics(radius, young, duration=3600.0)
     position = Auto(1e-6, 1e-3).integrate(settled, position).position
-    return divided(position, radius, young, np.arange(0, n, 250), 1)[:2]
+    return divided(position, radius, young, np.arange(1), 1)[:2]
 
 
 def system(radius):
