@@ -144,12 +144,14 @@ RICH = {
 def test_nutrient_division_types_friction_and_remembered_contacts_are_held(tmp_path, dimensions):
     rich = RICH if dimensions == 3 else {k: v for k, v in RICH.items() if k in IN_A_PLANE}
     scene = GROWING.with_changes(rich | {"dimensions": dimensions})
-    options = {"stepwise": 3, "cache": tmp_path, "repeats": 1}
+    tight = [("cvode", 1e-9), ("cvode", 1e-8)]
+    options = {"stepwise": 3, "cache": tmp_path, "repeats": 1, "references": tight}
     first = compare(scene, ["cvode"], {"tolerance": [1e-2, 1e-4]}, **options)
     assert first.failures() == []
     assert first.uncertainty["position"] < 1e-6
     assert first.table[1]["error_position"] < 1e-2
-    again = reference(scene, stepwise=3, cache=tmp_path)
+    pair = method_pair(tight, scene, first.facts["mean_radius"])
+    again = reference(scene, pair=pair, stepwise=3, cache=tmp_path)
     assert again.cached
     problem = again.problem
     assert len(problem.starts) == 3
@@ -214,5 +216,5 @@ def test_the_command_compares_step_wise(tmp_path, monkeypatch):
     assert "Judged by processor time" in (out / "report.html").read_text(encoding="utf-8")
     rows = csv.DictReader(io.StringIO((out / "conditioning.csv").read_text()))
     assert {float(row["shift_um"]) for row in rows} == {0.1}
-    three = main.commands["compare"].make_context("compare", [str(scene), "--stepwise", "3"])
-    assert three.params["stepwise"] == 3
+    words = [str(scene), "--stepwise", "3", "-o", str(tmp_path / "other")]
+    assert main.commands["compare"].make_context("compare", words).params["stepwise"] == 3
