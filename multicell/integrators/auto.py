@@ -100,8 +100,7 @@ class Auto(ErrorControl):
     """Chooses for each coupling step between explicit methods, RKC2 and an implicit method.
 
     The steps by each method are counted in ``Work``. If a method cannot continue, the next
-    one starts from the beginning of the coupling step. Parameters as for
-    :class:`~multicell.integrators.base.ErrorControl`.
+    one starts from the beginning of the coupling step.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(

@@ -51,7 +51,6 @@ _ROUNDING = 1e-14  # of the energy, below which a difference of two energies is 
 class BackwardEuler(EqualSteps):
     """x_{k+1} = x_k + Δt v(t_{k+1}, x_{k+1}), first order.
 
-    - ``step``, ``max_displacement``: as for :class:`~multicell.integrators.base.EqualSteps`
     - ``tolerance``: Newton's method ends when the largest correction of a coordinate is below this,
       µm
     - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``

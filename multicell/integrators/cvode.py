@@ -24,8 +24,6 @@ class Cvode(ErrorControl):
 
     The defaults are what ``tests/benchmarks/tune_cvode.py`` found best over its scenes.
 
-    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
-      :class:`~multicell.integrators.base.ErrorControl`
     - ``krylov_dim``: dimension of the Krylov space
     - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``, or ``"none"``. Mild steps,
       γλ < 3, go without.
@@ -106,8 +104,7 @@ class CvodeAdams(ErrorControl):
     off as a shift of its start by the tolerance moves it (docs/theory/integrators.md).
 
     There is no functional iteration in scikit-sundae: this is an implicit method, and not an
-    explicit one to compare with. Parameters as for
-    :class:`~multicell.integrators.base.ErrorControl`.
+    explicit one to compare with.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(

@@ -144,10 +144,7 @@ class RungeKutta4(_Fixed):
 @final
 @dataclass(frozen=True)
 class AdaptiveEuler(_Adaptive):
-    """Euler under error control, its distance from Heun's result being the estimate.
-
-    Parameters as for :class:`~multicell.integrators.base.ErrorControl`.
-    """
+    """Euler under error control, its distance from Heun's result being the estimate."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "euler-adaptive", "explicit Euler under error control", "tolerance", order=1,
@@ -163,8 +160,8 @@ class AdaptiveEuler(_Adaptive):
 class AdaptiveRungeKutta4(_Adaptive):
     """The classical method of order 4 with an estimate of order 3; stable to 2.785/λ_max.
 
-    Parameters as for :class:`~multicell.integrators.base.ErrorControl`. With ``atol`` as large as a
-    cell ``max_displacement`` alone chooses the steps, as in Osborne (2024).
+    With ``atol`` as large as a cell ``max_displacement`` alone chooses the steps, as in Osborne
+    (2024).
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -180,8 +177,7 @@ class AdaptiveRungeKutta4(_Adaptive):
 class Dopri5(_Adaptive):
     """Dormand & Prince's pair of orders 5 and 4, the higher one propagated; stable to 3.3/λ_max.
 
-    Not safe for single cells where contacts form and break (docs/theory/integrators.md). Parameters
-    as for :class:`~multicell.integrators.base.ErrorControl`.
+    Not safe for single cells where contacts form and break (docs/theory/integrators.md).
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -207,8 +203,7 @@ class MultirateEuler(ErrorControl):
     (:mod:`multicell.integrators.loops.multirate`).
 
     In scenes whose evaluations go through Python (exact JKR, surface energies between types,
-    friction, walls) all cells take the same steps: there it is ``euler-adaptive``. Parameters as
-    for :class:`~multicell.integrators.base.ErrorControl`.
+    friction, walls) all cells take the same steps: there it is ``euler-adaptive``.
 
     P. Lötstedt, S. Mathias: Numerical integration of mechanical forces in center-based models for
     biological cell populations. Applied Mathematics and Computation 486 (2025); preprint
