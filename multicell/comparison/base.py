@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.host.extras import needs
-from multicell.results.folder import file_errors, make_folder, remove, write_text
+from multicell.results.folder import file_errors, write_text
 from multicell.scene.scene import Scene
 from multicell.tables.text import table_text
 
@@ -106,15 +106,3 @@ class Comparison(ABC):
             folder / "report.html", self.template, scene=self.scene, result=self,
             pictures=self.pictures(), **self.page(),
         )  # fmt: skip
-
-
-def prepare(output: str | Path | None, names: Iterable[str], overwrite: bool) -> None:
-    """Make sure that results can be written, before they are computed; without output do nothing.
-
-    - ``names``: files of an earlier comparison, which are removed if ``overwrite``; nothing else is
-    - ``overwrite``: whether the folder may hold something
-
-    Raises OutputError if the folder cannot be used.
-    """
-    if output is not None:
-        remove(make_folder(output, overwrite=overwrite), names)

@@ -7,15 +7,17 @@ pale grey; decades of error and of cost have the same length, and axes end where
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator
 
-from multicell.comparison import panels
-from multicell.comparison.styles import Style, appearance, points
-from multicell.report.plots.style import QUIET, RED, blank, styled
+from multicell.comparison.styles import Point, Style, appearance, points
+from multicell.report.plots.colour_vision import PALE
+from multicell.report.plots.style import QUIET, RED, blank, few_decades, styled
 from multicell.report.wording import cell_count, time_unit
 
 if TYPE_CHECKING:
@@ -24,6 +26,11 @@ if TYPE_CHECKING:
     from multicell.comparison.conditioning import Conditioning
     from multicell.comparison.result import WorkPrecision
 
+_Range = tuple[float, float]  # smallest and largest value on a logarithmic axis
+
+_UNCERTAIN: Final = "#e9edf0"  # colour of errors within the uncertainty of the reference
+_MARGIN: Final = 0.12  # decades between the data and the end of an axis
+_SHORTEST: Final = 0.8  # decades of an axis at least
 _FLOOR: Final = "#fbf1d9"  # colour of errors that a shift of the start makes
 _LABELS: Final = {
     "wall": "wall time (s)",
@@ -41,21 +48,21 @@ _WIDTH, _TALLEST, _DECADE = 10.0, 6.2, 1.7  # inches: figure, tallest panel, lon
 def workprecision(result: WorkPrecision, norm: str) -> Figure:
     """Draw error in one norm over time and over evaluations."""
     costs = (result.clock, "cost")
-    errors = panels.log_range(point.error for point in points(result, norm, result.clock))
-    least = _SLIMMEST * panels.decades(errors)
-    spans = [panels.log_range(_costs(result, norm, cost), least) for cost in costs]
+    errors = _log_range(point.error for point in points(result, norm, result.clock))
+    least = _SLIMMEST * _decades(errors)
+    spans = [_log_range(_costs(result, norm, cost), least) for cost in costs]
     room = _WIDTH - _LEFT - _GAP - _LEGEND
-    decade = min(room / sum(map(panels.decades, spans)), _TALLEST / panels.decades(errors), _DECADE)
+    decade = min(room / sum(map(_decades, spans)), _TALLEST / _decades(errors), _DECADE)
     strip = _STRIP if result.failures() else 0.0
     top = 1.1 if result.stepwise else 0.9
     styles = appearance(result, norm)
-    height = decade * panels.decades(errors)
-    lines = panels.legend_lines(styles) + bool(result.failures())
+    height = decade * _decades(errors)
+    lines = _legend_lines(styles) + bool(result.failures())
     tall = max(top + strip + height + _BOTTOM, top + 0.6 + 0.24 * lines)
     figure = _comparison_figure(result, result.norms[norm], tall)
     left, base = _LEFT, tall - top - strip - height
     for cost, span in zip(costs, spans, strict=True):
-        width = decade * panels.decades(span)
+        width = decade * _decades(span)
         place = (left / _WIDTH, base / tall, width / _WIDTH, height / tall)
         axes = figure.add_axes(place, label=f"{norm} {'cost' if cost == 'cost' else 'time'}")
         _panel(axes, result, norm, cost, (span, errors), styles)
@@ -72,7 +79,7 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
             axes.tick_params(labelleft=False)
         left += width + _GAP
     corner = ((left - 0.1) / _WIDTH, 1.0 - (top - 0.1) / tall)
-    panels.draw_legend(figure, styles, corner, failures=bool(result.failures()))
+    _draw_legend(figure, styles, corner, failures=bool(result.failures()))
     _footnote(figure, result, norm, errors)
     return figure
 
@@ -91,12 +98,12 @@ def norms(result: WorkPrecision) -> Figure:
     figure = _comparison_figure(result, left_open, tall)
     styles = appearance(result)
     every = (point for name in measured for point in points(result, name, result.clock))
-    span = panels.log_range(end for point in every for end in (point.shortest, point.longest))
+    span = _log_range(end for point in every for end in (point.shortest, point.longest))
     for k, (name, norm) in enumerate(measured.items()):
         row, column = divmod(k, columns)
-        errors = panels.log_range(point.error for point in points(result, name, result.clock))
-        decade = min(1.9 / panels.decades(span), 2.75 / panels.decades(errors))
-        width, height = decade * panels.decades(span), decade * panels.decades(errors)
+        errors = _log_range(point.error for point in points(result, name, result.clock))
+        decade = min(1.9 / _decades(span), 2.75 / _decades(errors))
+        width, height = decade * _decades(span), decade * _decades(errors)
         left, base = 0.7 + 2.62 * column, tall - first - step * row - height
         place = (left / _WIDTH, base / tall, width / _WIDTH, height / tall)
         axes = figure.add_axes(place, label=f"{name} time")
@@ -106,7 +113,7 @@ def norms(result: WorkPrecision) -> Figure:
         axes.set_title(norm.title(result.stepwise), fontsize=10)
         axes.tick_params(labelsize=8.5)
         axes.set_xlabel(_LABELS[result.clock], fontsize=9)
-    panels.draw_legend(figure, styles, (0.82, 1.0 - (first - 0.3) / tall), failures=False)
+    _draw_legend(figure, styles, (0.82, 1.0 - (first - 0.3) / tall), failures=False)
     return figure
 
 
@@ -133,22 +140,20 @@ def _costs(result: WorkPrecision, norm: str, cost: str) -> list[float]:
 
 def _panel(
     axes: Axes, result: WorkPrecision, norm: str, cost: str,
-    ends: tuple[panels.Range, panels.Range], styles: Mapping[str, Style], size: float = 6.0,
+    ends: tuple[_Range, _Range], styles: Mapping[str, Style], size: float = 6.0,
 ) -> None:  # fmt: skip
     """Draw the curves of one norm over one cost, with decades of the same length.
 
     Errors within the uncertainty of the reference, and within the effect of a shift, are shaded.
     """
     series = {method: points(result, norm, cost, method) for method in styles}
-    panels.draw_curves(axes, series, styles, size)
-    panels.set_limits(axes, *ends)
+    _draw_curves(axes, series, styles, size)
+    _set_limits(axes, *ends)
     axes.set_aspect("equal")
     known = result.conditioning
     if known is not None:
-        panels.draw_band(axes, known.floor[norm], _FLOOR, "_floor")
-    panels.draw_band(
-        axes, result.uncertainty[norm], panels.UNCERTAIN, "_uncertainty", known is not None
-    )
+        _draw_band(axes, known.floor[norm], _FLOOR, "_floor")
+    _draw_band(axes, result.uncertainty[norm], _UNCERTAIN, "_uncertainty", known is not None)
 
 
 def _floor(known: Conditioning) -> str:
@@ -167,7 +172,7 @@ def _name_floor(axes: Axes, result: WorkPrecision, norm: str) -> None:
         )  # fmt: skip
 
 
-def _footnote(figure: Figure, result: WorkPrecision, norm: str, errors: panels.Range) -> None:
+def _footnote(figure: Figure, result: WorkPrecision, norm: str, errors: _Range) -> None:
     """Say how far the reference is known, and where the floor is that no axis shows."""
     known, uncertainty = result.conditioning, result.uncertainty[norm]
     said = []
@@ -182,7 +187,7 @@ def _footnote(figure: Figure, result: WorkPrecision, norm: str, errors: panels.R
 
 
 def _failures(
-    strip: Axes, result: WorkPrecision, styles: Mapping[str, Style], span: panels.Range
+    strip: Axes, result: WorkPrecision, styles: Mapping[str, Style], span: _Range
 ) -> None:
     """Draw the failed solves of all methods."""
     spent = {
@@ -190,5 +195,136 @@ def _failures(
         for method in result.methods
         if (rows := result.rows(method, "failed"))
     }
-    panels.draw_failures(strip, spent, styles, span)
+    _draw_failures(strip, spent, styles, span)
     strip.set_ylabel("failed", fontsize=9, color=RED, rotation=0, ha="right", va="center")
+
+
+def _log_range(values: Iterable[float], least: float = _SHORTEST) -> _Range:
+    """Return the ends of a logarithmic axis: those of the data, with a margin.
+
+    It has at least ``least`` decades.
+    """
+    logs = [math.log10(value) for value in values] or [-0.5, 0.5]
+    low, high = min(logs) - _MARGIN, max(logs) + _MARGIN
+    missing = max(0.0, _SHORTEST - (high - low), least - (high - low)) / 2.0
+    return 10.0 ** (low - missing), 10.0 ** (high + missing)
+
+
+def _decades(span: _Range) -> float:
+    """Return the length of a range in decades."""
+    return math.log10(span[1] / span[0])
+
+
+def _set_limits(axes: Axes, costs: _Range, errors: _Range) -> None:
+    """Set the ends of logarithmic axes, and their ticks."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(costs)
+    axes.set_ylim(errors)
+    for axis, span in ((axes.xaxis, costs), (axes.yaxis, errors)):
+        few_decades(axis)
+        if 15.0 * span[0] <= span[1] < 100.0 * span[0]:
+            axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _draw_curves(
+    axes: Axes,
+    series: Mapping[str, Sequence[Point]],
+    styles: Mapping[str, Style],
+    size: float = 6.0,
+) -> None:
+    """Draw one line for each method, and thin bars from the shortest to the longest repeat."""
+    for method, (colour, marker, line) in styles.items():
+        found = series.get(method)
+        if not found:
+            continue
+        pale = colour == PALE
+        axes.plot(
+            [p.cost for p in found], [p.error for p in found], line, color=colour, marker=marker,
+            ms=0.6 * size if pale else size, lw=0.9 if pale else 1.5, label=method,
+            zorder=1.5 if pale else 2.5,
+        )  # fmt: skip
+        spread = [p for p in found if p.longest > p.shortest]
+        axes.hlines(
+            [p.error for p in spread], [p.shortest for p in spread], [p.longest for p in spread],
+            color=colour, lw=0.8, zorder=1.4 if pale else 2.4,
+        )  # fmt: skip
+
+
+def _draw_band(axes: Axes, value: float, colour: str, label: str, order: int = 0) -> None:
+    """Shade the errors below a value, as far as the axis goes, which ends where data end."""
+    if not (math.isfinite(value) and value > 0.0):
+        return
+    low, high = axes.get_ylim()
+    axes.axhspan(
+        min(low, 0.1 * value), min(value, high), color=colour, zorder=-1 + order, label=label, lw=0
+    )
+    axes.set_ylim(low, high)
+
+
+def _draw_failures(
+    strip: Axes, spent: Mapping[str, Sequence[float]], styles: Mapping[str, Style], span: _Range
+) -> None:
+    """Draw every failed solve as a cross at the time that it had taken.
+
+    One that failed sooner or later than the axis goes is a triangle at its end.
+    """
+    for level, (method, times) in enumerate(spent.items()):
+        height = 1.0 - (level + 0.5) / len(spent)
+        style: dict[str, Any] = {"color": styles[method].colour}
+        strip.plot(
+            times, [height] * len(times), "x", ms=6, mew=1.6, label=f"{method} failed", **style
+        )
+        ends = [("<", span[0])] * any(time < span[0] for time in times)
+        ends += [(">", span[1])] * any(time > span[1] for time in times)
+        for marker, end in ends:
+            strip.scatter([end], [height], s=25, marker=marker, clip_on=False, **style)
+    strip.set_xscale("log")
+    strip.set_xlim(span)
+    strip.set_ylim(0.0, 1.0)
+    strip.set_yticks([])
+    strip.grid(visible=False)
+    strip.spines["left"].set_visible(False)
+    strip.tick_params(axis="x", which="both", labelbottom=False, length=0)
+    strip.set_facecolor("#faf3f1" if spent else "white")
+
+
+def _legend_lines(styles: Mapping[str, Style]) -> float:
+    """Return how many lines a legend of methods takes, names in pale grey being smaller."""
+    return sum(style.colour != PALE for style in styles.values()) + 0.75 * len(_pale_names(styles))
+
+
+def _pale_names(styles: Mapping[str, Style]) -> list[str]:
+    """Return lines that name the methods in pale grey."""
+    names = [name for name, style in styles.items() if style.colour == PALE]
+    return textwrap.wrap(f"pale: {', '.join(names)}", 27, break_on_hyphens=False) if names else []
+
+
+def _draw_legend(
+    figure: Figure,
+    styles: Mapping[str, Style],
+    place: tuple[float, float],
+    *,
+    failures: bool,
+) -> None:
+    """Name the methods in colour, in the order of the table, and below them the pale ones.
+
+    ``place`` is the upper left corner in parts of the figure.
+    """
+    handles: list[Any] = [
+        Line2D([], [], color=colour, marker=marker, ls=line, label=method)
+        for method, (colour, marker, line) in styles.items()
+        if colour != PALE
+    ]
+    if failures:
+        handles.append(Line2D([], [], color=RED, marker="x", ls="", mew=1.6, label="failed solve"))
+    figure.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=place, fontsize=10,
+        labelspacing=0.5, handlelength=1.8, borderaxespad=0.0,
+    )  # fmt: skip
+    below = place[1] - (0.208 * len(handles) + 0.14) / figure.get_figheight()
+    figure.text(
+        place[0] + 0.01, below, "\n".join(_pale_names(styles)), fontsize=8, color=QUIET, va="top",
+        linespacing=1.35,
+    )  # fmt: skip

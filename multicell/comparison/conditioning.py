@@ -24,6 +24,8 @@ from multicell.integrators import shift as online
 SHIFT: Final[float] = online.SHIFT
 """Root mean square of the shift of each coordinate, µm, unless another one is asked for."""
 
+_COLUMNS: Final = {"begin_s": "begin", "rms_um": "rms", "worst_cell_um": "worst_cell"}
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -47,13 +49,8 @@ class Conditioning:
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers and lists, with the unit in the name of what has one."""
-        return {
-            "shift_um": self.shift,
-            "begin_s": self.begin.tolist(),
-            "rms_um": self.rms.tolist(),
-            "worst_cell_um": self.worst_cell.tolist(),
-            "floor": self.floor,
-        }
+        columns = {name: getattr(self, key).tolist() for name, key in _COLUMNS.items()}
+        return {"shift_um": self.shift, **columns, "floor": self.floor}
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any] | None) -> Conditioning | None:
@@ -63,9 +60,8 @@ class Conditioning:
         """
         if table is None:
             return None
-        names = ("begin_s", "rms_um", "worst_cell_um")
-        begin, rms, worst = (np.array(table[name], dtype=float) for name in names)
-        return cls(table["shift_um"], begin, rms, worst, dict(table["floor"]))
+        arrays = {key: np.array(table[name], dtype=float) for name, key in _COLUMNS.items()}
+        return cls(table["shift_um"], **arrays, floor=dict(table["floor"]))
 
     @property
     def amplification(self) -> FloatArray:
@@ -75,9 +71,8 @@ class Conditioning:
     def rows(self) -> list[Row]:
         """Return the steps as rows of a table; columns of a quantity end in its unit."""
         table = self.to_dict()
-        columns = ("begin_s", "rms_um", "worst_cell_um")
         return [
-            {"step": k, "shift_um": self.shift, **{name: table[name][k] for name in columns}}
+            {"step": k, "shift_um": self.shift, **{name: table[name][k] for name in _COLUMNS}}
             for k in range(len(self.begin))
         ]
 

@@ -73,26 +73,9 @@ def find_method(method: Any, scene: Scene, radius: float) -> Method:
     if isinstance(method, Method):
         return method
     known = NULL_METHODS.get(method) if isinstance(method, str) else None
-    return as_method(known or method_info(method, "methods"), scene, radius)
-
-
-def select_methods(methods: Sequence[Any], scene: Scene, radius: float) -> list[Method]:
-    """Return some methods, of which no two may have one name (see :func:`find_method`)."""
-    found = [find_method(method, scene, radius) for method in methods]
-    if not found:
-        raise ValueError("methods is empty: there is nothing to compare")
-    for k, method in enumerate(found):
-        if method.name in [other.name for other in found[:k]]:
-            raise SceneError("methods", f"two methods are called {method.name!r}")
-    return found
-
-
-def as_method(info: MethodInfo, scene: Scene, radius: float) -> Method:
-    """Return the method of which something is known; see :func:`find_method`."""
-    limits: dict[str, Any] = {
-        "max_displacement": scene.integrator.max_displacement,
-        "max_steps": _MAX_STEPS,
-    }
+    info = known or method_info(method, "methods")
+    allowed = scene.integrator.max_displacement
+    limits: dict[str, Any] = {"max_displacement": allowed, "max_steps": _MAX_STEPS}
 
     def by_tolerance(tolerance: float) -> Integrator:
         rtol = max(0.01 * tolerance, SMALLEST_TOLERANCE)
@@ -107,6 +90,17 @@ def as_method(info: MethodInfo, scene: Scene, radius: float) -> Method:
     if info.control == "step":
         return Method(info.name, "step", by_step, info)
     return Method(info.name, "tolerance", by_tolerance, info)
+
+
+def select_methods(methods: Sequence[Any], scene: Scene, radius: float) -> list[Method]:
+    """Return some methods, of which no two may have one name (see :func:`find_method`)."""
+    found = [find_method(method, scene, radius) for method in methods]
+    if not found:
+        raise ValueError("methods is empty: there is nothing to compare")
+    for k, method in enumerate(found):
+        if method.name in [other.name for other in found[:k]]:
+            raise SceneError("methods", f"two methods are called {method.name!r}")
+    return found
 
 
 def capable_methods(scene: Scene) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 from multicell.comparison.base import DONE, FAILED, SKIPPED, Row
 from multicell.comparison.ladders import Method, weighted_cost
@@ -74,80 +74,39 @@ def climb(
     :func:`time_again`, and their time is set aside in the budget. The third value is the part of
     the budget that is gone, in s; compilation and loading are not part of it.
     """
+    rows: list[Row] = []
     again: list[TimedPoint] = []
-    failures = 0
+    failures, foreseen, reserved = 0, 0.0, 0.0
     # compiled and loaded before the clock of the first point runs, however short the patience
     first = replace(exact.problem, steps=exact.problem.steps[:1])
     replay(first, method.make(ladder[0]), max(effort.patience, _COMPILATION))
-
-    def measure(setting: float) -> Rung:
-        nonlocal failures
+    begin = clock.perf_counter()
+    for setting in ladder:
+        spent = clock.perf_counter() - begin + reserved
+        # a point takes two solves at least; the first one is tried in any case
+        if rows and (foreseen > effort.patience or spent + 2.0 * foreseen > effort.budget):
+            words = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
+            rows.append(_row(method, setting, exact, SKIPPED, words=words))
+            continue
         tell(f"{method.name} at {setting:.3g}")
         solve = partial(replay, exact.problem, method.make(setting), effort.patience)
         found, lost = solve_compiled(solve)
         row = _solve_row(method, setting, found, exact, effort)
-        reserved = 0.0
+        rows.append(row)
+        reserved -= lost
+        wall = foreseen = row["wall"] if found.done else found.wall
+        if method.control == "step":
+            # half the step takes twice as long; a tolerance costs less the higher the order
+            foreseen *= next((setting / other for other in ladder if other < setting), 1.0)
         if found.done:
-            wall = row["wall"]
             again.append(TimedPoint(row, method, effort.share, wall, [(wall, row["cpu"])]))
-            reserved = min((effort.repeats - 1) * wall, effort.share)
-        finer = next((setting / other for other in ladder if other < setting), 1.0)
-        # half the step takes twice as long; a tolerance costs less the higher the order
-        growth = finer if method.control == "step" else 1.0
-        foreseen = growth * (row["wall"] if found.done else found.wall)
-        failures += not found.done
-        if not found.done and method.control == "tolerance" and failures < _MAX_FAILURES:
+            reserved += min((effort.repeats - 1) * wall, effort.share)
+            continue
+        failures += 1
+        if method.control == "tolerance" and failures < _MAX_FAILURES:
             # a loose tolerance may be what it fails at, or what takes so long
             foreseen = 0.0
-        return Rung(row, foreseen, reserved - lost)
-
-    def skip(setting: float, words: str) -> Row:
-        return _row(method, setting, exact, SKIPPED, words=words)
-
-    # a point takes two solves at least
-    rows, spent = climb_ladder(ladder, effort, measure, skip, solves=2)
-    for row in rows:
-        row["mode"] = exact.problem.mode
-    return rows, again, spent
-
-
-class Rung(NamedTuple):
-    """A setting that was measured.
-
-    Wall times in s: what a solve at the next setting is expected to take; and what the budget
-    loses beside the time that has passed (gains, if negative).
-    """
-
-    row: Row
-    foreseen: float
-    reserved: float = 0.0
-
-
-def climb_ladder(
-    ladder: Sequence[float],
-    effort: Effort,
-    measure: Callable[[float], Rung],
-    skip: Callable[[float, str], Row],
-    solves: int = 1,
-) -> tuple[list[Row], float]:
-    """Return the rows of all settings from coarse to fine, and the part of the budget used, s.
-
-    Settings are skipped whose solve would last longer than patience, or whose ``solves`` solves
-    would exceed the budget; the first one is tried in any case.
-    """
-    rows: list[Row] = []
-    foreseen, reserved = 0.0, 0.0
-    begin = clock.perf_counter()
-    for setting in ladder:
-        spent = clock.perf_counter() - begin + reserved
-        if rows and (foreseen > effort.patience or spent + solves * foreseen > effort.budget):
-            words = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
-            rows.append(skip(setting, words))
-            continue
-        rung = measure(setting)
-        rows.append(rung.row)
-        foreseen, reserved = rung.foreseen, reserved + rung.reserved
-    return rows, clock.perf_counter() - begin + reserved
+    return rows, again, clock.perf_counter() - begin + reserved
 
 
 def time_again(points: Sequence[TimedPoint], problem: Problem, repeats: int) -> None:
@@ -193,7 +152,8 @@ def _row(method: Method, setting: float, exact: Reference, status: str, **known:
     unmeasured = _columns(dict.fromkeys(exact.norms, math.nan), exact)
     unknown = (*_times([(0.0, 0.0)]), "spent", *unmeasured, "cost", *vars(Work()))
     first = {"method": method.name, "control": method.control, "setting": setting}
-    return {**first, "status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
+    known = {"status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
+    return {**first, **known, "mode": exact.problem.mode}
 
 
 def _times(repeats: Sequence[tuple[float, float]]) -> dict[str, float]:

@@ -94,15 +94,16 @@ def reference(
     written.
     """
     tell = progress or (lambda _: None)
-    cache = cache if norms.keys() == NORMS.keys() else False
+    folder = reference_cache.cache_folder() if cache is True else Path(cache or "")
+    stored = cache is not False and norms.keys() == NORMS.keys()
     unsolved = unsolved_problem(scene, cells, threads)
     shift = 0.0 if stepwise is None else shift
     recording = {"samples": stepwise, "cells": cells, "threads": threads}
     sampled: tuple[Problem, Trajectory] | None = None
     pairs = default_pairs(scene, unsolved, stepwise) if pair is None else [pair]
     for k, chosen in enumerate(pairs):
-        path = _path(cache, scene, cells, chosen, stepwise, shift)
-        held = None if path is None else reference_cache.load(path, unsolved)
+        path = folder / f"{key(scene, cells, chosen, stepwise, shift)}.npz"
+        held = reference_cache.load(path, unsolved) if stored else None
         if held is not None:
             problem, ends, about = held
             tell("reference: from the cache")
@@ -119,8 +120,11 @@ def reference(
                 raise
             tell(f"reference: {error}")
             continue
-        if path is not None:
-            reference_cache.save(path, solved.problem, solved.trajectory, _about(solved))
+        if stored:
+            known = {name: getattr(solved, name) for name in ("uncertainty", "wall", "words")}
+            shifted = solved.conditioning
+            known["conditioning"] = None if shifted is None else shifted.to_dict()
+            reference_cache.save(path, solved.problem, solved.trajectory, known)
         return solved
     raise AssertionError("there is always a pair")
 
@@ -143,13 +147,6 @@ def default_pairs(scene: Scene, unsolved: Problem, stepwise: int | None = None) 
         return [((dopri5, _TIGHT_STEP), (cvode, 10.0 * _TIGHT_STEP)), *pairs]
     check = (cvode, _TIGHT) if few else (dopri5, 10.0 * _TIGHT)
     return [((find_method("scipy-dop853", scene, radius), _TIGHT), check), *pairs]
-
-
-def _about(solved: Reference) -> dict[str, Any]:
-    """Return what the cache stores besides the problem and its solution, as JSON."""
-    about = {name: getattr(solved, name) for name in ("uncertainty", "wall", "words")}
-    known = solved.conditioning
-    return about | {"conditioning": None if known is None else known.to_dict()}
 
 
 def method_pair(
@@ -187,20 +184,6 @@ def _expected_cells(scene: Scene, count: int) -> float:
     cycles: float = min(scene.duration / scene.growth.mean_cycle, 60.0)
     grown: float = count * 2.0**cycles
     return min(grown, scene.stop_cells or math.inf)
-
-
-def _path(
-    cache: str | Path | bool,
-    scene: Scene,
-    cells: Cells | None,
-    pair: Pair,
-    stepwise: int | None,
-    shift: float,
-) -> Path | None:
-    if cache is False:
-        return None
-    folder = reference_cache.cache_folder() if cache is True else Path(cache)
-    return folder / f"{key(scene, cells, pair, stepwise, shift)}.npz"
 
 
 def _solve(

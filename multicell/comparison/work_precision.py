@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from multicell.cells import Cells
-from multicell.comparison.base import CLOCKS, Row, prepare
+from multicell.comparison.base import CLOCKS, Row
 from multicell.comparison.conditioning import SHIFT
 from multicell.comparison.ladders import (
     Ladder,
@@ -25,7 +25,7 @@ from multicell.comparison.result import FILES, WorkPrecision
 from multicell.comparison.styles import unregistered_styles
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator
-from multicell.results.folder import versions
+from multicell.results.folder import make_folder, remove, versions
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
 from multicell.units import to_base
@@ -136,7 +136,8 @@ def compare(
     chosen = select_methods(asked, described, radius)
     pair = None if references is None else method_pair(references, described, radius)
     _check_ladder(chosen, ladder)
-    prepare(output, FILES, overwrite)
+    if output is not None:
+        remove(make_folder(output, overwrite=overwrite), FILES)
     exact = reference(
         described, pair=pair, stepwise=count, shift=moved, cells=cells, cache=cache,
         norms=norms, threads=threads, progress=tell,

@@ -165,9 +165,11 @@ class ExactJKR(PairLaw):
         touching: ArrayLike = False,
     ) -> FloatArray:
         """Return the contact radius a_c = √(k r_ij) u² in µm, zero out of contact."""
-        v, contact = self._branch(overlap, modulus, radius, touching)
         unit, _ = self._units(modulus, radius)
-        return np.where(contact, np.sqrt(unit * np.asarray(radius)) * (1.0 + v) ** 2, 0.0)
+        excess = np.maximum(np.asarray(overlap, dtype=float) / unit + 3.0, 0.0)
+        u = 1.0 + np.asarray(_beyond_turning(excess), dtype=float)
+        contact = self.in_contact(overlap, modulus, radius, touching)
+        return np.where(contact, np.sqrt(unit * np.asarray(radius)) * u**2, 0.0)
 
     def curve(
         self, contact: ArrayLike, modulus: ArrayLike, radius: ArrayLike
@@ -206,16 +208,6 @@ class ExactJKR(PairLaw):
         """Return -(5/6) π w r_ij in nN, from which the force jumps to zero at fixed grips."""
         return np.asarray(self.pull_off_force(radius) * (5.0 / 9.0))
 
-    def forming_loss(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
-        """Return the energy (18/5) 4^{4/3} P k in fJ that is lost when a contact forms."""
-        unit, scale = self._units(modulus, radius)
-        return np.asarray(unit * scale * (3.6 * 4.0 ** (4.0 / 3.0)))
-
-    def breaking_loss(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
-        """Return the energy (12/5) P k in fJ that is lost when a contact breaks."""
-        unit, scale = self._units(modulus, radius)
-        return np.asarray(unit * scale * 2.4)
-
     def reach(
         self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None
     ) -> FloatArray:
@@ -224,12 +216,3 @@ class ExactJKR(PairLaw):
 
     def _units(self, modulus: ArrayLike, radius: ArrayLike) -> tuple[FloatArray, FloatArray]:
         return exact_units(modulus, radius, self.surface_energy)
-
-    def _branch(
-        self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, touching: ArrayLike
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return u - 1 on the stable branch, and whether the pair is in contact."""
-        unit, _ = self._units(modulus, radius)
-        excess = np.maximum(np.asarray(overlap, dtype=float) / unit + 3.0, 0.0)
-        v = np.asarray(_beyond_turning(excess), dtype=float)
-        return v, self.in_contact(overlap, modulus, radius, touching)

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 class AdamsBashforth2(EqualSteps):
     """Two steps back, order 2, one evaluation a step, stable for Δt < 1/λ_max.
 
-    The first step of each coupling step is Heun's. Parameters as for
-    :class:`~multicell.integrators.base.EqualSteps`.
+    The first step of each coupling step is Heun's.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -39,8 +38,6 @@ class AdamsBashforth2(EqualSteps):
 class AdaptiveAdams(ErrorControl):
     """Adams-Bashforth of order 2 under error control, one evaluation a step; to 1/λ_max.
 
-    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
-      :class:`~multicell.integrators.base.ErrorControl`
     - ``patience``: largest number of evaluations that a coupling step may be expected to take;
       beyond, the integration ends early, with ``problem`` set. Zero for any number.
     """

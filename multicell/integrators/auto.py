@@ -100,8 +100,7 @@ class Auto(ErrorControl):
     """Chooses for each coupling step between explicit methods, RKC2 and an implicit method.
 
     The steps by each method are counted in ``Work``. If a method cannot continue, the next
-    one starts from the beginning of the coupling step. Parameters as for
-    :class:`~multicell.integrators.base.ErrorControl`.
+    one starts from the beginning of the coupling step.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -258,11 +257,6 @@ def _fastest(system: Mechanics, position: FloatArray) -> float:
     except StateRejected:
         return 0.0
     return float(np.sqrt(squares(velocity).max())) if len(position) else 0.0
-
-
-def decay_rate(system: Mechanics, position: FloatArray) -> float:
-    """Return an estimate of the largest |eigenvalue| of J, 1/s; see :func:`largest_rate`."""
-    return largest_rate(system, position)[0]
 
 
 def largest_rate(system: Mechanics, position: FloatArray) -> tuple[float, bool]:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from multicell.integrators.base import EqualSteps, MethodInfo, Outcome
+from multicell.integrators.base import EqualSteps, MethodInfo, Outcome, equal_steps
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -51,7 +51,6 @@ _ROUNDING = 1e-14  # of the energy, below which a difference of two energies is 
 class BackwardEuler(EqualSteps):
     """x_{k+1} = x_k + Δt v(t_{k+1}, x_{k+1}), first order.
 
-    - ``step``, ``max_displacement``: as for :class:`~multicell.integrators.base.EqualSteps`
     - ``tolerance``: Newton's method ends when the largest correction of a coordinate is below this,
       µm
     - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``
@@ -87,7 +86,7 @@ class BackwardEuler(EqualSteps):
         if refused is not None:
             return refused
         motion = system.motion
-        count = max(1, math.ceil((motion.end - motion.begin) / self.step * (1.0 - 1e-12)))
+        count = equal_steps(motion.end - motion.begin, self.step)
         step = (motion.end - motion.begin) / count
         position = np.array(position)
         for k in range(count):

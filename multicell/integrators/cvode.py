@@ -24,17 +24,13 @@ class Cvode(ErrorControl):
 
     The defaults are what ``tests/benchmarks/tune_cvode.py`` found best over its scenes.
 
-    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
-      :class:`~multicell.integrators.base.ErrorControl`
     - ``krylov_dim``: dimension of the Krylov space
     - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``, or ``"none"``. Mild steps,
       γλ < 3, go without.
     - ``side``: ``"left"``, ``"right"`` or ``"both"``. On the right the Krylov method measures the
       true residual.
     - ``refresh``: when the Jacobian is taken anew: ``"moved"``, where some coordinate has changed
-      by more than ``far`` since (further where the step is mild); ``"solve"``, before every linear
-      solve, with the preconditioner; ``"product"``, the same, but the preconditioner only when
-      SUNDIALS sets it up; ``"setup"``, both only then; ``"asked"``, the Jacobian only when SUNDIALS
+      by more than ``far`` since (further where the step is mild); ``"asked"``, only when SUNDIALS
       asks for it (``jok`` is zero)
     - ``far``: see ``refresh``, in mean radii
     - ``max_order``: highest order
@@ -108,8 +104,7 @@ class CvodeAdams(ErrorControl):
     off as a shift of its start by the tolerance moves it (docs/theory/integrators.md).
 
     There is no functional iteration in scikit-sundae: this is an implicit method, and not an
-    explicit one to compare with. Parameters as for
-    :class:`~multicell.integrators.base.ErrorControl`.
+    explicit one to compare with.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -119,11 +114,8 @@ class CvodeAdams(ErrorControl):
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        method = Cvode(
-            self.rtol, self.atol, self.max_steps, self.max_displacement,
-            max_order=12, formula="Adams",
-        )  # fmt: skip
-        return method.integrate(system, position)
+        options = self.rtol, self.atol, self.max_steps, self.max_displacement
+        return Cvode(*options, max_order=12, formula="Adams").integrate(system, position)
 
 
 METHODS = (Cvode, CvodeAdams)

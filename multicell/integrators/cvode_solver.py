@@ -1,4 +1,4 @@
-"""Lives of a CVODE object with a Krylov method, and the callbacks that it needs.
+"""CVODE sessions with a Krylov method, and the callbacks that they need.
 
 scikit-sundae hands every callback read-only views of the solver's memory, and counts only
 part of the evaluations; the counts that are reported are those of :class:`Mechanics`.
@@ -56,37 +56,38 @@ def _divide(out: FloatArray, before: FloatArray, share: float) -> None:
         out[n] = (out[n] - before[n]) / share
 
 
-def _cvode(method: Cvode, run: Run, predictor: Predictor, **options: Any) -> CVODE:
-    """Return a solver at the last accepted state, with what both kinds have in common."""
-    solver = CVODE(
-        predictor.velocity, method=method.formula, rtol=run.share * method.rtol,
-        atol=run.share * method.atol, max_order=method.max_order, max_nonlin_iters=method.newton,
-        linsolver=method.linear, **options,
-    )  # fmt: skip
-    solver.init_step(0.0, run.position.ravel())
-    return solver
+class _Session:
+    """CVODE between two restarts, begun at the last accepted state; abstract."""
+
+    def __init__(self, method: Cvode, run: Run, **options: Any) -> None:
+        self.run, self.method = run, method
+        self._predictor = Predictor(run)
+        self.solver = CVODE(
+            self._predictor.velocity, method=method.formula, rtol=run.share * method.rtol,
+            atol=run.share * method.atol, max_order=method.max_order,
+            max_nonlin_iters=method.newton, linsolver=method.linear, **options,
+        )  # fmt: skip
+        self.solver.init_step(0.0, run.position.ravel())
+
+    def close(self) -> None:
+        """Let go of CVODE, whose callbacks hold this object."""
+        del self.solver
 
 
 @final
-class Light:
+class Light(_Session):
     """CVODE as it comes: products by difference quotients, each of which is an evaluation."""
 
     def __init__(self, method: Cvode, run: Run) -> None:
-        self.run, self.method = run, method
         self._counts = [run.system.work.evaluations]
         self._others = 0
         self._small = _INCREMENT * float(run.system.motion.radius.mean())
         self._moved = np.empty(3 * len(run.position))
         self._probed: list[tuple[float, FloatArray, float]] = []
-        self._predictor = Predictor(run)
-        self.solver = _cvode(
-            method, run, self._predictor, krylov_dim=_LIGHT_KRYLOV, first_step=_FIRST * run.left,
+        super().__init__(
+            method, run, krylov_dim=_LIGHT_KRYLOV, first_step=_FIRST * run.left,
             jactimes=CVODEJacTimes(None, self.product),
         )  # fmt: skip
-
-    def close(self) -> None:
-        """Let go of CVODE, whose callbacks hold this object."""
-        del self.solver
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step; ask for the full method where the last ones took many evaluations."""
@@ -153,12 +154,11 @@ class Light:
 
 
 @final
-class Krylov:
-    """A CVODE session between two restarts, and the callbacks it needs."""
+class Krylov(_Session):
+    """CVODE with our products and preconditioners, and the callbacks that it needs."""
 
     def __init__(self, method: Cvode, run: Run, ceiling: float) -> None:
-        self.run, self.system = run, run.system
-        self.method = method
+        self.system = run.system
         self._fresh, self._stale = False, True
         self._reference = np.full(3 * len(run.position), np.inf)
         # without a preconditioner γ is unknown: J is renewed as often as for stiff steps
@@ -169,15 +169,10 @@ class Krylov:
         if method.preconditioner != "none":
             self._preconditioner = preconditioner(method.preconditioner, run.system)
             options["precond"] = CVODEPrecond(self.setup, self.solve, side=method.side)
-        self._predictor = Predictor(run)
-        self.solver = _cvode(
-            method, run, self._predictor, krylov_dim=method.krylov_dim, max_step=ceiling,
+        super().__init__(
+            method, run, krylov_dim=method.krylov_dim, max_step=ceiling,
             jactimes=CVODEJacTimes(self.linearise, self.product), **options,
         )  # fmt: skip
-
-    def close(self) -> None:
-        """Let go of CVODE, whose callbacks hold this object."""
-        del self.solver
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""
@@ -196,12 +191,10 @@ class Krylov:
     def linearise(self, t: float, y: FloatArray, yp: FloatArray) -> None:
         """Get ready for products before a linear solve."""
         self.system.work.newton_iterations += 1
-        refresh = self.method.refresh
         if self._fresh:
             self._fresh = False
-        elif refresh in ("solve", "product") or (refresh == "moved" and self._moved(y)):
+        elif self.method.refresh == "moved" and self._moved(y):
             self._take_jacobian(t, y)
-            self._stale |= refresh == "solve"
 
     def _take_jacobian(self, t: float, y: FloatArray) -> None:
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
@@ -231,8 +224,7 @@ class Krylov:
     ) -> None:
         """Preconditioner for a new γ."""
         self._gamma = gamma
-        refresh = self.method.refresh
-        if not jok or refresh not in ("asked", "moved") or (refresh == "moved" and self._moved(y)):
+        if not jok or (self.method.refresh == "moved" and self._moved(y)):
             self._take_jacobian(t, y)
             self._fresh = True
             jnew[0] = 1

@@ -13,7 +13,6 @@ from multicell.integrators import (
     auto,
     backward_euler,
     cvode,
-    multirate,
     rkc,
     rosenbrock,
     runge_kutta,
@@ -25,17 +24,7 @@ if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
     from multicell.scene.parts import IntegratorOptions
 
-_FAMILIES = (
-    auto,
-    cvode,
-    backward_euler,
-    runge_kutta,
-    multirate,
-    adams_bashforth,
-    rkc,
-    rosenbrock,
-    scipy,
-)
+_FAMILIES = (auto, cvode, backward_euler, runge_kutta, adams_bashforth, rkc, rosenbrock, scipy)
 
 METHODS: dict[str, MethodInfo] = {
     info.name: info for family in _FAMILIES for info in map(info_of, family.METHODS)

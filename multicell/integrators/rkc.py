@@ -26,8 +26,6 @@ class Rkc2(ErrorControl):
 
     Under error control unless ``step`` is given. See :mod:`multicell.integrators.loops.chebyshev`.
 
-    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
-      :class:`~multicell.integrators.base.ErrorControl`
     - ``step``: fixed step, s, for studies of order and stability; zero for error control
     - ``stages``: fixed number of stages, 2 or more, only with ``step``; zero for as many as the
       stiffness asks for

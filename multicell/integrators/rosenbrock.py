@@ -44,8 +44,6 @@ _MAX_GROWTH = 3.0
 class Rosenbrock(ErrorControl):
     """Rosenbrock method of order 2 with preconditioned conjugate gradients.
 
-    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
-      :class:`~multicell.integrators.base.ErrorControl`
     - ``worst``: error that a step may have in the worst cell, in tolerances times √θ, where θ is
       the tolerance in mean radii (see :mod:`multicell.integrators.driver`): 1.1 tolerances at 0.01
       µm, and up to four times as much with many steps to go. A root mean square over thousands of

@@ -6,10 +6,7 @@ and divides, nothing else grows or divides. Ways to divide:
 
 ``inside``   two daughters of radius ρ = 2^(-1/3) r at ± (r - ρ), the spherical shock;
 ``parting``  the same, with a slack of the overlap at birth less that at rest, which falls
-             linearly to zero over M;
-``dumbbell`` two daughters side by side whose rest distance grows linearly over M from a tenth of
-             r; both radii shrink from r to ρ so that the volume of the two spheres' union stays
-             that of the mother.
+             linearly to zero over M.
 
 For each tolerance: steps, evaluations and Jacobian products beyond those of the same time
 without a division, in all and of the dearest coupling step; then what the end (``--rest`` after
@@ -41,10 +38,9 @@ lose the mother's flanks, which no slack between the sisters softens; and a shoc
 takes steps as the logarithm of time, where cells that are pushed about for an hour take some at
 each of six restarts. Even the sisters alone take more (8 steps at 0.01 µm) than a third of what
 the shock costs in the cluster (19). Fewer steps go into the dearest coupling step (10 for 12
-at 0.01 µm, 5 for 13 with σ 0.001). ``dumbbell``, whose two spheres first press the neighbours
-twice, is no better. The ends differ by which pocket a few cells settle in: the others by 0.14 µm
-(rms, median of the axes; 0.002 where they find the same pocket), the radius of gyration by
-1e-4, the contact energy by up to 4e-4 of itself.
+at 0.01 µm, 5 for 13 with σ 0.001). The ends differ by which pocket a few cells settle in: the
+others by 0.14 µm (rms, median of the axes; 0.002 where they find the same pocket), the radius of
+gyration by 1e-4, the contact energy by up to 4e-4 of itself.
 """
 
 from __future__ import annotations
@@ -56,7 +52,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import brentq
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
@@ -73,55 +68,29 @@ from multicell.mechanics.system import Mechanics
 HALF = 0.5 ** (1.0 / 3.0)
 MODULUS = effective_modulus(1.0, 0.5, 1.0, 0.5)
 COUNTS = ("steps", "evaluations", "jacobian_products")
-WAYS = ("inside", "parting", "dumbbell")
+WAYS = ("inside", "parting")
 
 
 @dataclass(frozen=True)
 class Division:
-    """Where the daughters begin, and over M their radius and the distance they rest at, µm."""
+    """How far apart daughters begin, their radius, and over M their slack if they part, µm."""
 
-    law: JKR
     begin: float
-    times: np.ndarray
-    radius: np.ndarray
-    rest: np.ndarray | None
+    radius: float
+    slack: np.ndarray | None
 
     @classmethod
     def of(cls, law: JKR, way: str, mother: float, times: np.ndarray) -> Division:
         """Return a division of a mother of radius ``mother`` with M from 0 to 1 in ``times``."""
         daughter = HALF * mother
-        end = 2.0 * daughter - rest_overlap(law, daughter)
         inside = 2.0 * (mother - daughter)
-        if way == "inside":
-            return cls(law, inside, times, np.full(len(times), daughter), None)
-        if way == "parting":
-            rest = inside + (end - inside) * times
-            return cls(law, inside, times, np.full(len(times), daughter), rest)
-        rest = 0.1 * mother + (end - 0.1 * mother) * times
-        radius = np.array([dumbbell_radius(d, mother) for d in rest])
-        radius += times * (daughter - radius[-1])
-        return cls(law, rest[0], times, radius, rest)
-
-    def slack(self) -> np.ndarray | None:
-        """Return the slack at the times: the rest distance without it less the one wanted."""
-        if self.rest is None:
-            return None
-        return 2.0 * self.radius - rest_overlap(self.law, self.radius) - self.rest
+        slack = (2.0 * daughter - rest_overlap(law, daughter) - inside) * (1.0 - times)
+        return cls(inside, daughter, slack if way == "parting" else None)
 
 
 def rest_overlap(law, radius):
     """Return the overlap at rest of two cells of one radius, µm."""
     return law.equilibrium_overlap(MODULUS, effective_radius(radius, radius))
-
-
-def dumbbell_radius(distance: float, mother: float) -> float:
-    """Return the radius of two spheres whose union has the volume of the mother, µm."""
-
-    def excess(radius: float) -> float:
-        lens = (4.0 * radius + distance) * max(2.0 * radius - distance, 0.0) ** 2 / 16.0
-        return 2.0 * radius**3 - lens - mother**3
-
-    return float(brentq(excess, 0.5 * mother, mother))
 
 
 def settled(setting, tight):
@@ -159,21 +128,16 @@ def moved(position, motion, method, law, viscosity):
 
 def run(cells, division, setting, method):
     """Return final positions, counts of each coupling step of M and its half after, and energy."""
-    position, radius = cells[0], cells[1].copy()
+    position, radius = cells
     coupling = setting.coupling
     steps = round(setting.phase / coupling)
     counts = []
-    slack = None if division is None else division.slack()
+    slack = None if division is None else division.slack
     for k in range(steps + max(steps // 2, 6)):
-        rate = np.zeros(len(radius))
         extra = ()
-        if division is not None:
-            radius[-2:] = division.radius[min(k, steps)]
-        if division is not None and k < steps:
-            rate[-2:] = (division.radius[k + 1] - division.radius[k]) / coupling
-            if slack is not None:
-                extra = (slack[k], (slack[k + 1] - slack[k]) / coupling)
-        step = motion(radius.copy(), rate, k * coupling, (k + 1) * coupling, *extra)
+        if slack is not None and k < steps:
+            extra = (slack[k], (slack[k + 1] - slack[k]) / coupling)
+        step = motion(radius, 0.0 * radius, k * coupling, (k + 1) * coupling, *extra)
         position, system = moved(position, step, method, setting.law, setting.viscosity)
         counts.append([getattr(system.work, name) for name in COUNTS])
     tight = Cvode(rtol=1e-8, atol=1e-5)
@@ -189,14 +153,13 @@ def divided(start, axis, division):
     offset = 0.5 * division.begin * axis
     daughters = [position[middle] - offset, position[middle] + offset]
     centres = np.concatenate([position[keep], daughters])
-    return centres, np.append(radius[keep], [division.radius[0]] * 2)
+    return centres, np.append(radius[keep], [division.radius] * 2)
 
 
 def shock(cells, division, setting):
     """Return the largest pressure of a daughter at birth, kPa, and Euler's largest step, s."""
     position, radius = cells
-    slack = division.slack()
-    extra = () if slack is None else (slack[0], 0.0)
+    extra = () if division.slack is None else (division.slack[0], 0.0)
     system = Mechanics(setting.law, setting.viscosity)
     system.begin(motion(radius, 0.0 * radius, 0.0, 1.0, *extra))
     bound = system.stiffness_bound(0.0, position)
@@ -224,8 +187,7 @@ def compare(atol, setting, start, axes):
             f"{mean[2]:6.1f} products; dearest coupling step {mean[3]:5.1f} steps; "
             f"inside costs {ratio[0]:.2f}, {ratio[1]:.2f}, {ratio[2]:.2f} times that"
         )
-    for way in WAYS[1:]:
-        report(way, ends, len(axes))
+    report("parting", ends, len(axes))
 
 
 def report(way, ends, axes):

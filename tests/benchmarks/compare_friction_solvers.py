@@ -31,9 +31,9 @@ from sksundae.ida import IDA, IDAJacTimes, IDAPrecond
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
-from strategies import cluster, mechanics
+from strategies import cluster, divided, mechanics
 
-from multicell.mechanics import forces as kernels
+from multicell.mechanics import blocks as kernels
 from multicell.mechanics import neighbours
 from multicell.mechanics.friction import Friction
 
@@ -73,23 +73,6 @@ def add_blocks(matrix, out):
                 np.add.at(out[:, k], cells, entry)
 
 
-def divide(position, radius, young, count):
-    rng = np.random.default_rng(3)
-    chosen = rng.choice(len(radius), count, replace=False)
-    axis = rng.normal(size=(count, 3))
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    shift = axis * (radius[chosen] * (1.0 - 0.5 ** (1 / 3)))[:, None]
-    sister = position[chosen] + shift
-    position, radius = position.copy(), radius.copy()
-    position[chosen] -= shift
-    radius[chosen] *= 0.5 ** (1 / 3)
-    return (
-        np.concatenate([position, sister]),
-        np.concatenate([radius, radius[chosen]]),
-        np.concatenate([young, young[chosen]]),
-    )
-
-
 @dataclass
 class Problem:
     """Cells, their friction, and the counts of one integration."""
@@ -102,8 +85,9 @@ class Problem:
     counts: dict[str, int] = field(default_factory=dict)
 
     def begin(self) -> None:
-        position, radius, young = cluster(self.n - self.divided, 1, spacing=0.8)
-        position, radius, young = divide(position, radius, young, self.divided)
+        cells = cluster(self.n - self.divided, 1, spacing=0.8)
+        mothers = np.random.default_rng(3).choice(len(cells[1]), self.divided, replace=False)
+        position, radius, young = divided(*cells, mothers, 3)
         order = neighbours.spatial_order(position, 10.0)
         self.position, radius, young = position[order], radius[order], young[order]
         self.system = mechanics(radius, young, duration=self.duration, viscosity=self.viscosity)

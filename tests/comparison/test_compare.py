@@ -62,7 +62,7 @@ def grown():
 # planted errors
 
 
-@pytest.mark.parametrize("size", [0.3, 1e-3, 1e-8])
+@pytest.mark.parametrize("size", [0.3, 1e-8])
 def test_a_planted_shift_is_found_in_the_positions_only(size):
     result = compared([step_method(lambda s: Planted(shift=s * RADIUS))], [size])
     row = only(result)
@@ -72,7 +72,7 @@ def test_a_planted_shift_is_found_in_the_positions_only(size):
         assert row[f"error_{norm}"] == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("size", [0.1, 1e-4])
+@pytest.mark.parametrize("size", [0.1])
 def test_cells_drawn_apart_are_found_in_every_norm(size):
     row = only(compared([step_method(lambda s: Planted(apart=s * RADIUS))], [size]))
     # each of the two cells is off by half of what they are apart
@@ -84,12 +84,6 @@ def test_cells_drawn_apart_are_found_in_every_norm(size):
     loss = np.maximum(overlap - size * RADIUS, 0.0) ** 2.5 - overlap**2.5
     expected = np.abs(loss).max() / (overlap**2.5).max()
     assert row["error_energy"] == pytest.approx(expected, rel=1e-6)
-
-
-def test_pair_distances_of_many_cells_are_those_of_a_part():
-    position = np.random.default_rng(1).normal(size=(4000, 3))
-    assert len(pair_distances(position)) == 1334 * 1333 // 2
-    assert pair_distances(position[:2]) == pytest.approx(np.linalg.norm(position[0] - position[1]))
 
 
 def test_wasserstein_distance_agrees_with_scipy(exact):
@@ -180,6 +174,8 @@ def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
         np.testing.assert_array_equal(line.get_xdata(), spent)
         assert len(spent) == count
     assert any(text.get_text() == "failed solve" for text in figure.legends[0].get_texts())
+    fine = compared([step_method(lambda s: Planted(shift=s))], [0.1])
+    assert all(axes.get_label() != "failures" for axes in fine.figure().axes)
 
 
 def test_the_curves_are_those_of_the_table(failing):
@@ -198,12 +194,6 @@ def test_the_curves_are_those_of_the_table(failing):
     assert {f"{norm} time" for norm in NORMS} <= {
         a.get_label() for a in failing.norms_figure().axes
     }
-
-
-def test_without_failures_there_is_no_strip():
-    result = compared([step_method(lambda s: Planted(shift=s))], [0.1])
-    assert all(axes.get_label() != "failures" for axes in result.figure().axes)
-    assert result.failures() == []
 
 
 def test_the_fastest_is_the_least_time_of_those_that_reach_the_error(failing):
@@ -336,19 +326,25 @@ def test_the_bound_on_decay_rates_is_above_the_true_rate(exact):
 
 
 @pytest.mark.parametrize(
-    ("methods", "ladder", "match"),
+    ("methods", "given", "match"),
     [
-        (["cvod"], None, "no method is called 'cvod'.*'cvode'"),
-        (["cvode"], {"tolerance": [1e-16]}, "tolerance: is 1e-16.*Double precision"),
-        (["euler"], {"euler": [0.0]}, "ladder.euler: is 0.0, must be above 0 s"),
-        (["euler"], {"step": [math.nan]}, "must be above 0 s"),
-        (["euler"], {"step": []}, "is empty"),
-        (["euler"], {"steps": [1.0]}, "ladder.steps: is no method here.*'step'"),
+        (["cvod"], {}, "no method is called 'cvod'.*'cvode'"),
+        (["cvode"], {"ladder": {"tolerance": [1e-16]}}, "tolerance: is 1e-16.*Double precision"),
+        (["euler"], {"ladder": {"euler": [0.0]}}, "ladder.euler: is 0.0, must be above 0 s"),
+        (["euler"], {"ladder": {"step": [math.nan]}}, "must be above 0 s"),
+        (["euler"], {"ladder": {"step": []}}, "is empty"),
+        (["euler"], {"ladder": {"steps": [1.0]}}, "ladder.steps: is no method here.*'step'"),
+        ([EXACT], {"metrics": {"energy": np.sum}}, "metrics.energy: is the name of a norm"),
+        ([EXACT], {"metrics": {"a b": np.sum}}, "metrics.a b: is no identifier"),
+        ([EXACT], {"clock": "sun"}, "clock: is 'sun', must be 'wall' or 'cpu'"),
+        *(([EXACT], {"stepwise": n}, "stepwise: is .* of 1 or more") for n in (0, 2.5, "all")),
+        *(([EXACT], {"stepwise": 3, "shift": s}, "shift") for s in (-1.0, "3 s", math.nan)),
     ],
 )
-def test_bad_input_is_refused_with_words(methods, ladder, match):
+def test_bad_input_is_refused_before_anything_is_written(methods, given, match, tmp_path):
     with pytest.raises(SceneError, match=match):
-        compare(PAIR, methods, ladder, cache=False, references=BOTH_EXACT)
+        compare(PAIR, methods, output=tmp_path / "out", **given, cache=False, references=BOTH_EXACT)
+    assert not list((tmp_path / "out").glob("*"))
 
 
 def test_no_methods_are_refused():
@@ -360,6 +356,7 @@ def test_every_method_there_is_meets_the_exact_solution():
     ladder = {"tolerance": [1e-6], "step": [0.5]}
     result = compare(PAIR, None, ladder, cache=False, references=BOTH_EXACT, repeats=1)
     assert result.methods == list(METHODS)
+    assert result.facts["named"] == []
     assert result.failures() == []
     for row in result.table:
         assert row["error_position"] < (1e-3 if row["control"] == "step" else 3e-5), row["method"]
@@ -385,29 +382,18 @@ def test_the_folder_holds_table_pictures_and_page(failing, tmp_path):
     assert "://" not in page
 
 
-def test_columns_are_arrays(failing):
-    columns = failing.columns()
-    assert columns["error_energy"].shape == (8,)
-    assert np.isnan(columns["cost"]).sum() == 5
-    assert set(columns["status"]) == {"done", "failed"}
-
-
 def test_a_scene_is_compared_from_its_file_and_nothing_is_overwritten(tmp_path):
     path = tmp_path / "pair.toml"
     path.write_text(PAIR.with_changes({"duration": "120 s"}).to_toml())
-    options = {
-        "methods": ["euler"],
-        "ladder": {"step": [30.0]},
-        "references": BOTH_EXACT,
-        "cache": False,
-    }
-    result = compare(path, output=tmp_path / "out", **options)
+    options = {"ladder": {"euler": [30.0]}, "references": BOTH_EXACT, "cache": False}
+    options |= {"methods": ["euler"], "output": tmp_path / "out"}
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="not empty"):
+        compare(path, **options)
+    result = compare(path, overwrite=True, **options)
     assert result.facts["coupling_steps"] == 2
     assert (tmp_path / "out" / "report.html").exists()
-    with pytest.raises(OutputError, match="not empty"):
-        compare(path, output=tmp_path / "out", **options)
-    (tmp_path / "out" / "notes.txt").write_text("mine")
-    compare(path, output=tmp_path / "out", overwrite=True, **options)
     assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
 
 
@@ -463,14 +449,9 @@ def test_a_metric_of_ones_own_is_a_norm():
     assert again.fastest(0.03, "gap")["error_gap"] <= 0.03
 
 
-@pytest.mark.parametrize(("name", "why"), [("energy", "name of a norm"), ("a b", "no identifier")])
-def test_wrong_names_of_metrics_are_refused(name, why):
-    with pytest.raises(SceneError, match=f"metrics.{name}: is .*{why}"):
-        compared([EXACT], [1.0], metrics={name: np.sum})
-
-
 def test_tables_are_handed_out_with_their_columns():
     result = compared([EXACT, step_method(lambda s: Planted(shift=s), "off")], [2.0, 1.0])
+    np.testing.assert_array_equal(result.columns()["setting"], [2.0, 1.0, 2.0, 1.0])
     table = result.to_pandas()
     assert list(table.columns) == list(result.table[0])
     assert table["setting"].tolist() == [2.0, 1.0, 2.0, 1.0]

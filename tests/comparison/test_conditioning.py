@@ -8,15 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import two_cells
-from click.testing import CliRunner
 from formulas import dense_jacobian
 from scipy.linalg import expm
 from strategies import cluster, mechanics
+from two_cells import BOTH_IN_STEPS as BOTH_EXACT
+from two_cells import IN_STEPS as EXACT
 from two_cells import PAIR, RADIUS, PlantedInSteps, parted, step_method
+from two_cells import compared_in_steps as compared
 
-from multicell import Hertz, SceneError
-from multicell.cli.main import main
+from multicell import Hertz
 from multicell.comparison.conditioning import conditioning_of, shift_starts
 from multicell.comparison.ladders import find_method
 from multicell.comparison.norms import NORMS, displacements, observe
@@ -25,16 +25,6 @@ from multicell.comparison.reference import key, method_pair, reference
 from multicell.comparison.replay import Problem, Step, replay
 from multicell.comparison.result import FILES, WorkPrecision
 from multicell.mechanics.growth_rate import largest_growth_rate
-
-EXACT = step_method(lambda _: PlantedInSteps(), "exact")
-BOTH_EXACT = [(EXACT, 1.0), (EXACT, 1.0)]
-
-
-def compared(methods, ladder, scene=PAIR, **options):
-    return two_cells.compared(
-        methods, ladder, scene, **{"references": BOTH_EXACT, "stepwise": True, **options}
-    )
-
 
 # the worst cell
 
@@ -156,18 +146,6 @@ def test_a_small_shift_of_an_unstable_state_ends_as_exp_jt_has_it():
     assert known.floor["worst_cell"] == pytest.approx(off.max() / problem.mean_radius, rel=1e-3)
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_one_does_not():
-    pair = method_pair(BOTH_EXACT, PAIR, RADIUS)
-    problem = reference(PAIR, pair=pair, stepwise=3, cache=False).problem
-    first, second = (shift_starts(problem, 0.01).starts for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-    other = shift_starts(replace(problem, scene=replace(problem.scene, seed=99)), 0.01).starts
-    assert not np.array_equal(first, other)
-    # and every step has numbers of its own
-    moves = [a - b for a, b in zip(first, problem.starts, strict=True)]
-    assert np.abs(moves[0] - moves[1]).max() > 1e-3
-
-
 def test_cells_of_a_plane_stay_in_it_and_a_whole_run_has_no_conditioning():
     flat = PAIR.with_changes({"dimensions": 2})
     pair = method_pair([("dopri5", 1e-6), ("dopri5", 1e-5)], flat, RADIUS)
@@ -248,24 +226,5 @@ def test_page_csv_and_json_hold_it_with_units(judged, tmp_path):
     again = WorkPrecision.from_json(judged.to_json())
     assert again.conditioning.to_dict() == held
     whole = compared([EXACT], [1.0], stepwise=False)
-    text = whole.save(tmp_path / "whole").read_text(encoding="utf-8")
-    assert "the difference of trajectories means nothing" not in text
-    assert not (tmp_path / "whole" / "conditioning.csv").exists()
-
-
-@pytest.mark.parametrize("wrong", [-1.0, "3 s", math.nan])
-def test_a_shift_that_is_none_is_refused(wrong):
-    with pytest.raises(SceneError, match="shift"):
-        compared([EXACT], [1.0], shift=wrong)
-
-
-def test_the_command_takes_the_shift(tmp_path, monkeypatch):
-    monkeypatch.setenv("MULTICELL_CACHE", str(tmp_path / "cache"))
-    scene = tmp_path / "pair.toml"
-    scene.write_text(PAIR.to_toml())
-    arguments = ["compare", str(scene), "--stepwise", "2", "--shift", "0.1", "--methods", "rkc2"]
-    options = ["--repeats", "1", "-o", str(tmp_path / "out"), "--quiet"]
-    done = CliRunner().invoke(main, [*arguments, *options])
-    assert done.exit_code == 0, done.output
-    rows = list(csv.DictReader(io.StringIO((tmp_path / "out/conditioning.csv").read_text())))
-    assert [float(row["shift_um"]) for row in rows] == [0.1, 0.1]
+    assert list(whole.tables()) == ["workprecision.csv"]
+    assert whole.page()["conditioning"] == {}

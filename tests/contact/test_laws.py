@@ -1,8 +1,11 @@
-"""Exact JKR, the smoothing of approximate JKR, and springs, against closed forms and sources."""
+"""Pair laws: exact JKR, the smoothing of approximate JKR, springs and PhysiCell's, at their limits.
+
+Forces and energies are compared with second formulas in ``test_second_formulas.py``, slopes and
+reach by ``check_pair_law`` in ``test_own_law.py``.
+"""
 
 from decimal import Decimal, getcontext
 
-import formulas
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -15,6 +18,9 @@ from multicell.contact.exact_jkr import ExactJKR, beyond_turning, exact_units
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.pair import rest_overlap
+from multicell.contact.physicell import PhysiCell
+from multicell.contact.registry import LAWS
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.errors import SceneError
 
@@ -114,15 +120,6 @@ def test_the_turning_point_is_that_of_johnsons_equations(pair, sigma):
     assert overlap(deepest.x) * h0 == close(law.pull_off_overlap(*pair), rel=1e-6)
 
 
-def test_force_at_fixed_grips_is_exact_on_the_curve():
-    # the turning point itself: a_c = √(k r) and no rounding of the overlap in between
-    modulus, radius, sigma = 1.3, 2.1, 0.07
-    unit, _ = exact_units(modulus, radius, sigma)
-    overlap, force = ExactJKR(surface_energy=sigma).curve(np.sqrt(unit * radius), modulus, radius)
-    assert force == close(-(5.0 / 6.0) * np.pi * sigma * radius, rel=1e-13)
-    assert overlap == close(-3.0 * unit, rel=1e-13)
-
-
 @given(pairs, sticky)
 def test_closed_forms_of_approximate_jkr(pair, sigma):
     modulus, radius = pair
@@ -154,64 +151,11 @@ def test_without_surface_energy_the_law_is_hertz(law, power):
     assert far[0] / far[1] == pytest.approx(100.0**power, rel=0.05)
 
 
-# force, energy, stiffness: finite differences and quadrature
-
-
-def slopes(function, h, step):
-    """Return a fourth-order central difference."""
-    return (
-        8.0 * (function(h + step) - function(h - step))
-        - (function(h + 2 * step) - function(h - 2 * step))
-    ) / (12.0 * step)
-
-
 SPRINGS = [
     Linear(stiffness_at_rest=1.7, cutoff=1.4),
     Cubic(stiffness_at_rest=1.7, cutoff=1.4),
     GeneralisedLinear(stiffness_at_rest=1.7, cutoff=1.4, decay=4.0),
 ]
-RI, RJ = 4.0, 6.5
-
-
-@pytest.mark.parametrize(
-    "law",
-    [Hertz(), JKR(), JKR(smoothing=0.5), ExactJKR(), *SPRINGS],
-    ids=lambda law: f"{type(law).__name__}{getattr(law, 'smoothing', '') or ''}",
-)
-def test_force_is_the_slope_of_the_energy_and_stiffness_that_of_the_force(law):
-    modulus, radius = unlike(RI, RJ, 0.8, 2.5, 0.4)
-    options = {"rest": RI + RJ, "touching": True}
-    low = -float(law.reach(modulus, radius, rest=RI + RJ))
-    h = low + np.array([0.02, 0.1, 0.3, 0.45, 0.55, 0.9, 1.5, 2.5, 4.0])
-
-    def force(x):
-        return law.force(x, modulus, radius, **options)
-
-    def energy(x):
-        return law.energy(x, modulus, radius, **options)
-
-    got, scale = slopes(energy, h, 1e-4), np.abs(force(h)).max()
-    np.testing.assert_allclose(got, force(h), rtol=1e-7, atol=1e-9 * scale)
-    stiffness = law.stiffness(h, modulus, radius, **options)
-    np.testing.assert_allclose(slopes(force, h, 1e-4), stiffness, rtol=2e-6, atol=1e-8)
-
-
-@given(pairs, sticky)
-def test_energy_of_exact_jkr_is_elastic_less_surface_energy(pair, sigma):
-    law, (modulus, radius) = ExactJKR(surface_energy=sigma), pair
-    h0 = float(law.equilibrium_overlap(*pair)) * 3.0
-    star = 0.75 * float(modulus)
-    for h in (-0.2 * h0, 0.0, h0 / 3, 2.0 * h0):
-        a = float(law.contact_radius(h, *pair, touching=True))
-        force = float(law.force(h, *pair, touching=True))
-        # loaded to the radius a without adhesion, then unloaded with the punch of radius a
-        hertz_force, hertz_overlap = 4 * star * a**3 / (3 * float(radius)), a * a / float(radius)
-        loading = 0.4 * hertz_force * hertz_overlap
-        unloading = (hertz_force**2 - force**2) / (4 * star * a)
-        expected = loading - unloading - sigma * np.pi * a * a
-        got = law.energy(h, *pair, touching=True)
-        size = sigma * np.pi * a * a
-        assert got == CLOSE(expected, rel=1e-9, abs=1e-9 * size)
 
 
 def test_the_hysteresis_loop_loses_what_forming_and_breaking_lose():
@@ -219,17 +163,14 @@ def test_the_hysteresis_loop_loses_what_forming_and_breaking_lose():
     broken = float(law.breaking_overlap(*pair))
     # retreat below first contact does work that approach does not give back; the substitution
     # h = broken + x² takes the root out of the integrand
-    loop, _ = quad(
-        lambda x: 2 * x * float(law.force(broken + x * x, *pair, touching=True)),
-        0.0,
-        np.sqrt(-broken),
-        epsabs=1e-13,
-    )
-    losses = law.forming_loss(*pair) + law.breaking_loss(*pair)
-    assert -loop == close(losses, rel=1e-7)
-    assert law.energy(0.0, *pair) == close(-law.forming_loss(*pair))
+    force = lambda x: float(law.force(broken + x * x, *pair, touching=True))  # noqa: E731
+    loop, _ = quad(lambda x: 2 * x * force(x), 0.0, np.sqrt(-broken), epsabs=1e-13)
+    unit, scale = exact_units(*pair, law.surface_energy)
+    forming, breaking = 3.6 * 4.0 ** (4 / 3) * unit * scale, 2.4 * unit * scale
+    assert -loop == close(forming + breaking, rel=1e-7)
+    assert law.energy(0.0, *pair) == close(-forming)
     at_end = law.energy(broken * (1 - 1e-14), *pair, touching=True)
-    assert at_end == close(law.breaking_loss(*pair), rel=1e-6)
+    assert at_end == close(breaking, rel=1e-6)
 
 
 def test_contact_forms_at_zero_and_breaks_at_the_turning_point():
@@ -258,11 +199,6 @@ def test_above_its_length_the_smoothed_force_is_the_plain_one_bit_for_bit(pair, 
     law = JKR(surface_energy=sigma, smoothing=0.0)
     smoothed = JKR(surface_energy=sigma, smoothing=0.3)
     assert smoothed.force(0.3 + h, *pair) == law.force(0.3 + h, *pair)
-    # and without smoothing it is eq. 3.6
-    exact = formulas.pair(law, h, *pair)
-    for found, expected in zip((law.force(h, *pair), law.energy(h, *pair)), exact, strict=True):
-        stiff = pair[0] * np.sqrt(pair[1]) * h**1.5
-        assert found == CLOSE(float(expected), rel=1e-12, abs=1e-13 * stiff)
 
 
 @given(pairs, sticky, st.floats(0.01, 1.0))
@@ -307,39 +243,14 @@ def test_smoothing_shifts_equilibrium_and_depth_only_when_it_is_long(pair, sigma
         assert deepest > -1.0
 
 
-def test_model_error_of_the_smoothing():
-    """A tenth of h0 as smoothing weakens the binding energy by 0.3 %."""
-    pair = (0.9, 2.5)
-    plain = JKR()
-    h0 = float(plain.equilibrium_overlap(*pair))
-    bound = float(plain.energy(h0, *pair))
-    # U(h0) = (2/5 - 4/7) b h0^{7/4}, raised by (5/168) b h_s^{7/4}
-    for ratio in (0.01, 0.1, 1.0):
-        law = JKR(smoothing=ratio * h0)
-        change = float(law.energy(h0, *pair)) / bound - 1.0
-        assert change == close(-(25.0 / 144.0) * ratio**1.75, rel=1e-8)
-
-
-@pytest.mark.parametrize("value", [-0.1, float("nan"), "1 s"])
-def test_a_smoothing_that_is_no_length_is_refused(value):
-    with pytest.raises(SceneError, match="smoothing"):
-        JKR(smoothing=value)
-
-
-# springs
+# springs and PhysiCell's law
 
 
 @pytest.mark.parametrize("law", SPRINGS, ids=lambda law: type(law).__name__)
-def test_springs_rest_at_the_sum_of_the_radii_and_end_at_their_cutoff(law):
-    rest = np.array([2.0, 10.5])
-    pair = (1.0, 2.5)
-    reach = law.reach(*pair, rest=rest)
-    np.testing.assert_allclose(reach, 0.4 * rest)
-    for function in (law.force, law.stiffness, law.energy):
-        assert (function(-reach * (1 + 1e-12), *pair, rest=rest) == 0.0).all()
-    assert (law.force(0.0, *pair, rest=rest) == 0.0).all()
+def test_springs_end_at_their_cutoff_and_need_the_distance_at_rest(law):
+    rest, pair = np.array([2.0, 10.5]), (1.0, 2.5)
+    np.testing.assert_allclose(law.reach(*pair, rest=rest), 0.4 * rest)
     np.testing.assert_allclose(law.stiffness(0.0, *pair, rest=rest), 1.7)
-    assert (law.equilibrium_overlap(*pair) == 0.0).all()
     assert (law.energy(0.0, *pair, rest=rest) < 0.0).all()
     with pytest.raises(TypeError, match="rest"):
         law.force(1.0, *pair)
@@ -355,22 +266,62 @@ def test_centres_that_meet_are_pushed_without_bound_by_the_logarithm_only():
         assert np.isfinite(spring.force(10.0, 1.0, 2.5, rest=10.0))
 
 
-@pytest.mark.parametrize("law", [Linear, Cubic, GeneralisedLinear])
-def test_spring_parameters_are_checked(law):
-    with pytest.raises(SceneError, match="cutoff"):
-        law(cutoff=0.9)
-    with pytest.raises(SceneError, match="stiffness_at_rest"):
-        law(stiffness_at_rest=0.0)
+@pytest.mark.parametrize(("repulsion", "adhesion", "cutoff"), [(10.0, 0.4, 1.25), (20.0, 5.0, 2.5)])
+def test_cells_of_one_size_move_as_in_physicell(repulsion, adhesion, cutoff):
+    """Velocities in µm/min, with 3πη = 15π of them in a force of 1 nN/µm."""
+    drag = 15.0 * np.pi / 60.0
+    law = PhysiCell(surface_energy=drag * adhesion, cutoff=cutoff)
+    for radius in (4.0, 8.4):
+        d = np.linspace(0.1, 3.0 * radius * cutoff, 40)
+        force = law.force(2.0 * radius - d, drag * repulsion, 0.5 * radius, rest=2.0 * radius)
+        near, far = (np.maximum(1.0 - d / (2.0 * radius * f), 0.0) for f in (1.0, cutoff))
+        expected = repulsion * near**2 - adhesion * far**2
+        np.testing.assert_allclose(force / (2.0 * drag * radius), expected, rtol=1e-12, atol=1e-14)
 
 
-@pytest.mark.parametrize("law", [Hertz(), JKR(), ExactJKR(), *SPRINGS])
-def test_reach_is_bounded_by_the_extremes_of_a_population(law):
-    rng = np.random.default_rng(5)
-    ri, rj = rng.uniform(2.0, 9.0, (2, 200))
-    modulus, radius = rng.uniform(0.3, 3.0, 200), effective_radius(ri, rj)
-    reach = law.reach(modulus, radius, rest=ri + rj)
-    most = law.reach(modulus.min(), radius.max(), rest=(ri + rj).max())
-    assert (reach >= 0.0).all()
-    assert (reach <= most).all()
-    apart = -most * (1 + 1e-9) - 1e-9
-    assert (law.force(apart, modulus, radius, rest=ri + rj, touching=True) == 0.0).all()
+def test_cells_that_attract_more_than_they_repel_do_not_rest():
+    law = PhysiCell(surface_energy=20.0)
+    assert float(law.equilibrium_overlap(10.0, 4.0)) == 16.0
+    assert float(law.force(15.0, 10.0, 4.0, rest=16.0)) < 0.0
+
+
+# all laws
+
+
+@pytest.mark.parametrize(
+    ("law", "given"),
+    [
+        *((JKR, {"smoothing": value}) for value in (-0.1, float("nan"), "1 s")),
+        *((law, {"cutoff": 0.9}) for law in (Linear, Cubic, GeneralisedLinear, PhysiCell)),
+        (Linear, {"stiffness_at_rest": 0.0}),
+    ],
+)
+def test_parameters_out_of_their_range_are_refused(law, given):
+    with pytest.raises(SceneError, match=next(iter(given))):
+        law(**given)
+
+
+@pytest.mark.parametrize(
+    "law", [*(law() for law in LAWS.values()), PhysiCell(surface_energy=4.0, cutoff=2.5)], ids=repr
+)
+def test_bonded_pairs_rest_where_the_forces_cancel(law):
+    modulus, radius, rest = 5.0, 2.5, 10.0
+    bonds = np.array([0.0, 1e-6, 1e-3, 0.03, 0.1])
+    found = rest_overlap(law, modulus, radius, rest, bonds)
+
+    def net(overlap, bonds):
+        force = law.evaluate(overlap, modulus, radius, rest=rest, touching=True)[0]
+        return float(force) - np.pi * radius * bonds * overlap
+
+    without = float(law.equilibrium_overlap(modulus, radius))
+    assert abs(net(without, 0.0)) < 1e-10
+    assert found[0] == pytest.approx(without, abs=1e-12)
+    for strength, overlap in zip(bonds[1:], found[1:], strict=True):
+        low, high = max(without, 1e-12), 0.999 * rest
+        exact = without  # a spring stiffer than its bonds rests without overlap
+        if net(high, strength) < 0.0:  # a repulsion that stays finite: the centres meet
+            exact = (1.0 - 1e-9) * rest
+        elif net(low, strength) < 0.0:
+            exact = brentq(net, low, high, (strength,), 1e-14, 1e-14)
+        assert overlap == pytest.approx(exact, rel=1e-9, abs=1e-9)
+    assert (np.diff(found) >= -1e-12).all()

@@ -17,6 +17,7 @@ from multicell.cli.main import main
 from multicell.contact.constants import fingerprint
 from multicell.contact.custom import load_law
 from multicell.contact.exact_jkr import ExactJKR
+from multicell.contact.physicell import PhysiCell
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.schema import quantity
 from multicell.testing import check_pair_law
@@ -24,6 +25,7 @@ from multicell.testing import check_pair_law
 OURS = [
     mc.Hertz(), mc.JKR(), mc.JKR(smoothing=0.3), mc.JKR(surface_energy=0.0), ExactJKR(),
     ExactJKR(surface_energy=0.0), Linear(), Linear(cutoff=1.0), Cubic(), GeneralisedLinear(),
+    PhysiCell(), PhysiCell(surface_energy=4.0, cutoff=2.5),
 ]  # fmt: skip
 
 LAW = """
@@ -77,26 +79,27 @@ def test_a_law_without_stiffness_and_energy_has_them_derived():
     assert force == pytest.approx(2.0 * x * x * 10.0 * math.tanh(2.8 / 1.5), rel=1e-14)
     exact = quad(lambda h: float(law.evaluate(h, 1.0, 2.5, rest=10.0)[0]), -1.5, 0.7, epsabs=1e-13)
     assert energy == pytest.approx(exact[0], rel=1e-10)
-    inside = (
-        2.0
-        * 10.0
-        * (2.0 * x / 10.0 * math.tanh(2.8 / 1.5) + x * x * 4.0 / 1.5 / math.cosh(2.8 / 1.5) ** 2)
-    )
-    assert slope == pytest.approx(inside, rel=1e-8)
+    inside = 2.0 * x / 10.0 * math.tanh(2.8 / 1.5) + x * x * 4.0 / 1.5 / math.cosh(2.8 / 1.5) ** 2
+    assert slope == pytest.approx(2.0 * 10.0 * inside, rel=1e-8)
     assert law.equilibrium_overlap(1.0, 2.5) == pytest.approx(0.0, abs=1e-9)
     with pytest.raises(TypeError, match="needs rest"):
         law.evaluate(0.7, 1.0, 2.5)
 
 
-def process(folder, *arguments, code=RUN):
+def process(folder, *arguments, code=0, **environment):
+    """Run Python in a process that has never seen the law; return how it ended."""
     package = str(Path(mc.__file__).parents[1])
-    environment = os.environ | {"PYTHONPATH": package, "NUMBA_CACHE_DIR": str(folder / "cache")}
     done = subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        capture_output=True, text=True, env=environment, cwd=folder, check=False,
+        [sys.executable, *arguments], capture_output=True, text=True, cwd=folder, check=False,
+        env=os.environ | {"PYTHONPATH": package, **environment},
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-3000:]
-    return json.loads(done.stdout)
+    assert done.returncode == code, done.stderr[-3000:]
+    return done
+
+
+def forces(folder, *arguments, code=RUN):
+    cache = str(folder / "cache")
+    return json.loads(process(folder, "-c", code, *arguments, NUMBA_CACHE_DIR=cache).stdout)
 
 
 @pytest.mark.slow
@@ -104,19 +107,19 @@ def test_a_law_from_a_file_is_compiled_once_and_anew_after_every_edit(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(LAW.format(factor=1.0))
     expected = 2.0 / 2.5
-    first, *_ = process(tmp_path, "mine.py:Square")
+    first, *_ = forces(tmp_path, "mine.py:Square")
     assert first == pytest.approx(expected, rel=1e-12)
     # the second process compiles nothing
-    assert process(tmp_path, "mine.py:Square") == [first, 1, 0]
+    assert forces(tmp_path, "mine.py:Square") == [first, 1, 0]
     stamp = file.stat()
     # neither the function nor the date of the file changes, only a number that a helper reads
     file.write_text(LAW.format(factor=3.0))
     os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
-    force, hits, misses = process(tmp_path, "mine.py:Square")
+    force, hits, misses = forces(tmp_path, "mine.py:Square")
     assert (force, hits, misses) == (pytest.approx(3.0 * expected, rel=1e-12), 0, 1)
     # a process that knows nothing of the file can read the same cache
     ours = RUN.replace("mc.load_law(sys.argv[1])(stiffness=2.0)", "mc.Hertz()")
-    assert process(tmp_path, code=ours)[0] > 0.0
+    assert forces(tmp_path, code=ours)[0] > 0.0
 
 
 def test_fingerprints_change_with_all_that_a_function_reads():
@@ -231,14 +234,8 @@ def test_laws_that_are_none_are_refused_with_words(tmp_path):
 
 
 def command(folder, *arguments, code=0):
-    """Run the command line in a process that has never seen the law; return what it prints."""
-    package = str(Path(mc.__file__).parents[1])
-    done = subprocess.run(
-        [sys.executable, "-m", "multicell", *map(str, arguments)],
-        capture_output=True, text=True, cwd=folder, check=False,
-        env=os.environ | {"PYTHONPATH": package},
-    )  # fmt: skip
-    assert done.returncode == code, done.stderr
+    """Run the command line in such a process; return what it prints."""
+    done = process(folder, "-m", "multicell", *arguments, code=code)
     return done.stdout + done.stderr
 
 
@@ -254,7 +251,7 @@ def test_a_law_goes_through_the_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(LAW.format(factor=1.0))
     own = ("--law", "mine.py:Square")
-    scene = ("doublet-settle", "--set", "duration=10 min")
+    scene = ("doublet-settle", "--set", "duration=10 min", "--set", "integrator=cvode")
     assert "contact.stiffness: is missing" in invoked("explain", *scene, *own, code=2)
     stiff = (*own, "--set", "contact.stiffness=2")
     told = invoked("explain", *scene, *stiff)

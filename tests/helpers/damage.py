@@ -6,7 +6,6 @@ Each case is one number: :func:`hurt` does the same damage for the same number.
 import json
 import os
 import random
-import resource
 import shutil
 import signal
 import zlib
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from forks import limit_memory
 
 import multicell as mc
 from multicell.results.journal import PREFIX, Reader
@@ -279,10 +279,7 @@ def check(number, folder, whole):
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     rng = random.Random(number)
     print(hurt(folder, rng), flush=True)
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() \
-        if Path("/proc/self/statm").exists() else 0  # fmt: skip
-    if used:
-        resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    limit_memory(MEMORY)
     before = {path: path.lstat().st_size for path in folder.parent.iterdir() if path != folder}
     ways = [_frames_and_more, _tables]
     ways += rng.sample([_resumed_here, _resumed_from_the_first, _report], 2)

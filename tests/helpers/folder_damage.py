@@ -6,16 +6,16 @@ Each case is one number: :func:`check` does the same damage for the same number.
 import json
 import os
 import random
-import resource
 import shutil
 from pathlib import Path
 
 import h5py
 import numpy as np
+from damage import MEMORY
+from forks import limit_memory
 
 import multicell as mc
 
-MEMORY = 3 << 30  # bytes of address space beyond what the process has
 DEEP = "[" * 100_000
 
 
@@ -171,8 +171,7 @@ def check(number, kind, folder, whole):
     folder = Path(folder)
     said = hurt(folder, random.Random(number))
     print(said, flush=True)
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    limit_memory(MEMORY)
     edits_plan = said.startswith(("study.toml", "scene.toml")) and kind != "opened"
     try:
         found = globals()[kind](folder)

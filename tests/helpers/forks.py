@@ -135,8 +135,14 @@ def _become(write, folder=".", memory=None, **_):
     faulthandler.enable()
     os.chdir(folder)
     if memory is not None:
+        limit_memory(memory)
+
+
+def limit_memory(more):
+    """Let this process have no more than some bytes of address space beyond what it has."""
+    if Path("/proc/self/statm").exists():
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + memory, used + memory))
+        resource.setrlimit(resource.RLIMIT_AS, (used + more, used + more))
 
 
 def _work(task):

@@ -1,9 +1,9 @@
-"""Solutions by SciPy of motions whose right-hand sides are written out here, apart from ours."""
+"""Small smooth problems of motion, and where SciPy leads their cells."""
 
 import functools
 
 import numpy as np
-from scipy.integrate import solve_ivp
+from formulas import end_of
 from strategies import mechanics
 
 
@@ -15,35 +15,10 @@ def four_cells():
     return 4.4 * corners / np.sqrt(2.0) + shift, radius, young
 
 
-def two_cells():
-    return np.array([[0.0, 0, 0], [6, 1, 2]]), np.array([5.0, 4.5]), np.array([1.0, 1.1])
-
-
 @functools.cache
 def exact_end(cells, law, duration):
-    """Return where some cells end, by DOP853; the right-hand side is written out from eq. 3.6."""
-    position, radius, young = cells()
-    i, j = np.triu_indices(len(radius), 1)
-    reduced = radius[i] * radius[j] / (radius[i] + radius[j])
-    modulus = 1.0 / (0.75 * 0.75 * (1.0 / young[i] + 1.0 / young[j]))
-    sticky = np.sqrt(6.0 * np.pi * getattr(law, "surface_energy", 0.0))
-
-    def rhs(_, y):
-        x = y.reshape(-1, 3)
-        d = x[j] - x[i]
-        distance = np.linalg.norm(d, axis=1)
-        h = radius[i] + radius[j] - distance
-        assert (h > 0.0).all()
-        force = modulus * reduced**0.5 * h**1.5 - sticky * np.sqrt(modulus * (reduced * h) ** 1.5)
-        pull = (force / distance)[:, None] * d
-        total = np.zeros_like(x)
-        np.add.at(total, i, -pull)
-        np.add.at(total, j, pull)
-        return (total / (6.0 * np.pi * 5.0 * radius[:, None])).ravel()
-
-    span = (0.0, duration)
-    solution = solve_ivp(rhs, span, position.ravel(), method="DOP853", rtol=1e-13, atol=1e-13)
-    return solution.y[:, -1].reshape(-1, 3)
+    """Return where some cells end, by DOP853; the right-hand side is that of :mod:`formulas`."""
+    return end_of(*cells(), law, duration)
 
 
 def smooth_scene():

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import datetime
+import functools
 import hashlib
 import math
 import tempfile
@@ -315,20 +316,15 @@ class Drawer:
             return value
         if unit not in OTHER_UNITS or value == 0.0 or self.chance(0.6):
             return f"{value:.6g} {unit}"
-        import pint
-
         other = self.one_of(OTHER_UNITS[unit])
-        registry = _registry(pint)
-        return f"{registry.Quantity(value, unit).to(other).magnitude:.9g} {other}"
+        return f"{_registry().Quantity(value, unit).to(other).magnitude:.9g} {other}"
 
 
-_REGISTRY = []
+@functools.cache
+def _registry():
+    import pint
 
-
-def _registry(pint):
-    if not _REGISTRY:
-        _REGISTRY.append(pint.UnitRegistry())
-    return _REGISTRY[0]
+    return pint.UnitRegistry()
 
 
 def base(value):
@@ -338,9 +334,7 @@ def base(value):
     digits, unit = value.split(" ", 1)
     home = next(u for u, others in {**dict.fromkeys(USUAL, ()), **OTHER_UNITS}.items()
                 if unit == u or unit in others)  # fmt: skip
-    import pint
-
-    return float(_registry(pint).Quantity(float(digits), unit).to(home).magnitude)
+    return float(_registry().Quantity(float(digits), unit).to(home).magnitude)
 
 
 def fitted(entries):

@@ -48,6 +48,26 @@ def cluster(n, seed, spacing=0.85, variation=0.05):
     return position[order], radius, young
 
 
+def divided(position, radius, young, mothers, seed):
+    """Return centres, radii and moduli after a division of some cells along random axes.
+
+    Daughters stand at the mothers' places and at the end, within the spheres that these were.
+    """
+    axis = np.random.default_rng(seed).normal(size=(len(mothers), 3))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    small = radius[mothers] * 0.5 ** (1 / 3)
+    aside = (radius[mothers] - small)[:, None] * axis
+    sisters = position[mothers] - aside
+    position, radius = position.copy(), radius.copy()
+    position[mothers] += aside
+    radius[mothers] = small
+    return (
+        np.concatenate([position, sisters]),
+        np.concatenate([radius, small]),
+        np.concatenate([young, young[mothers]]),
+    )
+
+
 def mechanics(radius, young, law=None, *, duration=100.0, rate=None, viscosity=5.0, **options):
     """Return the mechanics of cells with Poisson ratio ½ over a step from 0 to ``duration``."""
     n = len(radius)

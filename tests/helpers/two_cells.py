@@ -101,6 +101,15 @@ def compared(methods, ladder, scene=PAIR, **options):
     return compare(scene, methods, {"step": ladder}, **options)
 
 
+IN_STEPS = step_method(lambda _: PlantedInSteps(), "exact")
+BOTH_IN_STEPS = [(IN_STEPS, 1.0), (IN_STEPS, 1.0)]
+
+
+def compared_in_steps(methods, ladder, scene=PAIR, **options):
+    usual = {"references": BOTH_IN_STEPS, "stepwise": True}
+    return compared(methods, ladder, scene, **usual | options)
+
+
 def only(result, **wanted):
     rows = [r for r in result.table if all(r[k] == v for k, v in wanted.items())]
     assert len(rows) == 1

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from strategies import cluster, mechanics
+from strategies import cluster, divided, mechanics
 
 from multicell import JKR, Simulation
 from multicell.integrators.backward_euler import BackwardEuler, _Step
@@ -17,17 +17,7 @@ FREE = 50.0
 
 def just_divided(n, seed):
     """Return centres, radii and moduli of a ball in which every tenth cell has just divided."""
-    position, radius, young = cluster(n, seed)
-    k = n // 10
-    axis = np.random.default_rng(seed).normal(size=(k, 3))
-    axis /= np.linalg.norm(axis, axis=1)[:, None]
-    small = radius[:k] * 0.5 ** (1 / 3)
-    aside = (radius[:k] - small)[:, None] * axis
-    return (
-        np.concatenate([position[:k] + aside, position[k:], position[:k] - aside]),
-        np.concatenate([small, radius[k:], small]),
-        np.concatenate([young, young[:k]]),
-    )
+    return divided(*cluster(n, seed), np.arange(n // 10), seed)
 
 
 def outside(system, start, step):

@@ -1,6 +1,7 @@
 """Explicit methods against SciPy, the spectrum of the Jacobian, and each other's code paths."""
 
 import pickle
+from functools import partial
 from types import ModuleType
 
 import numpy as np
@@ -11,36 +12,33 @@ from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.compiling import fingerprint_of
-from multicell.compiling.threads import launch
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.integrators import driver as explicit
 from multicell.integrators import fused
 from multicell.integrators import stepping as loops
 from multicell.integrators.adams_bashforth import AdamsBashforth2, AdaptiveAdams
-from multicell.integrators.loops.chebyshev import coefficients, spectral_radius, stable_length
+from multicell.integrators.auto import Auto
+from multicell.integrators.cvode import Cvode, CvodeAdams
+from multicell.integrators.loops.chebyshev import coefficients, stable_length
 from multicell.integrators.rkc import Rkc2
+from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.runge_kutta import AdaptiveEuler, Dopri5, Euler, Heun, RungeKutta4
+from multicell.integrators.scipy import Scipy
 from multicell.mechanics import forces as kernels
 from multicell.mechanics import neighbours
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
 ALL = [
-    Euler(2.0),
-    Heun(2.0),
-    AdamsBashforth2(2.0),
-    RungeKutta4(2.0),
-    AdaptiveEuler(1e-4, 1e-3),
-    Dopri5(1e-8, 1e-8),
-    Rkc2(1e-5, 1e-4),
-    Rkc2(step=4.0),
-    AdaptiveAdams(1e-6, 1e-5),
-]
-ADAPTIVE = [AdaptiveEuler(), AdaptiveAdams(), Dopri5(), Rkc2()]
+    Euler(2.0), AdamsBashforth2(2.0), Rkc2(step=4.0), AdaptiveEuler(1e-4, 1e-3), Dopri5(1e-8, 1e-8),
+    Rkc2(1e-5, 1e-4), AdaptiveAdams(1e-6, 1e-5),
+]  # fmt: skip
+"""One of each loop, and two tableaus under error control."""
+ADAPTIVE = [AdaptiveEuler, AdaptiveAdams, Dopri5, Rkc2]
 
 
 def name_of(method):
-    return type(method).__name__
+    return getattr(method, "__name__", type(method).__name__)
 
 
 @pytest.fixture(scope="module")
@@ -74,17 +72,6 @@ def test_rkc2_chooses_enough_stages_for_any_step(settled):
         # s² > step rate / 0.65, one product in ten steps and ten at the start come on top
         fewest = 20 * np.sqrt(step * rate / 0.66)
         assert fewest <= system.work.evaluations < 1.3 * fewest + 60
-
-
-@pytest.mark.parametrize("count", [6, 10])
-def test_estimate_of_the_stiffness(settled, count):
-    position, radius, young, rate, _ = settled
-    source = loops.Called(mechanics(radius, young))
-    slope = np.empty_like(position)
-    source.velocity(0.0, position, slope)
-    vector = np.random.default_rng(1).normal(size=position.shape)
-    found = spectral_radius(source, None, 0.0, position, slope, radius, vector, count)[0]
-    assert found == pytest.approx(rate, rel=0.08)
 
 
 def test_chebyshev_coefficients_satisfy_the_conditions_of_order_two():
@@ -155,14 +142,7 @@ def test_systems_that_need_python(which):
     np.testing.assert_allclose(ends[3], ends[0], atol=1e-4)
 
 
-def test_plain_systems_need_no_python():
-    _, radius, young = cluster(5, 0)
-    assert not explicit.needs_python(mechanics(radius, young))
-
-
-@pytest.mark.parametrize(
-    "make", [Euler, Heun, AdamsBashforth2, RungeKutta4], ids=lambda m: m.__name__
-)
+@pytest.mark.parametrize("make", [Euler, AdamsBashforth2, RungeKutta4], ids=name_of)
 def test_a_fixed_step_that_moves_a_cell_too_far_ends_with_words(make):
     position, radius, young = cluster(50, 8, spacing=0.6)
     system = mechanics(radius, young, duration=4000.0)
@@ -176,13 +156,15 @@ def test_a_fixed_step_that_moves_a_cell_too_far_ends_with_words(make):
 
 
 @pytest.mark.parametrize(
-    "make", [AdaptiveEuler, AdaptiveAdams, Dopri5, Rkc2], ids=lambda m: m.__name__
+    "make",
+    [*ADAPTIVE, partial(Cvode, each_cell=False), partial(Scipy, "RK45")],
+    ids=[*map(name_of, ADAPTIVE), "Cvode", "Scipy"],
 )
-def test_adaptive_methods_try_a_shorter_step(make):
+def test_methods_under_error_control_try_a_shorter_step(make):
     """A tolerance of a cell's size lets anything pass but the limit on displacements."""
     position, radius, young = cluster(200, 9, spacing=0.55)
     system = mechanics(radius, young, duration=600.0, viscosity=0.5)
-    outcome = make(0.1, 9.0, max_displacement=0.1).integrate(system, position)
+    outcome = make(rtol=0.1, atol=9.0, max_displacement=0.1).integrate(system, position)
     assert outcome.done
     assert system.work.rejections > 0
     # the swelling alone asks for more steps than the distance allows one to take
@@ -192,7 +174,7 @@ def test_adaptive_methods_try_a_shorter_step(make):
     assert spread < 150.0
 
 
-@pytest.mark.parametrize("method", ALL, ids=name_of)
+@pytest.mark.parametrize("method", [*ALL, Cvode(), CvodeAdams(), Auto()], ids=name_of)
 def test_coincident_and_far_cells(method):
     position, radius, young = cluster(30, 1)
     position[1] = position[0]
@@ -201,7 +183,7 @@ def test_coincident_and_far_cells(method):
     outcome = method.integrate(system, position)
     assert outcome.done
     assert np.isfinite(outcome.position).all()
-    np.testing.assert_array_equal(outcome.position[2], position[2])
+    np.testing.assert_allclose(outcome.position[2], position[2], rtol=1e-15)
 
 
 @pytest.mark.parametrize("method", [Euler(1.0), Dopri5(), Rkc2()], ids=name_of)
@@ -214,26 +196,18 @@ def test_too_many_cells_in_one_place_are_refused(method, python, monkeypatch):
     assert "on top of each other" in outcome.problem
 
 
-@pytest.mark.parametrize("method", ALL, ids=name_of)
-def test_no_cells_one_cell_and_no_time(method):
-    one = np.array([[1.0, 2.0, 3.0]])
-    for position, duration in ((np.empty((0, 3)), 10.0), (one, 10.0), (one, 0.0)):
-        n = len(position)
-        system = mechanics(np.full(n, 5.0), np.ones(n), duration=duration)
-        outcome = method.integrate(system, position)
-        assert outcome.done
-        assert outcome.time == duration
-        np.testing.assert_array_equal(outcome.position, position)
-
-
-@pytest.mark.parametrize("method", ADAPTIVE, ids=name_of)
-def test_out_of_steps_says_so(method):
+@pytest.mark.parametrize(
+    "make",
+    [*ADAPTIVE, Cvode, Rosenbrock, partial(Scipy, "RK45")],
+    ids=[*map(name_of, ADAPTIVE), "Cvode", "Rosenbrock", "Scipy"],
+)
+def test_out_of_steps_says_so(make):
     position, radius, young = cluster(50, 8, spacing=0.6)
-    few = type(method)(1e-6, 1e-6, max_steps=3)
     system = mechanics(radius, young, duration=600.0)
-    outcome = few.integrate(system, position)
-    assert not outcome.done
+    outcome = make(rtol=1e-6, atol=1e-6, max_steps=3).integrate(system, position)
+    assert "internal steps did not reach the end" in outcome.problem
     assert "max_steps" in outcome.hint
+    assert (outcome.position != position).any()
     assert system.work.steps == 3
     assert 0.0 < outcome.time < 600.0
 
@@ -252,6 +226,12 @@ def test_the_mechanics_go_on_with_the_last_list(method):
 
 def test_evaluations_per_step():
     position, radius, young = cluster(50, 7)
+
+    def work_of(method):
+        system = mechanics(radius, young, duration=50.0)
+        assert method.integrate(system, position).done
+        return system.work
+
     for method, evaluations in (
         (Euler(1.0), 50),
         (Heun(1.0), 100),
@@ -259,16 +239,11 @@ def test_evaluations_per_step():
         (RungeKutta4(1.0), 200),
         (Rkc2(step=1.0, stages=6), 300),
     ):
-        system = mechanics(radius, young, duration=50.0)
-        assert method.integrate(system, position).done
-        assert (system.work.steps, system.work.evaluations) == (50, evaluations)
-    system = mechanics(radius, young, duration=50.0)
-    assert Dopri5(1e-8, 1e-8).integrate(system, position).done
-    work = system.work
+        work = work_of(method)
+        assert (work.steps, work.evaluations, work.jacobian_products) == (50, evaluations, 0)
+    work = work_of(Dopri5(1e-8, 1e-8))
     assert work.evaluations == 2 + 6 * (work.steps + work.rejections)
-    system = mechanics(radius, young, duration=50.0)
-    assert AdaptiveAdams(1e-6, 1e-5).integrate(system, position).done
-    work = system.work
+    work = work_of(AdaptiveAdams(1e-6, 1e-5))
     # one at the start, two in each try of the first step, one a step from then on
     assert work.steps > 10
     assert 1 + work.steps < work.evaluations <= 2 + work.steps + 2 * work.rejections
@@ -306,20 +281,10 @@ def test_adams_changes_its_steps_with_what_happens():
     assert early.work.steps > 0.2 * equal
 
 
-def test_a_tolerance_out_of_reach_of_adaptive_euler_is_named():
-    position, radius, young = cluster(50, 8, spacing=0.8)
-    outcome = AdaptiveEuler(1e-10, 1e-7, max_steps=500).integrate(
-        mechanics(radius, young, duration=600.0), position
-    )
-    assert "did not reach the end" in outcome.problem
-    assert "loosen integrator.atol" in outcome.hint
-    assert 0.0 < outcome.time < 600.0
-
-
-@pytest.mark.parametrize("method", ALL, ids=name_of)
-def test_external_forces_and_bonds_reach_the_loops(method):
+@pytest.mark.parametrize("method", [Euler(2.0), Dopri5(), AdaptiveAdams()], ids=name_of)
+def test_external_forces_reach_the_loops(method):
     """One cell pulled by a growing force: x = (f t + f' t²/2) / drag, a known answer."""
-    system = Mechanics(Hertz(), 5.0)
+    system = Mechanics(JKR(), 5.0)
     push = np.array([[3.0, 0.0, 1.0, 0.0, 0.02, 0.0]])
     one = np.ones(1)
     system.begin(Motion(5.0 * one, 0.0 * one, one, 0.5 * one, 0.0, 40.0, push=push))
@@ -328,26 +293,6 @@ def test_external_forces_and_bonds_reach_the_loops(method):
     # a straight ramp is exact for methods of order two, one step behind for Euler
     tolerance = 0.06 * expected[1] if "Euler" in type(method).__name__ else 1e-9
     np.testing.assert_allclose(end, expected, atol=tolerance)
-
-
-@pytest.mark.parametrize("scale", [1.0, 1e3, 1e9, 1e300])
-@pytest.mark.parametrize("chunk", [16, 2048])
-def test_rebuild_inside_numba_gives_the_list_of_build(scale, chunk):
-    position, radius, _ = cluster(200, 3)
-    position[:50] *= scale
-    expected = neighbours.build(position, radius, 0.7, chunk=chunk)
-    launch()
-    for run in (neighbours.rebuild, neighbours.rebuild_parallel):
-        none = np.empty(0, dtype=np.int32)
-        crowded, first, second, start, inner_end, outer_end = run(
-            position, radius, 0.7, chunk, none, none
-        )
-        assert not crowded
-        for c in range(len(start)):
-            part = slice(start[c], outer_end[c])
-            np.testing.assert_array_equal(first[part], expected.first[part])
-            np.testing.assert_array_equal(second[part], expected.second[part])
-        np.testing.assert_array_equal(inner_end, expected.inner_end)
 
 
 def test_the_type_of_what_loops_take_changes_with_the_files_that_are_compiled_into_them(tmp_path):
@@ -381,21 +326,30 @@ def test_control_of_steps_survives_what_is_no_number():
     assert loops.step_after_error(1.0, 1.0, 3.0, 0.2) < 1.0
 
 
-@pytest.mark.parametrize(
-    ("make", "problem"),
-    [
-        (AdaptiveEuler, "too short"),
-        (AdaptiveAdams, "too short"),
-        (Dopri5, "did not reach the end"),
-        (Rkc2, "too short"),
-    ],
-)
-def test_a_tolerance_that_cannot_be_met_ends_with_words(make, problem):
+@pytest.mark.parametrize("make", ADAPTIVE)
+def test_a_tolerance_that_cannot_be_met_ends_with_words(make):
     position, radius, young = cluster(20, 1)
     outcome = make(0.0, 1e-20).integrate(mechanics(radius, young), position)
     assert not outcome.done
-    assert problem in outcome.problem
+    assert ("did not reach the end" if make is Dopri5 else "too short") in outcome.problem
     assert outcome.time < 100.0
     for rtol, atol in ((0.0, 0.0), (-1.0, 1.0), (np.nan, 1.0)):
         with pytest.raises(ValueError, match="above 0"):
             make(rtol, atol)
+
+
+@pytest.mark.parametrize("method", [Cvode(), Cvode(rtol=1e-8, atol=1e-5), Euler(5.0)])
+@pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1)])
+def test_energy_never_rises_without_growth(method, law):
+    position, radius, young = cluster(80, 4, spacing=0.75)
+    energies = []
+    for _ in range(25):
+        system = mechanics(radius, young, law, duration=30.0)
+        outcome = method.integrate(system, position)
+        assert outcome.done
+        position = outcome.position
+        energies.append(system.energy(30.0, position))
+    # a step may wobble by its tolerance; the law itself only ever goes down
+    slack = 1e-12 if isinstance(method, Euler) else method.atol * 1e-2
+    assert (np.diff(energies) <= slack * max(map(abs, energies))).all()
+    assert energies[-1] < energies[0]

@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
-from oracles import reference, smooth_scene
+from oracles import reference
 from scipy.sparse.linalg import LinearOperator, gmres
 from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.errors import SceneError
 from multicell.integrators import auto
-from multicell.integrators.auto import Auto, choose, decay_rate, largest_rate
+from multicell.integrators.auto import Auto, choose, largest_rate
 from multicell.integrators.backward_euler import BackwardEuler
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.registry import from_options
 from multicell.integrators.restarts import Run, StepImpossible
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
@@ -21,16 +20,6 @@ from multicell.mechanics.jacobian import Pattern, limited, sparse_jacobian
 from multicell.mechanics.neighbours import spatial_order
 from multicell.mechanics.preconditioners import PRECONDITIONERS, preconditioner
 from multicell.mechanics.system import Linearisation
-from multicell.scene.parts import IntegratorOptions
-
-
-def test_the_smooth_scene_is_smooth():
-    position, system = smooth_scene()
-    cells = system()
-    end = reference(system(), position)
-    np.testing.assert_array_equal(cells.contacts(0.0, position), cells.contacts(60.0, end))
-    assert len(cells.contacts(60.0, end)) == 3 * 20 - 6
-    assert np.abs(end - position).max() > 0.5
 
 
 def test_no_step_limit_from_stability():
@@ -41,7 +30,7 @@ def test_no_step_limit_from_stability():
     ).position  # fmt: skip
     for method in (Cvode(), BackwardEuler(100.0), BackwardEuler(1000.0)):
         system = mechanics(radius, young, duration=1000.0, viscosity=0.01)
-        limit_of_euler = 2.0 / decay_rate(system, settled)
+        limit_of_euler = 2.0 / largest_rate(system, settled)[0]
         outcome = method.integrate(system, settled)
         assert outcome.done
         assert system.work.steps < 0.02 * 1000.0 / limit_of_euler
@@ -50,7 +39,8 @@ def test_no_step_limit_from_stability():
 
 @pytest.mark.parametrize("chunk", [2048, 40])
 @pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1)])
-def test_sparse_jacobian_is_the_derivative(law, chunk):
+def test_sparse_jacobian_is_that_of_products(law, chunk):
+    """Products are compared with differences in tests/mechanics."""
     position, radius, young = cluster(60, 5, spacing=0.8)
     system = mechanics(radius, young, law, chunk=chunk)
     system.linearise(0.0, position)
@@ -60,30 +50,6 @@ def test_sparse_jacobian_is_the_derivative(law, chunk):
     product = np.empty_like(vector)
     system.jacobian_product(vector, product)
     np.testing.assert_allclose(matrix @ vector.ravel(), product.ravel(), rtol=0, atol=1e-14)
-    dense = np.empty((180, 180))
-    plus, minus = np.empty_like(position), np.empty_like(position)
-    step = 1e-6
-    for k in range(180):
-        shift = np.zeros(180)
-        shift[k] = step
-        system.velocity(0.0, position + shift.reshape(-1, 3), plus)
-        system.velocity(0.0, position - shift.reshape(-1, 3), minus)
-        dense[:, k] = (plus - minus).ravel() / (2 * step)
-    scale = np.abs(dense).max()
-    np.testing.assert_allclose(matrix.toarray(), dense, rtol=0, atol=2e-5 * scale)
-
-
-def test_pattern_counts_the_pairs_that_it_cannot_hold():
-    position, radius, young = cluster(40, 5, spacing=0.8)
-    far = mechanics(radius, young)
-    far.linearise(0.0, 3.0 * position)
-    near = mechanics(radius, young)
-    near.linearise(0.0, position)
-    pattern = Pattern.of(far.linearisation.pairs)
-    touching = len(near.contacts(0.0, position))
-    assert pattern.fill(near, np.empty(len(pattern.index)), near.linearisation) == 2 * touching
-    whole = Pattern.of(near.linearisation.pairs)
-    assert whole.fill(near, np.empty(len(whole.index)), near.linearisation) == 0
 
 
 def stable_system(system, gamma):
@@ -208,9 +174,8 @@ def pressed():
 
 @pytest.mark.parametrize("change", [
     {"preconditioner": "none"}, {"preconditioner": "gauss-seidel"},
-    {"preconditioner": "incomplete"}, {"side": "left"}, {"side": "both"}, {"krylov_dim": 3},
-    {"refresh": "solve"}, {"refresh": "product"}, {"refresh": "setup"}, {"refresh": "asked"},
-    {"linear": "bicgstab"}, {"softening": np.inf},
+    {"preconditioner": "incomplete"}, {"side": "left"}, {"krylov_dim": 3},
+    {"refresh": "asked"}, {"linear": "bicgstab"}, {"softening": np.inf},
 ])  # fmt: skip
 def test_settings_change_the_way_and_not_the_end(change, pressed):
     position, radius, young, exact = pressed
@@ -241,19 +206,6 @@ def test_scipy_refuses_a_tolerance_that_doubles_cannot_carry():
         Scipy("RK45", rtol=1e-14)
 
 
-@pytest.mark.parametrize("method", [
-    Cvode(0.1, 5.0, max_displacement=0.3, each_cell=False),
-    Scipy("RK45", 0.1, 5.0, max_displacement=0.3),
-])  # fmt: skip
-def test_no_method_returns_cells_thrown_away(method):
-    position, radius, young = cluster(100, 9, spacing=0.5)
-    system = mechanics(radius, young, duration=600.0)
-    outcome = method.integrate(system, position)
-    assert outcome.done
-    assert system.work.rejections > 0
-    assert np.linalg.norm(outcome.position - outcome.position.mean(axis=0), axis=1).max() < 120.0
-
-
 def test_backward_euler_ends_with_words():
     position, radius, young = cluster(60, 8, spacing=0.6)
     system = mechanics(radius, young, duration=4000.0)
@@ -274,43 +226,6 @@ def test_backward_euler_ends_with_words():
     assert "did not converge in 1 iterations in a step of 100 s" in stopped.problem
     assert stopped.time == 0.0
     np.testing.assert_array_equal(stopped.position, position)
-
-
-def test_backward_euler_where_conjugate_gradients_are_not_safe():
-    """A compressed cluster: some direction has negative curvature, and GMRES takes over."""
-    position, radius, young = cluster(60, 2, spacing=0.55)
-    system = mechanics(radius, young, Hertz(), duration=4.0, viscosity=0.01)
-    system.linearise(0.0, position)
-    spectrum = np.linalg.eigvals(sparse_jacobian(system).toarray()).real
-    assert spectrum.max() * 4.0 > 1.0
-    outcome = BackwardEuler(4.0, max_displacement=1.0).integrate(system, position)
-    if outcome.done:
-        residual = np.empty_like(position)
-        system.velocity(4.0, outcome.position, residual)
-        assert np.abs(outcome.position - position - 4.0 * residual).max() < 1e-2
-    else:
-        assert "step of 4 s" in outcome.problem
-
-
-@pytest.mark.parametrize("method", [Cvode(max_steps=2), Scipy("RK45", 1e-10, 1e-10, max_steps=2)])
-def test_out_of_steps_says_so(method):
-    position, radius, young = cluster(50, 8, spacing=0.6)
-    outcome = method.integrate(mechanics(radius, young, duration=600.0), position)
-    assert "2 internal steps" in outcome.problem
-    assert "max_steps" in outcome.hint
-    assert 0.0 < outcome.time < 600.0
-
-
-@pytest.mark.parametrize("name", ["cvode", "cvode-adams", "auto"])
-def test_coincident_and_far_cells(name):
-    position, radius, young = cluster(30, 1)
-    position[1] = position[0]
-    position[2] = [1e7, 1e7, -1e7]
-    outcome = from_options(IntegratorOptions(method=name)).integrate(
-        mechanics(radius, young, duration=20.0), position
-    )
-    assert outcome.done
-    assert np.isfinite(outcome.position).all()
 
 
 class Breaking:
@@ -404,6 +319,8 @@ def test_auto_chooses_by_stiffness_and_tolerance():
     exact = np.abs(np.linalg.eigvals(sparse_jacobian(soft).toarray())).max() * 60.0
     assert 0.7 * exact < chosen[0].stiffness <= exact * (1 + 1e-12)
     assert choose(soft, position, 1e-6, 0.1) == chosen[0]
+    lone = mechanics(np.array([5.0]), np.array([1.0]))
+    assert largest_rate(lone, np.zeros((1, 3)))[0] == 0.0
 
 
 def test_auto_counts_the_steps_of_each_method():
@@ -459,19 +376,9 @@ def test_a_step_that_is_not_as_mild_as_it_seems_is_begun_again(monkeypatch):
     np.testing.assert_allclose(outcome.position, alone.position, rtol=0.0, atol=1e-9)
 
 
-def test_decay_rate_is_the_end_of_the_spectrum():
-    position, radius, young = cluster(80, 2, spacing=0.85)
-    system = mechanics(radius, young)
-    rate = decay_rate(system, position)
-    exact = np.abs(np.linalg.eigvals(sparse_jacobian(system).toarray())).max()
-    assert 0.7 * exact < rate <= exact * (1 + 1e-12)
-    lone = mechanics(np.array([5.0]), np.array([1.0]))
-    assert decay_rate(lone, np.zeros((1, 3))) == 0.0
-
-
 @pytest.mark.parametrize(
     ("name", "viscosity"),
-    [("blocks", 5.0), ("blocks", 0.05), ("gauss-seidel", 0.5), ("incomplete", 0.5), ("none", 0.5)],
+    [("blocks", 5.0), ("blocks", 0.05), ("gauss-seidel", 0.5), ("incomplete", 0.5)],
 )
 def test_memory_that_nothing_was_written_to_decides_nothing(monkeypatch, name, viscosity):
     """Spare room of the pairs and blocks not yet inverted, filled with what would be found out."""

@@ -34,9 +34,7 @@ def method(name, **options):
 LONELY = [
     (name, law)
     for name, law in itertools.product(sorted(METHODS), sorted(LAWS))
-    if law == "jkr"
-    or name in ("cvode", "backward-euler", "scipy-rk45")
-    or (name, law) == ("rk4", "physicell")
+    if law == "jkr" or name in ("cvode", "backward-euler", "scipy-rk45")
 ]
 
 
@@ -46,30 +44,18 @@ LONELY = [
      *((name, "jkr", (0.1, 0.05)) for name in sorted(METHODS))],
 )  # fmt: skip
 def test_cells_without_neighbours_stay_where_they_are(name, law, friction):
-    for start in LONE.values():
+    for start, duration in [*((start, 100.0) for start in LONE.values()), (LONE["one cell"], 0.0)]:
         n = len(start)
         system = mechanics(np.full(n, 5.0), np.ones(n), LAWS[law](), rate=np.full(n, 1e-3),
-                           friction=friction)  # fmt: skip
+                           duration=duration, friction=friction)  # fmt: skip
         if friction[0] > 0.0 and name in NO_FRICTION:
             with pytest.raises(SceneError, match="friction"):
                 method(name).integrate(system, start)
             continue
         outcome = method(name).integrate(system, start)
         assert outcome.done, outcome.problem
-        assert outcome.time == 100.0
+        assert outcome.time == duration
         assert np.array_equal(outcome.position, start)
-
-
-@pytest.mark.parametrize(
-    ("name", "dimensions"), [*((name, 3) for name in sorted(METHODS)), ("auto", 2), ("cvode", 2)]
-)
-def test_one_cell_grows_by_every_method(name, dimensions):
-    scene = mc.load_scene("growth").with_changes(
-        {"duration": "30 min", "integrator": name, "dimensions": dimensions}
-    )
-    result = mc.run(scene)
-    assert result.summary()["cells"] == 1
-    assert result.frames[-1].cells.radius[0] > result.frames[0].cells.radius[0]
 
 
 # beyond double precision
@@ -148,15 +134,12 @@ def test_an_empty_step_has_no_stiffness():
     assert limits.beyond(mechanics(np.empty(0), np.empty(0)), np.empty((0, 3))) is None
 
 
-@pytest.mark.parametrize("name", sorted(METHODS))
+@pytest.mark.parametrize("name", [n for n, info in METHODS.items() if info.control == "tolerance"])
 def test_a_tolerance_larger_than_the_cells_is_refused(name, open_door):
     scene = mc.load_scene("doublet-settle").with_changes(
         {"cells.division_radius": "1e-4 um", "integrator": name, "duration": "10 min",
          "contact.surface_energy": 0.0}
     )  # fmt: skip
-    if name in ("euler", "heun", "ab2", "rk4", "backward-euler"):
-        # a fixed step asks for no tolerance of a step
-        return
     with pytest.raises(mc.StepFailed, match="no error would be too large"):
         mc.run(scene)
 
@@ -166,7 +149,7 @@ def inverse(six):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-@pytest.mark.parametrize("stiffness", [1e2, 1e6, 1e8, 1e10, 1e12])
+@pytest.mark.parametrize("stiffness", [1e2, 1e8, 1e12])
 @pytest.mark.parametrize("contacts", [1, 2, 3])
 def test_blocks_are_inverted_at_any_stiffness(stiffness, contacts):
     """One stiff contact beside two free directions: cofactors would give nonsense or 1 / 0."""

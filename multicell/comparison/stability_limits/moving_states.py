@@ -53,11 +53,7 @@ _MARGIN = 0.1  # what twins are shifted by at the snap, over what is left to it
 
 
 def state_of(kind: str, scene: Scene, threads: int | None = None) -> State:
-    """Return the cells of a scene in one of the :data:`STATES`.
-
-    - ``kind``: ``"settled"`` (:func:`multicell.comparison.stability_limits.state.settled_state`),
-      or one of the others, which are made by the functions of this module
-    - ``scene``: the scene. What acts beside contacts, bonds and walls is left out.
+    """Return the cells of a scene in one of the :data:`STATES`; only contacts and walls act.
 
     Raises SceneError if there is no such state, or the scene cannot have it; StepFailed if the
     cells cannot be settled or grown, or the true course cannot be computed.

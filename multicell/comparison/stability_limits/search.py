@@ -6,9 +6,9 @@ import math
 import time as clock
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from multicell.comparison.base import Row, prepare
+from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method, capable_methods, select_methods
 from multicell.comparison.replay import solve_compiled
 from multicell.comparison.stability_limits.moving_states import check, state_of
@@ -16,7 +16,7 @@ from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.state import State
 from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
 from multicell.integrators.base import Integrator
-from multicell.results.folder import versions
+from multicell.results.folder import make_folder, remove, versions
 from multicell.scene.scene import Scene, load_scene
 
 LOOSEST_TOLERANCE: Final = 0.1
@@ -90,9 +90,11 @@ def stability(
     """
     described = scene if isinstance(scene, Scene) else load_scene(scene)
     tell = progress or (lambda _: None)
-    chosen = _chosen(methods, described)
+    names = [*capable_methods(described), *_EXTRA] if methods is None else methods
+    chosen = select_methods(names, described, 0.9 * described.cells.division_radius)
     check(state, described)
-    prepare(output, FILES, overwrite)
+    if output is not None:
+        remove(make_folder(output, overwrite=overwrite), FILES)
     begin = clock.perf_counter()
     tell("settling")
     begun = state_of(state, described, threads)
@@ -112,19 +114,10 @@ def stability(
     return result
 
 
-def limit_in_theory(method: Method, rate: float) -> float:
-    """Return the largest stable step in s on the negative real axis.
-
-    Infinite for implicit methods; NaN where nothing is known, and for explicit methods under
-    error control, which shorten their steps.
-    """
-    return method.info.stable / rate
-
-
 def _rows(state: State, method: Method, precision: float, patience: float) -> list[Row]:
     """Return the rows of one method: those of the search, and those around it."""
     rows: dict[float, Row] = {}
-    theory = limit_in_theory(method, state.rate)
+    theory = method.info.stable / state.rate
 
     def stable(setting: float) -> bool:
         if method.control == "step" and not state.settled:
@@ -218,10 +211,3 @@ def _row(state: State, method: Method, setting: float, theory: float, patience: 
         "steps": len(trace.times) - 1 if fixed and state.settled else trace.steps,
         "wall": trace.wall,
     }
-
-
-def _chosen(methods: Sequence[Any] | None, scene: Scene) -> list[Method]:
-    """Return methods for names; by default all that can hold the scene."""
-    if methods is None:
-        methods = [*capable_methods(scene), *_EXTRA]
-    return select_methods(methods, scene, 0.9 * scene.cells.division_radius)
