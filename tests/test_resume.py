@@ -23,6 +23,13 @@ SPHEROID = {
     "death.lysis_time": "4 h",
     "output.every": "7 h",
 }
+GROWING = {
+    "duration": "20 h",
+    "initial.count": 8,
+    "initial.stage": "uniform",
+    "output.every": "5 h",
+    "growth.cycle_time": "8 h",
+}
 CASES = {
     "growth, nutrient and death": ("spheroid", SPHEROID),
     "shells": ("spheroid", {**SPHEROID, "nutrients.oxygen.geometry": "radial"}),
@@ -38,11 +45,35 @@ CASES = {
         "doublet",
         {"contact.law": "exact-jkr", "duration": "40 min", "output.every": "12 min"},
     ),
-    "friction": (
-        "growth",
-        {"friction": {}, "duration": "20 h", "initial.count": 8, "output.every": "5 h"},
-    ),
-}
+    "friction": ("growth", {**GROWING, "friction": {}}),
+    "a finite medium and a reaction": ("growth", {**GROWING, "nutrients": {
+        "a": {"boundary": 0.05, "uptake": 2.0, "finite_medium": {"volume": 1e7},
+              "media": [["9 h", 0.04]], "growth_half_saturation": 0.02, "regime": "transient"},
+        "b": {"boundary": 0.02, "uptake": 0.0, "regime": "transient"},
+    }, "reactions": {"bind": {"rate": 0.01, "consumes": {"a": 1, "b": 1}}}}),
+    "responses and lives": ("growth", {
+        **GROWING, "death": {"apoptosis_rate": "0.01 1/h"}, "types": {"a": {}, "b": {}},
+        "responses": [
+            {"behaviour": "change to b", "signal": "contacts with a", "law": "hill", "half": 2,
+             "largest": "0.1 1/h", "cells": "a"},
+            {"behaviour": "apoptosis rate", "signal": "neighbours", "law": "monod", "half": 4,
+             "largest": "0.03 1/h"},
+            {"behaviour": "growth rate", "signal": "time", "law": "linear", "falls": True,
+             "begin": 0, "end": "60 h"},
+        ],
+    }),
+    "driven cells that divide smoothly": ("growth", {
+        **GROWING, "growth.division": "smooth",
+        "growth.phases": {name: {"duration": "2 h"} for name in ("G1", "S", "G2", "M")},
+        "motions": {"held": {"cells": [0, 2]}, "x": {"cells": [1], "velocity": [0, 1e-5, 0]}},
+        "forces": {"f": {"force": [0.001, 0, 0], "cells": [3]}},
+    }),
+    "a gradient in a box": ("growth", {
+        **GROWING, "domain": {axis: [-20.0, 20.0] for axis in "xyz"}, "chemotaxis": {"oxygen": {}},
+        "nutrients": {"oxygen": {"boundary": 0.2, "regime": "transient", "spacing": 10.0,
+                                 "growth_half_saturation": 0.1}},
+    }),
+}  # fmt: skip
 
 
 LONG = pytest.param("transient", marks=pytest.mark.slow)
@@ -63,6 +94,8 @@ def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_pa
         scene = mc.load_scene(name).with_changes(changes)
         whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
     assert len(whole.frames) >= 3
+    if "medium" in case:
+        assert whole.frames[1].cells.lag.any()
     for k, threads in ((1, 2), (len(whole.frames) - 2, 1)):
         again = tmp_path / f"again{k}"
         result = mc.resume(

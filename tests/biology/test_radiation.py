@@ -5,7 +5,7 @@ from __future__ import annotations
 import h5py
 import numpy as np
 import pytest
-from scipy import stats
+from running import finished, refused, within
 from stored import assert_same_bits
 
 import multicell as mc
@@ -13,7 +13,7 @@ from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.biology.radiation import irradiate
 from multicell.cells import Phase, State
-from multicell.errors import DataError, SceneError
+from multicell.errors import DataError
 from multicell.report.explain.scene import explain
 from multicell.results.records import arrays_of, frame_of
 from multicell.scene.scene import Scene
@@ -42,19 +42,6 @@ def growing(course=None, count=300, **parts):
 
 def clonogens(simulation):
     return int(simulation.history_row()["clonogens"])
-
-
-def within(survivors, count, chance):
-    """Return whether a number of survivors lies in the binomial 99.99 % interval."""
-    low, high = stats.binom.interval(0.9999, count, chance)
-    return low <= survivors <= high
-
-
-def finished(scene, **options):
-    simulation = Simulation(scene, threads=1, **options)
-    while not simulation.finished:
-        simulation.step()
-    return simulation
 
 
 @pytest.mark.parametrize("dose", [0.0, 0.5, 2.0, 6.0])
@@ -232,13 +219,6 @@ def test_explain_says_what_each_course_does():
     assert {"part": "radiation", "used": False, "what": "absent: no cell is irradiated"} in bare
 
 
-def test_a_scene_with_a_course_is_written_and_read_back(tmp_path):
-    scene = described(5, {"start": None, "times": ["1 h", "3 h"], "phase_factor": None})
-    (tmp_path / "scene.toml").write_text(scene.to_toml())
-    assert mc.load_scene(tmp_path / "scene.toml") == scene
-    assert scene.with_changes({"radiation.course.dose": "150 cGy"}).radiation["course"].dose == 1.5
-
-
 @pytest.mark.parametrize(
     ("course", "path", "words"),
     [
@@ -265,6 +245,5 @@ def test_a_scene_with_a_course_is_written_and_read_back(tmp_path):
     ],
 )
 def test_what_does_not_fit_is_refused_by_name(course, path, words):
-    with pytest.raises(SceneError, match=words) as caught:
+    with refused(f"radiation.course.{path}", words):
         described(3, course, nutrients={"oxygen": {}}, types={"a": {}})
-    assert caught.value.path == f"radiation.course.{path}"

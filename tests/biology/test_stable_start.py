@@ -14,7 +14,6 @@ from multicell.cells import SPHERE, State
 from multicell.scene.scene import Scene
 
 HOUR = 3600.0
-MINUTE = 60.0
 TINY = {"S": {"duration": "1 s"}, "G2": {"duration": "1 s"}, "M": {"duration": "1 s"}}
 PHASES = {
     "G1": {"duration": "9 h", "distribution": "shifted-gamma", "variation": 0.4, "shift": 0.3},
@@ -29,6 +28,7 @@ GROWTHS = {
                                     "variation": 0.5}, **TINY}},
     "phases": {"phases": PHASES},
     "smooth": {"phases": PHASES, "division": "smooth"},
+    "fixed": {"phases": {name: {"duration": part["duration"]} for name, part in PHASES.items()}},
     "linear": {"cycle_time": "20 h", "cycle_variation": 0.5},
     "exponential": {"cycle_time": "20 h", "cycle_variation": 0.5, "law": "exponential"},
     "relaxation": {"cycle_time": "20 h", "cycle_variation": 0.4, "law": "relaxation",

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from running import finished
 from scipy import integrate, optimize
 
 import multicell as mc
@@ -125,8 +126,7 @@ def test_a_seeded_ball_has_the_rim_of_a_grown_one():
     assert 46.0 < begin["viable_rim"] < 60.0
     assert begin["start"]["necrotic"] == begin["states"]["necrotic"]
     assert any("are dead" in note for note in begin["notes"])
-    while not simulation.finished:
-        simulation.step()
+    finished(simulation)
     assert 46.0 < simulation.summary()["viable_rim"] < begin["viable_rim"] + 1.0
 
 

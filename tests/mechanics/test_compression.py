@@ -1,12 +1,11 @@
 """Resistance to compression against closed forms, differences, and an energy written down anew."""
 
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from formulas import dense_jacobian, end_of, product_of, slope, velocity_of
+from running import refused
 from strategies import ONE_OF_A_KIND, cluster
 
 import multicell as mc
@@ -380,16 +379,5 @@ def test_cells_that_grow_in_a_box_fill_it_and_no_more():
 )
 def test_wrong_input_is_refused_by_name(change, path, words):
     entries = growing().to_dict() | change
-    with pytest.raises(mc.SceneError, match=words) as refused:
+    with refused(path, words):
         mc.Scene.from_dict({k: v for k, v in entries.items() if v is not None})
-    assert refused.value.path == path
-
-
-def test_scenes_without_it_do_not_load_it():
-    code = (
-        "import sys, multicell as mc; "
-        "mc.run(mc.load_scene('growth').with_changes({'duration': '20 min'})); "
-        "print('multicell.mechanics.compression' in sys.modules)"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == "False"

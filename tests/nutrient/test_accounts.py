@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from running import finished
 
 import multicell as mc
 from multicell.errors import SceneError
@@ -24,13 +25,6 @@ def scene(nutrient, **changes):
     return Scene.from_dict(entries).with_changes(changes)
 
 
-def ran(described):
-    simulation = mc.Simulation(described)
-    while not simulation.finished:
-        simulation.step()
-    return simulation
-
-
 IDLE = {
     "steady, nothing taken up": {"uptake": 0.0, "regime": "steady"},
     "transient, nothing taken up": {"uptake": 0.0, "regime": "transient"},
@@ -47,14 +41,14 @@ IDLE = {
 
 @pytest.mark.parametrize("case", IDLE)
 def test_where_nothing_happens_the_remainder_is_rounding_over_what_is_there(case):
-    ledger = ran(scene(IDLE[case])).ledger["a"]
+    ledger = finished(scene(IDLE[case])).ledger["a"]
     assert ledger.content > 0.0
     assert ledger.summary()["relative_remainder"] <= 1e-8
     assert ledger.summary()["content"] == ledger.content
 
 
 def test_where_there_is_nothing_there_is_no_remainder():
-    ledger = ran(scene({"boundary": 0.0, "uptake": 20.0})).ledger["a"]
+    ledger = finished(scene({"boundary": 0.0, "uptake": 20.0})).ledger["a"]
     assert ledger.summary()["relative_remainder"] == 0.0
     assert ledger.remainder == 0.0
 
@@ -62,7 +56,7 @@ def test_where_there_is_nothing_there_is_no_remainder():
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 def test_a_true_imbalance_shows(regime):
     """A thousandth of what is taken up, left out of the account, is found again to a percent."""
-    simulation = ran(scene({"regime": regime, "uptake": 40.0}))
+    simulation = finished(scene({"regime": regime, "uptake": 40.0}))
     ledger = simulation.ledger["a"]
     assert ledger.relative_remainder < 1e-8
     ledger.uptake *= 0.999
@@ -81,6 +75,15 @@ def test_an_imbalance_of_an_idle_field_shows_as_part_of_what_is_there():
     assert ledger.relative_remainder == pytest.approx(0.01)
     ledger.add(Exchange(inflow=1e6))
     assert ledger.relative_remainder == pytest.approx(1.0)
+
+
+def test_an_account_has_no_entries_for_what_a_scene_does_not_have():
+    run = finished(scene({"uptake": 20.0}, duration="20 min"))
+    medium = {"held", "level", "fresh", "discarded", "spoiled", "changes"}
+    ledger = run.ledger["a"]
+    assert not {"injected", "made", "used", *medium} & set(ledger.kept())
+    assert not {"injected", "made", "used"} & set(ledger.summary())
+    assert not any("medium" in name for name in [*ledger.summary(), *run.history_row()])
 
 
 def test_the_account_of_a_frame_can_be_taken_up_again():
@@ -185,7 +188,7 @@ EDGES = {
 def test_at_the_bounds_accounts_close(case, regime):
     """Whatever is allowed is solved with a balance, or fails by name."""
     described = scene({**EDGES[case], "regime": regime}, duration="20 min")
-    simulation = ran(described)
+    simulation = finished(described)
     assert np.isfinite(simulation.concentrations["a"]).all()
     assert (simulation.concentrations["a"] >= 0.0).all()
     assert simulation.ledger["a"].relative_remainder <= 1e-6
@@ -238,7 +241,7 @@ def test_a_field_that_fades_costs_no_steps_once_it_is_gone(monkeypatch):
             }
         },
     }  # fmt: skip
-    simulation = ran(mc.Scene.from_dict(entries))
+    simulation = finished(mc.Scene.from_dict(entries))
     assert simulation.fields["drug"].values.max() < 1e-6 * 0.067
     assert simulation.fields["drug"].values.min() >= 0.0
     assert simulation.ledger["drug"].relative_remainder < 1e-8

@@ -10,7 +10,6 @@ from pde import (
     SphericalSymGrid,
     VectorField,
 )
-from scipy.integrate import solve_bvp
 
 import multicell as mc
 from multicell.nutrient.equations.equation import FieldEquation
@@ -194,48 +193,6 @@ def test_every_solver_of_pdes_solves_it(solver, order):
     bound = {1: 1e-4, 2: 1e-5, 4: 1e-7}[order]
     assert np.abs(theirs.data - ours.data).max() < bound
     assert np.abs(ours.data - state.data).max() > 0.01
-
-
-def test_backward_euler_of_runs_agrees_within_its_tolerance():
-    equation = equation_of("cubes")
-    state = random_state(equation)
-    ours = equation.solve(state, 0.3, solver="multicell-implicit", rtol=1e-8, tracker=None)
-    for tolerance in (1e-2, 1e-3):
-        by_runs = equation.solve(
-            state, 0.3, solver="multicell-march", tolerance=tolerance, tracker=None
-        )
-        assert np.abs(by_runs.data - ours.data).max() < 2.0 * tolerance * 0.1
-
-
-def test_shells_converge_to_scipys_boundary_value_problem():
-    """D (c'' + 2 c'/r) = q c/(K + c) in a ball, dc/dr = 0 at its centre and 0.07 mM on it."""
-    radius, q, half = 150.0, 0.02, 0.005
-    r = np.linspace(1e-9, radius, 400)
-
-    def slope(r, y):
-        return np.array([y[1], q / D * y[0] / (half + y[0]) - 2.0 * y[1] / r])
-
-    def ends(a, b):
-        return np.array([a[1], b[0] - 0.07])
-
-    exact = solve_bvp(slope, ends, r, np.vstack([0.07 * np.ones(400), np.zeros(400)]), tol=1e-9)
-    assert exact.success
-    errors = []
-    for n in (40, 80):
-        h = radius / n
-        middles = (np.arange(n) + 0.5) * h
-        volumes = 4.0 / 3.0 * np.pi * np.diff((h * np.arange(n + 1)) ** 3)
-        position = np.zeros((n, 3))
-        position[:, 1] = middles  # a cell in the middle of a shell feeds there and nowhere else
-        oxygen = Substance(D, {"value": 0.07}, half, capacity=q * volumes)
-        equation = FieldEquation(SphericalSymGrid(radius, n), {"oxygen": oxygen}, position)
-        found = equation.solve(
-            equation.state({"oxygen": 0.07}), 1.0, solver="multicell-steady", tracker=None
-        )
-        errors.append(np.abs(found.data - exact.sol(middles)[0]).max())
-    assert exact.sol(0.0)[0] < 0.04
-    assert errors[0] < 2e-5
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 
 def test_a_closed_box_keeps_what_it_holds_and_follows_its_ode():

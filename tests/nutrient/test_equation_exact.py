@@ -1,8 +1,4 @@
-"""The fields' equation against solve_bvp and closed forms, by py-pde's explicit solver and ours.
-
-On 16³ cubes, 24² squares and 40 shells: what solvers make of the equation differs from each other
-by less than their tolerances, and from the exact solution by the error of the grid.
-"""
+"""The fields' equation against solve_bvp and closed forms on 16³ cubes, 24² squares, 40 shells."""
 
 import numpy as np
 import pytest
@@ -57,11 +53,6 @@ def along(kind, data):
     return first[:, 0]
 
 
-def largest_step(kind, grid):
-    factor = {"cubes": 6.0, "squares": 4.0, "shells": 3.0}[kind]
-    return 0.8 * grid.discretization[0] ** 2 / (factor * D)
-
-
 def by_solve_bvp(kind, where):
     """D c'' (+ 2 D c'/r) = q c / (K + c) between two values, or in a ball."""
     x = np.linspace(0.0, SIZE[kind], 400)
@@ -92,18 +83,9 @@ def test_steady_states_are_those_of_solve_bvp(kind):
         exact = by_solve_bvp(kind, grid.axes_coords[0])
         assert exact.min() < 0.9 * LEVEL
         ours = equation.solve(state, 1.0, solver="multicell-steady", tracker=None)
-        found = [along(kind, ours.data)]
-        if times == 1:
-            theirs = equation.solve(
-                state, 24.0, dt=largest_step(kind, grid), solver="euler", backend="numpy",
-                tracker=None,
-            )  # fmt: skip
-            found.append(along(kind, theirs.data))
-        errors.append([np.abs(c - exact).max() for c in found])
-    (ours, theirs), (finer,) = errors
-    assert abs(ours - theirs) < 1e-7 * LEVEL
-    assert 1e-6 * LEVEL < ours < 5e-3 * LEVEL
-    assert ours / finer == pytest.approx(4.0, rel=0.15)
+        errors.append(np.abs(along(kind, ours.data) - exact).max())
+    assert 1e-6 * LEVEL < errors[0] < 5e-3 * LEVEL
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15)
 
 
 def exact_filling(kind, x, t, decay):
@@ -134,11 +116,5 @@ def test_transients_follow_the_closed_form(kind):
         assert exact.min() < 0.5 * LEVEL
         ours = equation.solve(empty, end, solver="multicell-implicit", rtol=1e-8, tracker=None)
         errors.append(np.abs(along(kind, ours.data) - exact).max())
-        if times == 2:
-            continue
-        explicit = {"solver": "runge-kutta", "backend": "numpy", "tracker": None}
-        steps = int(np.ceil(end / largest_step(kind, grid)))
-        theirs = equation.solve(empty, end, dt=end / steps, **explicit)
-        assert np.abs(theirs.data - ours.data).max() < 1e-5 * LEVEL
     assert errors[0] < 5e-3 * LEVEL
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from running import finished
 
 import multicell as mc
 from multicell.nutrient.cartesian import Box
@@ -183,9 +184,7 @@ def test_chemotaxis_and_explain_go_on_with_a_thin_margin(dimensions, geometry, m
         }
     )
     assert explain(scene)["parts"]
-    simulation = mc.Simulation(scene)
-    while not simulation.finished:
-        simulation.step()
+    simulation = finished(scene)
     assert np.isfinite(simulation.cells.position).all()
     found = simulation.field_system.gradients(simulation.cells.position, ["oxygen"])["oxygen"]
     assert np.isfinite(found).all()
