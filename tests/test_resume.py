@@ -46,11 +46,14 @@ CASES = {
         {"contact.law": "exact-jkr", "duration": "40 min", "output.every": "12 min"},
     ),
     "friction": ("growth", {**GROWING, "friction": {}}),
-    "a finite medium and a reaction": ("growth", {**GROWING, "nutrients": {
-        "a": {"boundary": 0.05, "uptake": 2.0, "finite_medium": {"volume": 1e7},
-              "media": [["9 h", 0.04]], "growth_half_saturation": 0.02, "regime": "transient"},
-        "b": {"boundary": 0.02, "uptake": 0.0, "regime": "transient"},
-    }, "reactions": {"bind": {"rate": 0.01, "consumes": {"a": 1, "b": 1}}}}),
+    "a finite medium and a reaction": ("growth", {
+        **GROWING, "duration": "6 h", "output.every": "2 h", "nutrients": {
+            "a": {"boundary": 0.05, "uptake": 2.0, "finite_medium": {"volume": 1e7},
+                  "media": [["3 h", 0.04]], "growth_half_saturation": 0.02, "spacing": 20.0},
+            "b": {"boundary": 0.02, "uptake": 0.0, "spacing": 20.0},
+        },
+        "reactions": {"bind": {"rate": 0.01, "consumes": {"a": 1, "b": 1}}},
+    }),
     "responses and lives": ("growth", {
         **GROWING, "death": {"apoptosis_rate": "0.01 1/h"}, "types": {"a": {}, "b": {}},
         "responses": [

@@ -54,31 +54,6 @@ def test_every_cell_is_accounted_for(grown):
     assert (grown.cells.parent < grown.cells.id).all()
 
 
-def test_removals_are_counted():
-    lysing = finished(small(**{"death.lysis_time": "2 h"}))
-    assert lysing.removals > 0
-    assert len(lysing.cells) == 60 + lysing.divisions - lysing.removals
-
-
-def test_nutrient_ledger_balances(grown):
-    ledger = grown.summary()["ledger"]
-    assert ledger["oxygen"]["uptake"] > 0
-    assert ledger["relative_remainder"] <= 1e-6
-    assert ledger["oxygen"]["inflow"] == pytest.approx(ledger["oxygen"]["uptake"], rel=1e-6)
-
-
-def test_uptake_is_what_the_cells_take_up_by_michaelis_menten():
-    """For one cell in a coarse, nearly uniform field the law is evaluated by hand."""
-    scene = small(
-        **{"initial.count": 1, "duration": "10 min", "nutrients.oxygen.boundary": "0.2 mM"}
-    )
-    simulation = finished(scene)
-    oxygen = scene.nutrients["oxygen"]
-    c = simulation.concentrations["oxygen"][0]
-    expected = oxygen.uptake * c / (oxygen.half_saturation + c) * 600.0
-    assert simulation.ledger["oxygen"].uptake == pytest.approx(expected, rel=1e-4)
-
-
 def test_states_follow_the_thresholds():
     prompt = finished(small(**{"cells.reaction_time": "10 min", "duration": "10 h"}))
     oxygen = prompt.scene.nutrients["oxygen"]
@@ -87,24 +62,6 @@ def test_states_follow_the_thresholds():
     assert (state[c < oxygen.necrosis] == State.NECROTIC).all()
     assert (c[state == State.PROLIFERATING] >= oxygen.quiescence).all()
     assert (c[state == State.QUIESCENT] < oxygen.quiescence).all()
-
-
-def test_radii_grow_during_a_step():
-    """Free growth is linear in volume: after a step the volume is exactly the law's."""
-    scene = mc.load_scene("growth").with_changes({"duration": "20 min"})
-    simulation = Simulation(scene)
-    before = simulation.cells.volume.copy()
-    simulation.step()
-    birth = 0.5 * 4 / 3 * np.pi * scene.cells.division_radius**3
-    rate = birth / simulation.cells.cycle_time
-    np.testing.assert_allclose(simulation.cells.volume, before + 600.0 * rate, rtol=1e-12)
-
-
-def test_last_step_is_shortened_to_the_end():
-    scene = mc.load_scene("settle").with_changes({"duration": "150 s", "coupling_step": "60 s"})
-    simulation = finished(scene)
-    assert simulation.step_index == simulation.steps == 3
-    assert simulation.time == 150.0
 
 
 def test_stop_cells_ends_the_run():
@@ -125,16 +82,6 @@ def test_settling_lowers_the_energy_and_keeps_the_centre():
     drag = simulation.cells.radius[:, None]
     after = (drag * simulation.cells.position).sum(axis=0) / drag.sum()
     np.testing.assert_allclose(after, centre, atol=1e-4)
-
-
-def test_methods_agree_on_observables():
-    scene = mc.load_scene("settle").with_changes({"duration": "10 min"})
-    ends = [
-        finished(scene.with_changes({"integrator": method, "integrator.step": "1 s"}))
-        for method in ("cvode", "euler")
-    ]
-    a, b = (simulation.summary()["diameter"] for simulation in ends)
-    assert a == pytest.approx(b, rel=1e-3)
 
 
 def test_coincident_cells_come_apart():

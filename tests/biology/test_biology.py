@@ -67,6 +67,7 @@ def some_cells(n: int, seed: int = 0) -> Cells:
         age=rng.uniform(0, CYCLE, n),
         cycle_time=rng.uniform(0.9, 1.1, n) * CYCLE,
         pressure=rng.uniform(-0.05, 0.2, n),
+        kind=np.arange(n) % 3,
     )
 
 
@@ -324,6 +325,8 @@ def test_division_conserves_volume_and_centre_of_mass_of_every_mother() -> None:
     np.testing.assert_allclose(reach, mothers.radius, rtol=1e-12)
     assert (born.age == 0).all()
     np.testing.assert_array_equal(a.pressure, mothers.pressure)
+    for daughter in (a, b):
+        np.testing.assert_array_equal(daughter.kind, mothers.kind)
     assert len(np.unique(born.young)) == len(np.unique(born.cycle_time)) == len(born)
     assert not np.isin(born.young, before.young).any()
 

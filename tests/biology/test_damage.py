@@ -13,7 +13,6 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm
 from multicell.cells import State
 from multicell.errors import DataError
-from multicell.report.explain.scene import explain
 from multicell.results.records import arrays_of, frame_of
 from multicell.units import to_base
 
@@ -189,39 +188,9 @@ def test_nobody_is_dead_of_damage_at_the_start():
     assert (simulation.cells.state == State.NECROTIC).sum() > 100
 
 
-def words(scene):
-    return next(part["what"] for part in explain(scene)["parts"] if part["part"] == "death")
-
-
-def test_explain_says_what_damage_does():
-    said = words(starving({"damage_time": "24 h", "damage_repair_time": "48 h",
-                           "damage_variation": 0.3}))  # fmt: skip
-    assert said == (
-        "cells beyond a threshold of necrosis die after 24 h of it; damage falls to 1/e in 48 h, "
-        "tolerance varies by 30 %; necrotic cells lose their volume in about 100 d"
-    )
-    healing = words(starving({"damage_time": "24 h", "damage_repair_time": "24 h"}))
-    assert "as fast as it comes: a mean cell bears it for ever" in healing
-
-
-@pytest.mark.parametrize(
-    ("death", "path", "problem"),
-    [
-        ({"damage_time": 0}, "death.damage_time", "above 0"),
-        ({"damage_time": "3 um"}, "death.damage_time", "um"),
-        ({"damage_repair_time": "-1 h"}, "death.damage_repair_time", "above 0"),
-        ({"damage_variation": 1.5}, "death.damage_variation", "at most 1"),
-        ({"damage_variation": float("nan")}, "death.damage_variation", "nan"),
-        ({"damage_time": "1 h", "necrosis_rate": "1 1/h"}, "death.necrosis_rate", "contradicts"),
-        ({"damage_tim": "1 h"}, "death.damage_tim", "not a known key"),
-    ],
-)
-def test_bad_input(death, path, problem):
-    with refused(path, problem):
-        starving(death, count=1)
-
-
-def test_a_threshold_of_damage_needs_its_rate():
+def test_bad_input():
+    with refused("death.necrosis_rate", "contradicts"):
+        starving({"damage_time": "1 h", "necrosis_rate": "1 1/h"}, count=1)
+    threshold = {"behaviour": "damage rate", "signal": "oxygen", "law": "threshold", "half": 0.1}
     with pytest.raises(SceneError, match="largest"):
-        starving({}, count=1, responses=[{"behaviour": "damage rate", "signal": "oxygen",
-                                          "law": "threshold", "half": "0.1 mM"}])  # fmt: skip
+        starving({}, count=1, responses=[threshold])

@@ -12,7 +12,6 @@ from multicell.biology.states import update_states
 from multicell.cells import State
 from multicell.nutrient.uptake import uptake
 from multicell.report.explain.course import course
-from multicell.report.explain.scene import explain
 from multicell.scene.scene import Scene
 
 FIELDS = {
@@ -87,13 +86,6 @@ def test_the_forecast_knows_energy():
     assert course(scene(duration="4 d", nutrients=starving)).cells[-1] < 1.01 * 30
     free = Scene.from_dict({**scene(duration="4 d").to_dict(), "nutrients": {}, "energy": None})
     assert fed < 1.2 * course(free).cells[-1]
-
-
-def test_explain_tells_what_energy_does():
-    told = {p["part"]: p for p in explain(scene())["parts"]}
-    assert "death below 0.02 mM/s" in told["energy"]["what"]
-    assert told["energy"]["used"]
-    assert not [note for note in explain(scene())["notes"] if "no effect" in note]
 
 
 @pytest.mark.parametrize(

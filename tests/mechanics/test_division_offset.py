@@ -10,6 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from strategies import ONE_OF_A_KIND, cluster, seeds
+from test_prescribed import friction_matrix
 
 from multicell import JKR, Hertz, load_scene
 from multicell.comparison import cache as archive
@@ -195,30 +196,12 @@ def test_contacts_and_pressure_are_those_of_the_overlap_felt(law):
 def test_friction_rubs_over_the_contact_that_is_felt():
     """Γ v = F with B = π r h γ of the overlap beyond the offset, against a dense solution."""
     position, system = population(40, 8, JKR(), friction=(0.4, 0.1), chunk=16)
-    radius = system.motion.radius
-    n = len(radius)
-    known = {tuple(pair): s for pair, s in zip(*_offsets_of(system), strict=True)}
-    gamma = np.diag(np.repeat(system.drag * radius, 3))
-    for i in range(n):
-        for j in range(i + 1, n):
-            vector = position[j] - position[i]
-            d = np.linalg.norm(vector)
-            h = radius[i] + radius[j] - d - known.get((i, j), 0.0)
-            if h <= 0.0:
-                continue
-            along = np.outer(vector, vector) / d**2
-            area = np.pi * h * radius[i] * radius[j] / (radius[i] + radius[j])
-            block = area * (0.4 * along + 0.1 * (np.eye(3) - along))
-            for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
-                gamma[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * block
+    known = zip(system.motion.offset_pairs.tolist(), system.motion.offset[:, 0], strict=True)
+    gamma = friction_matrix(system, position, {tuple(pair): amount for pair, amount in known})
     out = np.empty_like(position)
     system.velocity(0.0, position, out)
     expected = np.linalg.solve(gamma, system.force(0.0, position).ravel()).reshape(-1, 3)
     np.testing.assert_allclose(out, expected, atol=1e-5 * np.abs(expected).max())
-
-
-def _offsets_of(system):
-    return system.motion.offset_pairs.tolist(), system.motion.offset[:, 0]
 
 
 def sisters(law, radius, phase, viscosity=5.0, **options):

@@ -332,72 +332,37 @@ def test_scales_and_choices():
     assert 5.0 <= spacing(described, "glucose") <= 10.0
 
 
+WALLS = {"*": {"type": "derivative", "derivative": 0}}
+ON = {"effect": 1, "half": 1}
+
+
 @pytest.mark.parametrize(
     ("changes", "path", "words"),
     [
+        ({"oxygen.regime": "steady", "oxygen.sides": WALLS}, "oxygen.sides", "fix no level"),
+        ({"oxygen.uptake_on.glucos": ON}, "oxygen.uptake_on.glucos", "Did you mean 'glucose'"),
+        ({"oxygen.secretion_from.lactat": 1}, "oxygen.secretion_from.lactat", "mean 'lactate'"),
+        ({"glucose.uptake_on": {"glucose": ON}}, "glucose", "depends on itself"),
+        ({"glucose.uptake_on": {"lactate": ON}}, "lactate", "depends on itself"),
+        ({"oxygen.media": [["2 h", 0.1], ["1 h", 0.2]]}, "oxygen.media", "times that rise"),
+        ({"oxygen.media": [["2 h", "1 um"]]}, "oxygen.media", "concentration"),
+        ({"oxygen.boundary": "__import__('os')"}, "oxygen.boundary", "a number and a unit"),
+        ({"oxygen.sides": {"x-": {"value": "sin(x)"}}}, "oxygen.sides.x-.value", "a number and"),
+        ({"oxygen.sides": {"x-": {"type": "mixed"}}}, "oxygen.sides.x-.rate", "is missing"),
+        ({"oxygen.sides": {"w+": {"value": 1}}}, "oxygen.sides.w+", "not a known name"),
         (
-            {"nutrients.oxygen.regime": "steady", "nutrients.oxygen.sides":
-             {"*": {"type": "derivative", "derivative": 0}}},
-            "nutrients.oxygen.sides", "fix no level",
-        ),
-        (
-            {"nutrients.oxygen.uptake_on.glucos": {"effect": 1, "half": 1}},
-            "nutrients.oxygen.uptake_on.glucos", "Did you mean 'glucose'",
-        ),
-        (
-            {"nutrients.glucose.secretion_from": {"lactat": 1.0}},
-            "nutrients.glucose.secretion_from.lactat", "Did you mean 'lactate'",
-        ),
-        (
-            {"nutrients.glucose.uptake_on": {"glucose": {"effect": 1, "half": 1}}},
-            "nutrients.glucose", "depends on itself",
-        ),
-        (
-            {"nutrients.glucose.uptake_on": {"lactate": {"effect": 1, "half": 1}}},
-            "nutrients.lactate", "depends on itself",
-        ),
-        (
-            {"nutrients.oxygen.media": [["2 h", 0.1], ["1 h", 0.2]]},
-            "nutrients.oxygen.media", "times that rise",
-        ),
-        ({"nutrients.oxygen.media": [["2 h", "1 um"]]}, "nutrients.oxygen.media", "concentration"),
-        ({"nutrients.oxygen.perfusion": "1 mM"}, "nutrients.oxygen.perfusion", "must be a rate"),
-        ({"nutrients.oxygen.decay": "-1 1/s"}, "nutrients.oxygen.decay", "at least 0"),
-        (
-            {"nutrients.oxygen.boundary": "__import__('os').system('true')"},
-            "nutrients.oxygen.boundary", "must be a number and a unit",
-        ),
-        (
-            {"nutrients.oxygen.sides": {"x-": {"value": "sin(x)"}}},
-            "nutrients.oxygen.sides.x-.value", "must be a number and a unit",
-        ),
-        (
-            {"nutrients.oxygen.sides": {"x-": {"type": "derivative", "derivative": -1}}},
-            "nutrients.oxygen.sides.x-.derivative", "at least 0",
-        ),
-        (
-            {"nutrients.oxygen.sides": {"x-": {"type": "mixed"}}},
-            "nutrients.oxygen.sides.x-.rate", "is missing",
-        ),
-        (
-            {"nutrients.oxygen.sides": {"w+": {"value": 1}}},
-            "nutrients.oxygen.sides.w+", "not a known name",
-        ),
-        (
-            {"dimensions": 2, "nutrients.oxygen.sides": {"z+": {"value": 1}}},
-            "nutrients.oxygen.sides.z+", "2 dimensions",
-        ),
-        (
-            {"dimensions": 2, "nutrients.oxygen.geometry": "radial"},
-            "nutrients.oxygen.geometry", "2 dimensions",
-        ),
-        (
-            {"nutrients.oxygen.geometry": "radial",
-             "nutrients.oxygen.sides": {"x-": {"value": 1}}},
-            "nutrients.oxygen.sides.x-", "does not exist on a radial grid",
+            {"oxygen.geometry": "radial", "oxygen.sides": {"x-": {"value": 1}}},
+            "oxygen.sides.x-",
+            "does not exist on a radial grid",
         ),
     ],
-)  # fmt: skip
+)
 def test_wrong_input_is_named(changes, path, words):
-    with refused(path, words):
-        scene().with_changes(changes)
+    with refused(f"nutrients.{path}", words):
+        scene().with_changes({f"nutrients.{key}": value for key, value in changes.items()})
+
+
+@pytest.mark.parametrize(("key", "value"), [("sides.z+", {"value": 1}), ("geometry", "radial")])
+def test_a_plane_has_neither_depth_nor_shells(key, value):
+    with refused(f"nutrients.oxygen.{key}", "2 dimensions"):
+        scene().with_changes({"dimensions": 2, f"nutrients.oxygen.{key}": value})

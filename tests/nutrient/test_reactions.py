@@ -151,7 +151,7 @@ def test_steady_is_where_the_transient_comes_to_rest():
 
 def test_the_equation_of_a_frame_has_the_reactions():
     law = {"rate": 0.5, "consumes": {"o": 1, "l": 1}, "produces": {"c": 1}, "where": "tissue"}
-    fields = {name: {**field, "time_tolerance": 1e-4} for name, field in MIXED.items()}
+    fields = {n: {**f, "time_tolerance": 1e-4, "spacing": 20.0} for n, f in MIXED.items()}
     run = mc.Simulation(scene(fields, {"x": law}, coupling_step=120.0))
     run.step()
     begin = run.frame()

@@ -152,7 +152,6 @@ REFUSED = {
     "outside": ({**POINT, "y": "70 um"}, {"domain": BOX}, "y", "outside the domain"),
     "a plane outside": ({"z": -61.0, "flux": 1.0}, {"domain": BOX}, "z", "outside the domain"),
     "depth in a plane": (POINT, {"dimensions": 2}, "z", "2 dimensions"),
-    "a wrong unit": ({**POINT, "strength": "3 mM"}, {}, "strength", "an amount per time"),
     "less than nothing": ({**POINT, "strength": -1.0}, {}, "strength", "at least 0"),
 }
 
