@@ -47,9 +47,9 @@ CASES = {
     ),
     "friction": ("growth", {**GROWING, "friction": {}}),
     "a finite medium and a reaction": ("growth", {
-        **GROWING, "duration": "6 h", "output.every": "2 h", "nutrients": {
+        **GROWING, "duration": "2 h", "output.every": "30 min", "nutrients": {
             "a": {"boundary": 0.05, "uptake": 2.0, "finite_medium": {"volume": 1e7},
-                  "media": [["3 h", 0.04]], "growth_half_saturation": 0.02, "spacing": 20.0},
+                  "media": [["1 h", 0.04]], "growth_half_saturation": 0.02, "spacing": 20.0},
             "b": {"boundary": 0.02, "uptake": 0.0, "spacing": 20.0},
         },
         "reactions": {"bind": {"rate": 0.01, "consumes": {"a": 1, "b": 1}}},

@@ -64,6 +64,8 @@ def test_frames_are_flat_arrays_with_offsets(folder):
         assert file["cells/position"].shape == (80, 3)
         assert file["cells/radius"].attrs["unit"] == "um"
         assert "oxygen" in file["fields"]
+        # columns of what most runs do not have
+        assert not {"doomed", "damage"} & set(file["cells"])
 
 
 def test_the_resolved_scene_gives_the_same_bits(folder, tmp_path):

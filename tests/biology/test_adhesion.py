@@ -51,21 +51,6 @@ def test_the_more_cohesive_type_gathers_inside():
     assert cohesive < 0.9 * loose
 
 
-def test_like_types_do_not_sort():
-    same = {"cohesive": 0.1, "loose": 0.1}
-    scene = sorting(
-        **{
-            "duration": "4 h",
-            "integrator": "cvode",  # auto counts that evaluations are dearer with types
-            "types.cohesive.surface_energy": same,
-            "types.loose.surface_energy": same,
-        }
-    )
-    plain = scene.with_changes({"types": None})
-    a, b = finished(scene), finished(plain)
-    assert np.array_equal(a.cells.position, b.cells.position)
-
-
 def ramp(step, ligand):
     """Return where four cells with receptors and a course of ligands are after ten minutes."""
     scene = mc.load_scene("settle").with_changes(

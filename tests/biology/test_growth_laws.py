@@ -5,7 +5,6 @@ import pytest
 from running import refused
 from scipy import integrate, stats
 
-import multicell as mc
 from multicell.behaviours.growth_laws.registry import LAWS
 from multicell.biology.division import divide
 from multicell.biology.growth import volumes_after
@@ -82,6 +81,26 @@ def test_the_factor_of_growth_slows_the_clock_and_resting_cells_stay(law):
     slow = scene.growth.growth_law.volume_after(cells.volume, 0.5 * factor, birth_volume(scene))
     np.testing.assert_allclose(after[2:], slow[2:], rtol=1e-14)
     np.testing.assert_array_equal(after[:2], cells.volume[:2])
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("phases", [False, True])
+def test_cells_described_by_their_radii_go_on_like_those_described_by_their_ages(law, phases):
+    """Cells of a start table have their place in the cycle by their size."""
+    cycle = {"cycle_time": "12 h", "cycle_variation": 0.0}
+    more = {"phases": {n: {"duration": d} for n, d in PHASES.items()}} if phases else cycle
+    scene, share = scene_of(law, **more), np.array([0.0, 0.2, 0.5, 0.8])
+    columns = {"position_x_um": 40.0 * np.arange(4)}
+    columns |= {f"position_{axis}_um": np.zeros(4) for axis in "yz"}
+    by_age = Simulation(scene, cells={**columns, "age_h": 12.0 * share}).cells
+    by_radius = Simulation(scene, cells={**columns, "radius_um": by_age.radius}).cells
+    if not phases:
+        birth = birth_volume(scene)
+        exact = scene.growth.growth_law.volume_after(np.full(4, birth), share, birth)
+        np.testing.assert_allclose(by_age.volume, exact, rtol=1e-12)
+    np.testing.assert_allclose(by_radius.age, by_age.age, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(by_radius.radius, by_age.radius, rtol=1e-12)
+    assert by_radius.phase.tolist() == by_age.phase.tolist()
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -237,11 +256,3 @@ def test_a_changing_factor_is_made_good_whatever_the_law(law):
 def test_a_law_that_never_comes_to_division_is_refused(entries, path, words):
     with refused(path, words):
         Scene.from_dict({"duration": "1 h", "growth": entries})
-
-
-def test_volumes_stay_those_of_spheres():
-    scene = scene_of("logistic", 3)
-    result = mc.run(scene.with_changes({"duration": "1 h"}))
-    cells = result.frames[-1].cells
-    np.testing.assert_allclose(cells.volume, SPHERE * cells.radius**3, rtol=1e-14)
-    assert (cells.volume > birth_volume(scene)).all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import h5py
 import numpy as np
 import pytest
 from running import finished, refused, within
@@ -43,8 +42,7 @@ def clonogens(simulation):
     return int(simulation.history_row()["clonogens"])
 
 
-@pytest.mark.parametrize("dose", [0.0, 0.5, 2.0, 6.0])
-@pytest.mark.parametrize("beta", [0.0, 0.05])
+@pytest.mark.parametrize(("dose", "beta"), [(0.0, 0.05), (2.0, 0.0), (2.0, 0.05), (6.0, 0.05)])
 def test_survivors_are_those_of_the_linear_quadratic_model(dose, beta):
     simulation = Simulation(described(20000, {"dose": dose, "beta": beta}))
     chance = np.exp(-0.3 * dose - beta * dose**2)
@@ -184,24 +182,14 @@ def test_a_resumed_run_has_the_bits_of_the_whole(tmp_path):
         Simulation(scene, cells=start.assign(doomed=0.5))
 
 
-def test_folders_of_runs_without_doomed_cells_are_as_before(tmp_path):
-    """They have no such column, like those of earlier versions, and are read and resumed."""
-    scene = growing(radiation={}, count=3, output={"every": "5 h"})
-    mc.run(scene, output=tmp_path / "out", report=False, threads=1)
-    with h5py.File(tmp_path / "out" / "frames.h5") as file:
-        assert "phase" in file["cells"]
-        assert "doomed" not in file["cells"]
-    found = mc.resume(tmp_path / "out", 1, output=tmp_path / "again", report=False, threads=1)
-    assert not any(frame.cells.doomed.any() for frame in found.frames)
-    assert not {"clonogens", "doomed"} & set(found.history)
-
-
-def test_a_frame_with_an_impossible_count_is_refused():
+def test_a_frame_with_an_impossible_count_or_damage_is_refused():
     simulation = Simulation(growing({"mitotic_divisions": 1}, count=9), threads=1)
     arrays = arrays_of(simulation.frame(), [])
     assert frame_of(arrays, []).cells.doomed.any()
     with pytest.raises(mc.OutputError, match="doomed holds values out of range"):
         frame_of(arrays | {"cells/doomed": -arrays["cells/doomed"]}, [])
+    with pytest.raises(mc.OutputError, match="damage holds values out of range"):
+        frame_of(arrays | {"cells/damage": np.array([np.nan] * 9)}, [])
 
 
 @pytest.mark.parametrize(

@@ -119,12 +119,6 @@ def test_the_logarithm_of_the_number_of_cells_is_a_line_from_the_start(growth):
     assert (np.abs(np.log(counts) - line) <= 3.5 * scatter + 1e-9).all()
 
 
-def test_exponential_phases_grow_as_a_process_without_memory():
-    """Cycles of mean 24 h that vary by 1 double their number in 24 ln 2 hours, from the start."""
-    _, _, counts = lived(described("gamma 1", count=1500), 60.0, step=0.5)
-    assert counts[-1] == pytest.approx(1500 * np.exp(2.5), rel=0.09)
-
-
 @pytest.mark.parametrize("growth", ["phases", "linear"])
 def test_deaths_lower_the_rate_and_leave_the_ages(growth):
     death = 0.012

@@ -167,26 +167,14 @@ def test_shells_are_those_of_pde(side):
 COUNTS = (20, 40, 80, 160)
 
 
-def radial_errors(exact, sink_of, half, boundary, radius=150.0, **options):
+def radial_errors(exact, sink_of, half, boundary, radius=150.0):
     errors = []
     for n in COUNTS:
         shells = Shells(radius, n, D, boundary)
         r = (np.arange(n) + 0.5) * radius / n
-        linear = options.get("linear", 0.0)
-        c, _ = shells.solve(sink_of(r, shells), half, np.full(n, 0.1), linear=linear)
+        c, _ = shells.solve(sink_of(r), half, np.full(n, 0.1))
         errors.append(np.sqrt(np.average((c - exact(r)) ** 2, weights=shells.volumes)))
     return errors
-
-
-def test_a_ball_with_linear_uptake_at_second_order():
-    """Uptake k c everywhere: sinh(mr)/r."""
-    k, radius = 0.4, 150.0
-    m = np.sqrt(k / D)
-    errors = radial_errors(
-        lambda r: 0.1 * radius / r * np.sinh(m * r) / np.sinh(m * radius),
-        lambda r, _: np.zeros_like(r), 1.0, 0.1, linear=k,
-    )  # fmt: skip
-    assert order(COUNTS, errors) == pytest.approx(-2.0, abs=0.15)
 
 
 def test_a_ball_with_a_starved_core_at_second_order():
@@ -197,7 +185,7 @@ def test_a_ball_with_a_starved_core_at_second_order():
     def exact(r):
         return np.where(r > inner, q / (6 * D) * (r**2 - 3 * inner**2 + 2 * inner**3 / r), 0.0)
 
-    errors = radial_errors(exact, lambda r, _: np.full_like(r, q), 1e-9, surface)
+    errors = radial_errors(exact, lambda r: np.full_like(r, q), 1e-9, surface)
     assert order(COUNTS, errors) == pytest.approx(-2.0, abs=0.3)
     shells = Shells(radius, 320, D, surface)
     c, _ = shells.solve(np.full(320, q), 1e-9, np.full(320, 0.1))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from pde import CartesianGrid, SphericalSymGrid
-from scipy.integrate import solve_bvp, solve_ivp
+from scipy.integrate import solve_bvp
 
 import multicell as mc
 from multicell.errors import NutrientFailed, SceneError
@@ -219,25 +219,6 @@ def test_a_hill_front_at_rest_is_that_of_solve_bvp():
         np.testing.assert_allclose(rested[0].data + 2.0 * rested[1].data, 0.3, rtol=1e-8)
     assert errors[0] < 3e-4
     assert errors[1] < 0.3 * errors[0]
-
-
-def test_a_closed_box_without_gradients_is_its_ode():
-    grid = CartesianGrid([(0, 40)] * 2, 4)
-    made = mc.FieldEquation(
-        grid, {name: mc.Substance(10.0, {"*": WALL}) for name in "abc"}, reactions=BINDING
-    )
-    state = made.state({"a": 0.1, "b": 0.05, "c": 0.01})
-    found = made.solve(state, 60.0, solver="multicell-implicit", rtol=1e-8, tracker=None)
-
-    def rhs(t, y):
-        a, b, c = y
-        bind, part = 5.0 * a * b, 0.05 * c
-        loss = 1e-3 * a**2 / (0.02**2 + a**2) * 0.01 / (0.01 + c)
-        return [part - bind - loss, part - bind, bind - part]
-
-    ode = solve_ivp(rhs, (0, 60), [0.1, 0.05, 0.01], method="DOP853", rtol=1e-10, atol=1e-14)
-    for i in range(3):
-        np.testing.assert_allclose(found[i].data, ode.y[i, -1], rtol=1e-5)
 
 
 # --- bad input ------------------------------------------------------------------------------------

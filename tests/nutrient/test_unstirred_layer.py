@@ -128,17 +128,6 @@ def test_a_run_keeps_the_layer_and_its_summary_tells_it():
     assert summary["units"]["fields.oxygen.layer"] == "um"
 
 
-def test_a_cell_that_strays_leaves_the_layer_as_it_is():
-    simulation = run()
-    simulation.cells.position[0] = [90.0, 0.0, 0.0]
-    simulation.step()
-    summary = simulation.summary()
-    assert summary["fields"]["oxygen"]["layer"] == pytest.approx(30.0, rel=1e-9)
-    assert not any("instead of 30 um" in note for note in summary["notes"])
-    medium = simulation.scene.nutrients["oxygen"].boundary
-    assert simulation.concentrations["oxygen"][0] == pytest.approx(medium, rel=1e-3)
-
-
 def test_tissue_that_reaches_beyond_the_layer_is_still_on_the_shells_and_is_reported():
     simulation = run()
     simulation.cells.position[:] = 0.0

@@ -32,17 +32,6 @@ def test_a_cell_takes_up_in_proportion_to_its_volume():
     np.testing.assert_allclose(capacity, 0.02 * SPHERE * cells.radius**3, rtol=1e-14)
 
 
-def test_factors_of_states_and_types_hold_for_it_too():
-    types = {"x": {}, "y": {"uptake_of": {"a": 3.0}}}
-    described = scene({"uptake_per_volume": 0.02, "quiescent_uptake": 0.25}, types=types)
-    cells = mc.Simulation(described).cells.copy()
-    cells.state[::2] = mc.State.QUIESCENT
-    capacity, _ = Feeding(described).demand_now("a", cells)
-    factor = np.where(cells.state == mc.State.QUIESCENT, 0.25, 1.0)
-    factor *= np.array([1.0, 3.0])[cells.kind]
-    np.testing.assert_allclose(capacity, 0.02 * cells.volume * factor, rtol=1e-14)
-
-
 @pytest.mark.parametrize("radius", [5.0, 10.0])
 def test_a_ball_has_the_field_of_the_closed_form_whatever_its_cells_size(radius):
     """Uptake Q in all, saturated, in a ball of radius R behind a layer that ends at L.
