@@ -9,7 +9,7 @@ import pytest
 from running import finished
 
 import multicell as mc
-from multicell import Simulation, State
+from multicell import Simulation
 from multicell.biology.initial import initial_cells
 
 SMALL = {
@@ -52,16 +52,6 @@ def test_every_cell_is_accounted_for(grown):
     assert len(grown.cells) == 60 + grown.divisions - grown.removals
     assert len(np.unique(grown.cells.id)) == len(grown.cells)
     assert (grown.cells.parent < grown.cells.id).all()
-
-
-def test_states_follow_the_thresholds():
-    prompt = finished(small(**{"cells.reaction_time": "10 min", "duration": "10 h"}))
-    oxygen = prompt.scene.nutrients["oxygen"]
-    c, state = prompt.concentrations["oxygen"], prompt.cells.state
-    assert len(np.unique(state)) > 1
-    assert (state[c < oxygen.necrosis] == State.NECROTIC).all()
-    assert (c[state == State.PROLIFERATING] >= oxygen.quiescence).all()
-    assert (c[state == State.QUIESCENT] < oxygen.quiescence).all()
 
 
 def test_stop_cells_ends_the_run():

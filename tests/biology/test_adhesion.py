@@ -19,10 +19,6 @@ from multicell.mechanics.system import Mechanics
 from multicell.results.observables import contact_rows
 
 
-def sorting(**changes):
-    return mc.load_scene("sorting").with_changes({"initial.count": 80} | changes)
-
-
 @pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
 def test_doublet_separates_at_three_halves_pi_sigma_r(law):
     scene = mc.load_scene("doublet").with_changes({"contact.law": law})
@@ -36,19 +32,6 @@ def test_doublet_separates_at_three_halves_pi_sigma_r(law):
     assert simulation.separation["force"] > expected
     assert simulation.time < scene.duration
     assert simulation.summary()["separation"] == simulation.separation
-
-
-def test_the_more_cohesive_type_gathers_inside():
-    simulation = Simulation(sorting(duration="16 h"))
-    first = simulation.history_row()["heterotypic_fraction"]
-    finished(simulation)
-    assert first == pytest.approx(0.5, abs=0.07)
-    assert simulation.history_row()["heterotypic_fraction"] < 0.8 * first
-    distance = np.linalg.norm(
-        simulation.cells.position - simulation.cells.position.mean(axis=0), axis=1
-    )
-    cohesive, loose = (distance[simulation.cells.kind == kind].mean() for kind in (0, 1))
-    assert cohesive < 0.9 * loose
 
 
 def ramp(step, ligand):

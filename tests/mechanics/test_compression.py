@@ -30,27 +30,17 @@ def walls(half=HALF):
 
 
 def dense(
-    n=40,
-    seed=3,
-    *,
-    spacing=0.8,
-    variation=0.2,
-    law=None,
-    half=None,
-    rate=0.001,
-    offset=None,
-    felt=FELT,
-    **options,
+    n=40, seed=3, *, spacing=0.8, variation=0.2, law=None, half=None, offset=None, felt=FELT, **more
 ):
     """Return cells of unlike radii, pressed together until most resist, and their places."""
     position, radius, young = cluster(n, seed, spacing=spacing, variation=variation)
     sides = None
     if half is not None:
         position, sides = np.clip(position, 1.0 - half, half - 1.0), walls(half)
-    system = Mechanics(law or Hertz(), 5.0, walls=sides, compression=felt, **options)
+    system = Mechanics(law or Hertz(), 5.0, walls=sides, compression=felt, **more)
     pairs = None if offset is None else np.array([[0, 1], [2, 7]])
     motion = Motion(
-        radius, np.full(n, rate), young, np.full(n, 0.5), 0.0, 50.0,
+        radius, np.full(n, 0.001), young, np.full(n, 0.5), 0.0, 50.0,
         offset_pairs=pairs, offset=offset,
     )  # fmt: skip
     system.begin(motion)
@@ -192,16 +182,6 @@ def test_below_the_threshold_all_bits_are_those_without_it():
     np.testing.assert_array_equal(out[0], out[1])
 
 
-def test_energy_falls_along_the_flow():
-    system, position = dense(rate=0.0, half=HALF)
-    energies = []
-    for _ in range(200):
-        energies.append(system.energy(0.0, position))
-        position = position + 0.02 * velocity_of(system)(position)
-    assert (np.diff(energies) < 0.0).all()
-    assert energies[-1] < 0.5 * energies[0]
-
-
 # a lattice
 
 
@@ -318,7 +298,7 @@ def growing(**parts):
         "cells": {"division_radius": "5 um", "young": "1 kPa"},
         "growth": {"critical_pressure": "0.1 kPa"}, "contact": {"law": "hertz"},
         "drag": {"viscosity": "0.5 kPa s"},
-        "domain": {axis: ["-16 um", "16 um"] for axis in "xyz"},
+        "domain": {axis: ["-12 um", "12 um"] for axis in "xyz"},
     }  # fmt: skip
     return mc.Scene.from_dict(entries | parts)
 

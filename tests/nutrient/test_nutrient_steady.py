@@ -56,30 +56,16 @@ def faces(grid, law):
     return conditions
 
 
-def zero_order(uptake, surface, necrotic=0.0):
+def starved_core(uptake, surface, necrotic):
     """Return c(r) for a constant uptake in the shell from ``necrotic`` to the ball's surface."""
 
     def law(r):
-        inner = np.clip(r, max(necrotic, 1e-300), RADIUS)
+        inner = np.clip(r, necrotic, RADIUS)
         shape = inner**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / inner
         at_rim = RADIUS**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / RADIUS
         flow = uptake * (RADIUS**3 - necrotic**3) / (3.0 * D)
         outer = flow * (1.0 / RADIUS - 1.0 / np.maximum(r, RADIUS))
         return surface + uptake / (6.0 * D) * (shape - at_rim) + outer
-
-    return law
-
-
-def first_order(rate, medium):
-    """Return c(r) for an uptake ``rate * c`` in the ball and ``medium`` far away."""
-    k = np.sqrt(rate / D)
-    slope = k * RADIUS * np.cosh(k * RADIUS) - np.sinh(k * RADIUS)
-    b = medium / (np.sinh(k * RADIUS) / RADIUS + slope / RADIUS)
-
-    def law(r):
-        inner = np.minimum(np.maximum(r, 1e-12), RADIUS)
-        inside = b * np.sinh(k * inner) / inner
-        return np.where(r < RADIUS, inside, medium - b * slope / np.maximum(r, RADIUS))
 
     return law
 
@@ -98,22 +84,10 @@ def order(errors, sizes=SIZES):
     return -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
 
 
-def test_second_order_for_zero_order_uptake_without_a_core():
-    law = zero_order(uptake=0.03, surface=0.06)
-    errors, flows = [], []
-    for n in SIZES:
-        error, _, report = rms_error(n, law, density=0.03, half=1e-9)
-        errors.append(error)
-        flows.append(report.inflow)
-    assert law(np.array(0.0)) > 0.03  # nothing starves
-    assert order(errors) == pytest.approx(2.0, abs=0.2)
-    np.testing.assert_allclose(flows, 0.03 * 4 / 3 * np.pi * RADIUS**3, rtol=1e-6)
-
-
 def test_second_order_for_zero_order_uptake_with_a_necrotic_core():
     necrotic, uptake = 55.0, 0.05
     rim = RADIUS**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / RADIUS
-    law = zero_order(uptake, surface=uptake / (6.0 * D) * rim, necrotic=necrotic)
+    law = starved_core(uptake, uptake / (6.0 * D) * rim, necrotic)
     errors, radii = [], []
     for n in SIZES:
         error, c, report = rms_error(n, law, density=uptake, half=1e-8)
@@ -123,14 +97,6 @@ def test_second_order_for_zero_order_uptake_with_a_necrotic_core():
     assert order(errors) == pytest.approx(2.0, abs=0.2)
     assert radii[-1] == pytest.approx(necrotic, rel=2e-3)
     assert order(np.abs(np.array(radii) - necrotic)) > 1.6
-
-
-def test_second_order_for_first_order_uptake():
-    rate, half = 1.2, 1e6
-    law = first_order(rate, medium=0.07)
-    errors = [rms_error(n, law, density=rate * half, half=half)[0] for n in SIZES]
-    assert law(np.array(0.0)) < 0.5 * law(np.array(RADIUS))
-    assert order(errors) == pytest.approx(2.0, abs=0.2)
 
 
 def starved(n=24, factor=1.0, half=0.005):
