@@ -240,13 +240,3 @@ def test_the_force_of_a_motion_is_what_drag_and_contacts_ask_for():
     exact = np.array([[force, 0.0, 0.0], [-force, 0.0, 0.0], [0.0, DRAG * 5.0 * 0.25, 0.0]])
     np.testing.assert_allclose(outside_force(system, 0.0, position), exact, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(system.at_end(position) - position, 4.0 * velocity, atol=1e-12)
-
-
-def test_nothing_is_loaded_or_given_where_no_motion_is_prescribed():
-    system = Mechanics(Hertz(), 5.0)
-    position, radius, young = cluster(5, 1)
-    system.begin(Motion(radius, np.zeros(5), young, np.full(5, 0.5), 0.0, 4.0))
-    assert system.prescribed is None
-    assert system.at_end(position) is position
-    assert system.weighed_rows is system.rows
-    assert not outside_force(system, 0.0, position).any()

@@ -187,24 +187,15 @@ def test_at_the_bounds_accounts_close(case, regime):
 def test_a_field_that_nothing_feeds_is_empty_at_once(geometry, medium_diffusion, regime):
     """Iterations from the medium's value left rounding, of either sign or as a remainder."""
     field = {
-        "boundary": 0.066,
-        "sides": {"*": {"value": 0.0}},
-        "uptake": 11.5,
-        "decay": 5.7e-7,
-        "geometry": geometry,
-        "regime": regime,
-        "initial": "steady",
-        "spacing": 4.0,
-        **({} if medium_diffusion is None else {"diffusion_medium": medium_diffusion}),
-    }
-    scene = mc.Scene.from_dict(
-        {"duration": 180.0, "coupling_step": 60.0, "nutrients": {"oxygen": field}}
-    )
-    result = mc.run(scene)
-    for frame in result.frames:
-        assert not frame.fields["oxygen"].values.any()
-    assert result.summary()["ledger"]["oxygen"]["remainder"] == 0.0
-    assert result.summary()["ledger"]["oxygen"]["relative_remainder"] == 0.0
+        "boundary": 0.066, "sides": {"*": {"value": 0.0}}, "uptake": 11.5, "decay": 5.7e-7,
+        "geometry": geometry, "diffusion_medium": medium_diffusion, "regime": regime,
+        "initial": "steady", "spacing": 4.0,
+    }  # fmt: skip
+    field = {key: value for key, value in field.items() if value is not None}
+    result = mc.run(scene(field, duration=180.0, coupling_step=60.0))
+    assert not any(frame.fields["a"].values.any() for frame in result.frames)
+    ledger = result.summary()["ledger"]["a"]
+    assert ledger["remainder"] == ledger["relative_remainder"] == 0.0
 
 
 def test_a_field_that_fades_costs_no_steps_once_it_is_gone(monkeypatch):
@@ -216,20 +207,15 @@ def test_a_field_that_fades_costs_no_steps_once_it_is_gone(monkeypatch):
     monkeypatch.setattr(
         FieldEquation, "implicit_step", lambda *args: taken.append(args[2]) or step(*args)
     )
-    entries = {
-        "duration": "1 h",
-        "coupling_step": "30 min",
-        "nutrients": {
-            "drug": {
-                "boundary": 0.067, "media": [["1 min", 0.0]], "regime": "transient",
-                "uptake": 0.0, "diffusion": 667.0, "spacing": 8.0, "margin": 48.0,
-            }
-        },
+    drug = {
+        "boundary": 0.067, "media": [["1 min", 0.0]], "regime": "transient",
+        "uptake": 0.0, "diffusion": 667.0, "spacing": 8.0, "margin": 48.0,
     }  # fmt: skip
-    simulation = finished(mc.Scene.from_dict(entries))
-    assert simulation.fields["drug"].values.max() < 1e-6 * 0.067
-    assert simulation.fields["drug"].values.min() >= 0.0
-    assert simulation.ledger["drug"].relative_remainder < 1e-8
+    described = scene(drug, duration="1 h", coupling_step="30 min", initial={"count": 1})
+    simulation = finished(described)
+    assert simulation.fields["a"].values.max() < 1e-6 * 0.067
+    assert simulation.fields["a"].values.min() >= 0.0
+    assert simulation.ledger["a"].relative_remainder < 1e-8
     # as short as at the beginning they were tens of thousands
     assert len(taken) < 3_000
     assert max(taken) > 100.0

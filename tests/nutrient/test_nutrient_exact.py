@@ -274,15 +274,3 @@ def test_the_march_comes_to_rest_at_the_steady_state():
     stored = float(np.sum(shells.volumes * (c - 1.0)))
     gone = entry(info, "uptake") + entry(info, "decayed")
     assert abs(entry(info, "inflow") - gone - stored) < 1e-8 * gone
-
-
-def test_the_march_agrees_with_explicit_stepping_of_pde():
-    from pde import DiffusionPDE
-
-    grid = CartesianGrid([(0, 40.0)] * 3, 6)
-    begin = ScalarField(grid, np.random.default_rng(4).random(grid.shape))
-    theirs = DiffusionPDE(10.0, bc={"value": 0.5}).solve(
-        begin, t_range=3.0, dt=0.05, solver="runge-kutta", backend="numpy", tracker=None
-    )
-    ours, _ = marched(FieldEquation(grid, {"a": Substance(10.0, 0.5)}), begin.data, 3.0, 1e-5)
-    np.testing.assert_allclose(ours, theirs.data, atol=2e-4)

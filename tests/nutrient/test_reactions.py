@@ -30,19 +30,6 @@ def values(simulation, name):
 # --- closed forms ---------------------------------------------------------------------------------
 
 
-def test_first_order_in_a_closed_box_is_an_exponential():
-    fields = {"a": {**CLOSED, "boundary": 0.1}, "b": {**CLOSED, "boundary": 0.0}}
-    change = {"x": {"rate": "1e-3 1/s", "consumes": {"a": 1}, "produces": {"b": 2}}}
-    run = finished(scene(fields, change, domain=BOX))
-    left = 0.1 * np.exp(-1.8)
-    np.testing.assert_allclose(values(run, "a"), left, rtol=1e-3)
-    np.testing.assert_allclose(values(run, "b"), 2.0 * (0.1 - left), rtol=1e-3)
-    made, used = run.ledger["b"].made, run.ledger["a"].used
-    assert made == pytest.approx(2.0 * used, rel=1e-10)
-    assert used == pytest.approx(1e6 * (0.1 - left), rel=1e-3)
-    assert run.ledger["a"].made == run.ledger["b"].used == 0.0
-
-
 def test_binding_comes_to_its_equilibrium_and_keeps_what_does_not_react():
     fields = {
         "a": {**CLOSED, "boundary": 0.1},
@@ -133,17 +120,6 @@ def test_what_is_used_up_falls_to_zero_and_not_below():
     middle = values(run, "a")[:, 4, 0]
     x = -47.5 + 5.0 * np.arange(20)
     np.testing.assert_allclose(middle[x < -15], -0.1 * x[x < -15] / 50.0, atol=2e-3)
-
-
-def test_steady_is_where_the_transient_comes_to_rest():
-    made = {}
-    for regime in ("steady", "transient"):
-        fields = {n: {**f, "geometry": "radial", "regime": regime} for n, f in MIXED.items()}
-        law = {"rate": 0.5, "consumes": {"o": 1, "l": 1}, "produces": {"c": 1}}
-        run = finished(scene(fields, {"x": law}, duration=14400.0, coupling_step=3600.0))
-        made[regime] = {name: values(run, name) for name in fields}
-    for name, rested in made["steady"].items():
-        np.testing.assert_allclose(made["transient"][name], rested, rtol=1e-4)
 
 
 # --- runs -----------------------------------------------------------------------------------------

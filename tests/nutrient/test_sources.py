@@ -124,17 +124,6 @@ def test_moving_cells_round_a_source_account_for_all_that_it_gave(regime, finite
     assert ledger.relative_remainder > 1e-5
 
 
-def test_in_a_closed_box_the_mean_follows_its_equation():
-    """V dc/dt = S - k V c."""
-    closed = {"regime": "transient", "sides": {"*": WALL}, "uptake": 0.0, "decay": 1e-3,
-              "spacing": 20.0, "time_tolerance": 1e-4}  # fmt: skip
-    simulation = finished(scene(closed, domain={axis: [-60.0, 60.0] for axis in "xyz"}))
-    volume = 120.0**3
-    rest = 3000.0 / (1e-3 * volume)
-    exact = rest + (0.02 - rest) * np.exp(-1e-3 * simulation.time)
-    assert simulation.fields["a"].values.mean() == pytest.approx(exact, rel=2e-4)
-
-
 def test_in_a_plane():
     flat = {key: value for key, value in POINT.items() if key != "z"}
     simulation = finished(scene({"sources": {"pump": flat}, "height": 10.0}, dimensions=2))

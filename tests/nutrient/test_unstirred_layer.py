@@ -54,28 +54,6 @@ def test_zeroth_order_uptake_behind_a_layer(layer):
         np.testing.assert_allclose(oxygen.sample(ring(distance)), exact, rtol=3e-4)
 
 
-def test_first_order_uptake_behind_a_layer():
-    """c = A sinh(φr/R)/r inside, c_0 - B (1/r - 1/(R + δ)) outside, with one value and one flow."""
-    position, radius = ball()
-    layer, rate = 60.0, 0.3  # 1/s
-    half = 1e4
-    each = rate * half * 4 / 3 * np.pi * R**3 / len(position)
-    oxygen = field(layer=layer, boundary=0.2, half_saturation=half)
-    oxygen.solve(position, np.full(len(position), each), radius=radius)
-    phi = R * np.sqrt(rate / D)
-    matrix = [
-        [np.sinh(phi) / R, 1 / R - 1 / (R + layer)],
-        [(phi * np.cosh(phi) - np.sinh(phi)) / R**2, -1 / R**2],
-    ]
-    a, b = np.linalg.solve(matrix, [0.2, 0.0])
-    for r in (20.0, 75.0, 130.0):
-        exact = a * np.sinh(phi * r / R) / r
-        np.testing.assert_allclose(oxygen.sample(ring(r)), exact, rtol=2e-3)
-    for r in (165.0, 190.0):
-        exact = 0.2 - b * (1 / r - 1 / (R + layer))
-        np.testing.assert_allclose(oxygen.sample(ring(r)), exact, rtol=1e-3)
-
-
 @pytest.mark.parametrize("layer", [0.5, 20.0, 333.3])
 def test_the_surface_lies_exactly_the_layer_beyond_the_tissue(layer):
     position, radius = ball(2000)
