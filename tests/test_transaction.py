@@ -111,9 +111,9 @@ ERRORS = [NutrientFailed("it cannot be solved", "Try again"), MemoryError(), Key
 @pytest.mark.parametrize("where", WHERE)
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
 def test_the_beginning_is_left(where, error, monkeypatch):
-    simulation = after(8)
+    simulation = after(4)
     before = state(simulation)
-    assert before == recorded(8)[2]
+    assert before == recorded(4)[2]
     owner, name = WHERE[where]
     with monkeypatch.context() as patch:
         patch.setattr(owner, name, fails(error)(getattr(owner, name)))
@@ -122,12 +122,12 @@ def test_the_beginning_is_left(where, error, monkeypatch):
             simulation.step()
     assert state(simulation) == before
     simulation.step()
-    assert state(simulation) == recorded(9)[2]
+    assert state(simulation) == recorded(5)[2]
 
 
 def test_the_scene_divides_and_dies_in_the_step_that_fails():
     """Else the tests above would hold for a step in which nothing happens."""
-    before, then = after(8), after(9)
+    before, then = after(4), after(5)
     assert then.divisions > before.divisions
     assert then.lineage.counts()["deaths"] > 0
     assert sorted(then.cells.id.tolist()) != sorted(before.cells.id.tolist())
