@@ -294,11 +294,11 @@ def test_methods_agree_with_scipy(method, settled):
 
 def growing(**parts):
     entries = {
-        "duration": "5 d", "coupling_step": "20 min", "seed": 1, "initial": {"count": 8},
+        "duration": "4 d", "coupling_step": "20 min", "seed": 1, "initial": {"count": 8},
         "cells": {"division_radius": "5 um", "young": "1 kPa"},
         "growth": {"critical_pressure": "0.1 kPa"}, "contact": {"law": "hertz"},
         "drag": {"viscosity": "0.5 kPa s"},
-        "domain": {axis: ["-12 um", "12 um"] for axis in "xyz"},
+        "domain": {axis: ["-14 um", "14 um"] for axis in "xyz"},
     }  # fmt: skip
     return mc.Scene.from_dict(entries | parts)
 
