@@ -192,7 +192,8 @@ def test_a_field_that_nothing_feeds_is_empty_at_once(geometry, medium_diffusion,
         "initial": "steady", "spacing": 4.0,
     }  # fmt: skip
     field = {key: value for key, value in field.items() if value is not None}
-    result = mc.run(scene(field, duration=180.0, coupling_step=60.0))
+    still = {"growth": None, "initial": {"count": 1}}
+    result = mc.run(scene(field, duration=180.0, coupling_step=60.0, **still))
     assert not any(frame.fields["a"].values.any() for frame in result.frames)
     ledger = result.summary()["ledger"]["a"]
     assert ledger["remainder"] == ledger["relative_remainder"] == 0.0
@@ -211,7 +212,8 @@ def test_a_field_that_fades_costs_no_steps_once_it_is_gone(monkeypatch):
         "boundary": 0.067, "media": [["1 min", 0.0]], "regime": "transient",
         "uptake": 0.0, "diffusion": 667.0, "spacing": 8.0, "margin": 48.0,
     }  # fmt: skip
-    described = scene(drug, duration="1 h", coupling_step="30 min", initial={"count": 1})
+    still = {"growth": None, "initial": {"count": 1}}
+    described = scene(drug, duration="1 h", coupling_step="30 min", **still)
     simulation = finished(described)
     assert simulation.fields["a"].values.max() < 1e-6 * 0.067
     assert simulation.fields["a"].values.min() >= 0.0
