@@ -304,7 +304,7 @@ def test_scales_and_choices():
     assert regime(described, "oxygen") == "steady"
     assert regime(scene(nutrients__glucose__diffusion=1.0), "glucose") == "transient"
     # where nothing comes in there is no level to be at rest at
-    assert regime(scene(nutrients__glucose__sides=WALLS), "glucose") == "transient"
+    assert regime(scene(nutrients__oxygen__sides=WALLS), "oxygen") == "transient"
     assert 5.0 <= spacing(described, "glucose") <= 10.0
 
 
