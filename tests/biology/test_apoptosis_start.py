@@ -9,7 +9,7 @@ from scipy import stats
 
 from multicell.biology.initial import initial_cells
 from multicell.cells import State
-from multicell.scene.scene import Scene, load_scene
+from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
 HOUR = 3600.0
@@ -92,10 +92,3 @@ def test_cells_handed_in_do_not_pay_for_their_age():
     assert alive(simulation) == 3000
     finished(simulation)
     assert within(alive(simulation), 3000, np.exp(-scene.death.apoptosis_rate * simulation.time))
-
-
-def test_no_cell_of_the_spheroids_dies_at_the_start():
-    for name in ("emt6", "treatment"):
-        simulation = Simulation(load_scene(name))
-        assert (simulation.cells.age > 0.0).any()
-        assert not (simulation.cells.state == State.APOPTOTIC).any()
