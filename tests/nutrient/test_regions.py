@@ -49,7 +49,7 @@ LAYERS = {
 }
 
 
-@pytest.mark.parametrize(("axis", "case"), zip(itertools.cycle("xyz"), LAYERS))
+@pytest.mark.parametrize(("axis", "case"), list(zip(itertools.cycle("xyz"), LAYERS)))
 def test_a_slab_of_layers(axis, case):
     """Resistances add up wherever the faces lie, and beyond the layers c is exact."""
     regions = {f"layer_{k}": {axis: x[:2], "diffusion": x[2]} for k, x in enumerate(LAYERS[case])}

@@ -124,14 +124,17 @@ def mixed(frame):
 
 def test_two_types_sort_or_mix_by_their_adhesion():
     scene = mc.load_scene("openvt-sorting").with_changes({"duration": "30 h"})
-    frames = mc.run(scene).frames
-    np.testing.assert_array_equal(np.bincount(frames[0].cells.kind), [200, 200])
-    fractions = [mixed(frame) for frame in frames[::10]]
-    assert fractions[0] == pytest.approx(0.5, abs=0.04)
-    assert all(after < before for before, after in pairwise(fractions))
+    last = []
+    for seed in (1, 2):  # by 0.02 they differ
+        frames = mc.run(scene.with_changes({"seed": seed})).frames
+        np.testing.assert_array_equal(np.bincount(frames[0].cells.kind), [200, 200])
+        fractions = [mixed(frame) for frame in frames[::10]]
+        assert fractions[0] == pytest.approx(0.5, abs=0.04)
+        assert all(after < before for before, after in pairwise(fractions))
+        last.append(fractions[-1])
     # half of the mixed contacts are gone; a pilot of Morpheus at the workshop went from 0.47 to
     # 0.25 (sorting_100_seed20260712_calibrated_passive_analysis.json, six nearest centres)
-    assert fractions[-1] < 0.27
+    assert np.mean(last) < 0.27
     alike, other = "0.05 nN/um", "0.2 nN/um"
     energies = {"A": {"A": alike, "B": other}, "B": {"A": other, "B": alike}}
     changes = {f"types.{name}.surface_energy": pair for name, pair in energies.items()}
