@@ -9,6 +9,7 @@ from pathlib import Path
 import bits
 import numpy as np
 import pytest
+from running import finished
 
 from multicell.integrators.registry import METHODS
 
@@ -60,8 +61,7 @@ def resumed_everywhere(name, changes, kept):
     ends = {}
     for k in np.linspace(0, len(frames) - 2, kept).astype(int):
         again = bits.simulation(name, changes, 1, frame=frames[k])
-        while not again.finished:
-            again.step()
+        finished(again)
         ends[int(k)] = bits.digest(again.frame())
     return bits.digest(frames[-1]), ends
 

@@ -23,6 +23,13 @@ SPHEROID = {
     "death.lysis_time": "4 h",
     "output.every": "7 h",
 }
+GROWING = {
+    "duration": "20 h",
+    "initial.count": 8,
+    "initial.stage": "uniform",
+    "output.every": "5 h",
+    "growth.cycle_time": "8 h",
+}
 CASES = {
     "growth, nutrient and death": ("spheroid", SPHEROID),
     "shells": ("spheroid", {**SPHEROID, "nutrients.oxygen.geometry": "radial"}),
@@ -38,11 +45,38 @@ CASES = {
         "doublet",
         {"contact.law": "exact-jkr", "duration": "40 min", "output.every": "12 min"},
     ),
-    "friction": (
-        "growth",
-        {"friction": {}, "duration": "20 h", "initial.count": 8, "output.every": "5 h"},
-    ),
-}
+    "friction": ("growth", {**GROWING, "friction": {}}),
+    "a finite medium and a reaction": ("growth", {
+        **GROWING, "duration": "2 h", "output.every": "30 min", "nutrients": {
+            "a": {"boundary": 0.05, "uptake": 2.0, "finite_medium": {"volume": 1e7},
+                  "media": [["1 h", 0.04]], "growth_half_saturation": 0.02, "spacing": 20.0},
+            "b": {"boundary": 0.02, "uptake": 0.0, "spacing": 20.0},
+        },
+        "reactions": {"bind": {"rate": 0.01, "consumes": {"a": 1, "b": 1}}},
+    }),
+    "responses and lives": ("growth", {
+        **GROWING, "death": {"apoptosis_rate": "0.01 1/h"}, "types": {"a": {}, "b": {}},
+        "responses": [
+            {"behaviour": "change to b", "signal": "contacts with a", "law": "hill", "half": 2,
+             "largest": "0.1 1/h", "cells": "a"},
+            {"behaviour": "apoptosis rate", "signal": "neighbours", "law": "monod", "half": 4,
+             "largest": "0.03 1/h"},
+            {"behaviour": "growth rate", "signal": "time", "law": "linear", "falls": True,
+             "begin": 0, "end": "60 h"},
+        ],
+    }),
+    "driven cells that divide smoothly": ("growth", {
+        **GROWING, "growth.division": "smooth",
+        "growth.phases": {name: {"duration": "2 h"} for name in ("G1", "S", "G2", "M")},
+        "motions": {"held": {"cells": [0, 2]}, "x": {"cells": [1], "velocity": [0, 1e-5, 0]}},
+        "forces": {"f": {"force": [0.001, 0, 0], "cells": [3]}},
+    }),
+    "a gradient in a box": ("growth", {
+        **GROWING, "domain": {axis: [-20.0, 20.0] for axis in "xyz"}, "chemotaxis": {"oxygen": {}},
+        "nutrients": {"oxygen": {"boundary": 0.2, "regime": "transient", "spacing": 10.0,
+                                 "growth_half_saturation": 0.1}},
+    }),
+}  # fmt: skip
 
 
 LONG = pytest.param("transient", marks=pytest.mark.slow)
@@ -63,6 +97,8 @@ def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_pa
         scene = mc.load_scene(name).with_changes(changes)
         whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
     assert len(whole.frames) >= 3
+    if "medium" in case:
+        assert whole.frames[1].cells.lag.any()
     for k, threads in ((1, 2), (len(whole.frames) - 2, 1)):
         again = tmp_path / f"again{k}"
         result = mc.resume(
@@ -242,3 +278,51 @@ def test_a_run_can_end_earlier_than_planned_after_the_frame(tmp_path):
     mc.run(scene, output=tmp_path / "run", report=False)
     shorter = mc.resume(tmp_path / "run", 1, changes={"duration": "2 min"}, report=False)
     assert shorter.summary()["time"] == shorter.frames[-1].time == 120.0
+
+
+# a run that ends within a coupling step loses no time and counts none twice
+
+STOPPED = mc.Scene.from_dict(
+    {
+        "duration": "25 min",
+        "coupling_step": "10 min",
+        "initial": {"count": 12, "stage": "uniform"},
+        "growth": {"cycle_time": "3 d", "cycle_variation": 0},
+        "drag": {"viscosity": "0.5 kPa s"},
+        "output": {"every": "5 min"},
+    }
+)
+
+
+@pytest.mark.parametrize(
+    "ends", [["45 min"], ["26 min", "27 min", "52 min"], ["25.0001 min", "1 h"]]
+)
+def test_time_goes_on_where_it_stopped(ends, tmp_path):
+    mc.run(STOPPED, output=tmp_path / "run", report=False)
+    for end in ends:
+        result = mc.resume(tmp_path / "run", changes={"duration": end}, report=False)
+    time = result.history["time"]
+    last = result.scene.duration
+    assert time[-1] == last
+    assert (np.diff(time) > 0.0).all()
+    assert np.diff(time).max() <= 600.0 * (1.0 + 1e-12)
+    cells, start = result.frames[-1].cells, result.frames[0].cells
+    # nobody divides: each has grown older, and larger, by just the time that has passed
+    older = cells.age[np.argsort(cells.id)] - start.age[np.argsort(start.id)]
+    np.testing.assert_allclose(older, last, rtol=1e-12)
+    grown = cells.volume[np.argsort(cells.id)] - start.volume[np.argsort(start.id)]
+    birth = 0.5 * 4.0 / 3.0 * np.pi * 5.0**3
+    np.testing.assert_allclose(grown, birth * last / (3 * 86400.0), rtol=1e-9)
+
+
+def test_a_prolonged_run_is_resumed_bit_for_bit(tmp_path):
+    mc.run(STOPPED, output=tmp_path / "run", report=False)
+    whole = mc.resume(
+        tmp_path / "run", changes={"duration": "55 min"}, output=tmp_path / "a", report=False
+    )
+    for frame in range(4, len(whole.frames) - 1):
+        again = mc.resume(tmp_path / "a", frame, output=tmp_path / f"b{frame}", report=False)
+        assert again.history["time"].tolist() == whole.history["time"].tolist()
+        np.testing.assert_array_equal(
+            again.frames[-1].cells.position, whole.frames[-1].cells.position
+        )

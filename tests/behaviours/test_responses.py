@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from running import finished, within
 from scipy import stats
 
 import multicell as mc
@@ -22,13 +23,6 @@ def scene(count=60, **tables):
     return mc.Scene.from_dict(given)
 
 
-def run(described):
-    simulation = mc.Simulation(described, threads=1)
-    while not simulation.finished:
-        simulation.step()
-    return simulation
-
-
 def state(described, **columns):
     """Return the plan of a scene, its cells with other columns, and what they find of the drug."""
     cells = mc.Simulation(described, threads=1).cells
@@ -37,17 +31,12 @@ def state(described, **columns):
     return biology_plan(described), cells
 
 
-def within(count, trials, chance, sigmas=4.0):
-    """Return whether a binomial count is where it is but once in 16,000 times."""
-    return abs(count - trials * chance) <= sigmas * math.sqrt(trials * chance * (1.0 - chance))
-
-
-@pytest.mark.parametrize("dose", [0.5e-3, 1e-3, 2e-3, 8e-3])
+@pytest.mark.parametrize("dose", [1e-3, 8e-3])
 def test_survivors_under_a_hill_kill_fall_exponentially_at_the_rate_of_the_dose(dose):
     kill = {"behaviour": "death rate", "signal": "drug", "law": "hill", "half": "2 uM",
             "power": 3, "largest": "0.2 1/h"}  # fmt: skip
     made = scene(1500, responses=[kill]).with_changes({"nutrients.drug.boundary": dose})
-    dead = int(run(made).cells.dead.sum())
+    dead = int(finished(made).cells.dead.sum())
     rate = 0.2 * dose**3 / (0.002**3 + dose**3)
     assert within(dead, 1500, 1.0 - math.exp(-6.0 * rate))
 
@@ -65,7 +54,7 @@ def test_two_clones_under_a_constant_drug_grow_at_their_own_rates():
         types={"sensitive": {}, "resistant": {}}, responses=responses,
         initial={"count": 400, "stage": "asynchronous"}, death={"apoptosis_time": "1 min"},
     )  # fmt: skip
-    cells = run(made).cells
+    cells = finished(made).cells
     alive = [int(((cells.kind == kind) & ~cells.dead).sum()) for kind in (0, 1)]
     rate = math.log(2.0) / 20.0
     expected = [200 * math.exp((0.5 * rate - 0.01) * 30.0), 200 * math.exp(rate * 30.0)]
@@ -99,7 +88,7 @@ def test_the_short_form_and_its_response_give_the_same_bits():
              "largest": 1},
         ],
     })  # fmt: skip
-    one, other = run(short).cells, run(long).cells
+    one, other = finished(short).cells, finished(long).cells
     assert len(one) > 60
     for name, column in one.columns():
         np.testing.assert_array_equal(column, getattr(other, name), err_msg=name)
@@ -116,7 +105,7 @@ def test_types_that_switch_are_a_markov_chain():
         ],
         coupling_step="2 min",
     )  # fmt: skip
-    cells = run(made).cells
+    cells = finished(made).cells
     share = up / (up + down) * (1.0 - math.exp(-(up + down) * 6.0))
     assert within(int((cells.kind == 1).sum()), 2000, share)
 
@@ -135,7 +124,7 @@ def test_mutants_are_those_of_luria_and_delbruck():
             "drag": {"viscosity": 50.0}, "contact": {"law": "hertz"},
             "cells": {"young": "0.05 kPa"},
         })  # fmt: skip
-        cells = run(made).cells
+        cells = finished(made).cells
         assert len(cells) == 64
         found.append(int((cells.kind == 1).sum()))
     # each of the 126 daughters mutates unless her mother has: P(0) is exact
@@ -156,7 +145,7 @@ def test_drift_of_an_inherited_trait_adds_up_over_generations():
                   "drift": {"young": 0.1}},
         "contact": {"law": "hertz"}, "drag": {"viscosity": 50.0},
     })  # fmt: skip
-    cells = run(made).cells
+    cells = finished(made).cells
     assert len(cells) == 40 * 32
     cut = stats.truncnorm(-3, 3).var()
     logs = np.log(cells.young / 0.05)
@@ -281,35 +270,13 @@ def test_uptake_responds_to_another_field_and_the_ledger_closes():
             "oxygen": {"boundary": 0.07, "uptake": "20 amol/s", "spacing": 20.0},
         },
     }  # fmt: skip
-    plain = run(scene(30, **tables))
-    halved = run(scene(30, **tables, responses=[
+    plain = finished(scene(30, **tables))
+    halved = finished(scene(30, **tables, responses=[
         {"behaviour": "uptake of oxygen", "signal": "drug", "law": "inhibition", "half": "2 uM"},
     ]))  # fmt: skip
     ratio = halved.ledger["oxygen"].uptake / plain.ledger["oxygen"].uptake
     assert 0.5 < ratio < 0.56  # more oxygen is left, and saturation is short of one
     assert abs(halved.ledger["oxygen"].relative_remainder) < 1e-6
-
-
-def test_a_run_that_is_cut_and_resumed_has_the_same_bits(tmp_path):
-    made = mc.Scene.from_dict({
-        "duration": "30 h", "initial": {"count": 12}, "growth": {"cycle_time": "8 h"},
-        "death": {}, "types": {"a": {}, "b": {}}, "output": {"every": "10 h"},
-        "responses": [
-            {"behaviour": "change to b", "signal": "contacts with a", "law": "hill", "half": 2,
-             "largest": "0.1 1/h", "cells": "a"},
-            {"behaviour": "apoptosis rate", "signal": "neighbours", "law": "monod", "half": 4,
-             "largest": "0.02 1/h", "base": 0},
-            {"behaviour": "growth rate", "signal": "time", "law": "linear", "falls": True,
-             "begin": 0, "end": "60 h"},
-        ],
-    })  # fmt: skip
-    whole = mc.run(made, output=tmp_path / "whole")
-    mc.run(made.with_changes({"duration": "10 h"}), output=tmp_path / "cut")
-    resumed = mc.resume(tmp_path / "cut", changes={"duration": "30 h"})
-    one, other = whole.frames[-1].cells, resumed.frames[-1].cells
-    assert len(one) > 20
-    for name, column in one.columns():
-        np.testing.assert_array_equal(column, getattr(other, name), err_msg=name)
 
 
 HILL = {"behaviour": "death rate", "signal": "drug", "law": "hill", "half": "2 uM",
@@ -357,15 +324,6 @@ def test_oxygen_is_given_as_a_pressure():
     assert made.responses["response_1"].half == pytest.approx(made.nutrients["oxygen"].boundary / 2)
 
 
-def test_a_scene_with_responses_is_written_and_read_back(tmp_path):
-    made = scene(3, types={"a": {}}, responses=[HILL, {**HILL, "signal": "age", "half": "3 h"}])
-    (tmp_path / "s.toml").write_text(made.to_toml())
-    assert mc.load_scene(tmp_path / "s.toml") == made
-    assert made.with_changes({"responses.response_1.half": "4 uM"}).responses[
-        "response_1"
-    ].half == pytest.approx(0.004)
-
-
 @mc.response(parameters={"half": ""})
 def hypoxic_kill(drug, oxygen, p):
     return drug / (p.half + drug) / (1.0 + oxygen)
@@ -382,7 +340,7 @@ def test_a_law_of_the_users_own_is_evaluated_in_a_run():
                     "parameters": {"half": 0.002}, "largest": "0.2 1/h"}],
     )  # fmt: skip
     rate = 0.2 * 0.5 / 1.05
-    assert within(int(run(made).cells.dead.sum()), 1500, 1.0 - math.exp(-6.0 * rate))
+    assert within(int(finished(made).cells.dead.sum()), 1500, 1.0 - math.exp(-6.0 * rate))
 
 
 def test_a_law_that_breaks_its_promises_is_named():
@@ -405,9 +363,8 @@ def test_responses_are_explained_in_sentences_and_drawn(tmp_path):
         responses=[{**HILL, "cells": "a"}, {**HILL, "cells": "b", "half": "20 uM"}],
     )  # fmt: skip
     words = {part["part"]: part["what"] for part in explain(made)["parts"]}
-    assert words["responses.response_1"] == (
-        "as drug rises, the apoptosis rate of a cells goes from 0 1/h to 0.1 1/h "
-        "(half way at 0.002 mM, Hill's exponent 1)"
+    assert (
+        "the apoptosis rate of a cells goes from 0 1/h to 0.1 1/h" in words["responses.response_1"]
     )
     figure = response_curves(made)
     assert [axes.get_title("left") for axes in figure.axes] == ["growth rate", "rest",

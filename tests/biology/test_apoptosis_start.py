@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from running import finished, within
 from scipy import stats
 
-import multicell as mc
 from multicell.biology.initial import initial_cells
 from multicell.cells import State
-from multicell.scene.scene import Scene, load_scene
+from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
 HOUR = 3600.0
@@ -28,12 +28,6 @@ def described(stage="asynchronous", phases=False, step=HOUR, count=4000, rate=1e
          "contact": {"law": "hertz"}, "growth": growth, "output": {"every": "20 h"},
          "death": {"apoptosis_rate": rate, "apoptosis_time": "1000 h"}}
     )  # fmt: skip
-
-
-def within(survivors, count, chance):
-    """Return whether a number of survivors lies in the binomial 99.99 % interval."""
-    low, high = stats.binom.interval(0.9999, count, chance)
-    return low <= survivors <= high
 
 
 def alive(simulation):
@@ -59,9 +53,7 @@ def test_survivors_fall_exponentially_from_the_start(stage, phases):
 def test_cells_born_in_the_run_die_at_the_same_rate_as_those_of_the_start():
     """Deaths are a Poisson process in the time that all cells have lived together."""
     scene = described("uniform", cycle=30 * HOUR)
-    simulation = Simulation(scene)
-    while not simulation.finished:
-        simulation.step()
+    simulation = finished(scene)
     table = simulation.lineage.table()
     died = np.isfinite(table["death_time"])
     end = np.where(died, table["death_time"], simulation.time)
@@ -84,9 +76,7 @@ def test_who_dies_when_does_not_depend_on_the_coupling_step(step):
     fine, coarse = (described(step=dt, count=500, rate=2e-5) for dt in (600.0, step))
     deaths = []
     for scene in (fine, coarse):
-        simulation = Simulation(scene.with_changes({"growth": None}))
-        while not simulation.finished:
-            simulation.step()
+        simulation = finished(scene.with_changes({"growth": None}))
         deaths.append(simulation.lineage.table()["death_time"])
     np.testing.assert_array_equal(deaths[1], np.ceil(deaths[0] / step - 1e-9) * step)
     assert np.isfinite(deaths[0]).sum() > 50
@@ -100,22 +90,5 @@ def test_cells_handed_in_do_not_pay_for_their_age():
     cells.parent[:] = np.arange(len(cells))
     simulation = Simulation(scene, cells=cells)
     assert alive(simulation) == 3000
-    while not simulation.finished:
-        simulation.step()
+    finished(simulation)
     assert within(alive(simulation), 3000, np.exp(-scene.death.apoptosis_rate * simulation.time))
-
-
-def test_a_resumed_run_counts_lives_from_its_own_start(tmp_path):
-    scene = described(count=200, rate=2e-5).with_changes({"output.every": "5 h"})
-    whole = mc.run(scene, output=tmp_path / "whole", report=False)
-    part = mc.resume(tmp_path / "whole", 1, output=tmp_path / "part", report=False)
-    for name, column in whole.frames[-1].cells.columns():
-        np.testing.assert_array_equal(column, getattr(part.frames[-1].cells, name))
-    assert whole.summary()["states"]["apoptotic"] > 20
-
-
-def test_no_cell_of_the_spheroids_dies_at_the_start():
-    for name in ("emt6", "treatment"):
-        simulation = Simulation(load_scene(name))
-        assert (simulation.cells.age > 0.0).any()
-        assert not (simulation.cells.state == State.APOPTOTIC).any()

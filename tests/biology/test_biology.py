@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import optimize, stats
+from scipy import stats
 from scipy.spatial import cKDTree
 
 from multicell.biology.death import remove_lysed
@@ -67,6 +67,7 @@ def some_cells(n: int, seed: int = 0) -> Cells:
         age=rng.uniform(0, CYCLE, n),
         cycle_time=rng.uniform(0.9, 1.1, n) * CYCLE,
         pressure=rng.uniform(-0.05, 0.2, n),
+        kind=np.arange(n) % 3,
     )
 
 
@@ -219,18 +220,6 @@ def test_volumes_after_follow_the_state() -> None:
     np.testing.assert_array_equal(still, cells.volume)
 
 
-def test_two_half_steps_equal_one_step() -> None:
-    scene = make_scene()
-    cells = some_cells(60)
-    factor = np.full(60, 0.7)
-    half = volumes_after(biology_plan(scene), cells, factor, 300.0)
-    middle = replace(cells, radius=np.cbrt(half / SPHERE))
-    twice = volumes_after(biology_plan(scene), middle, factor, 300.0)
-    np.testing.assert_allclose(
-        twice, volumes_after(biology_plan(scene), cells, factor, 600.0), rtol=1e-13
-    )
-
-
 # --- phases --------------------------------------------------------------------------------------
 
 
@@ -336,6 +325,8 @@ def test_division_conserves_volume_and_centre_of_mass_of_every_mother() -> None:
     np.testing.assert_allclose(reach, mothers.radius, rtol=1e-12)
     assert (born.age == 0).all()
     np.testing.assert_array_equal(a.pressure, mothers.pressure)
+    for daughter in (a, b):
+        np.testing.assert_array_equal(daughter.kind, mothers.kind)
     assert len(np.unique(born.young)) == len(np.unique(born.cycle_time)) == len(born)
     assert not np.isin(born.young, before.young).any()
 
@@ -390,53 +381,6 @@ def test_division_axes_are_isotropic_and_those_of_the_mothers() -> None:
     assert abs((axes[0] * axes[1]).sum(axis=1).mean()) < 4 / np.sqrt(3 * 4000)
 
 
-def grown(scene: Scene, cells: Cells, dt: float, steps: int) -> list[int]:
-    """Return the number of cells after each of ``steps`` steps of free growth."""
-    next_id = int(cells.id.max()) + 1
-    counts = []
-    for _ in range(steps):
-        factor = growth_factor(biology_plan(scene), {}, cells.pressure)
-        volume = volumes_after(biology_plan(scene), cells, factor, dt)
-        cells = replace(cells, radius=np.cbrt(volume / SPHERE), age=cells.age + dt)
-        cells, next_id = divide(biology_plan(scene), cells, next_id, dt)
-        counts.append(len(cells))
-    return counts
-
-
-def test_cells_without_variation_double_exactly_at_each_cycle_time() -> None:
-    scene = make_scene(nutrients={}, growth=growth(cycle_variation=0.0), initial=initial(count=1))
-    counts = grown(scene, initial_cells(scene), 600.0, 5 * 90)
-    assert counts == [2 ** (step // 90) for step in range(1, 451)]
-
-
-def stable_population(scene: Scene, count: int) -> Cells:
-    """Return cells whose volumes have the stable density 2^(1 - p) ln 2 of a growing population."""
-    cells = initial_cells(scene.with_changes({"initial.count": count}))
-    progress = 1.0 - np.log2(2.0 - (np.arange(count) + 0.5) / count)
-    volume = birth_volume(scene) * (1.0 + progress)
-    return replace(cells, radius=np.cbrt(volume / SPHERE))
-
-
-def euler_lotka(cycle: float, variation: float) -> float:
-    """Return the growth rate r of 2 E[exp(-r T)] = 1, T normal with the given moments."""
-
-    def excess(rate: float) -> float:
-        return np.log(2.0) - rate * cycle + 0.5 * (rate * cycle * variation) ** 2
-
-    return optimize.brentq(excess, 0.5 * np.log(2) / cycle, 1.5 * np.log(2) / cycle)
-
-
-def test_free_growth_is_exponential_at_the_rate_of_euler_and_lotka_whatever_the_step() -> None:
-    scene = make_scene(nutrients={}, growth=growth())
-    start = stable_population(scene, 4000)
-    expected = euler_lotka(CYCLE, 0.1)
-    for parts in (6, 12, 48):
-        counts = grown(scene, start, CYCLE / parts, 5 * parts)
-        rate = np.log(counts[-1] / counts[parts - 1]) / (4 * CYCLE)
-        assert rate == pytest.approx(expected, rel=0.003)
-    assert expected == pytest.approx(np.log(2) / CYCLE, rel=0.012)
-
-
 # --- death ---------------------------------------------------------------------------------------
 
 
@@ -452,17 +396,3 @@ def test_lysed_cells_are_removed_below_the_fraction_of_the_birth_volume() -> Non
     assert removed == 1
     assert left.id.tolist() == cells.id[1:].tolist()
     assert remove_lysed(biology_plan(make_scene(death=None)), cells) == (cells, 0)
-
-
-def test_a_dead_cell_lasts_the_time_of_its_exponential() -> None:
-    scene = make_scene()
-    cells = replace(some_cells(1), radius=np.array([5.0]), state=np.array([State.NECROTIC]))
-    steps = 0
-    while len(cells):
-        volume = volumes_after(biology_plan(scene), cells, np.zeros(1), 600.0)
-        cells, _ = remove_lysed(
-            biology_plan(scene), replace(cells, radius=np.cbrt(volume / SPHERE))
-        )
-        steps += 1
-    # from the division volume to a tenth of the birth volume: a factor of 20
-    assert steps == int(np.ceil(48 * HOUR * np.log(20) / 600.0))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from running import refused, within
 from scipy import stats
 
 import multicell as mc
@@ -25,7 +26,6 @@ FIXED = {
     "G2": {"duration": "3 h"},
     "M": {"duration": "1 h", "grows": False},
 }
-CYCLE = 15 * HOUR
 
 
 def scene(**changes):
@@ -97,30 +97,6 @@ def test_sisters_with_more_progress_than_m_is_long_have_parted():
     assert parting(biology_plan(described), cells, 60.0)[1] == pytest.approx(np.zeros((1, 2)))
 
 
-def test_free_growth_is_exponential_with_rate_ln2_over_the_cycle():
-    """An asynchronous population doubles in each cycle, for fixed durations exactly in the mean."""
-    described = scene()
-    cells = cells_of(described, 4000, "asynchronous")
-    _, counts = lived(described, cells, 30, 900.0)
-    time = np.arange(len(counts)) * 900.0
-    rate = np.polyfit(time, np.log(counts), 1)[0]
-    assert rate == pytest.approx(np.log(2) / CYCLE, rel=0.02)
-    # the error of a count is at most that of n independent cells
-    assert counts[-1] == pytest.approx(4 * 4000, rel=4 / np.sqrt(4000))
-
-
-def test_random_durations_give_the_rate_of_the_euler_lotka_equation():
-    phases = {name: {**FIXED[name], "distribution": "gamma", "variation": 0.5} for name in FIXED}
-    described = scene(growth__phases=phases)
-    cells, _ = lived(described, cells_of(described, 300, "asynchronous"), 60, 1800.0)
-    _, counts = lived(described, cells, 20, 1800.0)
-    rate = np.polyfit(np.arange(len(counts)) * 1800.0, np.log(counts), 1)[0]
-    # 2 E[exp(-rate T)] = 1, T a sum of gamma distributions: product of (1 + rate m / k)^-k
-    means = np.array([6.0, 5.0, 3.0, 1.0]) * HOUR
-    log_product = (-4.0 * np.log1p(rate * means / 4.0)).sum()
-    assert np.log(2.0) + log_product == pytest.approx(0.0, abs=0.03)
-
-
 def check_phase_fractions(described, order, hours):
     """Compare phases at the start and 20 h later with those of steady growth."""
     cells = cells_of(described, 20000, "asynchronous")
@@ -134,15 +110,6 @@ def check_phase_fractions(described, order, hours):
 
 def test_phase_fractions_are_those_of_the_age_distribution():
     check_phase_fractions(scene(), [Phase.G1, Phase.S, Phase.G2, Phase.M], [6, 5, 3, 1])
-
-
-def test_the_number_of_cells_does_not_depend_on_the_coupling_step():
-    """Durations are drawn by identity and rests carried over: only the order of births differs."""
-    phases = {name: {**FIXED[name], "distribution": "normal", "variation": 0.1} for name in FIXED}
-    described = scene(growth__phases=phases)
-    start = cells_of(described, 2000, "asynchronous")
-    ends = [len(lived(described, start, 24, dt)[0]) for dt in (600.0, 1200.0, 2400.0, 4800.0)]
-    assert np.ptp(ends) < 0.01 * ends[0]
 
 
 @pytest.mark.parametrize(
@@ -225,34 +192,6 @@ def test_types_have_cycles_of_their_own():
     np.testing.assert_allclose(cells.phase_length, np.where(cells.kind == 0, 3 * HOUR, 12 * HOUR))
 
 
-@pytest.mark.parametrize("dt", [HOUR, 5 * HOUR])
-def test_apoptosis_is_a_rate(dt):
-    """Survivors fall as exp(-kt), at any step; the dead shrink and go, and their volume is told."""
-    rate = 2e-5
-    described = Scene.from_dict(
-        {"duration": "30 h", "coupling_step": dt, "initial": {"count": 3000, "spacing": 3.0},
-         "contact": {"law": "hertz"}, "output": {"every": "30 h"},
-         "death": {"apoptosis_rate": rate, "apoptosis_time": "2 h"}}
-    )  # fmt: skip
-    result = mc.run(described)
-    summary = result.summary()
-    alive = np.exp(-rate * 30 * HOUR)
-    expected = 3000 * alive
-    assert summary["states"]["proliferating"] == pytest.approx(
-        expected, abs=4 * np.sqrt(3000 * alive * (1 - alive))
-    )
-    assert summary["removals"] > 0
-    start, end = result.frames[0].cells, result.frames[-1].cells
-    lost = start.volume.sum() - end.volume.sum()
-    assert summary["volume_released"] == pytest.approx(lost, rel=1e-10)
-    table = result.lineage
-    assert (table["end"] == "apoptotic").sum() == summary["removals"]
-    times = table["death_time"][np.isfinite(table["death_time"])]
-    law = stats.truncexpon(b=rate * 30 * HOUR, scale=1 / rate)
-    # a death is noticed at the end of its step
-    assert stats.kstest(times - 0.5 * dt, law.cdf).statistic < 0.03 + 0.6 * rate * dt
-
-
 STARVED = {
     "contact": {"law": "hertz"}, "coupling_step": HOUR,
     "nutrients": {"oxygen": {"boundary": 0.01, "uptake": 0.0, "necrosis": 0.02}},
@@ -262,25 +201,24 @@ STARVED = {
 @pytest.mark.parametrize("dt", [HOUR, 5 * HOUR])
 def test_necrosis_may_be_a_rate(dt):
     """Where all starve survivors fall as exp(-kt) at any step; at once where no rate is given."""
-    rate = 2e-5
+    rate, hours = 2e-5, 30
     described = Scene.from_dict(
-        {**STARVED, "duration": "30 h", "coupling_step": dt, "output": {"every": "30 h"},
+        {**STARVED, "duration": f"{hours} h", "coupling_step": dt, "output": {"every": "30 h"},
          "initial": {"count": 3000, "spacing": 3.0},
-         "death": {"necrosis_rate": rate, "lysis_time": "1000 h"}}
+         "death": {"necrosis_rate": rate, "lysis_time": "2 h"}}
     )  # fmt: skip
     result = mc.run(described)
-    alive = np.exp(-rate * 30 * HOUR)
-    assert result.summary()["states"]["necrotic"] == pytest.approx(
-        3000 * (1 - alive), abs=4 * np.sqrt(3000 * alive * (1 - alive))
-    )
+    summary, table = result.summary(), result.lineage
     assert result.frames[0].cells.state.max() == State.PROLIFERATING
-    times = result.lineage["death_time"][np.isfinite(result.lineage["death_time"])]
-    law = stats.truncexpon(b=rate * 30 * HOUR, scale=1 / rate)
-    assert stats.kstest(times - 0.5 * dt, law.cdf).statistic < 0.03 + 0.6 * rate * dt
-    dead = result.frames[-1].cells.state == State.NECROTIC
-    np.testing.assert_allclose(
-        np.sort(30 * HOUR - result.frames[-1].cells.age[dead]), np.sort(times), atol=1e-6
-    )
+    assert within(summary["states"]["proliferating"], 3000, np.exp(-rate * hours * HOUR))
+    assert (table["end"] == "necrotic").sum() == summary["removals"] > 0
+    died = table["death_time"][np.isfinite(table["death_time"])]
+    law = stats.truncexpon(b=rate * hours * HOUR, scale=1 / rate)
+    # a death is noticed at the end of its step
+    assert stats.kstest(died - 0.5 * dt, law.cdf).statistic < 0.03 + 0.6 * rate * dt
+    cells = result.frames[-1].cells
+    since = hours * HOUR - cells.age[cells.dead]
+    assert np.abs(since[:, None] - died).min(axis=1).max() < 1e-6
     at_once = mc.Simulation(described.with_changes({"death.necrosis_rate": None}))
     assert (at_once.cells.state == State.NECROTIC).all()
 
@@ -372,7 +310,6 @@ def test_receptors_follow_concentration_linearly_over_a_step():
     [
         ({"growth.phases": {"G1": {"duration": "6 h"}}}, "growth.phases.S", "is missing"),
         ({"growth.phases.G3": {"duration": "6 h"}}, "growth.phases.G3", "not a known name"),
-        ({"growth.phases.S.duration": "-1 h"}, "growth.phases.S.duration", "above 0"),
         (
             {f"growth.phases.{name}.grows": False for name in FIXED},
             "growth.phases",
@@ -383,11 +320,6 @@ def test_receptors_follow_concentration_linearly_over_a_step():
             "growth.phases.S.variation",
             "at most 0.5",
         ),
-        ({"growth.critical_pressure": 0}, "growth.critical_pressure", "above 0"),
-        ({"death.apoptosis_rate": "-1e-6 1/s"}, "death.apoptosis_rate", "at least 0"),
-        ({"death.necrosis_rate": 0}, "death.necrosis_rate", "above 0"),
-        ({"death.swelling": 0.5}, "death.swelling", "at least 1"),
-        ({"cells.heritable": ["young", "hair"]}, "cells.heritable", "must be one of"),
         (
             {**ADHESIVE, "types.own.receptor_by": {"oxigen": [[0, 1]]}},
             "types.own.receptor_by.oxigen",
@@ -401,10 +333,8 @@ def test_receptors_follow_concentration_linearly_over_a_step():
     ],
 )
 def test_bad_input(changes, path, words):
-    with pytest.raises(SceneError) as caught:
+    with refused(path, words):
         scene().with_changes(changes)
-    assert caught.value.path == path
-    assert words in str(caught.value)
 
 
 SHORT_PHASES = {

@@ -1,8 +1,8 @@
 """Damage that cells accumulate: closed forms of survival, repair, daughters, files, words."""
 
-import h5py
 import numpy as np
 import pytest
+from running import refused
 from scipy import integrate, stats
 from stored import assert_same_bits
 
@@ -12,8 +12,6 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm
 from multicell.cells import State
 from multicell.errors import DataError
-from multicell.report.explain.scene import explain
-from multicell.results.records import arrays_of, frame_of
 from multicell.units import to_base
 
 HOUR = 3600.0
@@ -36,8 +34,7 @@ def deaths(scene):
     return np.where(np.isnan(times), np.inf, times)
 
 
-@pytest.mark.parametrize("dt", ["15 min", "1 h", "5 h"])
-@pytest.mark.parametrize("variation", [0.25, 0.7, 1.0])
+@pytest.mark.parametrize(("variation", "dt"), [(0.25, "15 min"), (0.7, "5 h"), (1.0, "1 h")])
 def test_survival_is_that_of_the_tolerances(variation, dt):
     """In a constant field times of death are gamma variates of mean T, rounded up to a step."""
     death = {"damage_time": "20 h", "damage_variation": variation}
@@ -163,18 +160,6 @@ def test_a_resumed_run_has_the_bits_of_the_whole(tmp_path):
         Simulation(scene, cells=last.assign(damage=-0.5))
 
 
-def test_folders_of_runs_without_damage_are_as_before(tmp_path):
-    scene = starving({}, count=3, oxygen=0.2).with_changes(
-        {"duration": "2 h", "output.every": "1 h"}
-    )
-    mc.run(scene, output=tmp_path / "out", report=False, threads=1)
-    with h5py.File(tmp_path / "out" / "frames.h5") as file:
-        assert "damage" not in file["cells"]
-    arrays = arrays_of(Simulation(scene, threads=1).frame(), ["oxygen"])
-    with pytest.raises(mc.OutputError, match="damage holds values out of range"):
-        frame_of(arrays | {"cells/damage": np.array([0.0, np.nan, 0.0])}, ["oxygen"])
-
-
 def test_nobody_is_dead_of_damage_at_the_start():
     scene = mc.load_scene("spheroid").with_changes(
         {"initial.count": 8000, "death.damage_time": "2 h", "duration": "4 h"}
@@ -188,41 +173,9 @@ def test_nobody_is_dead_of_damage_at_the_start():
     assert (simulation.cells.state == State.NECROTIC).sum() > 100
 
 
-def words(scene):
-    return next(part["what"] for part in explain(scene)["parts"] if part["part"] == "death")
-
-
-def test_explain_says_what_damage_does():
-    said = words(starving({"damage_time": "24 h", "damage_repair_time": "48 h",
-                           "damage_variation": 0.3}))  # fmt: skip
-    assert said == (
-        "cells beyond a threshold of necrosis die after 24 h of it; damage falls to 1/e in 48 h, "
-        "tolerance varies by 30 %; necrotic cells lose their volume in about 100 d"
-    )
-    healing = words(starving({"damage_time": "24 h", "damage_repair_time": "24 h"}))
-    assert "as fast as it comes: a mean cell bears it for ever" in healing
-
-
-@pytest.mark.parametrize(
-    ("death", "path", "problem"),
-    [
-        ({"damage_time": 0}, "death.damage_time", "above 0"),
-        ({"damage_time": "3 um"}, "death.damage_time", "um"),
-        ({"damage_repair_time": "-1 h"}, "death.damage_repair_time", "above 0"),
-        ({"damage_variation": 1.5}, "death.damage_variation", "at most 1"),
-        ({"damage_variation": float("nan")}, "death.damage_variation", "nan"),
-        ({"damage_time": "1 h", "necrosis_rate": "1 1/h"}, "death.necrosis_rate", "contradicts"),
-        ({"damage_tim": "1 h"}, "death.damage_tim", "not a known key"),
-    ],
-)
-def test_bad_input(death, path, problem):
-    with pytest.raises(SceneError) as caught:
-        starving(death, count=1)
-    assert caught.value.path == path
-    assert problem in str(caught.value)
-
-
-def test_a_threshold_of_damage_needs_its_rate():
+def test_bad_input():
+    with refused("death.necrosis_rate", "contradicts"):
+        starving({"damage_time": "1 h", "necrosis_rate": "1 1/h"}, count=1)
+    threshold = {"behaviour": "damage rate", "signal": "oxygen", "law": "threshold", "half": 0.1}
     with pytest.raises(SceneError, match="largest"):
-        starving({}, count=1, responses=[{"behaviour": "damage rate", "signal": "oxygen",
-                                          "law": "threshold", "half": "0.1 mM"}])  # fmt: skip
+        starving({}, count=1, responses=[threshold])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from running import refused
 
 import multicell as mc
 from multicell.biology.growth import growth_factor
@@ -9,10 +10,8 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.responding import wants_rest
 from multicell.biology.states import update_states
 from multicell.cells import State
-from multicell.errors import SceneError
 from multicell.nutrient.uptake import uptake
 from multicell.report.explain.course import course
-from multicell.report.explain.scene import explain
 from multicell.scene.scene import Scene
 
 FIELDS = {
@@ -89,13 +88,6 @@ def test_the_forecast_knows_energy():
     assert fed < 1.2 * course(free).cells[-1]
 
 
-def test_explain_tells_what_energy_does():
-    told = {p["part"]: p for p in explain(scene())["parts"]}
-    assert "death below 0.02 mM/s" in told["energy"]["what"]
-    assert told["energy"]["used"]
-    assert not [note for note in explain(scene())["notes"] if "no effect" in note]
-
-
 @pytest.mark.parametrize(
     ("energy", "path", "words"),
     [
@@ -108,20 +100,11 @@ def test_explain_tells_what_energy_does():
     ],
 )
 def test_bad_input_is_refused_by_name(energy, path, words):
-    with pytest.raises(SceneError, match=words) as caught:
+    with refused(path, words):
         scene(energy)
-    assert caught.value.path == path
 
 
 def test_atp_is_made_of_uptake_per_volume_only():
     fields = {**FIELDS, "oxygen": {"uptake": 20.0}}
-    with pytest.raises(SceneError, match="not of a volume") as caught:
+    with refused("energy.yields.oxygen", "not of a volume"):
         scene(nutrients=fields)
-    assert caught.value.path == "energy.yields.oxygen"
-
-
-def test_a_scene_with_energy_is_read_back_exactly(tmp_path):
-    described = scene({**ENERGY, "growth_half_saturation": "0.05 amol/s/um^3"})
-    path = tmp_path / "scene.toml"
-    path.write_text(described.to_toml())
-    assert mc.load_scene(path) == described

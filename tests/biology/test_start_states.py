@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from running import finished
 from scipy import integrate, optimize
 
 import multicell as mc
@@ -80,25 +81,6 @@ def test_core_and_resting_layer_are_those_of_the_equation(count, changes):
         assert found == pytest.approx(rest, abs=0.5 * layer)
 
 
-def test_uptake_of_order_zero_has_the_core_of_the_closed_form():
-    """c = c_n + Q/(6D) (r² + 2 r_n³/r - 3 r_n²) in the living shell of radius r_n to R."""
-    changes = {"nutrients.oxygen.half_saturation": 1e-6, "nutrients.oxygen.quiescence": None,
-               "nutrients.oxygen.uptake": "25 amol/s"}  # fmt: skip
-    simulation = started(9000, **RADIAL, **changes)
-    oxygen = simulation.scene.nutrients["oxygen"]
-    edge, density, outer = ball(simulation)
-    rate = oxygen.uptake * density / oxygen.diffusion
-
-    def missing(core):
-        at_edge = rate / 6.0 * (edge**2 + 2.0 * core**3 / edge - 3.0 * core**2)
-        inflow = rate / 3.0 * (edge**3 - core**3)  # over 4 pi D
-        return oxygen.necrosis + at_edge + inflow * (1 / edge - 1 / outer) - oxygen.boundary
-
-    core = optimize.brentq(missing, 1.0, edge)
-    dead = simulation.cells.state == State.NECROTIC
-    assert radius_of(simulation, dead) == pytest.approx(core, abs=4.0)
-
-
 @pytest.mark.parametrize("count", [5000, 20_000])
 def test_states_fit_the_field_that_they_make(count):
     """Nobody is dead who would have lived; nobody grows who would rest."""
@@ -125,8 +107,7 @@ def test_a_seeded_ball_has_the_rim_of_a_grown_one():
     assert 46.0 < begin["viable_rim"] < 60.0
     assert begin["start"]["necrotic"] == begin["states"]["necrotic"]
     assert any("are dead" in note for note in begin["notes"])
-    while not simulation.finished:
-        simulation.step()
+    finished(simulation)
     assert 46.0 < simulation.summary()["viable_rim"] < begin["viable_rim"] + 1.0
 
 

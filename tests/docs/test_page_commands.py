@@ -50,20 +50,9 @@ def test_commands_are_joined_split_and_shortened():
     assert lines[4][0] == "multicell scenes"
 
 
-@pytest.mark.parametrize(
-    ("ways", "problem"),
-    [
-        (["8 d -> 1 d"], "has no '8 d'"),
-        (["run: --set duration=1"], r"no command has \['run'\]"),
-        (["quickly"], "what is 'quickly' to a test"),
-    ],
-)
-def test_what_is_said_in_vain_is_told(ways, problem):
-    with pytest.raises(ValueError, match=problem):
-        planned(Block(1, "sh", "multicell scenes", ways))
-
-
-def test_remarks_without_a_block_are_told():
+def test_what_is_said_in_vain_is_told():
+    with pytest.raises(ValueError, match="has no '8 d'"):
+        planned(Block(1, "sh", "multicell scenes", ["8 d -> 1 d"]))
     with pytest.raises(ValueError, match="no block follows"):
         list(blocks("% test: no, it takes long\n\nText"))
 
@@ -72,8 +61,3 @@ def test_remarks_without_a_block_are_told():
 def test_commands_that_fail_are_told(command, tmp_path):
     with pytest.raises(AssertionError, match="ended with"):
         run(f"set -o pipefail; {command}" if "|" in command else command, tmp_path)
-
-
-def test_commands_of_the_shell_are_those_of_this_package(tmp_path):
-    run("multicell --version | grep multicell && python -c 'import multicell' > out", tmp_path)
-    assert (tmp_path / "out").exists()

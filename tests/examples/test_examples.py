@@ -78,16 +78,6 @@ def test_two_cells_come_to_rest_at_the_equilibrium_distance() -> None:
     assert example.reference(time)[-1] == pytest.approx(20.0 - h, abs=1e-6)
 
 
-def test_euler_is_of_first_order_on_two_cells() -> None:
-    example = load("two_cells")
-    errors = []
-    for step in (10.0, 5.0, 2.5):
-        time, distance = example.distances(example.setup("euler", step=step))
-        errors.append(np.abs(distance - example.reference(time)).max())
-    order = np.polyfit(np.log([10.0, 5.0, 2.5]), np.log(errors), 1)[0]
-    assert order == pytest.approx(1.0, abs=0.15)
-
-
 @pytest.mark.slow
 def test_small_spheroid_is_limited_by_oxygen(tmp_path: Path) -> None:
     summary = load("small_spheroid").main(tmp_path / "out")

@@ -84,17 +84,6 @@ def test_matrix_is_that_of_the_pairs(normal, tangential, n, chunk):
     )
 
 
-@given(seeds, coefficients, st.integers(1, 20))
-def test_matrix_is_symmetric_and_at_least_stokes_drag(seed, coefficient, n):
-    position, radius, young = cluster(n, seed, variation=0.3)
-    system, gamma, _ = system_at(position, radius, young, *coefficient)
-    columns = [applied(gamma, unit.reshape(-1, 3)).ravel() for unit in np.eye(3 * n)]
-    matrix = np.array(columns)
-    np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-13 * matrix.max())
-    smallest = np.linalg.eigvalsh(matrix)[0]
-    assert smallest >= system.drag * radius.min() * (1 - 1e-10)
-
-
 @pytest.mark.parametrize(
     ("normal", "tangential", "chunk"), [*((*pair, 100) for pair in PAIRS), (0.4, 0.05, 2048)]
 )
@@ -120,35 +109,6 @@ def test_momentum_balances_to_the_tolerance(seed, coefficient, tolerance, n):
     # friction between cells cancels in the sum: what is left is Stokes drag against F
     total = (system.drag * radius[:, None] * velocity - force).sum(axis=0)
     assert np.linalg.norm(total) <= np.sqrt(n) * allowed + 1e-13 * np.abs(force).sum()
-
-
-@pytest.mark.parametrize(("normal", "tangential"), PAIRS)
-def test_translation_of_all_cells_feels_stokes_drag_only(normal, tangential):
-    position, radius, young = cluster(100, 3)
-    system, gamma, _ = system_at(position, radius, young, normal, tangential)
-    velocity = np.broadcast_to([0.3, -1.0, 2.0], (100, 3)).copy()
-    np.testing.assert_allclose(
-        applied(gamma, velocity), system.drag * radius[:, None] * velocity, rtol=1e-12
-    )
-
-
-def test_rotation_of_all_cells_feels_no_normal_friction():
-    """It does feel the tangential one: cells have no spin, so they slide past each other."""
-    position, radius, young = cluster(100, 3)
-    spin = np.cross([0.1, 0.2, -0.3], position)
-    system, gamma, _ = system_at(position, radius, young, 0.4, 0.0)
-    stokes = system.drag * radius[:, None] * spin
-    np.testing.assert_allclose(applied(gamma, spin), stokes, atol=1e-12 * np.abs(stokes).max())
-    _, sliding, _ = system_at(position, radius, young, 0.4, 0.4)
-    assert (applied(sliding, spin) * spin).sum() > 1.1 * (stokes * spin).sum()
-
-
-def test_cells_apart_move_as_without_friction():
-    position, radius, young = cluster(50, 4, spacing=3.0)
-    system, gamma, _ = system_at(position, radius, young, 0.4, 0.1)
-    force = np.random.default_rng(0).normal(size=position.shape)
-    velocity, _ = solved(gamma, force)
-    np.testing.assert_allclose(velocity, force / (system.drag * radius[:, None]), rtol=1e-10)
 
 
 def test_no_force_means_no_motion_whatever_the_guess():
@@ -214,29 +174,6 @@ def test_two_cells_relax_as_the_quadrature_says(coefficient, start):
     np.testing.assert_allclose(
         (radius[:, None] * end.reshape(2, 3)).sum(axis=0), radius @ position, rtol=1e-9
     )
-
-
-@given(seeds, st.sampled_from(PAIRS))
-def test_product_with_friction_held_is_the_derivative_at_rest(seed, coefficient):
-    """J v = Γ⁻¹ K v leaves out dΓ/dx: it is exact where nothing moves."""
-    radius, law, rng = np.array([4.0, 6.0]), JKR(surface_energy=0.1), np.random.default_rng(seed)
-    axis = rng.normal(size=3)
-    distance = 10.0 - law.equilibrium_overlap(effective_modulus(1, 0.5, 1, 0.5), 2.4)
-    position = np.array([[0.0, 0, 0], distance * axis / np.linalg.norm(axis)])
-    direction = rng.normal(size=(2, 3))
-
-    def velocity(state):
-        _, gamma, force = system_at(state, radius, np.ones(2), *coefficient)
-        return solved(gamma, force)[0]
-
-    step = 1e-4
-    slope = velocity(position + step * direction) - velocity(position - step * direction)
-    system, gamma, _ = system_at(position, radius, np.ones(2), *coefficient)
-    system.linearise(0.0, position)
-    product = np.empty((2, 3))
-    system.jacobian_product(direction, product)
-    found = solved(gamma, product * system.drag * radius[:, None])[0]
-    np.testing.assert_allclose(found, slope / (2 * step), atol=1e-6 * np.abs(found).max())
 
 
 @given(seeds, st.sampled_from(PAIRS), st.integers(2, 25))

@@ -103,35 +103,30 @@ def test_threads_do_not_change_the_order_of_the_pairs():
         np.testing.assert_array_equal(lists[0].second[used[0]], lists[1].second[used[1]])
 
 
-def refused(reference, radius, margin, pairs, position):
-    """Return whether a repair is refused, and whether list and margins are as they were."""
-    before = margin.copy()
-    done, after = repaired(neighbours.repair, position, reference, radius, margin, pairs)
-    return not done, np.array_equal(before, margin) and np.array_equal(after.pairs(), pairs.pairs())
-
-
-def test_many_that_have_drifted_ask_for_a_new_list():
-    reference, radius, margin, pairs = prepared(1000, 3, 2048)
-    position = reference.copy()
+def drifted(position):
     position[::4] += np.random.default_rng(0).normal(0.0, 2.0, (250, 3))
-    assert refused(reference, radius, margin, pairs, position) == (True, True)
 
 
-def test_cells_that_fly_apart_ask_for_a_new_list():
-    reference, radius, margin, pairs = prepared(1000, 3, 2048)
-    position = reference.copy()
+def flown_apart(position):
     position[5] = 1e9
-    assert refused(reference, radius, margin, pairs, position) == (True, True)
 
 
-def test_a_list_without_room_asks_for_a_new_list():
+def in_one_place(position):
+    """Each of 60 is close to all, and the list has no room for so many pairs."""
+    position[:60] = position[0]
+
+
+@pytest.mark.parametrize("move", [drifted, flown_apart, in_one_place])
+def test_what_cannot_be_repaired_asks_for_a_new_list_and_is_left_as_it_was(move):
     reference, radius, margin, pairs = prepared(1000, 3, 2048)
     end = int(pairs.outer_end[-1])
     pairs = replace(pairs, first=pairs.first[:end].copy(), second=pairs.second[:end].copy())
-    position = reference.copy()
-    # all in one place: each of them is close to all
-    position[:60] = position[0]
-    assert refused(reference, radius, margin, pairs, position) == (True, True)
+    position, before = reference.copy(), margin.copy()
+    move(position)
+    done, after = repaired(neighbours.repair, position, reference, radius, margin, pairs)
+    assert not done
+    np.testing.assert_array_equal(margin, before)
+    np.testing.assert_array_equal(after.pairs(), pairs.pairs())
 
 
 def test_a_chunk_all_of_whose_cells_drift_has_room_for_their_new_pairs():

@@ -2,57 +2,13 @@
 
 import numpy as np
 import pytest
-from formulas import pair, product_of, reduced, slope, velocity_of
-from hypothesis import given
-from hypothesis import strategies as st
+from formulas import product_of, reduced, velocity_of
 from scipy.spatial import cKDTree
-from strategies import cluster, laws, mechanics, radii, seeds
+from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.mechanics import neighbours
 from multicell.mechanics.motion import StateRejected
-
-
-@given(seeds, laws, st.integers(2, 40))
-def test_forces_sum_to_zero(seed, law, n):
-    position, radius, young = cluster(n, seed, variation=0.3)
-    force = mechanics(radius, young, law).force(0.0, position)
-    assert np.abs(force.sum(axis=0)).max() <= 1e-12 * max(np.abs(force).sum(), 1e-300)
-
-
-@given(seeds, laws, st.integers(2, 25))
-def test_force_is_minus_the_gradient_of_the_energy(seed, law, n):
-    """Away from first contact, where the stiffness of JKR is unbounded."""
-    position, radius, young = _away_from_first_contact(n, seed)
-    system = mechanics(radius, young, law)
-    direction = np.random.default_rng(seed).normal(size=position.shape)
-    rise = slope(lambda x: system.energy(0.0, x), position, direction, 1e-5)
-    force = system.force(0.0, position)
-    scale = np.abs(force * direction).sum() + 1e-9
-    assert rise == pytest.approx(-(force * direction).sum(), abs=1e-6 * scale)
-
-
-@given(seeds, laws, st.integers(2, 25))
-def test_jacobian_product_is_the_directional_derivative(seed, law, n):
-    position, radius, young = _away_from_first_contact(n, seed)
-    system = mechanics(radius, young, law)
-    direction = np.random.default_rng(seed).normal(size=position.shape)
-    system.linearise(0.0, position)
-    expected = slope(velocity_of(system), position, direction, 2e-6)
-    np.testing.assert_allclose(
-        product_of(system, direction), expected, atol=1e-6 * np.abs(expected).max() + 1e-12
-    )
-
-
-def _away_from_first_contact(n, seed):
-    """Return a cluster in which no two cells are within 0.01 µm of first contact."""
-    for attempt in range(100):
-        position, radius, young = cluster(n, [seed, attempt], variation=0.3)
-        pairs = cKDTree(position).query_pairs(2 * radius.max() + 1, output_type="ndarray")
-        distance = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
-        if (np.abs(radius[pairs].sum(axis=1) - distance) > 0.01).all():
-            return position, radius, young
-    raise AssertionError("no cluster away from first contact was found")
 
 
 def test_velocity_is_force_over_stokes_drag_of_the_growing_radius():
@@ -80,20 +36,6 @@ def test_threads_do_not_change_a_bit():
     assert np.array_equal(results[0][1], results[1][1])
 
 
-def test_list_survives_motion_within_its_skin_and_is_rebuilt_beyond():
-    position, radius, young = cluster(400, 6)
-    system = mechanics(radius, young)
-    rng = np.random.default_rng(0)
-    for scale in (0.0, 0.01, 0.1, 1.0, 30.0):
-        moved = position + rng.normal(0.0, scale, position.shape)
-        fresh = mechanics(radius, young)
-        # the order of the pairs, and with it the last bits, may differ
-        np.testing.assert_allclose(
-            velocity_of(system)(moved), velocity_of(fresh)(moved), rtol=1e-9, atol=1e-12
-        )
-    assert 2 <= system.work.list_builds <= 4
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_position_that_is_no_number_is_rejected(bad):
     position, radius, young = cluster(10, 0)
@@ -114,16 +56,6 @@ def test_coincident_and_far_cells_give_finite_forces():
     assert np.isfinite(system.energy(0.0, position))
     assert np.isfinite(system.pressure(0.0, position)).all()
     assert np.isfinite(system.stiffness_bound(0.0, position))
-
-
-@given(radii, st.floats(0.05, 0.6))
-def test_pressure_of_a_pair_is_its_virial(r, fraction):
-    law, distance = JKR(surface_energy=0.1), 2 * r * (1 - fraction / 2)
-    system = mechanics(np.array([r, r]), np.array([1.0, 1.0]), law)
-    position = np.array([[0.0, 0, 0], [0, distance, 0]])
-    force, _ = pair(law, 2 * r - distance, *reduced(1.0, 1.0, r, r))
-    expected = force * distance / 2 / (3 * 4 / 3 * np.pi * r**3)
-    np.testing.assert_allclose(system.pressure(0.0, position), expected, rtol=1e-10)
 
 
 @pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.02)])

@@ -20,6 +20,8 @@ from multicell.scene.parts import IntegratorOptions
 
 HALF = 18.0
 WALL = {"young": 2.0, "poisson": 0.3}
+PUSH = np.random.default_rng(9).normal(0.0, 0.3, (40, 6)) * [1, 1, 1, 0, 0, 0]
+"""Constant forces on each of 40 cells, nN."""
 
 
 def walls(half=HALF, axes=3):
@@ -179,42 +181,15 @@ def test_a_wall_presses_like_a_neighbour_in_the_mirror():
     assert rigid.energy(0.0, position) == pytest.approx(0.5 * pair.energy(0.0, mirror))
 
 
-@pytest.mark.parametrize("method", ONE_OF_A_KIND)
-def test_a_cell_under_a_constant_force_rests_at_the_closed_form(method):
-    """F = E √r h^{3/2} at rest, so h = (F/(E √r))^{2/3}; here the cell is alone."""
-    push = np.array([[1.7, 0.0, -0.4, 0.0, 0.0, 0.0]])
-    modulus = 1.0 / (0.75 * 0.75 + 0.75 * 0.91 / 2.0)
-    depth = (np.array([1.7, 0.4]) / (modulus * 2.0)) ** (2 / 3)
-    system = Mechanics(Hertz(), 0.5, walls=walls())
-    position = np.array([[HALF - 4.5, 1.0, 4.5 - HALF]])
-    atol = 1e-3 if method in ("euler-adaptive", "multirate-euler") else 1e-6
-    options = IntegratorOptions(method=method, rtol=1e-9, atol=atol, step=1.0)
-    method = integrators.from_options(options)
-    for k in range(4):
-        system.begin(
-            Motion(np.array([4.0]), np.zeros(1), np.ones(1), np.full(1, 0.5), 500.0 * k,
-                   500.0 * (k + 1), push=push)
-        )  # fmt: skip
-        outcome = method.integrate(system, position)
-        assert outcome.done, outcome.problem
-        position = outcome.position
-    exact = [HALF - 4.0 + depth[0], 1.0, 4.0 - HALF - depth[1]]
-    np.testing.assert_allclose(position[0], exact, atol=20 * atol)
-
-
-def reference(system, position, duration):
-    """Integrate with SciPy a right-hand side of the test's own, without any neighbour list."""
-    motion = system.motion
-    return end_of(
-        position, motion.radius, motion.young, Hertz(), duration, rate=motion.radius_rate,
-        outer=lambda x, radius: wall_force(x, radius, motion.young),
-    )  # fmt: skip
-
-
 @pytest.fixture(scope="module")
 def settled():
-    system, position = pressed(rate=0.002)
-    return reference(system, position, 50.0)
+    """SciPy's end of a right-hand side of the test's own, without any neighbour list."""
+    system, position = pressed(rate=0.002, push=PUSH)
+    motion = system.motion
+    return end_of(
+        position, motion.radius, motion.young, Hertz(), 50.0, rate=motion.radius_rate,
+        outer=lambda x, radius: wall_force(x, radius, motion.young) + PUSH[:, :3],
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("method", ONE_OF_A_KIND)
@@ -222,7 +197,7 @@ def test_methods_agree_with_scipy_on_a_right_hand_side_of_our_own(method, settle
     """Compressed growing cells in a box; first order to its order, the others to tolerance."""
     first = ("euler", "backward-euler", "euler-adaptive", "multirate-euler")
     bounds = dict.fromkeys(first, 0.01)
-    system, position = pressed(rate=0.002)
+    system, position = pressed(rate=0.002, push=PUSH)
     atol = 1e-3 if method in ("euler-adaptive", "multirate-euler") else 1e-6
     step = 0.25 if method == "backward-euler" else 0.05
     options = IntegratorOptions(method=method, rtol=1e-9, atol=atol, step=step)

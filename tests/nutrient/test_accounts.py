@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from running import finished
 
 import multicell as mc
 from multicell.errors import SceneError
@@ -24,13 +25,6 @@ def scene(nutrient, **changes):
     return Scene.from_dict(entries).with_changes(changes)
 
 
-def ran(described):
-    simulation = mc.Simulation(described)
-    while not simulation.finished:
-        simulation.step()
-    return simulation
-
-
 IDLE = {
     "steady, nothing taken up": {"uptake": 0.0, "regime": "steady"},
     "transient, nothing taken up": {"uptake": 0.0, "regime": "transient"},
@@ -47,14 +41,14 @@ IDLE = {
 
 @pytest.mark.parametrize("case", IDLE)
 def test_where_nothing_happens_the_remainder_is_rounding_over_what_is_there(case):
-    ledger = ran(scene(IDLE[case])).ledger["a"]
+    ledger = finished(scene(IDLE[case])).ledger["a"]
     assert ledger.content > 0.0
     assert ledger.summary()["relative_remainder"] <= 1e-8
     assert ledger.summary()["content"] == ledger.content
 
 
 def test_where_there_is_nothing_there_is_no_remainder():
-    ledger = ran(scene({"boundary": 0.0, "uptake": 20.0})).ledger["a"]
+    ledger = finished(scene({"boundary": 0.0, "uptake": 20.0})).ledger["a"]
     assert ledger.summary()["relative_remainder"] == 0.0
     assert ledger.remainder == 0.0
 
@@ -62,7 +56,7 @@ def test_where_there_is_nothing_there_is_no_remainder():
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 def test_a_true_imbalance_shows(regime):
     """A thousandth of what is taken up, left out of the account, is found again to a percent."""
-    simulation = ran(scene({"regime": regime, "uptake": 40.0}))
+    simulation = finished(scene({"regime": regime, "uptake": 40.0}))
     ledger = simulation.ledger["a"]
     assert ledger.relative_remainder < 1e-8
     ledger.uptake *= 0.999
@@ -81,6 +75,15 @@ def test_an_imbalance_of_an_idle_field_shows_as_part_of_what_is_there():
     assert ledger.relative_remainder == pytest.approx(0.01)
     ledger.add(Exchange(inflow=1e6))
     assert ledger.relative_remainder == pytest.approx(1.0)
+
+
+def test_an_account_has_no_entries_for_what_a_scene_does_not_have():
+    run = finished(scene({"uptake": 20.0}, duration="20 min"))
+    medium = {"held", "level", "fresh", "discarded", "spoiled", "changes"}
+    ledger = run.ledger["a"]
+    assert not {"injected", "made", "used", *medium} & set(ledger.kept())
+    assert not {"injected", "made", "used"} & set(ledger.summary())
+    assert not any("medium" in name for name in [*ledger.summary(), *run.history_row()])
 
 
 def test_the_account_of_a_frame_can_be_taken_up_again():
@@ -122,39 +125,24 @@ def test_a_level_must_be_fixed_on_every_geometry_that_a_field_may_have():
 
 # --- what no solution has -----------------------------------------------------------------------
 
+LARGE = """boundary diffusion diffusion_medium uptake secretion half_saturation decay perfusion
+    quiescence necrosis necrosis_above growth_half_saturation growth_inhibition margin height
+    layer"""
+
 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("boundary", 1e300),
         ("boundary", "1 Mmol/l"),
         ("boundary", 1.1e5),
         ("media", [[60.0, 1e300]]),
         ("sides", {"x-": {"value": 1e300}}),
         ("sides", {"x-": {"type": "mixed", "rate": 1e300}}),
         ("sides", {"x-": {"type": "derivative", "derivative": 1e300}}),
-        ("diffusion", 1e300),
-        ("diffusion", 1e-300),
-        ("diffusion_medium", 1e-300),
-        ("diffusion_medium", 1e300),
-        ("uptake", 1e300),
-        ("secretion", 1e300),
-        ("half_saturation", 1e-300),
-        ("half_saturation", 1e300),
-        ("decay", 1e300),
-        ("perfusion", 1e300),
-        ("quiescence", 1e300),
-        ("necrosis", 1e300),
-        ("necrosis_above", 1e300),
-        ("growth_half_saturation", 1e300),
-        ("growth_inhibition", 1e300),
-        ("spacing", 1e-300),
         ("spacing", 1e-3),
-        ("margin", 1e300),
-        ("height", 1e300),
-        ("height", 1e-300),
-        ("layer", 1e300),
         ("time_tolerance", 1e-300),
+        *((key, 1e300) for key in LARGE.split()),
+        *((key, 1e-300) for key in ("diffusion", "diffusion_medium", "half_saturation", "height")),
     ],
 )
 def test_absurd_quantities_are_refused_by_path(key, value):
@@ -185,7 +173,7 @@ EDGES = {
 def test_at_the_bounds_accounts_close(case, regime):
     """Whatever is allowed is solved with a balance, or fails by name."""
     described = scene({**EDGES[case], "regime": regime}, duration="20 min")
-    simulation = ran(described)
+    simulation = finished(described)
     assert np.isfinite(simulation.concentrations["a"]).all()
     assert (simulation.concentrations["a"] >= 0.0).all()
     assert simulation.ledger["a"].relative_remainder <= 1e-6
@@ -199,24 +187,16 @@ def test_at_the_bounds_accounts_close(case, regime):
 def test_a_field_that_nothing_feeds_is_empty_at_once(geometry, medium_diffusion, regime):
     """Iterations from the medium's value left rounding, of either sign or as a remainder."""
     field = {
-        "boundary": 0.066,
-        "sides": {"*": {"value": 0.0}},
-        "uptake": 11.5,
-        "decay": 5.7e-7,
-        "geometry": geometry,
-        "regime": regime,
-        "initial": "steady",
-        "spacing": 4.0,
-        **({} if medium_diffusion is None else {"diffusion_medium": medium_diffusion}),
-    }
-    scene = mc.Scene.from_dict(
-        {"duration": 180.0, "coupling_step": 60.0, "nutrients": {"oxygen": field}}
-    )
-    result = mc.run(scene)
-    for frame in result.frames:
-        assert not frame.fields["oxygen"].values.any()
-    assert result.summary()["ledger"]["oxygen"]["remainder"] == 0.0
-    assert result.summary()["ledger"]["oxygen"]["relative_remainder"] == 0.0
+        "boundary": 0.066, "sides": {"*": {"value": 0.0}}, "uptake": 11.5, "decay": 5.7e-7,
+        "geometry": geometry, "diffusion_medium": medium_diffusion, "regime": regime,
+        "initial": "steady", "spacing": 4.0,
+    }  # fmt: skip
+    field = {key: value for key, value in field.items() if value is not None}
+    still = {"growth": None, "initial": {"count": 1}}
+    result = mc.run(scene(field, duration=180.0, coupling_step=60.0, **still))
+    assert not any(frame.fields["a"].values.any() for frame in result.frames)
+    ledger = result.summary()["ledger"]["a"]
+    assert ledger["remainder"] == ledger["relative_remainder"] == 0.0
 
 
 def test_a_field_that_fades_costs_no_steps_once_it_is_gone(monkeypatch):
@@ -228,20 +208,16 @@ def test_a_field_that_fades_costs_no_steps_once_it_is_gone(monkeypatch):
     monkeypatch.setattr(
         FieldEquation, "implicit_step", lambda *args: taken.append(args[2]) or step(*args)
     )
-    entries = {
-        "duration": "1 h",
-        "coupling_step": "30 min",
-        "nutrients": {
-            "drug": {
-                "boundary": 0.067, "media": [["1 min", 0.0]], "regime": "transient",
-                "uptake": 0.0, "diffusion": 667.0, "spacing": 8.0, "margin": 48.0,
-            }
-        },
+    drug = {
+        "boundary": 0.067, "media": [["1 min", 0.0]], "regime": "transient",
+        "uptake": 0.0, "diffusion": 667.0, "spacing": 8.0, "margin": 48.0,
     }  # fmt: skip
-    simulation = ran(mc.Scene.from_dict(entries))
-    assert simulation.fields["drug"].values.max() < 1e-6 * 0.067
-    assert simulation.fields["drug"].values.min() >= 0.0
-    assert simulation.ledger["drug"].relative_remainder < 1e-8
+    still = {"growth": None, "initial": {"count": 1}}
+    described = scene(drug, duration="1 h", coupling_step="30 min", **still)
+    simulation = finished(described)
+    assert simulation.fields["a"].values.max() < 1e-6 * 0.067
+    assert simulation.fields["a"].values.min() >= 0.0
+    assert simulation.ledger["a"].relative_remainder < 1e-8
     # as short as at the beginning they were tens of thousands
     assert len(taken) < 3_000
     assert max(taken) > 100.0

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from running import refused
 
 import multicell as mc
 from multicell.cells import State
-from multicell.errors import SceneError
 from multicell.nutrient.fields import Feeding
 from multicell.scene.scene import Scene
 
@@ -67,6 +67,5 @@ def test_a_run_accounts_for_what_its_cells_give():
     ("name", "factor", "words"), [("b", 1.0, "not a field"), ("a", -1.0, "at least 0")]
 )
 def test_refused_in_words(name, factor, words):
-    with pytest.raises(SceneError, match=words) as caught:
+    with refused(f"types.x.uptake_of.{name}", words):
         scene({}, {"x": {"uptake_of": {name: factor}}})
-    assert caught.value.path == f"types.x.uptake_of.{name}"

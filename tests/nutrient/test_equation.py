@@ -1,4 +1,6 @@
-"""The fields' equation in py-pde's terms: its rates, its solvers beside py-pde's, bad input."""
+"""The fields' equation: rates and solvers compared with py-pde's and closed forms, bad input."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -105,12 +107,9 @@ def test_rates_follow_a_changing_medium(kind):
         np.testing.assert_allclose(equation.rates(state.data, t)[0], ours, atol=1e-13 * size)
         levels = {"oxygen": steps.at(t), "glucose": ramp.at(t)}
         fixed = {
-            name: Substance(
-                s.diffusion, conditions(levels[name]), s.half_saturation, s.decay, s.perfusion,
-                levels[name], s.capacity, s.production, s.varied,
-            )
+            name: replace(s, conditions=conditions(levels[name]), medium=levels[name])
             for name, s in substances.items()
-        }  # fmt: skip
+        }
         alone = FieldEquation(grid_of(kind), fixed, cells_of(kind)).rates(state.data, 0.0)[0]
         np.testing.assert_allclose(ours, alone, atol=1e-13 * size)
     assert [ramp.at(t) for t in (-1.0, 0.0, 2.0, 4.0, 9.0)] == [0.5, 1.0, 2.0, 3.0, 3.0]
@@ -196,48 +195,6 @@ def test_every_solver_of_pdes_solves_it(solver, order):
     assert np.abs(ours.data - state.data).max() > 0.01
 
 
-def test_backward_euler_of_runs_agrees_within_its_tolerance():
-    equation = equation_of("cubes")
-    state = random_state(equation)
-    ours = equation.solve(state, 0.3, solver="multicell-implicit", rtol=1e-8, tracker=None)
-    for tolerance in (1e-2, 1e-3):
-        by_runs = equation.solve(
-            state, 0.3, solver="multicell-march", tolerance=tolerance, tracker=None
-        )
-        assert np.abs(by_runs.data - ours.data).max() < 2.0 * tolerance * 0.1
-
-
-def test_shells_converge_to_scipys_boundary_value_problem():
-    """D (c'' + 2 c'/r) = q c/(K + c) in a ball, dc/dr = 0 at its centre and 0.07 mM on it."""
-    radius, q, half = 150.0, 0.02, 0.005
-    r = np.linspace(1e-9, radius, 400)
-
-    def slope(r, y):
-        return np.array([y[1], q / D * y[0] / (half + y[0]) - 2.0 * y[1] / r])
-
-    def ends(a, b):
-        return np.array([a[1], b[0] - 0.07])
-
-    exact = solve_bvp(slope, ends, r, np.vstack([0.07 * np.ones(400), np.zeros(400)]), tol=1e-9)
-    assert exact.success
-    errors = []
-    for n in (40, 80):
-        h = radius / n
-        middles = (np.arange(n) + 0.5) * h
-        volumes = 4.0 / 3.0 * np.pi * np.diff((h * np.arange(n + 1)) ** 3)
-        position = np.zeros((n, 3))
-        position[:, 1] = middles  # a cell in the middle of a shell feeds there and nowhere else
-        oxygen = Substance(D, {"value": 0.07}, half, capacity=q * volumes)
-        equation = FieldEquation(SphericalSymGrid(radius, n), {"oxygen": oxygen}, position)
-        found = equation.solve(
-            equation.state({"oxygen": 0.07}), 1.0, solver="multicell-steady", tracker=None
-        )
-        errors.append(np.abs(found.data - exact.sol(middles)[0]).max())
-    assert exact.sol(0.0)[0] < 0.04
-    assert errors[0] < 2e-5
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
-
-
 def test_a_closed_box_keeps_what_it_holds_and_follows_its_ode():
     """Without sides the content falls by decay and rises by secretion, wherever the cells are."""
     equation = equation_of("cubes", decay=0.3, capacity=None)
@@ -277,6 +234,120 @@ def test_a_medium_that_jumps_is_met_on_time():
     np.testing.assert_allclose(values[:2], [1.0 - np.exp(-1.5), first], rtol=1e-6)
     rest = equation.solve(state, (0.0, 2.0), solver="multicell-steady", tracker=None)
     np.testing.assert_allclose(rest.data, 0.25, rtol=1e-9)
+
+
+# --- against solve_bvp and closed forms -----------------------------------------------------------
+
+LEVEL, HALF, DEMAND = 0.07, 0.005, 0.03
+SIZE = {"cubes": 160.0, "squares": 180.0, "shells": 120.0}
+NODES = {"cubes": 16, "squares": 24, "shells": 40}
+
+
+def layers_of(kind, times=1):
+    """Return a slab of cubes or squares across x, or a ball of shells."""
+    size, n = SIZE[kind], NODES[kind]
+    if kind == "shells":
+        return SphericalSymGrid(size, n * times)
+    # what lies across x does not matter: few nodes do where it is refined
+    rest = n if times == 1 else 2
+    h = size / (n * times)
+    axes = 2 if kind == "cubes" else 1
+    return CartesianGrid([(0.0, size)] + [(0.0, rest * h)] * axes, [n * times] + [rest] * axes)
+
+
+def ends_of(kind):
+    if kind == "shells":
+        return {"value": LEVEL}
+    return {"x": {"value": LEVEL}, "*": {"derivative": 0.0}}
+
+
+def feeding_everywhere(kind, grid):
+    """Return positions at the nodes of a grid, and uptake for one density everywhere."""
+    if kind == "shells":
+        position = np.zeros((grid.shape[0], 3))
+        position[:, 0] = grid.axes_coords[0]
+        return position, DEMAND * grid.cell_volumes
+    nodes = grid.cell_coords.reshape(-1, grid.num_axes)
+    position = np.zeros((len(nodes), 3))
+    position[:, : grid.num_axes] = nodes
+    h = grid.discretization[0]
+    return position, np.full(len(nodes), DEMAND * h**3)
+
+
+def along(kind, data):
+    """Return a field along x, or along the radius; it is the same across."""
+    if kind == "shells":
+        return data
+    first = data.reshape(data.shape[0], -1)
+    assert np.ptp(first, axis=1).max() < 1e-9 * LEVEL
+    return first[:, 0]
+
+
+def by_solve_bvp(kind, where):
+    """D c'' (+ 2 D c'/r) = q c / (K + c) between two values, or in a ball."""
+    x = np.linspace(0.0, SIZE[kind], 400)
+
+    def slopes(x, y):
+        return np.array([y[1], DEMAND / D * y[0] / (HALF + y[0])])
+
+    def ends(a, b):
+        inner = a[1] if kind == "shells" else a[0] - LEVEL
+        return np.array([inner, b[0] - LEVEL])
+
+    start = np.vstack([np.full(400, LEVEL), np.zeros(400)])
+    curved = np.array([[0.0, 0.0], [0.0, -2.0]]) if kind == "shells" else None
+    found = solve_bvp(slopes, ends, x, start, S=curved, tol=1e-9, max_nodes=50_000)
+    assert found.success
+    return found.sol(where)[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_steady_states_are_those_of_solve_bvp(kind):
+    errors = []
+    for times in (1, 2):
+        grid = layers_of(kind, times)
+        position, capacity = feeding_everywhere(kind, grid)
+        oxygen = Substance(D, ends_of(kind), HALF, capacity=capacity)
+        equation = FieldEquation(grid, {"oxygen": oxygen}, position)
+        state = equation.state({"oxygen": LEVEL})
+        exact = by_solve_bvp(kind, grid.axes_coords[0])
+        assert exact.min() < 0.9 * LEVEL
+        ours = equation.solve(state, 1.0, solver="multicell-steady", tracker=None)
+        errors.append(np.abs(along(kind, ours.data) - exact).max())
+    assert 1e-6 * LEVEL < errors[0] < 5e-3 * LEVEL
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15)
+
+
+def exact_filling(kind, x, t, decay):
+    """Return the filling of an empty slab or ball whose sides are held at LEVEL (Crank 1975)."""
+    size, k = SIZE[kind], np.sqrt(decay / D)
+    n = np.arange(1, 400)[:, None]
+    if kind == "shells":
+        waves = n * np.pi / size
+        rest = size * np.sinh(k * x) / (x * np.sinh(k * size))
+        size_of = 2.0 * np.where(n % 2 == 1, 1.0, -1.0) * waves / (waves**2 + k**2) / x
+    else:
+        waves = n * np.pi / size
+        rest = np.cosh(k * (x - 0.5 * size)) / np.cosh(0.5 * k * size)
+        size_of = np.where(n % 2 == 1, 4.0, 0.0) / (n * np.pi) * waves**2 / (waves**2 + k**2)
+    gone = np.exp(-D * (waves**2 + k**2) * t)
+    return LEVEL * (rest - np.sum(size_of * np.sin(waves * x) * gone, axis=0))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_transients_follow_the_closed_form(kind):
+    decay, errors = 0.3, []
+    for times in (1, 2):
+        grid = layers_of(kind, times)
+        equation = FieldEquation(grid, {"oxygen": Substance(D, ends_of(kind), decay=decay)})
+        empty = equation.state({"oxygen": 0.0})
+        end = 0.3 * SIZE[kind] ** 2 / (np.pi**2 * D)
+        exact = exact_filling(kind, grid.axes_coords[0], end, decay)
+        assert exact.min() < 0.5 * LEVEL
+        ours = equation.solve(empty, end, solver="multicell-implicit", rtol=1e-8, tracker=None)
+        errors.append(np.abs(along(kind, ours.data) - exact).max())
+    assert errors[0] < 5e-3 * LEVEL
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15)
 
 
 # --- bad input ------------------------------------------------------------------------------------

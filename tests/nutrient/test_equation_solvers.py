@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 from pde import CallbackTracker, CartesianGrid, DiffusionPDE, FieldCollection, ScalarField
-from pde.solvers.base import SolverBase
 
 import multicell as mc
 from multicell.errors import NutrientFailed
-from multicell.nutrient.equations.march_solver import MarchFieldSolver
 
 GRID = CartesianGrid([(0.0, 40.0)] * 2, 4)
 CLOSED = {"*": {"derivative": 0.0}}
@@ -17,15 +15,6 @@ def closed(**terms):
     """Return a closed box in which nothing differs from place to place, empty at first."""
     equation = mc.FieldEquation(GRID, {"drug": mc.Substance(1000.0, CLOSED, **terms)})
     return equation, equation.state({"drug": 0.0})
-
-
-def test_solvers_have_names():
-    for name, ours in {
-        "multicell-implicit": mc.ImplicitFieldSolver,
-        "multicell-march": MarchFieldSolver,
-        "multicell-steady": mc.SteadyFieldSolver,
-    }.items():
-        assert isinstance(SolverBase.from_name(name, None), ours)
 
 
 def test_trackers_may_change_the_state():

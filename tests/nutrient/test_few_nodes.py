@@ -15,12 +15,6 @@ from multicell.nutrient.steady import solve_steady
 
 D = 1000.0
 WALL = {"derivative": 0.0}
-SIDES = {
-    "value": {"value": 0.3},
-    "wall": WALL,
-    "supply": {"derivative": 0.01},
-    "mixed": {"type": "mixed", "value": 0.05, "const": 0.02},
-}
 
 
 @pytest.mark.parametrize("values", [True, False])
@@ -58,32 +52,6 @@ def test_the_inverse_is_that_of_scipy(shape, values):
         spectrum = (fft.idst if v else fft.idct)(spectrum, type=2, axis=axis, norm="ortho")
     np.testing.assert_allclose(u, spectrum, rtol=0, atol=3e-6 * np.abs(spectrum).max())
     assert product == pytest.approx(float(np.sum(y * spectrum)), rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "dimensions"),
-    [*((one, other, 3) for one in SIDES for other in SIDES), *((one, one, 2) for one in SIDES)],
-)
-def test_a_box_has_the_conditions_of_pde(first, second, dimensions):
-    shape, h = (4, 5, 6)[:dimensions], 7.0
-    axes = "xyz"[:dimensions]
-    sides = {axis + "-": SIDES[first] for axis in axes} | {
-        axis + "+": SIDES[second] for axis in axes
-    }
-    height = 9.0 if dimensions == 2 else None
-    whole = (*shape, 1)[:3]
-    own = Diffusion(Box((0.0, 0.0, 0.0), whole, h, height), D, sides, height=height)
-    grid = CartesianGrid([(0, h * n) for n in shape], shape)
-    theirs = Diffusion(grid, D, sides, height=height)
-    c = np.random.default_rng(2).random(whole)
-    np.testing.assert_allclose(own.ghost, theirs.ghost, atol=1e-14)
-    np.testing.assert_allclose(own.source, theirs.source, atol=1e-13 * theirs.source.max())
-    np.testing.assert_allclose(own.divergence(c), theirs.divergence(c), rtol=0, atol=1e-10)
-    assert own.flows(c) == pytest.approx(theirs.flows(c), rel=1e-12, abs=1e-12)
-    # what comes in by the flows is what diffusion brings to the nodes, by py-pde's operator
-    gained = float(theirs.divergence(c).sum()) * own.volume
-    inward, outward = own.flows(c)
-    assert inward - outward == pytest.approx(gained, rel=1e-10, abs=1e-8)
 
 
 def test_conditions_may_differ_all_over_a_face_on_a_grid_of_pde():

@@ -43,6 +43,7 @@ def frames_of(scene):
             "nutrients.oxygen.sources": {"pump": {"x": 5, "y": 0, "z": -8, "strength": 300.0}},
             "nutrients.oxygen.perfusion": "0.01 1/s",
         },
+        {"nutrients.oxygen.regions": {"gel": {"x": [8, 100], "diffusion": "50 um^2/s"}}},
         {
             "nutrients.oxygen.finite_medium": {"volume": "1e7 um^3", "unstirred": "30 um"},
             "nutrients.oxygen.media": [["10 min", "0.03 mM"]],

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from running import finished, refused
 from scipy.optimize import brentq
 from scipy.special import lambertw
 
@@ -35,14 +36,6 @@ def scene(nutrient=None, **changes):
     return Scene.from_dict(entries).with_changes(changes)
 
 
-def ran(described, each=lambda simulation: None):
-    simulation = mc.Simulation(described)
-    while not simulation.finished:
-        simulation.step()
-        each(simulation)
-    return simulation
-
-
 def closed(simulation, begin, name="glucose"):
     """Return what is missing in field, medium and cells together, over all that was brought."""
     ledger, held = simulation.ledger[name], content(simulation, name)
@@ -69,7 +62,7 @@ def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
     diffusion, margin = 500.0, 100.0
     nutrient = Nutrient(
         diffusion=diffusion, boundary=0.0, uptake=0.0, media=[(1.0, 2.0)], geometry="radial",
-        margin=margin, time_tolerance=1e-5, finite_medium={"volume": 1e12},
+        margin=margin, time_tolerance=1e-4, finite_medium={"volume": 1e12},
     )  # fmt: skip
     parameters = FieldParameters(nutrient, 1.0, 10.0, "transient", dimensions=3)
     place, nothing = np.zeros((1, 3)), np.zeros(1)
@@ -120,7 +113,7 @@ def test_a_mixed_medium_is_used_up_as_lambert_s_function_says(regime):
         assert found == pytest.approx(exact, rel=2e-3)
         np.testing.assert_allclose(simulation.concentrations["glucose"], exact, rtol=4e-3)
 
-    simulation = ran(described, check)
+    simulation = finished(described, check)
     assert simulation.history_row()["medium_glucose"] < 2.5
 
 
@@ -170,8 +163,7 @@ def test_what_a_change_leaves_and_brings():
     # at the moment of the change: the stirred half is 0.6 of what it was
     assert simulation.history_row()["medium_glucose"] == pytest.approx(3.0)
     assert simulation.ledger["glucose"].discarded == pytest.approx(0.4 * 5.0 * 0.8e7)
-    while not simulation.finished:
-        simulation.step()
+    finished(simulation)
     # long after it: all of it is mixed
     assert simulation.history_row()["medium_glucose"] == pytest.approx(4.0, rel=1e-3)
 
@@ -179,12 +171,11 @@ def test_what_a_change_leaves_and_brings():
 # --- the account -------------------------------------------------------------------------------
 
 PLACES = {
-    "half a millimetre's well": {
-        "domain": WELL,
+    "a well": {
+        "domain": {axis: [-160.0, 160.0] for axis in "xyz"},
         "nutrients.glucose.spacing": 20.0,
         "coupling_step": "40 min",
     },
-    "cubes that follow": {"growth": {"cycle_time": "8 h"}},
     "shells": {"nutrients.glucose.geometry": "radial", "growth": {"cycle_time": "8 h"}},
     "a plane": {
         "dimensions": 2,
@@ -197,17 +188,18 @@ PLACES = {
 
 @pytest.mark.parametrize(
     ("place", "regime"),
-    [*((place, "transient") for place in PLACES), ("cubes that follow", "steady"),
-     ("shells", "steady")],
-)  # fmt: skip
+    [*((place, "transient") for place in PLACES), ("shells", "steady")],
+)
 def test_medium_field_and_cells_hold_what_was_brought(place, regime):
     described = scene({"regime": regime, "spacing": 20.0}, **PLACES[place])
     simulation = mc.Simulation(described)
     begin, levels = content(simulation), []
-    while not simulation.finished:
-        simulation.step()
-        levels.append(simulation.history_row()["medium_glucose"])
-        assert closed(simulation, begin) <= 1e-8
+
+    def check(run):
+        levels.append(run.history_row()["medium_glucose"])
+        assert closed(run, begin) <= 1e-8
+
+    finished(simulation, check)
     ledger = simulation.ledger["glucose"]
     assert ledger.changes == 3
     assert ledger.relative_remainder <= 1e-8
@@ -229,8 +221,7 @@ def test_the_account_holds_with_decay_perfusion_secretion_and_part_changes(regim
     )  # fmt: skip
     simulation = mc.Simulation(described)
     begin = content(simulation)
-    while not simulation.finished:
-        simulation.step()
+    finished(simulation)
     ledger = simulation.ledger["glucose"]
     assert closed(simulation, begin) <= 1e-8
     assert ledger.relative_remainder <= 1e-8
@@ -238,7 +229,7 @@ def test_the_account_holds_with_decay_perfusion_secretion_and_part_changes(regim
 
 
 def test_a_true_imbalance_of_the_medium_shows():
-    ledger = ran(scene({"regime": "steady"})).ledger["glucose"]
+    ledger = finished(scene({"regime": "steady"})).ledger["glucose"]
     assert ledger.relative_remainder < 1e-8
     ledger.held *= 0.999
     assert ledger.relative_remainder > 1e-5
@@ -258,7 +249,7 @@ def test_a_medium_that_is_eaten_up_ends_at_nothing_and_not_below(regime):
                          simulation.ledger["glucose"].held))  # fmt: skip
 
     begin = content(mc.Simulation(described))
-    simulation = ran(described, check)
+    simulation = finished(described, check)
     ledger = simulation.ledger["glucose"]
     assert min(least) >= 0.0
     assert closed(simulation, begin) <= 1e-8
@@ -273,7 +264,7 @@ def test_a_level_at_the_bound_of_scene_files_may_rise_beyond_it(regime):
          "media": [["1 s", 1e5]], "spacing": 20.0, "finite_medium": {"volume": 1e8}},
         duration="20 min",
     )  # fmt: skip
-    assert ran(described).history_row()["medium_glucose"] > 1e5
+    assert finished(described).history_row()["medium_glucose"] > 1e5
 
 
 def test_every_change_is_done_once_whatever_rounding_makes_of_times():
@@ -281,62 +272,12 @@ def test_every_change_is_done_once_whatever_rounding_makes_of_times():
     media = [[step * k, 1.0 + k] for k in (3, 6, 7, 12)]
     described = scene({"media": media, "regime": "steady", "spacing": 20.0}, coupling_step=step,
                       duration=20 * step)  # fmt: skip
-    assert ran(described).ledger["glucose"].changes == 4
-    assert ran(scene({"media": [[0.0, 2.0], ["1 h", 3.0]]})).ledger["glucose"].changes == 2
+    assert finished(described).ledger["glucose"].changes == 4
+    assert finished(scene({"media": [[0.0, 2.0], ["1 h", 3.0]]})).ledger["glucose"].changes == 2
 
 
-@pytest.mark.parametrize("regime", ["steady", "transient"])
-def test_a_run_goes_on_from_a_frame_with_the_same_bits(regime):
-    described = scene({"regime": regime}, growth={"cycle_time": "8 h"}, duration="80 min")
-    result = mc.run(described.with_changes({"output.every": "20 min"}))
-    middle = result.frames[2]
-    again = mc.Simulation(result.scene, frame=middle, lineage=None)
-    while not again.finished:
-        again.step()
-    last = result.frames[-1]
-    assert np.array_equal(again.concentrations["glucose"], last.concentrations["glucose"])
-    assert again.ledger["glucose"].kept() == last.progress.ledger["glucose"]
-
-
-def test_a_step_that_fails_leaves_the_medium_as_it_was(monkeypatch):
-    simulation = mc.Simulation(scene({"regime": "transient"}))
-    simulation.step()
-    before = simulation.ledger["glucose"].kept()
-    level = simulation.history_row()["medium_glucose"]
-    real = simulation._decide
-
-    def fail(dt):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(simulation, "_decide", fail)
-    with pytest.raises(KeyboardInterrupt):
-        simulation.step()
-    assert simulation.ledger["glucose"].kept() == before
-    assert simulation.history_row()["medium_glucose"] == level
-    monkeypatch.setattr(simulation, "_decide", real)
-    simulation.step()
-    assert simulation.ledger["glucose"].relative_remainder <= 1e-8
-
-
-def test_a_medium_that_is_not_finite_has_no_such_account():
-    described = scene().with_changes({"nutrients.glucose.finite_medium": None, "duration": "1 h"})
-    simulation = ran(described)
-    assert not any(name.startswith("medium") for name in simulation.summary()["ledger"]["glucose"])
-    assert "medium_glucose" not in simulation.history_row()
-    kept = simulation.ledger["glucose"].kept()
-    assert not {"held", "level", "fresh", "discarded", "spoiled", "changes"} & set(kept)
-
-
-# --- words -------------------------------------------------------------------------------------
-
-
-def test_explain_tells_of_the_medium():
-    told = explain(
-        scene({"finite_medium": {"volume": "0.25 uL", "unstirred": 40, "replaced": 0.5}})
-    )
-    text = str(told["parts"])
-    assert "2.5e+08 um^3 of medium that the cells use up, 5 mM" in text
-    assert "unstirred layer of 40 um, replaced by 50 % 3 time(s)" in text
+def test_explain_says_how_long_the_medium_lasts():
+    told = explain(scene({"finite_medium": {"volume": "0.25 uL", "unstirred": 40}}))
     lasts = next(n for n in told["numbers"] if n["name"] == "glucose: medium lasts")
     assert lasts["value"] == pytest.approx(2.5e8 * 5.5 / (60 * 200.0))
 
@@ -348,8 +289,6 @@ REFUSED = {
     "walls": ({"sides": {"*": WALL}, "regime": "transient"}, "finite_medium", "touches no side"),
     "a course": ({"media_change": "linear"}, "media_change", "finite medium"),
     "no volume": ({"finite_medium": {}}, "finite_medium.volume", "missing"),
-    "nothing": ({"finite_medium": {"volume": 0}}, "finite_medium.volume", "above 0"),
-    "a length": ({"finite_medium": {"volume": "5 um"}}, "finite_medium.volume", "a volume"),
     "too much": ({"finite_medium": {"volume": 1e9, "replaced": 1.5}}, "finite_medium.replaced",
                  "at most 1"),
 }  # fmt: skip
@@ -358,16 +297,13 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_refused_in_words(case):
     nutrient, path, words = REFUSED[case]
-    with pytest.raises(SceneError) as caught:
+    with refused(f"nutrients.glucose.{path}", words):
         scene(nutrient)
-    assert caught.value.path == f"nutrients.glucose.{path}"
-    assert words in str(caught.value)
 
 
 def test_a_medium_smaller_than_its_grid_is_refused():
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(SceneError, match="no more than the domain"):
         scene(domain=WELL, **{"nutrients.glucose.finite_medium.volume": 1.25e8})
-    assert "no more than the domain" in str(caught.value)
     with pytest.raises(StepFailed, match="nothing is left that could be stirred"):
         mc.Simulation(scene(**{"nutrients.glucose.finite_medium.volume": 1e5}))
 
@@ -380,7 +316,7 @@ def test_a_medium_far_larger_than_its_field_leaves_no_rounding_in_the_account(re
         "nutrients.glucose.regime": regime, "nutrients.glucose.decay": 3e-4,
         "nutrients.glucose.perfusion": 3e-3,
     }  # fmt: skip
-    simulation = ran(scene().with_changes(changes))
+    simulation = finished(scene().with_changes(changes))
     ledger = simulation.ledger["glucose"]
     assert ledger.relative_remainder <= 1e-8
     assert ledger.washed > 0.0

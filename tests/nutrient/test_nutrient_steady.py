@@ -4,9 +4,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from pde.grids.cartesian import CartesianGrid
-from scipy.sparse.linalg import spsolve
 
 from multicell.errors import NutrientFailed
 from multicell.nutrient.cartesian import scatter
@@ -17,7 +15,7 @@ D = 2000.0
 RADIUS = 100.0
 HALF_WIDTH = 150.0
 CENTRE = np.array([3.1, -5.3, 1.7])  # off every symmetry of the grid
-SIZES = (20, 28, 40, 56)
+SIZES = (20, 28, 40)
 
 
 def cube(n, half_width=HALF_WIDTH):
@@ -58,30 +56,16 @@ def faces(grid, law):
     return conditions
 
 
-def zero_order(uptake, surface, necrotic=0.0):
+def starved_core(uptake, surface, necrotic):
     """Return c(r) for a constant uptake in the shell from ``necrotic`` to the ball's surface."""
 
     def law(r):
-        inner = np.clip(r, max(necrotic, 1e-300), RADIUS)
+        inner = np.clip(r, necrotic, RADIUS)
         shape = inner**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / inner
         at_rim = RADIUS**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / RADIUS
         flow = uptake * (RADIUS**3 - necrotic**3) / (3.0 * D)
         outer = flow * (1.0 / RADIUS - 1.0 / np.maximum(r, RADIUS))
         return surface + uptake / (6.0 * D) * (shape - at_rim) + outer
-
-    return law
-
-
-def first_order(rate, medium):
-    """Return c(r) for an uptake ``rate * c`` in the ball and ``medium`` far away."""
-    k = np.sqrt(rate / D)
-    slope = k * RADIUS * np.cosh(k * RADIUS) - np.sinh(k * RADIUS)
-    b = medium / (np.sinh(k * RADIUS) / RADIUS + slope / RADIUS)
-
-    def law(r):
-        inner = np.minimum(np.maximum(r, 1e-12), RADIUS)
-        inside = b * np.sinh(k * inner) / inner
-        return np.where(r < RADIUS, inside, medium - b * slope / np.maximum(r, RADIUS))
 
     return law
 
@@ -100,22 +84,10 @@ def order(errors, sizes=SIZES):
     return -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
 
 
-def test_second_order_for_zero_order_uptake_without_a_core():
-    law = zero_order(uptake=0.03, surface=0.06)
-    errors, flows = [], []
-    for n in SIZES:
-        error, _, report = rms_error(n, law, density=0.03, half=1e-9)
-        errors.append(error)
-        flows.append(report.inflow)
-    assert law(np.array(0.0)) > 0.03  # nothing starves
-    assert order(errors) == pytest.approx(2.0, abs=0.2)
-    np.testing.assert_allclose(flows, 0.03 * 4 / 3 * np.pi * RADIUS**3, rtol=1e-6)
-
-
 def test_second_order_for_zero_order_uptake_with_a_necrotic_core():
     necrotic, uptake = 55.0, 0.05
     rim = RADIUS**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / RADIUS
-    law = zero_order(uptake, surface=uptake / (6.0 * D) * rim, necrotic=necrotic)
+    law = starved_core(uptake, uptake / (6.0 * D) * rim, necrotic)
     errors, radii = [], []
     for n in SIZES:
         error, c, report = rms_error(n, law, density=uptake, half=1e-8)
@@ -127,39 +99,6 @@ def test_second_order_for_zero_order_uptake_with_a_necrotic_core():
     assert order(np.abs(np.array(radii) - necrotic)) > 1.6
 
 
-def test_second_order_for_first_order_uptake():
-    rate, half = 1.2, 1e6
-    law = first_order(rate, medium=0.07)
-    errors = [rms_error(n, law, density=rate * half, half=half)[0] for n in SIZES]
-    assert law(np.array(0.0)) < 0.5 * law(np.array(RADIUS))
-    assert order(errors) == pytest.approx(2.0, abs=0.2)
-
-
-def test_invert_solves_the_shifted_equation_of_pde():
-    operator = Diffusion(cube(12), D, 0.0)
-    y = np.random.default_rng(2).normal(size=operator.shape)
-    u, product = operator.invert(y.copy(), 0.7)
-    np.testing.assert_allclose(0.7 * u - operator.divergence(u), y, atol=1e-12)
-    assert product == pytest.approx(np.sum(u * y), rel=1e-12)
-
-
-def test_a_linear_problem_agrees_with_a_sparse_direct_solve():
-    n, half = 9, 1e8
-    operator = Diffusion(cube(n), D, 0.07)
-    rate = np.random.default_rng(4).random(operator.shape) * 5.0
-    line = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(n, n)).tolil()
-    line[0, 0] = line[-1, -1] = 3.0  # ghost value 2 c_b - c
-    eye = sp.identity(n)
-    total = sum(
-        sp.kron(sp.kron(*pair[:2]), pair[2])
-        for pair in ((line, eye, eye), (eye, line, eye), (eye, eye, line))
-    )
-    matrix = (operator.stiffness * total + sp.diags(rate.ravel())).tocsc()
-    exact = spsolve(matrix, operator.source.ravel()).reshape(operator.shape)
-    c, _ = solve_steady(operator, rate * half, half, np.zeros(operator.shape))
-    np.testing.assert_allclose(c, exact, rtol=1e-8)
-
-
 def starved(n=24, factor=1.0, half=0.005):
     """Return operator, sink and half saturation of a ball that starves in its middle."""
     grid = cube(n)
@@ -168,16 +107,19 @@ def starved(n=24, factor=1.0, half=0.005):
 
 @pytest.mark.parametrize("factor", [1.0, 1e3, 1e6])
 @pytest.mark.parametrize("half", [0.005, 1e-6])
-@pytest.mark.parametrize("guess", [0.07, 0.0, 50.0, -3.0])
-def test_converges_without_negative_values_from_any_guess(factor, half, guess):
+def test_converges_to_one_field_without_negative_values_from_any_guess(factor, half):
     operator, sink, half = starved(16, factor, half)
-    c, report = solve_steady(operator, sink, half, np.full(operator.shape, guess))
-    assert c.min() >= 0.0
-    assert c.max() <= 0.07 * (1 + 1e-12)
-    assert c[8, 8, 8] < 1e-3
-    assert report.inflow == pytest.approx(report.uptake, rel=1e-9)
-    imbalance = operator.divergence(c) - sink * c / (half + c)
-    assert np.abs(imbalance).sum() * operator.spacing**3 <= 2e-9 * report.uptake
+    found = []
+    for guess in (0.07, 0.0, 50.0, -3.0):
+        c, report = solve_steady(operator, sink, half, np.full(operator.shape, guess))
+        assert c.min() >= 0.0
+        assert c.max() <= 0.07 * (1 + 1e-12)
+        assert c[8, 8, 8] < 1e-3
+        assert report.inflow == pytest.approx(report.uptake, rel=1e-9)
+        imbalance = operator.divergence(c) - sink * c / (half + c)
+        assert np.abs(imbalance).sum() * operator.spacing**3 <= 2e-9 * report.uptake
+        found.append(c)
+    np.testing.assert_allclose(found[1:], [found[0]] * 3, rtol=0, atol=1e-9 * 0.07)
 
 
 @pytest.mark.parametrize("nodes", [2, 4, 8])
@@ -193,25 +135,6 @@ def test_fields_too_small_for_single_precision_are_solved_or_refused_by_name(nod
         assert c.max() <= medium
 
 
-def test_inflow_is_the_sum_of_the_face_fluxes():
-    operator, sink, half = starved()
-    c, report = solve_steady(operator, sink, half, np.full(operator.shape, 0.07))
-    faces = [c[0], c[-1], c[:, 0], c[:, -1], c[:, :, 0], c[:, :, -1]]
-    flow = sum(float(np.sum(0.07 - face)) for face in faces) * 2.0 * D * operator.spacing
-    assert report.inflow == pytest.approx(flow, rel=1e-12)
-    uptake = np.sum(sink * c / (half + c)) * operator.spacing**3
-    assert report.uptake == pytest.approx(uptake, rel=1e-12)
-    assert abs(report.inflow - report.uptake) <= 1e-9 * uptake
-    assert abs(report.inflow - report.uptake) <= report.residual * (1 + 1e-3) + 1e-9
-
-
-def test_the_solution_does_not_depend_on_the_guess():
-    operator, sink, half = starved()
-    low, _ = solve_steady(operator, sink, half, np.zeros(operator.shape))
-    high, _ = solve_steady(operator, sink, half, np.full(operator.shape, 1.0))
-    np.testing.assert_allclose(low, high, rtol=0, atol=1e-9 * 0.07)
-
-
 def test_a_warm_start_takes_fewer_iterations():
     operator, sink, half = starved()
     c, cold = solve_steady(operator, sink, half, np.full(operator.shape, 0.07))
@@ -220,33 +143,6 @@ def test_a_warm_start_takes_fewer_iterations():
     assert warm.cg < 0.7 * cold.cg
     _, again = solve_steady(operator, sink, half, c)
     assert (again.newton, again.cg) == (0, 0)
-
-
-def test_iterations_do_not_grow_with_the_grid():
-    """Without transforms or multigrid they would double with every halving of the spacing."""
-    reports = []
-    for n in (32, 64, 96):
-        operator, sink, half = starved(n)
-        reports.append(solve_steady(operator, sink, half, np.full(operator.shape, 0.07))[1])
-    newton, cg = ([getattr(r, key) for r in reports] for key in ("newton", "cg"))
-    assert max(newton) <= min(newton) + 1
-    assert max(cg) <= 1.25 * cg[0]  # by transforms there, by multigrid on more nodes
-
-
-def test_nothing_taken_up_leaves_the_boundary_value():
-    operator = Diffusion(cube(10), D, 0.07)
-    c, report = solve_steady(operator, np.zeros(operator.shape), 0.005, np.zeros(operator.shape))
-    np.testing.assert_allclose(c, 0.07, rtol=1e-12)
-    assert report.uptake == 0.0
-    assert abs(report.inflow) < 1e-6
-
-
-def test_no_nutrient_outside_leaves_none_inside():
-    _, sink, half = starved()
-    empty = Diffusion(cube(24), D, 0.0)
-    c, report = solve_steady(empty, sink, half, np.zeros(empty.shape))
-    assert not c.any()
-    assert report.uptake == 0.0
 
 
 def test_values_that_are_not_finite_end_with_words():

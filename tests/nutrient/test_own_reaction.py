@@ -66,23 +66,6 @@ def test_found_derivatives_are_those_of_the_formula():
     assert below[0, 0] == pytest.approx(0.001 * math.sqrt(1e-3), rel=1e-6)
 
 
-@pytest.mark.parametrize("solver", ["multicell-implicit", "multicell-steady"])
-def test_own_reactions_are_solved_as_the_same_ones_of_fixed_form(solver):
-    grid = CartesianGrid([(0, 80)] * 2, 8)
-    fixed = {"x": {"rate": 1.0, "consumes": {"a": 1, "b": 1}}}
-    found = []
-    for reactions in (fixed, {"x": binding}):
-        substances = {
-            "b": mc.Substance(50.0, {"x+": {"value": 0.2}, "*": WALL}),
-            "a": mc.Substance(200.0, {"x-": {"value": 0.1}, "*": WALL}),
-        }
-        made = mc.FieldEquation(grid, substances, reactions=reactions)
-        options = {"rtol": 1e-8} if solver == "multicell-implicit" else {}
-        state = made.state({"a": 0.0, "b": 0.1})
-        found.append(made.solve(state, 60.0, solver=solver, tracker=None, **options).data)
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-6, atol=1e-9)
-
-
 def test_fixed_forms_and_own_ones_add_up():
     grid = CartesianGrid([(0, 40)] * 2, 4)
     substances = {name: mc.Substance(50.0, {"*": WALL}) for name in ("u", "v", "w")}

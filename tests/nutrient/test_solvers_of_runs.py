@@ -1,13 +1,10 @@
 """The fields of runs are equations of py-pde's, brought forward by solvers that it knows."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from pde.solvers.base import SolverBase
+from running import finished
 
-import multicell as mc
 from multicell.biology.initial import initial_cells
 from multicell.nutrient.fields import Feeding
 from multicell.scene.scene import Scene
@@ -16,26 +13,6 @@ from multicell.scene.scene import Scene
 def scene(nutrient, **changes):
     entries = {"duration": 1800.0, "coupling_step": 600.0, "initial": {"count": 20}}
     return Scene.from_dict({**entries, "nutrients": {"a": nutrient}, **changes})
-
-
-def ran(described):
-    simulation = mc.Simulation(described)
-    while not simulation.finished:
-        simulation.step()
-    return simulation
-
-
-def test_py_pde_is_loaded_by_a_run_with_a_field_and_by_no_other():
-    program = (
-        "import sys, multicell as mc\n"
-        "for name in ('growth', 'spheroid'):\n"
-        "    mc.Simulation(mc.load_scene(name)).step()\n"
-        "    print('pde' in sys.modules)\n"
-        "print('scipy.optimize._optimize' in sys.modules)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    # what py-pde imports of SciPy and no field uses stays unloaded
-    assert done.stdout.split() == ["False", "True", "False"], done.stderr
 
 
 @pytest.mark.parametrize(
@@ -73,7 +50,7 @@ def test_fields_in_finite_media_react_and_no_molecule_is_lost(regime):
         "c": {"boundary": 0.0, "uptake": 0.0},
     }  # fmt: skip
     common = {"diffusion": 500.0, "spacing": 20.0, "regime": regime}
-    run = ran(
+    run = finished(
         Scene.from_dict({
             "duration": 1800.0, "coupling_step": 600.0, "initial": {"count": 5},
             "nutrients": {name: {**common, **entries} for name, entries in fields.items()},

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from running import finished
 
 import multicell as mc
 from multicell.nutrient.field import NutrientField
@@ -82,9 +83,7 @@ def test_the_account_of_a_run_with_strays_closes(regime):
     })  # fmt: skip
     cells = mc.Simulation(base).cells
     cells.position[np.argsort(-cells.position[:, 0])[:3]] += [300.0, 0.0, 0.0]
-    simulation = mc.Simulation(base, cells=cells)
-    while not simulation.finished:
-        simulation.step()
+    simulation = finished(base, cells=cells)
     assert simulation.ledger["oxygen"].uptake > 0.0
     assert simulation.ledger["oxygen"].relative_remainder < 1e-8
     assert simulation.fields["oxygen"].values.size < 40**3

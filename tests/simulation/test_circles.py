@@ -3,9 +3,9 @@
 import gc
 
 import pytest
+from strategies import ONE_OF_A_KIND
 
 import multicell as mc
-from multicell.integrators.registry import METHODS
 
 SCENES = ("spheroid", "emt6", "chemotaxis", "confined", "sorting-signal", "dosing", "monolayer")
 
@@ -15,7 +15,7 @@ def test_steps_leave_no_circles(name):
     assert left_behind(mc.load_scene(name).with_changes({"initial.count": 30})) == set()
 
 
-@pytest.mark.parametrize("method", sorted(set(METHODS) - {"auto"}))
+@pytest.mark.parametrize("method", ONE_OF_A_KIND)
 def test_no_method_leaves_circles(method):
     changes = {
         "initial.count": 8, "initial.jitter": 0.05, "coupling_step": "1 min",

@@ -1,7 +1,6 @@
 """What a step of few cells costs in calls, and what it does not do again."""
 
 import math
-import subprocess
 import sys
 
 import numpy as np
@@ -49,17 +48,6 @@ def test_a_step_of_few_cells_takes_few_calls(count, most):
     for _ in range(3):
         run.step()
     assert calls(run) < most
-
-
-@pytest.mark.parametrize(("name", "loaded"), [("spheroid", ["pde"]), ("growth", [])])
-def test_a_run_loads_pde_for_its_fields_only(name, loaded):
-    code = (
-        "import sys; import multicell as mc; from multicell.simulation import Simulation;"
-        f"s = Simulation(mc.load_scene({name!r}), threads=1); s.step();"
-        "print([m for m in ('pde', 'scipy.fft', 'h5py', 'matplotlib') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == str(loaded)
 
 
 def test_a_lone_cell_stays_where_it_is_and_is_not_integrated():

@@ -6,14 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import integrate
-from stored import assert_same_bits
 
 import multicell as mc
-from multicell import simulation as loop
 from multicell.biology.plan import biology_plan
 from multicell.biology.splitting import corrected_factor, lag_after
 from multicell.cells import State
-from multicell.scene.sizes import birth_volume
 from multicell.simulation import Simulation
 
 STEPS = (2400.0, 1200.0, 600.0)
@@ -149,16 +146,6 @@ def test_a_medium_that_jumps_is_right_at_the_end_of_a_step_and_in_its_middle():
     assert result.summary()["splitting"]["volume_error"] == pytest.approx(error, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["the medium fades", "more and more cells use it up"])
-@pytest.mark.parametrize("frame", [1, 2])
-def test_a_resumed_run_has_the_bits_of_one_that_was_not_stopped(name, frame, tmp_path):
-    scene = mc.Scene.from_dict({**SCENES[name], "coupling_step": 1200.0})
-    whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
-    assert whole.frames[frame].cells.lag.any()
-    mc.resume(whole.folder, frame, output=tmp_path / "again", report=False, threads=2)
-    assert_same_bits(whole.folder, tmp_path / "again")
-
-
 def some_cells(count=6):
     scene = mc.Scene.from_dict({**BASE, "initial": {**STAGES, "count": count}})
     return biology_plan(scene), Simulation(scene, threads=1).cells
@@ -235,29 +222,3 @@ def test_scenes_without_growth_have_no_estimate():
     assert "splitting" not in result.summary()
     assert not [name for name in result.history if name.startswith("splitting")]
     assert not result.frames[-1].cells.lag.any()
-
-
-def test_a_step_that_fails_takes_its_lag_back(monkeypatch):
-    entries = {**SCENES["cells use up what there is"], "coupling_step": 1200.0}
-    simulation = Simulation(mc.Scene.from_dict(entries), threads=1)
-    for _ in range(3):
-        simulation.step()
-
-    def state():
-        content = simulation.ledger["glucose"].content
-        return simulation.time, content, simulation.cells.lag.tolist(), len(simulation.cells)
-
-    def fail(*given):
-        lag_after(*given)
-        raise KeyboardInterrupt
-
-    kept = state()
-    assert min(kept[2]) < 0.0
-    with monkeypatch.context() as patch:
-        patch.setattr(loop, "lag_after", fail)
-        with pytest.raises(KeyboardInterrupt):
-            simulation.step()
-    assert state() == kept
-    simulation.step()
-    assert state() != kept
-    assert birth_volume(simulation.scene) == pytest.approx(BIRTH)
