@@ -31,20 +31,8 @@ _LEDGER: Final = (
 )  # fmt: skip
 
 
-def _grows(scene: Scene) -> bool:
-    return scene.growth is not None
-
-
 def _has_phases(scene: Scene) -> bool:
     return scene.growth is not None and bool(scene.growth.phases)
-
-
-def _has_types(scene: Scene) -> bool:
-    return len(scene.types) > 1
-
-
-def _is_pulled(scene: Scene) -> bool:
-    return scene.pull is not None
 
 
 def _is_pressed(scene: Scene) -> bool:
@@ -104,14 +92,14 @@ OBSERVABLES: Final = (
     _tissue_length(
         "proliferating_rim",
         lambda s: of.rim(s.cells, s.dimensions, [State.QUIESCENT, State.NECROTIC], s.extent),
-        exists=_grows,
+        exists=lambda scene: scene.growth,
         absent="without quiescent and necrotic cells, and where they lie outside the others",
         doc="R less the radius, by the same formula, of quiescent and necrotic cells",
     ),
     Observable(
         "growth_fraction",
         lambda s: _mean(s.cells.state[~s.cells.dead] == State.PROLIFERATING),
-        exists=_grows,
+        exists=lambda scene: scene.growth,
         absent="without living cells",
         doc="part of living cells that proliferate: in the viable rim, where there is a core",
     ),
@@ -238,7 +226,7 @@ OBSERVABLES: Final = (
         "heterotypic_fraction",
         lambda s: of.heterotypic_fraction(s.cells, s.frame.contacts),
         title="contacts between unlike cells",
-        exists=_has_types,
+        exists=lambda scene: len(scene.types) > 1,
         absent="without contacts",
         shown=lambda part: f"{100.0 * part:.1f} %",
         doc="part of all contacts that join cells of different types, where there are several"
@@ -255,12 +243,16 @@ OBSERVABLES: Final = (
         "living_*",
         lambda s, x: (~s.cells.dead & (s.cells.kind == list(s.scene.types).index(x))).sum(),
         title="living cells of a type",
-        exists=lambda scene: list(scene.types) if _has_types(scene) else [],
+        exists=lambda scene: scene.types if len(scene.types) > 1 else (),
         entry="living.*",
         doc="number of living cells of a type, where there are several",
     ),
     Observable(
-        "pull", lambda s: s.scene.pull.load(s.time), unit="nN", exists=_is_pulled, entry=None
+        "pull",
+        lambda s: s.scene.pull.load(s.time),
+        unit="nN",
+        exists=lambda scene: scene.pull,
+        entry=None,
     ),
     # found by the coupling step
     Observable(
@@ -311,12 +303,12 @@ OBSERVABLES: Final = (
     _at_end("divisions", shown="{:,}".format, shown_if_zero=False),
     _at_end("removals", title="cells removed", shown="{:,}".format, shown_if_zero=False),
     _at_end("volume_released", unit="um^3"),
-    _at_end("separation.time", unit="s", exists=_is_pulled),
+    _at_end("separation.time", unit="s", exists=lambda scene: scene.pull),
     _at_end(
         "separation.force",
         unit="nN",
         title="separation force",
-        exists=_is_pulled,
+        exists=lambda scene: scene.pull,
         shown="{:.4g} nN".format,
     ),
     *(_at_end(f"ledger.*.{x}", unit="amol", exists=lambda scene: scene.nutrients) for x in _LEDGER),

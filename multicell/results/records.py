@@ -105,19 +105,8 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
     names = sorted(nutrients)
     columns = [name for name in Cells.schema() if f"cells/{name}" not in SPARSE - arrays.keys()]
     try:
-        found = {
-            name: Field(
-                name,
-                UNIT,
-                arrays[f"fields/{name}/origin"],
-                float(arrays[f"fields/{name}/spacing"]),
-                arrays[f"fields/{name}/values"],
-                "radial" if arrays[f"fields/{name}/radial"] else "box",
-                float(arrays[f"fields/{name}/height"]),
-            )
-            for name in names
-            if f"fields/{name}/values" in arrays
-        }
+        there = [name for name in names if f"fields/{name}/values" in arrays]
+        found = {name: _field_of(name, arrays) for name in there}
         frame = Frame(
             time=float(arrays["time"]),
             step=int(arrays["step"]),
@@ -133,6 +122,14 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
         raise OutputError(str(error)) from None
     _check(frame)
     return frame
+
+
+def _field_of(name: str, arrays: Mapping[str, NDArray[Any]]) -> Field:
+    origin, spacing, height, radial, values = (
+        arrays[f"fields/{name}/{key}"] for key in (*FIELD, "values")
+    )
+    kind = "radial" if radial else "box"
+    return Field(name, UNIT, origin, float(spacing), values, kind, float(height))
 
 
 def _check(frame: Frame) -> None:
