@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
     from multicell.cells import Cells, FloatArray
     from multicell.nutrient.balance import Ledger
-    from multicell.nutrient.fields import Feeding
+    from multicell.nutrient.fields import FieldSystem
     from multicell.nutrient.reactions.own import OwnReaction
     from multicell.results.frame import Field, Frame
     from multicell.scene.scene import Scene
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 class SceneFields:
     """The fields of a scene, or none.
 
-    - ``system``, Feeding or None: what solves them
+    - ``system``, FieldSystem or None: what solves them
 
     Raises SceneError for reactions that do not fit the fields.
     """
@@ -42,16 +42,16 @@ class SceneFields:
         plan: BiologyPlan,
     ) -> None:
         self._scene, self._followed = scene, followed(scene)
-        self.system: Feeding | None = None
+        self.system: FieldSystem | None = None
         if scene.nutrients:
-            from multicell.nutrient.fields import Feeding
+            from multicell.nutrient.fields import FieldSystem
 
             def respond(
                 behaviour: str, cells: Cells, found: Mapping[str, FloatArray]
             ) -> FloatArray | None:
                 return value_of(plan, behaviour, 1.0, found, cells, early=True)
 
-            self.system = Feeding(scene, reactions, threads, respond)
+            self.system = FieldSystem(scene, reactions, threads, respond)
         elif reactions:
             raise SceneError("reactions", "are given, but the scene has no fields that could react")
 
@@ -73,7 +73,7 @@ class SceneFields:
     @property
     def last(self) -> dict[str, Field]:
         """The fields as they were last solved."""
-        return {} if self.system is None else self.system.snapshot()
+        return {} if self.system is None else self.system.solved()
 
     def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
         """Lay the fields and solve for them at the start, or once more for other cells."""
@@ -128,9 +128,9 @@ class SceneFields:
         if self.system is None:
             return {"ledger": {}, "rates": {}, "grids": {}}
         return {
-            "ledger": {name: account.kept() for name, account in self.system.ledger.items()},
-            "rates": {name: report.kept() for name, report in self.system.reports.items()},
-            "grids": self.system.grids_kept(),
+            "ledger": {name: account.entries() for name, account in self.system.ledger.items()},
+            "rates": {name: report.entries() for name, report in self.system.reports.items()},
+            "grids": self.system.grids_snapshot(),
         }
 
     def resume(self, frame: Frame) -> None:
@@ -140,9 +140,9 @@ class SceneFields:
 
     def snapshot(self) -> Any:
         """Return what :meth:`restore` needs to undo a step."""
-        return None if self.system is None else self.system.kept()
+        return None if self.system is None else self.system.snapshot()
 
     def restore(self, snapshot: Any) -> None:
         """Make the fields what they were."""
         if self.system is not None:
-            self.system.take_back(snapshot)
+            self.system.undo(snapshot)

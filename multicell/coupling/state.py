@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from multicell.coupling.mover import Mover
     from multicell.mechanics.system import Mechanics
     from multicell.nutrient.balance import Ledger
-    from multicell.nutrient.fields import Feeding
+    from multicell.nutrient.fields import FieldSystem
     from multicell.results.frame import Field
     from multicell.scene.scene import Scene
 
@@ -139,7 +139,7 @@ class RunState(ABC):
         return self.mover.system
 
     @property
-    def field_system(self) -> Feeding | None:
+    def field_system(self) -> FieldSystem | None:
         """What solves the fields; None without any."""
         return self._fields.system
 

@@ -12,7 +12,7 @@ from multicell.integrators.base import ErrorControl, MethodInfo, Outcome
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.integrators.cvode_solver import Krylov, Light
+    from multicell.integrators.cvode_solver import Krylov, UnpreconditionedCvode
     from multicell.integrators.restarts import Run
     from multicell.mechanics.system import Mechanics
 
@@ -71,7 +71,7 @@ class Cvode(ErrorControl):
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        from multicell.integrators.cvode_solver import Krylov, Light
+        from multicell.integrators.cvode_solver import Krylov, UnpreconditionedCvode
         from multicell.integrators.restarts import Run
 
         run = Run(
@@ -80,15 +80,15 @@ class Cvode(ErrorControl):
         )  # fmt: skip
         mild = self.light
 
-        def start(run: Run, ceiling: float) -> Krylov | Light:
+        def start(run: Run, ceiling: float) -> Krylov | UnpreconditionedCvode:
             nonlocal mild
             # a ceiling comes with a refusal: nothing mild about that
             mild = mild and ceiling == 0.0 and run.steps == 0
             if mild:
-                light = Light(self, run)
-                if not light.begins_slowly():
-                    return light
-                light.close()
+                session = UnpreconditionedCvode(self, run)
+                if not session.begins_slowly():
+                    return session
+                session.close()
                 mild = False
             return Krylov(self, run, ceiling)
 

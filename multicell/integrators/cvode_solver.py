@@ -75,7 +75,7 @@ class _Session:
 
 
 @final
-class Light(_Session):
+class UnpreconditionedCvode(_Session):
     """CVODE as it comes: products by difference quotients, each of which is an evaluation."""
 
     def __init__(self, method: Cvode, run: Run) -> None:

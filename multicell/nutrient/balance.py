@@ -68,7 +68,7 @@ class Exchange:
         entries = zip(COLUMNS[:-1], row, strict=False)
         return cls(**{name: x for name, x in entries if name not in absent}, **more)  # type: ignore[arg-type]
 
-    def kept(self) -> dict[str, float]:
+    def entries(self) -> dict[str, float]:
         """Return what another one can be made from."""
         found = vars(self).items()
         return {name: x for name, x in found if x or (x is not None and name in _WHERE_ANY)}
@@ -124,7 +124,7 @@ class Ledger:
     made: float | None = None
     used: float | None = None
 
-    def kept(self) -> dict[str, float]:
+    def entries(self) -> dict[str, float]:
         """Return what another ledger can be made from; without a medium that is not finite."""
         return {
             name: value

@@ -183,17 +183,17 @@ class NutrientField:
         self.values = values
         self._conditions = self.parameters.conditions(self._layout, self.level(time))
 
-    def kept(self) -> tuple[Any, ...]:
-        """Return what :meth:`take_back` needs to undo a solve."""
+    def snapshot(self) -> tuple[Any, ...]:
+        """Return what :meth:`undo` needs to undo a solve."""
         return (
             self._layout, self.values, self._conditions, self.layings, self.well_mixed,
             self.parameters,
         )  # fmt: skip
 
-    def take_back(self, kept: tuple[Any, ...]) -> None:
-        """Make a solution that was kept the last one again."""
-        self._layout, self.values, self._conditions, self.layings = kept[:4]
-        self.well_mixed, self.parameters = kept[4:]
+    def undo(self, snapshot: tuple[Any, ...]) -> None:
+        """Make a solution the last one again."""
+        self._layout, self.values, self._conditions, self.layings = snapshot[:4]
+        self.well_mixed, self.parameters = snapshot[4:]
 
     def _reached(self, position: FloatArray) -> FloatArray:
         """Return where on the grid cells exchange with the field: strays at its surface."""

@@ -50,7 +50,7 @@ def _no_response(
 
 
 @final
-class Feeding:
+class FieldSystem:
     """Owner of the fields of a simulation.
 
     - ``scene``: with at least one nutrient
@@ -234,32 +234,32 @@ class Feeding:
                 self._changes[name] = self._changes.get(name, (0, 0.0))[0] + 1, end
             self._sample(name, cells, demand[name][0])
 
-    def kept(self) -> dict[str, Any]:
-        """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
+    def snapshot(self) -> dict[str, Any]:
+        """Return what :meth:`undo` needs to undo an :meth:`advance`."""
         return {
-            "fields": {name: field.kept() for name, field in self.fields.items()},
+            "fields": {name: field.snapshot() for name, field in self.fields.items()},
             "ledger": {name: copy(account) for name, account in self.ledger.items()},
             "concentrations": dict(self.concentrations),
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),
-            "grids": self.grids_kept(),
+            "grids": self.grids_snapshot(),
         }
 
-    def take_back(self, kept: Mapping[str, Any]) -> None:
+    def undo(self, snapshot: Mapping[str, Any]) -> None:
         """Make fields, concentrations and accounts what they were."""
         for name, field in self.fields.items():
-            field.take_back(kept["fields"][name])
-        self.ledger, self.concentrations = kept["ledger"], kept["concentrations"]
-        self.reports, self._uptake = kept["reports"], kept["uptake"]
-        self._take_grids(kept["grids"])
+            field.undo(snapshot["fields"][name])
+        self.ledger, self.concentrations = snapshot["ledger"], snapshot["concentrations"]
+        self.reports, self._uptake = snapshot["reports"], snapshot["uptake"]
+        self._restore_grids(snapshot["grids"])
 
-    def grids_kept(self) -> dict[str, dict[str, float]]:
+    def grids_snapshot(self) -> dict[str, dict[str, float]]:
         """Return the changes between shells and cubes, as frames store them."""
         changed = self._changes.items()
         return {name: {"changes": number, "changed_at": time} for name, (number, time) in changed}
 
-    def _take_grids(self, kept: Mapping[str, Mapping[str, float]]) -> None:
-        self._changes = {name: (x["changes"], x["changed_at"]) for name, x in kept.items()}
+    def _restore_grids(self, changes: Mapping[str, Mapping[str, float]]) -> None:
+        self._changes = {name: (x["changes"], x["changed_at"]) for name, x in changes.items()}
 
     def _on_shells(self, name: str) -> bool:
         return isinstance(self.fields[name].layout, ShellLayout)
@@ -284,7 +284,7 @@ class Feeding:
     def restore(self, frame: Frame) -> None:
         """Take fields, concentrations and accounts from a frame."""
         assert frame.progress is not None
-        self._take_grids(frame.progress.grids)
+        self._restore_grids(frame.progress.grids)
         for name, field in self.fields.items():
             self.ledger[name] = ledger = Ledger(**frame.progress.ledger[name])
             if (ledger.made is None) == self.reacts(name):
@@ -312,7 +312,7 @@ class Feeding:
         boxes = [layout.box.shape for layout in laid if isinstance(layout, BoxLayout)]
         return max((math.prod(shape) for shape in boxes), default=0)
 
-    def snapshot(self) -> dict[str, Field]:
+    def solved(self) -> dict[str, Field]:
         """Return the fields as they were last solved."""
         return {name: field.field() for name, field in self.fields.items()}
 

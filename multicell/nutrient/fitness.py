@@ -15,12 +15,12 @@ from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 
 if TYPE_CHECKING:
     from multicell.cells import Cells, FloatArray
-    from multicell.nutrient.fields import Feeding
+    from multicell.nutrient.fields import FieldSystem
     from multicell.nutrient.parameters import FieldParameters
 
 
 def fitness(
-    feeding: Feeding, cells: Cells, time: float
+    feeding: FieldSystem, cells: Cells, time: float
 ) -> tuple[dict[str, dict[str, Any]], list[str]]:
     """Return for each field what it lives on, and how well that fits the cells as they are.
 

@@ -11,7 +11,7 @@ from multicell.errors import SceneError
 from multicell.nutrient.course import substance
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.schedule import Schedule
-from multicell.nutrient.fields import Feeding
+from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.grid import restored, tissue_share
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order
@@ -152,7 +152,7 @@ class _Demands:
         self.order = [
             name for name in solving_order(scene.nutrients, scene.reactions) if name in names
         ]
-        self._feeding = Feeding(scene)
+        self._feeding = FieldSystem(scene)
         self._found = {name: frame.concentrations[name] for name in frame.concentrations}
         self._taken: dict[str, FloatArray] = {}
         nutrients = scene.nutrients

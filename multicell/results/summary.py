@@ -73,7 +73,7 @@ def run_summary(
     - ``frame``: with its progress
     - ``ledgers``, field -> name -> amount in amol, or a ratio
     - ``fields``, ``remarks``: what each field lives on, and remarks on fields that do not fit; see
-      :meth:`multicell.nutrient.fields.Feeding.fitness`
+      :meth:`multicell.nutrient.fields.FieldSystem.fitness`
     - ``wall``, phase -> s
     - ``threads``: number of threads
     """

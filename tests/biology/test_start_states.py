@@ -122,15 +122,15 @@ def test_the_start_is_bitwise_the_same_again_and_on_two_threads():
 
 
 def test_few_cells_that_lack_nothing_need_one_field(monkeypatch):
-    from multicell.nutrient.fields import Feeding
+    from multicell.nutrient.fields import FieldSystem
 
-    calls, begin = [], Feeding.begin
+    calls, begin = [], FieldSystem.begin
 
     def counted(self, *args, **options):
         calls.append(1)
         begin(self, *args, **options)
 
-    monkeypatch.setattr(Feeding, "begin", counted)
+    monkeypatch.setattr(FieldSystem, "begin", counted)
     simulation = started(200)
     assert len(calls) == 1
     assert simulation.first_states == {}

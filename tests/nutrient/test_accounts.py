@@ -81,7 +81,7 @@ def test_an_account_has_no_entries_for_what_a_scene_does_not_have():
     run = finished(scene({"uptake": 20.0}, duration="20 min"))
     medium = {"held", "level", "fresh", "discarded", "spoiled", "changes"}
     ledger = run.ledger["a"]
-    assert not {"injected", "made", "used", *medium} & set(ledger.kept())
+    assert not {"injected", "made", "used", *medium} & set(ledger.entries())
     assert not {"injected", "made", "used"} & set(ledger.summary())
     assert not any("medium" in name for name in [*ledger.summary(), *run.history_row()])
 

@@ -6,7 +6,7 @@ from running import refused
 
 import multicell as mc
 from multicell.cells import State
-from multicell.nutrient.fields import Feeding
+from multicell.nutrient.fields import FieldSystem
 from multicell.scene.scene import Scene
 
 
@@ -23,7 +23,7 @@ def demand(described):
     """Return cells in all states, and what the fields take as their demand."""
     cells = mc.Simulation(described).cells.copy()
     cells.state = np.resize(np.array(State, dtype=cells.state.dtype), len(cells))
-    return cells, *Feeding(described).demand_now("a", cells)
+    return cells, *FieldSystem(described).demand_now("a", cells)
 
 
 def test_without_factors_secretion_goes_with_uptake():

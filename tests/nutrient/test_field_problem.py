@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.nutrient.fields import Feeding
+from multicell.nutrient.fields import FieldSystem
 
 SUGAR = {
     "diffusion": "600 um^2/s", "boundary": "5 mM", "uptake": "30 amol/s",
@@ -108,7 +108,7 @@ def test_fields_that_depend_on_each_other_do_so_in_one_equation():
     equation, state, cells = problem.equation, problem.state, frame.cells
     assert equation.names == list(scene.nutrients)
     assert list(state.labels) == equation.names
-    feeding = Feeding(scene)
+    feeding = FieldSystem(scene)
     feeding.begin(cells, 0.0)
     for name in equation.names:
         values = state[name].data

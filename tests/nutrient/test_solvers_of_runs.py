@@ -6,7 +6,7 @@ from pde.solvers.base import SolverBase
 from running import finished
 
 from multicell.biology.initial import initial_cells
-from multicell.nutrient.fields import Feeding
+from multicell.nutrient.fields import FieldSystem
 from multicell.scene.scene import Scene
 
 
@@ -31,7 +31,7 @@ def scene(nutrient, **changes):
 )  # fmt: skip
 def test_a_run_takes_its_solver_from_the_registry_of_py_pde(nutrient, solver, equation):
     described = scene(nutrient)
-    feeding, cells = Feeding(described), initial_cells(described)
+    feeding, cells = FieldSystem(described), initial_cells(described)
     feeding.begin(cells, 0.0)
     feeding.advance(cells, 0.0, 600.0)
     (group,) = feeding.groups

@@ -15,8 +15,8 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.integrators import runge_kutta
 from multicell.integrators.base import MethodInfo
+from multicell.integrators.runge_kutta import Euler, Heun, RungeKutta4
 from multicell.nutrient.parameters import FieldParameters
 from multicell.report.explain.course import Course, course
 from multicell.report.explain.items import Number, hours
@@ -105,7 +105,7 @@ def evaluations(scene: Scene) -> float:
     implicit ones take over. Fixed steps are counted.
     """
     options, step = scene.integrator, scene.coupling_step
-    fixed = {m.info.name: m for m in runge_kutta.METHODS if m.info.control == "step"}
+    fixed = {m.info.name: m for m in (Euler, Heun, RungeKutta4)}
     if options.method in fixed:
         return len(fixed[options.method].tableau.b) * step / options.step
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
