@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def fitness(
-    feeding: FieldSystem, cells: Cells, time: float
+    system: FieldSystem, cells: Cells, time: float
 ) -> tuple[dict[str, dict[str, Any]], list[str]]:
     """Return for each field what it lives on, and how well that fits the cells as they are.
 
@@ -30,8 +30,8 @@ def fitness(
     """
     fields: dict[str, dict[str, Any]] = {}
     notes: list[str] = []
-    for name in feeding.order:
-        field = feeding.fields[name]
+    for name in system.order:
+        field = system.fields[name]
         parameters = field.parameters
         shells = isinstance(field.layout, ShellLayout)
         kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
@@ -40,11 +40,11 @@ def fitness(
             fields[name]["medium"] = field.well_mixed.concentration
         if parameters.nutrient.layer is not None and isinstance(field.layout, ShellLayout):
             _rate_layer(name, field.layout, parameters.nutrient.layer, cells, fields, notes)
-        notes += feeding.grid_remarks(name)
-        capacity, production = feeding.demand_now(name, cells)
+        notes += system.grid_remarks(name)
+        capacity, production = system.demand_now(name, cells)
         about = field, parameters, cells, capacity, production, time
         try:
-            error = None if feeding.reacts(name) else discretisation_error(*about)
+            error = None if system.reacts(name) else discretisation_error(*about)
         except NutrientFailed as trouble:
             notes.append(f"The error that the grid of {name} makes is not known: {trouble}")
             error = None

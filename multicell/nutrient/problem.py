@@ -152,7 +152,7 @@ class _Demands:
         self.order = [
             name for name in solving_order(scene.nutrients, scene.reactions) if name in names
         ]
-        self._feeding = FieldSystem(scene)
+        self._system = FieldSystem(scene)
         self._found = {name: frame.concentrations[name] for name in frame.concentrations}
         self._taken: dict[str, FloatArray] = {}
         nutrients = scene.nutrients
@@ -168,7 +168,7 @@ class _Demands:
                 continue
             if name not in frame.fields:
                 raise SceneError("frame", f"holds no field {name!r}, from which others are made")
-            field = self._feeding.fields[name]
+            field = self._system.fields[name]
             field.restore(frame.fields[name], frame.time)
             capacity, _ = self.demand(name)
             self._taken[name] = field.uptake(self.cells.position, capacity)
@@ -178,6 +178,6 @@ class _Demands:
         taken: Mapping[str, FloatArray] = _NONE,
     ) -> tuple[FloatArray, FloatArray | None]:  # fmt: skip
         """Return largest uptake and secretion of each cell, with these in place of the frame's."""
-        return self._feeding.demand(
+        return self._system.demand(
             name, self.cells, {**self._found, **concentrations}, {**self._taken, **taken}
         )

@@ -108,11 +108,11 @@ def test_fields_that_depend_on_each_other_do_so_in_one_equation():
     equation, state, cells = problem.equation, problem.state, frame.cells
     assert equation.names == list(scene.nutrients)
     assert list(state.labels) == equation.names
-    feeding = FieldSystem(scene)
-    feeding.begin(cells, 0.0)
+    system = FieldSystem(scene)
+    system.begin(cells, 0.0)
     for name in equation.names:
         values = state[name].data
-        np.testing.assert_allclose(values, feeding.fields[name].field().values, atol=1e-9 * 5.0)
+        np.testing.assert_allclose(values, system.fields[name].field().values, atol=1e-9 * 5.0)
     found = equation.balance(state)
     for name, account in found.items():
         size = max(abs(x) for x in account.values())

@@ -31,10 +31,10 @@ def scene(nutrient, **changes):
 )  # fmt: skip
 def test_a_run_takes_its_solver_from_the_registry_of_py_pde(nutrient, solver, equation):
     described = scene(nutrient)
-    feeding, cells = FieldSystem(described), initial_cells(described)
-    feeding.begin(cells, 0.0)
-    feeding.advance(cells, 0.0, 600.0)
-    (group,) = feeding.groups
+    system, cells = FieldSystem(described), initial_cells(described)
+    system.begin(cells, 0.0)
+    system.advance(cells, 0.0, 600.0)
+    (group,) = system.groups
     registered = SolverBase.from_name(solver, None)
     assert group.info["class"] == type(registered).__name__
     assert group.info["pde_class"] == equation
