@@ -180,61 +180,23 @@ class Bins(NamedTuple):
 
 
 @njit(**INNER)
-def _bound(c, position, radius, bounds):
-    """Write the corners of a chunk of cells and their largest radius to ``bounds[c]``."""
-    begin, end = c * CHUNK, min((c + 1) * CHUNK, radius.size)
-    for a in range(3):
-        bounds[c, a] = bounds[c, 3 + a] = position[begin, a]
-        for i in range(begin, end):
-            bounds[c, a] = min(bounds[c, a], position[i, a])
-            bounds[c, 3 + a] = max(bounds[c, 3 + a], position[i, a])
-    bounds[c, 6] = radius[begin]
-    for i in range(begin, end):
-        bounds[c, 6] = max(bounds[c, 6], radius[i])
-
-
-@njit(**INNER)
-def _find_bins(c, position, low, inverse, shape, bin_of, row):
-    """Write the bins of a chunk of cells, and their rows."""
-    for i in range(c * CHUNK, min((c + 1) * CHUNK, bin_of.size)):
-        ix = min(np.int64((position[i, 0] - low[0]) * inverse * _SLICES), shape[0] - 1)
-        iy = min(np.int64((position[i, 1] - low[1]) * inverse), shape[1] - 1)
-        iz = min(np.int64((position[i, 2] - low[2]) * inverse), shape[2] - 1)
-        row[i, 0], row[i, 1] = iy, iz
-        bin_of[i] = (iz * shape[1] + iy) * shape[0] + ix
-
-
-@njit(**INNER)
-def _fill_bins(c, position, radius, skin, place, cells):
-    """Copy a chunk of cells to their places."""
-    for i in range(c * CHUNK, min((c + 1) * CHUNK, place.size)):
-        p = place[i]
-        for a in range(3):
-            cells[p, a] = position[i, a]
-        cells[p, 3] = radius[i] + 0.5 * skin
-
-
-@njit(**INNER, inline="always")  # before loops are shared
 def _dense_bins(position, radius, skin):
-    """Sort by counting into a dense grid; a part of drivers, which share its loops.
+    """Sort by counting into a dense grid.
 
     ``shape`` is zero, and no cell is sorted, where the grid would have too many bins.
     """
     n = position.shape[0]
-    bounds = np.empty(((n + CHUNK - 1) // CHUNK, 7))
-    for c in prange(bounds.shape[0]):
-        _bound(c, position, radius, bounds)
-    largest = bounds[0, 6]
-    for c in range(bounds.shape[0]):
-        largest = max(largest, bounds[c, 6])
+    largest = radius[0]
+    for i in range(n):
+        largest = max(largest, radius[i])
     largest += 0.5 * skin
     inverse = 0.5 / largest
     low, shape = np.empty(3), np.empty(3, np.int64)
     total = 1.0
     for a in range(3):
-        low[a], high = bounds[0, a], bounds[0, 3 + a]
-        for c in range(bounds.shape[0]):
-            low[a], high = min(low[a], bounds[c, a]), max(high, bounds[c, 3 + a])
+        low[a], high = position[0, a], position[0, a]
+        for i in range(n):
+            low[a], high = min(low[a], position[i, a]), max(high, position[i, a])
         # math.floor makes an integer, which is undefined for what no integer holds
         count = np.floor((high - low[a]) * inverse * (_SLICES if a == 0 else 1)) + 1.0
         total *= count
@@ -244,22 +206,27 @@ def _dense_bins(position, radius, skin):
         shape[0], n = 0, 0
     order, place, row = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 2), np.int32)
     cells, start, bin_of = np.empty((n, 4)), np.empty(bins + 2, np.int32), np.empty(n, np.int32)
-    for c in prange((n + CHUNK - 1) // CHUNK):
-        _find_bins(c, position, low, inverse, shape, bin_of, row)
     for b in range(bins + 2):
         start[b] = 0
     for i in range(n):
-        start[bin_of[i] + 2] += 1
+        ix = min(np.int64((position[i, 0] - low[0]) * inverse * _SLICES), shape[0] - 1)
+        iy = min(np.int64((position[i, 1] - low[1]) * inverse), shape[1] - 1)
+        iz = min(np.int64((position[i, 2] - low[2]) * inverse), shape[2] - 1)
+        row[i, 0], row[i, 1] = iy, iz
+        b = (iz * shape[1] + iy) * shape[0] + ix
+        bin_of[i] = b
+        start[b + 2] += 1
     for b in range(1, bins + 1):
         start[b + 1] += start[b]
     for i in range(n):
         # start[b + 1] runs through bin b, and ends as the first place of the next one
-        b = bin_of[i] + 1
-        p = start[b]
-        start[b] = p + 1
+        b = bin_of[i]
+        p = start[b + 1]
+        start[b + 1] = p + 1
         order[p], place[i] = i, p
-    for c in prange((n + CHUNK - 1) // CHUNK):
-        _fill_bins(c, position, radius, skin, place, cells)
+        for a in range(3):
+            cells[p, a] = position[i, a]
+        cells[p, 3] = radius[i] + 0.5 * skin
     none = np.empty((0, 5, 2), np.int64)
     return Bins(order, place, cells, largest, low, shape, row, start, none)
 
