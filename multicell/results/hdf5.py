@@ -54,6 +54,8 @@ class Sink(io.RawIOBase):
     def finish(self) -> None:
         """Hand all that is still in memory to the file; raise what a write was refused with."""
         self._try(self._unload)
+        # what Python flushes when it deletes this is no trouble: that would hold the whole run
+        self._file = io.BytesIO()
         self.check()
 
     def seek(self, place: int, whence: int = os.SEEK_SET) -> int:

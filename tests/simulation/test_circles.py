@@ -24,18 +24,33 @@ def test_no_method_leaves_circles(method):
     assert left_behind(mc.load_scene("settle").with_changes(changes)) == set()
 
 
+def test_a_run_with_files_leaves_no_circles(tmp_path):
+    scene = mc.load_scene("growth").with_changes({"duration": "20 min"})
+    mc.run(scene, output=tmp_path / "first", report=False)
+    names = iter("abc")
+    assert collected(lambda: mc.run(scene, output=tmp_path / next(names), report=False)) == set()
+
+
 def left_behind(scene):
     """Return the types of the package's objects that only the collector finds after steps."""
     run = mc.Simulation(scene)
-    run.step()
-    run.history_row()
+
+    def act():
+        run.step()
+        run.history_row()
+
+    act()
+    return collected(act)
+
+
+def collected(act):
+    """Return the types of the package's objects that only the collector finds after three acts."""
     gc.collect()
     gc.disable()
     try:
         gc.set_debug(gc.DEBUG_SAVEALL)
         for _ in range(3):
-            run.step()
-            run.history_row()
+            act()
         gc.collect()
         left = {type(x).__name__ for x in gc.garbage if type(x).__module__.startswith("multicell")}
     finally:
