@@ -9,8 +9,8 @@ Layout. ``rows`` holds for each cell ``x, y, z, radius, compliance`` (the last f
 a pair is gathered from two short runs of memory. Pairs come in chunks (see
 :mod:`multicell.mechanics.neighbours`); a chunk works through its pairs in blocks of :data:`BLOCK`:
 gather into small arrays, evaluate the law there (which the compiler turns into SIMD),
-scatter. Every chunk writes to its own cells only, so that the serial and the parallel drivers
-give the same bits.
+scatter. Gather and scatter take four pairs at a time (:class:`_Quads`). Every chunk writes to its
+own cells only, so that the serial and the parallel drivers give the same bits.
 
 ``law`` are the constants of a pair law, see :mod:`multicell.contact.constants`.
 What a scene does not have is None (receptors, external forces, values of each pair's own, division
@@ -20,10 +20,12 @@ offsets): compiled code is specialised on it, and holds nothing of what is absen
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, final
 
 import numpy as np
-from numba import njit, prange
+from llvmlite import ir
+from numba import njit, prange, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from multicell.compiling import INLINED, INNER, KERNEL
@@ -156,10 +158,125 @@ def _pack_bonds(bonds, begin, end, elapsed, rows):
         rows[i, 6] = bonds[i, 1] + bonds[i, 3] * elapsed
 
 
+@final
+class _Quads:
+    """Writes code that works on four pairs at a time, whose rows it transposes in registers.
+
+    The compiler does not find that by itself. Without it a force takes half as long again; the
+    numbers are the same to the last bit.
+
+    - ``given``: the arguments of the code; of an array, where its numbers are
+    """
+
+    KIND = ir.VectorType(ir.DoubleType(), 4)
+
+    def __init__(self, context: Any, builder: Any, signature: Any, values: Any) -> None:
+        self.builder = builder
+        self.given = [
+            context.make_array(kind)(context, builder, value).data
+            if isinstance(kind, types.Array)
+            else value
+            for kind, value in zip(signature.args, values, strict=True)
+        ]
+
+    def place(self, start: Any, further: int) -> Any:
+        """Return a place some numbers further."""
+        return self.builder.add(start, ir.IntType(64)(further))
+
+    def number(self, array: Any, place: Any) -> Any:
+        """Return a single number of an array."""
+        return self.builder.load(self.builder.gep(array, [place]))
+
+    def cells(self, array: Any, place: Any) -> list[Any]:
+        """Return the cells of the four pairs from a place on."""
+        numbers = [self.number(array, self.place(place, k)) for k in range(4)]
+        return [self.builder.zext(number, ir.IntType(64)) for number in numbers]
+
+    def _pointer(self, array: Any, place: Any) -> Any:
+        return self.builder.bitcast(self.builder.gep(array, [place]), self.KIND.as_pointer())
+
+    def load(self, array: Any, place: Any) -> Any:
+        """Return four numbers of an array."""
+        return self.builder.load(self._pointer(array, place), align=8)
+
+    def store(self, value: Any, array: Any, place: Any) -> None:
+        """Write four numbers to an array."""
+        self.builder.store(value, self._pointer(array, place), align=8)
+
+    def _chosen(self, one: Any, other: Any, *places: int) -> Any:
+        mask = ir.Constant(ir.VectorType(ir.IntType(32), len(places)), places)
+        return self.builder.shuffle_vector(one, other, mask)
+
+    def transposed(self, rows: list[Any]) -> list[Any]:
+        """Return the columns of four rows."""
+        halves = [
+            [self._chosen(*rows[k : k + 2], *of) for k in (0, 2)]
+            for of in ((0, 4, 2, 6), (1, 5, 3, 7))
+        ]
+        return [self._chosen(*half, *of) for of in ((0, 1, 4, 5), (2, 3, 6, 7)) for half in halves]
+
+
+@intrinsic
+def _gather_four(context: Any, rows, width, first, second, begin, block, p):
+    """Do what :func:`_gather` does for four pairs; ``width`` is the length of a row."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        code = _Quads(context, builder, signature, values)
+        rows, width, first, second, begin, block, p = code.given
+        differences, sums, products = [], [], []
+        for k, pair in enumerate(
+            zip(code.cells(first, begin), code.cells(second, begin), strict=True)
+        ):
+            one, other = (builder.mul(cell, width) for cell in pair)
+            a, b = code.load(rows, one), code.load(rows, other)
+            differences.append(builder.fsub(b, a))
+            sums.append(builder.fadd(a, b))
+            products.append(builder.fmul(a, b))
+            soft = [code.number(rows, code.place(at, 4)) for at in (one, other)]
+            builder.store(
+                builder.fadd(*soft), builder.gep(block, [code.place(p, _SOFT * BLOCK + k)])
+            )
+        columns = code.transposed(differences)[:3]
+        columns += [code.transposed(found)[3] for found in (sums, products)]
+        for row, column in enumerate(columns):
+            code.store(column, block, code.place(p, row * BLOCK))
+        return context.get_dummy_value()
+
+    return types.void(rows, width, first, second, begin, block, p), generate
+
+
+@intrinsic
+def _scatter_four(context: Any, first, second, begin, low, inner, block, p, out):
+    """Do what :func:`_scatter` does for four pairs."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        code = _Quads(context, builder, signature, values)
+        first, second, begin, low, inner, block, p, out = code.given
+        force = code.load(block, code.place(p, _FORCE * BLOCK))
+        columns = [
+            builder.fmul(force, code.load(block, code.place(p, row * BLOCK)))
+            for row in (_DX, _DY, _DZ)
+        ]
+        parts = code.transposed([*columns, _Quads.KIND([0.0] * 4)])
+        for one, other, part in zip(
+            code.cells(first, begin), code.cells(second, begin), parts, strict=True
+        ):
+            at = builder.mul(builder.sub(one, low), ir.IntType(64)(4))
+            code.store(builder.fsub(code.load(out, at), part), out, at)
+            with builder.if_then(inner):
+                at = builder.mul(builder.sub(other, low), ir.IntType(64)(4))
+                code.store(builder.fadd(code.load(out, at), part), out, at)
+        return context.get_dummy_value()
+
+    return types.void(first, second, begin, low, inner, block, p, out), generate
+
+
 @njit(**INLINED)
 def _gather(rows, pairs, bond, begin, count, block):
     """Collect the geometry of a block of pairs, and rec_i lig_j + lig_i rec_j if there are any."""
-    for p in range(count):
+    for p in range(0, count - 3, 4):
+        _gather_four(rows, rows.shape[1], pairs.first, pairs.second, begin + p, block, p)
+    for p in range(count - count % 4, count):
         i, j = np.uint32(pairs.first[begin + p]), np.uint32(pairs.second[begin + p])
         block[_DX, p] = rows[j, 0] - rows[i, 0]
         block[_DY, p] = rows[j, 1] - rows[i, 1]
@@ -209,13 +326,16 @@ def _evaluate(pairs, law, elapsed, begin, count, block, slope):
 
 
 @njit(**INLINED)
-def _scatter(pairs, begin, count, inner, block, out):
+def _scatter(pairs, begin, count, low, inner, block, out):
     """Add the forces of a block to the first cell of each pair, of inner pairs to both.
 
-    The chunk owns the first cells of its pairs, and both cells of inner ones.
+    The chunk, whose cells begin at ``low``, owns the first cells of its pairs, and both cells of
+    inner ones.
     """
-    for p in range(count):
-        i = np.uint32(pairs.first[begin + p])
+    for p in range(0, count - 3, 4):
+        _scatter_four(pairs.first, pairs.second, begin + p, low, inner, block, p, out)
+    for p in range(count - count % 4, count):
+        i = pairs.first[begin + p] - low
         fx = block[_FORCE, p] * block[_DX, p]
         fy = block[_FORCE, p] * block[_DY, p]
         fz = block[_FORCE, p] * block[_DZ, p]
@@ -223,24 +343,35 @@ def _scatter(pairs, begin, count, inner, block, out):
         out[i, 1] -= fy
         out[i, 2] -= fz
         if inner:
-            j = np.uint32(pairs.second[begin + p])
+            j = pairs.second[begin + p] - low
             out[j, 0] += fx
             out[j, 1] += fy
             out[j, 2] += fz
 
 
+@njit(**INLINED)
+def _pushed(push, i, axis, elapsed, force):
+    """Return a force together with the external one."""
+    if push is None:
+        return force
+    return force + (push[i, axis] + push[i, 3 + axis] * elapsed)
+
+
 @njit(**INNER)
-def _force_chunk(c, chunk, rows, pairs, law, elapsed, out):
-    """Sum the pair forces on the cells of one chunk into ``out``, nN.
+def _force_chunk(c, cells, rows, pairs, law, elapsed, stokes, out):
+    """Write what :func:`forces` does for the cells of one chunk.
 
     Law and block stand in one function after inlining: only so does the compiler see that the
     block's arrays do not overlap (5 ns per cell).
     """
-    for i in range(c * chunk, min((c + 1) * chunk, rows.shape[0])):
+    low, high = c * cells.chunk, min((c + 1) * cells.chunk, rows.shape[0])
+    sums = np.empty((high - low, 4))  # of four numbers each, of which three count
+    for i in range(low, high):
         # reading the rows in their order brings them near for the gather, which has none
-        out[i, 0] = 0.0 * abs(rows[i, 0])
-        out[i, 1] = 0.0
-        out[i, 2] = 0.0 * rows[i, 4]
+        sums[i - low, 0] = 0.0 * abs(rows[i, 0])
+        sums[i - low, 1] = 0.0
+        sums[i - low, 2] = 0.0 * rows[i, 4]
+        sums[i - low, 3] = 0.0
     block = np.empty((9, BLOCK))
     for side in range(2):
         first = pairs.start[c] if side == 0 else pairs.inner_end[c]
@@ -249,28 +380,12 @@ def _force_chunk(c, chunk, rows, pairs, law, elapsed, out):
             count = min(BLOCK, end - begin)
             _gather(rows, pairs, law.bond_strength, begin, count, block)
             _evaluate(pairs, law, elapsed, begin, count, block, None)
-            _scatter(pairs, begin, count, side == 0, block, out)
-
-
-@njit(**INNER)
-def _push_chunk(c, chunk, push, elapsed, out):
-    """Add external forces to the cells of one chunk."""
-    if push is None:
-        return
-    for i in range(c * chunk, min((c + 1) * chunk, out.shape[0])):
-        out[i, 0] += push[i, 0] + push[i, 3] * elapsed
-        out[i, 1] += push[i, 1] + push[i, 4] * elapsed
-        out[i, 2] += push[i, 2] + push[i, 5] * elapsed
-
-
-@njit(**INNER)
-def _drag_chunk(c, chunk, rows, drag, out):
-    """Turn forces into velocities: divide by ``drag`` times the radius (Stokes)."""
-    for i in range(c * chunk, min((c + 1) * chunk, rows.shape[0])):
-        mobility = 1.0 / (drag * rows[i, 3])
-        out[i, 0] *= mobility
-        out[i, 1] *= mobility
-        out[i, 2] *= mobility
+            _scatter(pairs, begin, count, low, side == 0, block, sums)
+    for i in range(low, high):
+        # Stokes
+        mobility = 1.0 / (law.medium_drag * rows[i, 3]) if stokes else 1.0
+        for axis in range(3):
+            out[i, axis] = _pushed(cells.push, i, axis, elapsed, sums[i - low, axis]) * mobility
 
 
 @njit(**KERNEL)
@@ -293,10 +408,7 @@ def _forces(cells, pairs, offsets, law, position, elapsed, stokes, rows, out):
     if drifted > 0:
         return True
     for c in prange(pairs.start.size):
-        _force_chunk(c, cells.chunk, rows, pairs, law, elapsed, out)
-        _push_chunk(c, cells.chunk, cells.push, elapsed, out)
-        if stokes:
-            _drag_chunk(c, cells.chunk, rows, law.medium_drag, out)
+        _force_chunk(c, cells, rows, pairs, law, elapsed, stokes, out)
     _add_offset_forces(rows, offsets, law, elapsed, stokes, out)
     return False
 
@@ -533,7 +645,10 @@ def _product_chunk(c, chunk, rows, pairs, normal, along, across, drag, v, out):
             out[j, 1] -= fy
             out[j, 2] -= fz
     if drag > 0.0:
-        _drag_chunk(c, chunk, rows, drag, out)
+        for i in range(low, high):
+            mobility = 1.0 / (drag * rows[i, 3])
+            for axis in range(3):
+                out[i, axis] *= mobility
 
 
 def _products(chunk, rows, pairs, normal, along, across, drag, v, out):

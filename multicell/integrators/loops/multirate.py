@@ -153,14 +153,18 @@ def _fast_pairs(is_fast, pairs, place, both, one):
 
 @arithmetic
 def _rows_of(values, member):
-    """Return rows of an array that may be absent."""
-    if values is None:
-        return None
     out = np.empty((member.size, values.shape[1]))
     for k in range(member.size):
         for a in range(values.shape[1]):
             out[k, a] = values[member[k], a]
     return out
+
+
+@arithmetic
+def _rows_if_any(values, member):
+    if values is None:
+        return None
+    return _rows_of(values, member)
 
 
 @arithmetic
@@ -205,8 +209,8 @@ def _compiled_part(source, pairs, is_fast):
             _rows_of(source.cells.reference, member),
             _entries_of(source.cells.radius, member),
             _entries_of(source.cells.radius_rate, member),
-            _rows_of(source.cells.bonds, member),
-            _rows_of(source.cells.push, member),
+            _rows_if_any(source.cells.bonds, member),
+            _rows_if_any(source.cells.push, member),
         )
         return Part(
             member, fast, share, cells, listed, _offsets_of(source.offsets, member, fast, place),
