@@ -160,7 +160,6 @@ class Bins(NamedTuple):
     - ``low``, (3,), µm: dense: the corner of the grid
     - ``shape``, (3,) int64: dense: the number of bins along x, y and z; zeros where the bins are
       sparse
-    - ``row``, (n, 2) int32: dense: the row of each cell along y and z
     - ``start``, (bins + 2,) int32: dense: the first place of each bin, x running fastest, and the
       end
     - ``ranges``, (n, 5, 2) int64: sparse: the first place and the end of the bins that may hold a
@@ -174,61 +173,89 @@ class Bins(NamedTuple):
     largest: float
     low: FloatArray
     shape: OffsetArray
-    row: IndexArray
     start: IndexArray
     ranges: OffsetArray
 
 
 @njit(**INNER)
-def _dense_bins(position, radius, skin):
-    """Sort by counting into a dense grid.
-
-    ``shape`` is zero, and no cell is sorted, where the grid would have too many bins.
-    """
-    n = position.shape[0]
-    largest = radius[0]
-    for i in range(n):
-        largest = max(largest, radius[i])
-    largest += 0.5 * skin
-    inverse = 0.5 / largest
-    low, shape = np.empty(3), np.empty(3, np.int64)
-    total = 1.0
+def _extent(c, chunk, position, radius, extent):
+    """Write the corners of the box round a chunk's centres, and its largest radius."""
+    begin, end = np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, radius.size))
     for a in range(3):
-        low[a], high = position[0, a], position[0, a]
-        for i in range(n):
-            low[a], high = min(low[a], position[i, a]), max(high, position[i, a])
+        low, high = position[begin, a], position[begin, a]
+        for i in range(begin, end):
+            low, high = min(low, position[i, a]), max(high, position[i, a])
+        extent[c, a], extent[c, 3 + a] = low, high
+    largest = radius[begin]
+    for i in range(begin, end):
+        largest = max(largest, radius[i])
+    extent[c, 6] = largest
+
+
+@njit(**INNER)
+def _dense_grid(extent, skin, n):
+    """Return the largest radius, the grid's corner, and its shape: zeros with too many bins."""
+    low, shape, total = np.empty(3), np.empty(3, np.int64), 1.0
+    largest = extent[:, 6].max() + 0.5 * skin
+    for a in range(3):
+        low[a], high = extent[:, a].min(), extent[:, 3 + a].max()
         # math.floor makes an integer, which is undefined for what no integer holds
-        count = np.floor((high - low[a]) * inverse * (_SLICES if a == 0 else 1)) + 1.0
+        count = np.floor((high - low[a]) * (0.5 / largest) * (_SLICES if a == 0 else 1)) + 1.0
         total *= count
         shape[a] = np.int64(count) if total <= _BINS_PER_CELL * n + _SPARE_BINS else 0
-    bins = shape[0] * shape[1] * shape[2]
-    if bins == 0:
-        shape[0], n = 0, 0
-    order, place, row = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 2), np.int32)
-    cells, start, bin_of = np.empty((n, 4)), np.empty(bins + 2, np.int32), np.empty(n, np.int32)
+    return largest, low, shape if shape[0] * shape[1] * shape[2] > 0 else np.zeros(3, np.int64)
+
+
+@njit(**INLINED)
+def _bin_along(x, axis, largest, low, shape):
+    """Return the bin of a coordinate along an axis."""
+    inverse = 0.5 / largest * (_SLICES if axis == 0 else 1)
+    return min(np.int64((x - low[axis]) * inverse), shape[axis] - 1)
+
+
+@njit(**INNER)
+def _assign(c, chunk, position, largest, low, shape, bin_of):
+    """Write the bins of a chunk's cells."""
+    for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, bin_of.size))):
+        ix = _bin_along(position[i, 0], 0, largest, low, shape)
+        iy = _bin_along(position[i, 1], 1, largest, low, shape)
+        iz = _bin_along(position[i, 2], 2, largest, low, shape)
+        bin_of[i] = (iz * shape[1] + iy) * shape[0] + ix
+
+
+@njit(**INNER)
+def _sort(bin_of, shape):
+    """Sort by counting; return where each bin begins, and where each cell stands.
+
+    The only part that threads do not share.
+    """
+    bins, place = shape[0] * shape[1] * shape[2], np.empty(bin_of.size, np.int32)
+    start = np.empty(bins + 2, np.int32)
     for b in range(bins + 2):
         start[b] = 0
-    for i in range(n):
-        ix = min(np.int64((position[i, 0] - low[0]) * inverse * _SLICES), shape[0] - 1)
-        iy = min(np.int64((position[i, 1] - low[1]) * inverse), shape[1] - 1)
-        iz = min(np.int64((position[i, 2] - low[2]) * inverse), shape[2] - 1)
-        row[i, 0], row[i, 1] = iy, iz
-        b = (iz * shape[1] + iy) * shape[0] + ix
-        bin_of[i] = b
-        start[b + 2] += 1
+    if bins == 0:
+        return start, place
+    for i in range(bin_of.size):
+        start[np.uint32(bin_of[i] + 2)] += 1
     for b in range(1, bins + 1):
         start[b + 1] += start[b]
-    for i in range(n):
+    for i in range(bin_of.size):
         # start[b + 1] runs through bin b, and ends as the first place of the next one
-        b = bin_of[i]
-        p = start[b + 1]
-        start[b + 1] = p + 1
-        order[p], place[i] = i, p
+        b = np.uint32(bin_of[i] + 1)
+        place[i] = start[b]
+        start[b] += 1
+    return start, place
+
+
+@njit(**INNER)
+def _line_up(c, chunk, position, radius, skin, place, order, cells):
+    """Write a chunk's cells where they stand."""
+    for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, radius.size))):
+        p = np.uint32(place[i])
+        order[p] = i
         for a in range(3):
             cells[p, a] = position[i, a]
         cells[p, 3] = radius[i] + 0.5 * skin
-    none = np.empty((0, 5, 2), np.int64)
-    return Bins(order, place, cells, largest, low, shape, row, start, none)
 
 
 @njit(**INNER)
@@ -269,8 +296,8 @@ def _first_not_below(key, count, wanted):
 
 
 @njit(**INNER)
-def _sparse_bins(position, radius, skin, none):
-    """Bin far-flung cells by sorted coordinates; the rest of ``none``, unfilled bins, is kept.
+def _sparse_bins(position, radius, skin):
+    """Bin far-flung cells by sorted coordinates; return what :class:`Bins` holds of them.
 
     Along each axis bins are numbered one after the other, and close cells differ by at most one:
     memory does not depend on the distances. Compiled with what calls it: an exception that Python
@@ -323,9 +350,16 @@ def _sparse_bins(position, radius, skin, none):
                 ranges[i, neighbour, 0] = _first_not_below(line, n, begin + max(x - 1.0, 0.0))
                 ranges[i, neighbour, 1] = _first_not_below(line, n, begin + min(x + 2.0, stride))
         ranges[i, 0, 0] = place[i] + 1
-    return Bins(
-        order, place, cells, none.largest, none.low, none.shape, none.row, none.start, ranges
-    )
+    return order, place, cells, ranges
+
+
+@njit(**INLINED)
+def _row_of(bins, a):
+    """Return the row of place ``a`` in a dense grid, its bins along y and z."""
+    if bins.shape[0] == 0:
+        return 0, 0
+    iy = _bin_along(bins.cells[a, 1], 1, bins.largest, bins.low, bins.shape)
+    return iy, _bin_along(bins.cells[a, 2], 2, bins.largest, bins.low, bins.shape)
 
 
 @njit(**INLINED)
@@ -402,20 +436,21 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     at[0], stop[0] = base[c], base[c] + room[c, 0]
     at[1], stop[1] = stop[0], stop[0] + room[c, 1]
     hits = np.empty(2 * _BLOCK, np.int32)
-    cells, row, start, shape, low = bins.cells, bins.row, bins.start, bins.shape, bins.low
+    cells, start, shape, low = bins.cells, bins.start, bins.shape, bins.low
     width, scale, dense = 2.0 * bins.largest, 0.5 * _SLICES / bins.largest, shape[0] > 0
     for i in range(np.uint64(own[0]), np.uint64(own[1])):
         # a typed zero: a bare one would have the functions below compiled twice
         a, count = np.int64(bins.place[i]), np.int64(0)
         reach = cells[a, 3] + bins.largest
+        iy, iz = _row_of(bins, a)
         for neighbour in range(5):
             if dense:
                 dy, dz = (neighbour + 4) % 3 - 1, (neighbour + 4) // 3 - 1
-                v, w = row[i, 0] + dy, row[i, 1] + dz
+                v, w = iy + dy, iz + dz
                 if v < 0 or v >= shape[1] or w >= shape[2]:
                     continue
                 y, z = cells[a, 1] - low[1], cells[a, 2] - low[2]
-                y = 0.0 if dy == 0 else y - (row[i, 0] + max(dy, 0)) * width
+                y = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
                 z = 0.0 if dz == 0 else z - w * width
                 # wider by a millionth, so that rounding loses no pair
                 rest = reach * reach * 1.000001 - y * y - z * z
@@ -483,16 +518,24 @@ def _rebuild(position, radius, skin, chunk, first, second):
     Returns crowded, bool: whether there are too many pairs; the list is then of no use; first,
     second, start, inner_end, outer_end: as in :class:`PairList`.
     """
-    found = _dense_bins(position, radius, skin)
-    if found.shape[0] == 0:
-        found = _sparse_bins(position, radius, skin, found)
-    # parallel loops take the tuples that their own function makes
-    bins = Bins(
-        found.order, found.place, found.cells, found.largest, found.low, found.shape, found.row,
-        found.start, found.ranges,
-    )  # fmt: skip
-    n = bins.order.size
+    n = radius.size
     chunks = (n + chunk - 1) // chunk
+    # these loops stand in repairs, too: one function for both would not be shared by threads
+    extent, bin_of = np.empty((chunks, 7)), np.empty(n, np.int32)
+    for c in prange(chunks):
+        _extent(c, chunk, position, radius, extent)
+    largest, low, shape = _dense_grid(extent, skin, n)
+    dense = chunks if shape[0] > 0 else 0
+    for c in prange(dense):
+        _assign(c, chunk, position, largest, low, shape, bin_of)
+    places, place = _sort(bin_of, shape)
+    order, cells = np.empty(n, np.int32), np.empty((n, 4))
+    for c in prange(dense):
+        _line_up(c, chunk, position, radius, skin, place, order, cells)
+    ranges = np.empty((0, 5, 2), np.int64)
+    if shape[0] == 0:
+        order, place, cells, ranges = _sparse_bins(position, radius, skin)
+    bins = Bins(order, place, cells, largest, low, shape, places, ranges)
     base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
     room, counts = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
     start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
@@ -574,19 +617,20 @@ def _mark(c, chunk, position, reference, way, margin, moved, counts):
     Two marks for references as they are, and two for such as go ``way``, that of all together.
     Where there was no list each cell has all marks.
     """
-    for k in range(4):
-        counts[c, k] = 0
     spread, ahead = way[0], (way[1], way[2], way[3])
-    for i in range(c * chunk, min((c + 1) * chunk, margin.size)):
+    few, fewer, few_along, fewer_along = 0, 0, 0, 0
+    for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, margin.size))):
         rest, along = 0.0, 0.0
         for a in range(3):
             rest += (position[i, a] - reference[i, a]) ** 2
             along += (position[i, a] - spread * reference[i, a] - ahead[a]) ** 2
-        moved[i], whole = 0, margin[i] * margin[i]
-        for k in range(4):
-            beyond = not (rest if k < 2 else along) <= _USED[k % 2] * whole
-            moved[i] |= np.uint8(beyond) << np.uint8(k)
-            counts[c, k] += beyond
+        near = _USED[0] * (margin[i] * margin[i])
+        far = _USED[1] * (margin[i] * margin[i])
+        marks = not rest <= near, not rest <= far, not along <= near, not along <= far
+        moved[i] = marks[0] | marks[1] << 1 | marks[2] << 2 | marks[3] << 3
+        few, fewer = few + marks[0], fewer + marks[1]
+        few_along, fewer_along = few_along + marks[2], fewer_along + marks[3]
+    counts[c, 0], counts[c, 1], counts[c, 2], counts[c, 3] = few, fewer, few_along, fewer_along
 
 
 @njit(**INNER)
@@ -622,7 +666,7 @@ def _pairs_of(part, cell, moved, bins, first, second):
 
     -1 without room: each of the cells has :data:`_FOUND` places.
     """
-    cells, row, shape, low = bins.cells, bins.row, bins.shape, bins.low
+    cells, shape, low = bins.cells, bins.shape, bins.low
     begin, end = part * _PART, min((part + 1) * _PART, cell.size)
     at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * _BLOCK, np.int32)
     width, scale = 2.0 * bins.largest, 0.5 * _SLICES / bins.largest
@@ -630,14 +674,15 @@ def _pairs_of(part, cell, moved, bins, first, second):
         i = np.int64(cell[k])
         a, count = np.int64(bins.place[i]), np.int64(0)
         reach = cells[a, 3] + bins.largest
+        iy, iz = _row_of(bins, a)
         for neighbour in range(9):
             dy, dz = neighbour % 3 - 1, neighbour // 3 - 1
-            v, w = row[i, 0] + dy, row[i, 1] + dz
+            v, w = iy + dy, iz + dz
             if v < 0 or v >= shape[1] or w < 0 or w >= shape[2]:
                 continue
             y, z = cells[a, 1] - low[1], cells[a, 2] - low[2]
-            y = 0.0 if dy == 0 else y - (row[i, 0] + max(dy, 0)) * width
-            z = 0.0 if dz == 0 else z - (row[i, 1] + max(dz, 0)) * width
+            y = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
+            z = 0.0 if dz == 0 else z - (iz + max(dz, 0)) * width
             rest = reach * reach * 1.000001 - y * y - z * z
             if rest <= 0.0:
                 continue
@@ -678,11 +723,11 @@ def _keep(c, moved, first, second, start, inner_end, outer_end, extra, at):
     ends = (start[c], inner_end[c], outer_end[c])
     for side in range(2):
         # a branch would mispredict
-        k = ends[side]
-        for p in range(ends[side], ends[side + 1]):
+        k = np.uint64(ends[side])
+        for p in range(np.uint64(ends[side]), np.uint64(ends[side + 1])):
             i, j = first[p], second[p]
             first[k], second[k] = i, j
-            k += np.int64((moved[i] | moved[j]) == 0)
+            k += np.uint64((moved[np.uint32(i)] | moved[np.uint32(j)]) == 0)
         at[c, side] = k
     begin, count, to = ends[1], at[c, 1] - ends[1], at[c, 0] + extra[c, 0]
     for k in range(count):
@@ -736,12 +781,18 @@ def _repair(
             c, chunk, mark, way, position, reference, reach, least, margin, moved, base, cell,
             before, wide,
         )  # fmt: skip
-    found = _dense_bins(reference, wide, 0.0)
-    # parallel loops take the tuples that their own function makes
-    bins = Bins(
-        found.order, found.place, found.cells, found.largest, found.low, found.shape, found.row,
-        found.start, found.ranges,
-    )  # fmt: skip
+    extent, bin_of = np.empty((chunks, 7)), np.empty(margin.size, np.int32)
+    for c in prange(chunks):
+        _extent(c, chunk, reference, wide, extent)
+    largest, low, shape = _dense_grid(extent, 0.0, margin.size)
+    dense = chunks if shape[0] > 0 else 0
+    for c in prange(dense):
+        _assign(c, chunk, reference, largest, low, shape, bin_of)
+    places, place = _sort(bin_of, shape)
+    order, cells = np.empty(margin.size, np.int32), np.empty((margin.size, 4))
+    for c in prange(dense):
+        _line_up(c, chunk, reference, wide, 0.0, place, order, cells)
+    bins = Bins(order, place, cells, largest, low, shape, places, np.empty((0, 5, 2), np.int64))
     parts = (total + _PART - 1) // _PART if bins.shape[0] > 0 else 0
     new_first = np.empty(_FOUND * total, np.int32)
     new_second = np.empty(_FOUND * total, np.int32)
