@@ -554,10 +554,12 @@ def _virial_chunk(c, rows, pairs, law, elapsed, out):
         _evaluate(pairs, law, elapsed, begin, count, block, None)
         for p in range(count):
             square = block[_DX, p] ** 2 + block[_DY, p] ** 2 + block[_DZ, p] ** 2
-            virial = 0.5 * block[_FORCE, p] * square
-            out[pairs.first[begin + p]] += virial
+            block[_FORCE, p] *= 0.5 * square
+        for p in range(np.uint64(count)):
+            i, j = np.uint32(pairs.first[begin + p]), np.uint32(pairs.second[begin + p])
+            out[i] += block[_FORCE, p]
             if begin + p < pairs.inner_end[c]:
-                out[pairs.second[begin + p]] += virial
+                out[j] += block[_FORCE, p]
 
 
 def _half_virials(rows, pairs, law, elapsed, out):
