@@ -195,15 +195,23 @@ def _extent(c, chunk, position, radius, extent):
 @njit(**INNER)
 def _dense_grid(extent, skin, n):
     """Return the largest radius, the grid's corner, and its shape: zeros with too many bins."""
-    low, shape, total = np.empty(3), np.empty(3, np.int64), 1.0
-    largest = extent[:, 6].max() + 0.5 * skin
+    low, high, shape = np.empty(3), np.empty(3), np.empty(3, np.int64)
+    largest, total = extent[0, 6], 1.0
     for a in range(3):
-        low[a], high = extent[:, a].min(), extent[:, 3 + a].max()
+        low[a], high[a] = extent[0, a], extent[0, 3 + a]
+    for c in range(extent.shape[0]):
+        largest = max(largest, extent[c, 6])
+        for a in range(3):
+            low[a], high[a] = min(low[a], extent[c, a]), max(high[a], extent[c, 3 + a])
+    largest += 0.5 * skin
+    for a in range(3):
         # math.floor makes an integer, which is undefined for what no integer holds
-        count = np.floor((high - low[a]) * (0.5 / largest) * (_SLICES if a == 0 else 1)) + 1.0
+        count = np.floor((high[a] - low[a]) * (0.5 / largest) * (_SLICES if a == 0 else 1)) + 1.0
         total *= count
         shape[a] = np.int64(count) if total <= _BINS_PER_CELL * n + _SPARE_BINS else 0
-    return largest, low, shape if shape[0] * shape[1] * shape[2] > 0 else np.zeros(3, np.int64)
+    if shape[0] * shape[1] * shape[2] == 0:
+        shape[0] = 0
+    return largest, low, shape
 
 
 @njit(**INLINED)
