@@ -16,7 +16,7 @@ from multicell.scene.sizes import birth_volume, division_volume
 from multicell.units import oxygen_solubility
 
 if TYPE_CHECKING:
-    from multicell.behaviours.growth_laws.law import GrowthLaw
+    from multicell.behaviours.growth_laws.laws import GrowthLaw
     from multicell.biology.responding import BoundResponse
     from multicell.cells import FloatArray
     from multicell.contact.law import PairLaw

@@ -5,7 +5,7 @@ import pytest
 from running import refused
 from scipy import integrate
 
-from multicell.behaviours.growth_laws.registry import LAWS
+from multicell.behaviours.growth_laws.laws import LAWS
 from multicell.biology.division import divide
 from multicell.biology.growth import volumes_after
 from multicell.biology.initial import initial_cells

@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate
 
 import multicell as mc
-from multicell.behaviours.growth_laws.registry import LAWS
+from multicell.behaviours.growth_laws.laws import LAWS
 from multicell.schema import number, specs
 from multicell.simulation import Simulation
 from multicell.testing import check_growth_law
