@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from multicell.biology.adhesion import bond_levels
 from multicell.biology.cycle import Cycling, advance, leave_rest, phase_pace
-from multicell.biology.death import damage_after, remove_lysed
 from multicell.biology.division import divide
 from multicell.biology.growth import volumes_after
 from multicell.biology.responding import wants_rest
 from multicell.biology.splitting import corrected_factor
-from multicell.biology.states import deciding, update_states
+from multicell.biology.states import damage_after, deciding, remove_lysed, update_states
 from multicell.cells import SPHERE, Cells, FloatArray
 from multicell.scene.domain import check_inside
 from multicell.vectors import cubes

@@ -10,7 +10,7 @@ from stored import assert_same_bits
 import multicell as mc
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
-from multicell.biology.radiation import irradiate
+from multicell.biology.states import irradiate
 from multicell.cells import Phase, State
 from multicell.errors import DataError
 from multicell.results.records import arrays_of, frame_of
