@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.durations import draw_lengths, newborn_lengths
+from multicell.biology.draws import draw_lengths, newborn_lengths
 from multicell.biology.responding import value_of
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import effective_modulus, effective_radius

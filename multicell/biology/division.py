@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.biology.changes import mutant_chances, mutate
 from multicell.biology.cycle import enter_cycle
-from multicell.biology.durations import draw_cycle_times
+from multicell.biology.draws import draw_cycle_times, draw_moduli, drift
 from multicell.biology.responding import value_of
-from multicell.biology.traits import draw_moduli, drift
 from multicell.cells import HALF, SPHERE, Cells, FloatArray, State
 from multicell.random import Purpose
 

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.cycle import place_in_cycle, volume_ratio
-from multicell.biology.durations import draw_cycle_times, draw_lengths, stages
+from multicell.biology.draws import draw_cycle_times, draw_kinds, draw_lengths, draw_moduli, stages
 from multicell.biology.plan import biology_plan
-from multicell.biology.traits import draw_kinds, draw_moduli
 from multicell.cells import SPHERE, Cells, FloatArray, State
 from multicell.random import Purpose
 

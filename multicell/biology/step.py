@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.adhesion import bond_levels
 from multicell.biology.cycle import Cycling, advance, leave_rest, phase_pace
 from multicell.biology.division import divide
-from multicell.biology.growth import volumes_after
+from multicell.biology.growth import corrected_factor, volumes_after
+from multicell.biology.motion import bond_levels
 from multicell.biology.responding import wants_rest
-from multicell.biology.splitting import corrected_factor
 from multicell.biology.states import damage_after, deciding, remove_lysed, update_states
 from multicell.cells import SPHERE, Cells, FloatArray
 from multicell.scene.domain import check_inside

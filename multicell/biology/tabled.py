@@ -17,9 +17,8 @@ from multicell.biology.cycle import (
     volume_in_phase,
     volume_ratio,
 )
-from multicell.biology.durations import draw_cycle_times, draw_lengths, stages
+from multicell.biology.draws import draw_cycle_times, draw_kinds, draw_lengths, draw_moduli, stages
 from multicell.biology.plan import BiologyPlan, biology_plan
-from multicell.biology.traits import draw_kinds, draw_moduli
 from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
 from multicell.random import Purpose
 from multicell.scene.start_checks import check_start_table, kinds_of, positions

@@ -13,7 +13,7 @@ from scipy import stats
 from scipy.spatial import cKDTree
 
 from multicell.biology.division import divide
-from multicell.biology.durations import scatter_about
+from multicell.biology.draws import scatter_about
 from multicell.biology.growth import growth_factor, volumes_after
 from multicell.biology.initial import initial_cells, packed_ball
 from multicell.biology.plan import biology_plan

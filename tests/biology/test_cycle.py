@@ -10,7 +10,7 @@ from scipy import stats
 import multicell as mc
 from multicell.biology.cycle import advance, enter_cycle, parting
 from multicell.biology.division import divide
-from multicell.biology.durations import draw_lengths, quantile
+from multicell.biology.draws import draw_lengths, quantile
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.cells import Phase, State

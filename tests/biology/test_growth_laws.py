@@ -7,10 +7,9 @@ from scipy import integrate
 
 from multicell.behaviours.growth_laws.laws import LAWS
 from multicell.biology.division import divide
-from multicell.biology.growth import volumes_after
+from multicell.biology.growth import lag_after, volumes_after
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
-from multicell.biology.splitting import lag_after
 from multicell.cells import SPHERE, State
 from multicell.scene.parts import Growth
 from multicell.scene.scene import Scene

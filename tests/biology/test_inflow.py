@@ -5,7 +5,7 @@ import pytest
 from synthetic import cells_at
 
 from multicell import SceneError, load_scene
-from multicell.biology.inflow import inflow_velocity
+from multicell.biology.motion import inflow_velocity
 from multicell.cells import State
 
 
