@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,9 +12,7 @@ from multicell.random import Purpose
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
-    from multicell.cells import Cells, FloatArray, IntArray
-
-    Found = Mapping[str, FloatArray]
+    from multicell.cells import Cells, FloatArray, Found, IntArray
 
 
 def change_types(plan: BiologyPlan, cells: Cells, found: Found, step: int, dt: float) -> Cells:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.changes import mutant_chances, mutate
 from multicell.biology.cycle import enter_cycle
 from multicell.biology.draws import draw_cycle_times, draw_moduli, drift
 from multicell.biology.responding import value_of
-from multicell.cells import HALF, SPHERE, Cells, FloatArray, State
+from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, Mask, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -24,12 +22,10 @@ if TYPE_CHECKING:
 # the coupling times would divide in this step or the next at the whim of the last bit.
 ROUNDING = 1e-12
 
-_NONE: Mapping[str, FloatArray] = {}
+_NONE: Found = {}
 
 
-def due_to_divide(
-    plan: BiologyPlan, cells: Cells, found: Mapping[str, FloatArray]
-) -> NDArray[np.bool_]:
+def due_to_divide(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
     """Return which cells are at the end of their cycle, (n,); ``plan`` is one with growth."""
     if plan.order:
         ripe = (cells.phase == plan.order[-1]) & (cells.progress >= cells.phase_length)
@@ -38,7 +34,7 @@ def due_to_divide(
     return np.asarray(ripe & (cells.state == State.PROLIFERATING))
 
 
-def _division_volume(plan: BiologyPlan, cells: Cells, found: Mapping[str, FloatArray]) -> Any:
+def _division_volume(plan: BiologyPlan, cells: Cells, found: Found) -> Any:
     """Return the volume at which cells divide, µm³: a number, or (n,) where it responds."""
     scale = value_of(plan, "division radius", 1.0, found, cells)
     return plan.division_volume if scale is None else plan.division_volume * scale**3
@@ -49,7 +45,7 @@ def divide(
     cells: Cells,
     next_id: int,
     dt: float = 0.0,
-    found: Mapping[str, FloatArray] = _NONE,
+    found: Found = _NONE,
     factor: float | FloatArray = 1.0,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
@@ -120,7 +116,7 @@ def _waited(
 def _daughters(
     plan: BiologyPlan,
     mothers: Cells,
-    ids: NDArray[np.int64],
+    ids: IntArray,
     mutant: FloatArray | None,
 ) -> Cells:
     """Return two daughters for each of the ``mothers``, side by side, named ``ids``.

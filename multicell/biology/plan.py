@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multicell.biology.responding import bind_responses, missing_signals
-from multicell.cells import Phase
+from multicell.cells import Mask, Phase
 from multicell.scene.pairs import surface_energies
 from multicell.scene.sizes import birth_volume, division_volume
 from multicell.units import oxygen_solubility
@@ -78,7 +77,7 @@ class BiologyPlan:
     division_volume: float
     law: GrowthLaw | None
     order: tuple[Phase, ...]
-    grows: NDArray[np.bool_]
+    grows: Mask
     restricted: bool
     stage: str
     varies: bool

@@ -38,10 +38,9 @@ from multicell.scene.responses import Effect, effects
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
-    from multicell.cells import Cells, FloatArray
+    from multicell.cells import Cells, FloatArray, Found, Mask
     from multicell.scene.scene import Scene
 
-    Found = Mapping[str, FloatArray]
 
 _OF_CELLS: Final = ("age", "volume", "radius")
 
@@ -66,7 +65,7 @@ class BoundResponse:
     high: float
     combine: str
     short: bool
-    mask: NDArray[np.bool_] | None
+    mask: Mask | None
     signals: frozenset[str]
     yes_or_no: bool
 
@@ -108,7 +107,7 @@ def bind_responses(scene: Scene) -> dict[str, tuple[BoundResponse, ...]]:
     return {name: tuple(bound) for name, bound in made.items()}
 
 
-def _bound(scene: Scene, effect: Effect, mask: NDArray[np.bool_] | None) -> BoundResponse:
+def _bound(scene: Scene, effect: Effect, mask: Mask | None) -> BoundResponse:
     level, names = _level(scene, effect.signals)
     return BoundResponse(
         level, effect.law, effect.falls, effect.low, effect.high, effect.combine, effect.short,
@@ -277,7 +276,7 @@ def _physicell(
     return np.asarray((1.0 - down) * ((1.0 - up) * base + up * ends[True]) + down * ends[False])
 
 
-def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> NDArray[np.bool_]:
+def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
     """Return which cells would rest here, (n,).
 
     A chance p is the part of cells that rest: each has its own level, drawn once for its life, and
