@@ -38,7 +38,6 @@ def read_fields(model: Model) -> None:
     active = any(_on_all(variable) for variable in variables)
     for variable in variables:
         _read_variable(model, variable, active)
-    _read_options(model)
 
 
 def _on_all(variable: Element) -> bool:
@@ -130,18 +129,3 @@ def _read_sides(model: Model, variable: Element, active: bool, made: dict[str, A
     alike = all(side == sides["x-"] for side in sides.values())
     made["sides"] = {"*": sides["x-"]} if alike else sides
     return list(held.values())
-
-
-def _read_options(model: Model) -> None:
-    options, account = model.root.find("microenvironment_setup/options"), model.account
-    if options is None:
-        return
-    found, note = options.all("calculate_gradients"), "where chemotaxis asks for them"
-    account.take_all(found, Fate.MAPPED, note=note)
-    found = options.all("track_internalized_substrates_in_each_agent")
-    account.leave_out(found, "what a cell has taken up is not kept", acts=lambda one: one.flag())
-    for tag, note in (
-        ("initial_condition", "a field starts with one concentration everywhere"),
-        ("dirichlet_nodes", "concentrations are held on sides of the box, not inside"),
-    ):
-        account.leave_out(options.all(tag), note, acts=lambda one: one.says("enabled"))
