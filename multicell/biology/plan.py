@@ -128,7 +128,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     phases = growth is not None and bool(growth.phases)
     own = [kind.young for kind in kinds]
     known = bind_responses(scene)
-    growth_signals = {name for part in known.get("growth rate", ()) for name in part.signals}
+    growth_signals = {name for part in known.get("growth rate", ()) for name in part.needs}
     rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
     ratio = [1.0 if young is None else young / cells.young for young in own]
     oxygen = [part.oxygen for part in scene.radiation.values() if part.oxygen]

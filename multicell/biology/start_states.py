@@ -190,12 +190,12 @@ def _plenty(plan: BiologyPlan, cells: Cells, found: Found, resting: bool) -> Flo
     # over a threshold next to nothing a ratio may be infinite; one of zero excludes nobody
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         for part in plan.responses.get("rest" if resting else "necrosis rate", ()):
-            level, middle = part.level(found, cells, None), part.law.middle
-            if part.signals == {"pressure"}:
+            level, middle = part.level(found, cells, None), part.effect.law.middle
+            if part.needs == {"pressure"}:
                 ratio = np.where(part.share(found, cells) > 0.0, -1.0, np.inf)
             elif middle == 0.0:
                 continue
-            elif part.falls == (part.high > part.low):
+            elif part.effect.falls == (part.effect.high > part.effect.low):
                 ratio = level / middle
             else:
                 ratio = np.where(level > 0.0, middle / level, np.inf)
