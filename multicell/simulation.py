@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.biology import driven
-from multicell.biology.changes import change_types
+from multicell.biology.division import change_types
 from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of

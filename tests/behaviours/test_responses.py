@@ -235,7 +235,7 @@ def test_neighbours_are_counted_by_type_and_the_dead_apart():
             for name in ("neighbours", "dead neighbours", "contacts with b")
         ],
     })  # fmt: skip
-    from multicell.biology.signals import other_signals
+    from multicell.biology.responding import other_signals
 
     plan, cells = state(made)
     cells.kind[:] = [0, 1, 1]

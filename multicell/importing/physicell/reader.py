@@ -14,7 +14,7 @@ from multicell.importing.imported import Account, Fate, Imported
 from multicell.importing.physicell import run
 from multicell.importing.physicell.cycle import read_cycle
 from multicell.importing.physicell.death import read_death
-from multicell.importing.physicell.fields import name_fields, read_fields
+from multicell.importing.physicell.fields import name_fields, read_fields, read_secretion
 from multicell.importing.physicell.mechanics import read_mechanics
 from multicell.importing.physicell.model import MINUTE, Kind, Model, read_kinds
 from multicell.importing.physicell.motility import read_motility
@@ -25,7 +25,6 @@ from multicell.importing.physicell.rules import (
     rules_of,
     set_behaviour,
 )
-from multicell.importing.physicell.secretion import read_secretion
 from multicell.importing.physicell.start import read_start
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import with_cells
