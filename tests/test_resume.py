@@ -65,6 +65,15 @@ CASES = {
              "begin": 0, "end": "60 h"},
         ],
     }),
+    "the doomed and the damaged": ("growth", {
+        **GROWING, "death": {"damage_time": "10 h", "damage_variation": 0.5,
+                             "damage_repair_time": "20 h", "lysis_time": "4 h"},
+        "nutrients": {"oxygen": {"boundary": 0.2, "uptake": 0.0, "necrosis": 0.02, "spacing": 20.0,
+                                 "media": [["8 h", 0.01]]}},
+        "radiation": {"course": {"dose": "2 Gy", "start": "6 h", "every": "6 h", "fractions": 2,
+                                 "alpha": "0.3 1/Gy", "beta": "0.03 1/Gy^2",
+                                 "mitotic_divisions": 2}},
+    }),
     "driven cells that divide smoothly": ("growth", {
         **GROWING, "growth.division": "smooth",
         "growth.phases": {name: {"duration": "2 h"} for name in ("G1", "S", "G2", "M")},
@@ -99,6 +108,9 @@ def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_pa
     assert len(whole.frames) >= 3
     if "medium" in case:
         assert whole.frames[1].cells.lag.any()
+    if "doomed" in case:
+        columns = [(frame.cells.doomed.any(), frame.cells.damage.any()) for frame in whole.frames]
+        assert columns[1:4] == [(False, False), (True, True), (True, True)]
     for k, threads in ((1, 2), (len(whole.frames) - 2, 1)):
         again = tmp_path / f"again{k}"
         result = mc.resume(
