@@ -33,19 +33,10 @@ GROWING = {
 CASES = {
     "growth, nutrient and death": ("spheroid", SPHEROID),
     "shells": ("spheroid", {**SPHEROID, "nutrients.oxygen.geometry": "radial"}),
-    "transient": (
-        "spheroid",
-        {**SPHEROID, "duration": "20 h", "nutrients.oxygen.regime": "transient"},
-    ),
-    "types and motility": (
-        "sorting",
-        {"duration": "2 h", "initial.count": 60, "output.every": "35 min"},
-    ),
     "exact JKR": (
         "doublet",
         {"contact.law": "exact-jkr", "duration": "40 min", "output.every": "12 min"},
     ),
-    "friction": ("growth", {**GROWING, "friction": {}}),
     "a finite medium and a reaction": ("growth", {
         **GROWING, "duration": "2 h", "output.every": "30 min", "nutrients": {
             "a": {"boundary": 0.05, "uptake": 2.0, "finite_medium": {"volume": 1e7},
@@ -86,9 +77,7 @@ CASES = {
                                  "growth_half_saturation": 0.1}},
     }),
 }  # fmt: skip
-
-
-LONG = pytest.param("transient", marks=pytest.mark.slow)
+"""Further physics is resumed from frames in memory in ``test_determinism``."""
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +86,7 @@ def spheroid(tmp_path_factory):
     return mc.run(scene, output=tmp_path_factory.mktemp("whole") / "run", report=False, threads=1)
 
 
-@pytest.mark.parametrize("case", [LONG if case == "transient" else case for case in CASES])
+@pytest.mark.parametrize("case", CASES)
 def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_path):
     name, changes = CASES[case]
     if changes is SPHEROID:
