@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from functools import cache
@@ -15,6 +15,9 @@ from multicell.vectors import FloatArray as FloatArray
 from multicell.vectors import cubes
 
 IntArray = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Found = Mapping[str, FloatArray]
+"""What cells find: fields in mM, and other signals, by their names: name -> (n,)."""
 
 SPHERE = 4.0 * np.pi / 3.0
 """Volume of a sphere of unit radius."""

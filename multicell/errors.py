@@ -12,15 +12,20 @@ class MulticellError(Exception):
     """Base of all errors raised on purpose; its text is written for the user.
 
     Abstract: raise one of the final classes below.
+
+    Parameters
+    ----------
+    problem
+        What is wrong or has happened, in words, with the value and what is allowed.
+    hint
+        What to try, for example the likely name of a misspelt key.
     """
 
     exit_code: ClassVar[int] = 1
-    problem: str
-    hint: str = ""
 
-    def _word(self, problem: str, hint: str, where: str = "") -> None:
+    def __init__(self, problem: str, hint: str = "", *, where: str = "") -> None:
         self.problem, self.hint = problem, hint
-        Exception.__init__(self, f"{where}{problem}{'. ' if hint else ''}{hint}")
+        super().__init__(f"{where}{problem}{'. ' if hint else ''}{hint}")
 
 
 @final
@@ -31,10 +36,8 @@ class SceneError(MulticellError):
     ----------
     path
         Where the value stands, as dotted keys (``"nutrients.oxygen.boundary"``).
-    problem
-        What is wrong, with the value and what is allowed.
-    hint
-        What to try, for example the likely name of a misspelt key.
+    problem, hint
+        As for all errors.
     """
 
     exit_code: ClassVar[int] = 2
@@ -42,7 +45,7 @@ class SceneError(MulticellError):
     def __init__(self, path: str, problem: str, hint: str = "") -> None:
         self.path = path
         where = path if len(path) <= _LONGEST_PATH else f"{path[:_LONGEST_PATH]}..."
-        self._word(problem, hint, f"{where}: " if path else "")
+        super().__init__(problem, hint, where=f"{where}: " if path else "")
 
 
 @final
@@ -53,33 +56,20 @@ class DataError(MulticellError):
     ----------
     place
         Where in the data, such as ``"growth.csv, line 3, 'diameter / um'"``.
-    problem
-        What is wrong, with the value and what is allowed.
-    hint
-        What to try, for example the likely name of a misspelt column.
+    problem, hint
+        As for all errors.
     """
 
     exit_code: ClassVar[int] = 2
 
     def __init__(self, place: str, problem: str, hint: str = "") -> None:
         self.place = place
-        self._word(problem, hint, f"{place}: ")
+        super().__init__(problem, hint, where=f"{place}: ")
 
 
 @final
 class FitFailed(MulticellError):  # noqa: N818 - it names what happened, like StepFailed
-    """A fit that cannot go on, for example because no run of it succeeds.
-
-    Parameters
-    ----------
-    problem
-        What happened, in words.
-    hint
-        What to try.
-    """
-
-    def __init__(self, problem: str, hint: str) -> None:
-        self._word(problem, hint)
+    """A fit that cannot go on, for example because no run of it succeeds."""
 
 
 @final
@@ -113,10 +103,8 @@ class StepFailed(MulticellError):  # noqa: N818 - it names what happened, like S
     ----------
     time
         Simulated time in s at which the integration stopped.
-    problem
-        What happened, in words.
-    hint
-        What to try.
+    problem, hint
+        As for all errors.
     cell
         Identity of the cell that shows the failure most, where there is one.
     """
@@ -124,23 +112,12 @@ class StepFailed(MulticellError):  # noqa: N818 - it names what happened, like S
     def __init__(self, time: float, problem: str, hint: str, cell: int | None = None) -> None:
         self.time, self.cell = time, cell
         where = f"cell {cell}, " if cell is not None else ""
-        self._word(problem, hint, f"step failed ({where}t = {time:.6g} s): ")
+        super().__init__(problem, hint, where=f"step failed ({where}t = {time:.6g} s): ")
 
 
 @final
 class NutrientFailed(MulticellError):  # noqa: N818 - it names what happened, like StepFailed
-    """A nutrient field that cannot be laid or solved.
-
-    Parameters
-    ----------
-    problem
-        What happened, in words.
-    hint
-        What to try.
-    """
-
-    def __init__(self, problem: str, hint: str) -> None:
-        self._word(problem, hint)
+    """A nutrient field that cannot be laid or solved."""
 
 
 @final
@@ -173,10 +150,8 @@ class ClusterError(MulticellError):
 
     Parameters
     ----------
-    problem
-        What is wrong, with the address.
-    hint
-        What to do about it.
+    problem, hint
+        As for all errors, with the address.
     exit_code
         2 before anything has run, 1 afterwards.
     """
@@ -184,5 +159,5 @@ class ClusterError(MulticellError):
     exit_code: int = 2  # type: ignore[misc]  # of each one its own
 
     def __init__(self, problem: str, hint: str, *, exit_code: int = 2) -> None:
-        self._word(problem, hint)
+        super().__init__(problem, hint)
         self.exit_code = exit_code

@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.biology import driven
-from multicell.biology.changes import change_types
-from multicell.biology.growth import growth_factor
+from multicell.biology.division import change_types
+from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
 from multicell.biology.plan import biology_plan
-from multicell.biology.radiation import irradiate
-from multicell.biology.splitting import lag_after
 from multicell.biology.start_states import StartStates
+from multicell.biology.states import irradiate
 from multicell.biology.step import age_cells, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.compiling.threads import thread_count

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.behaviours.growth_laws.law import GrowthLaw
+from multicell.behaviours.growth_laws.laws import GrowthLaw
 from multicell.behaviours.laws import ResponseLaw
 from multicell.cells import FloatArray, IntArray, State
 from multicell.contact.hertz import Hertz

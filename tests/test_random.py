@@ -33,14 +33,6 @@ def test_philox_equals_numpy_bit_for_bit(counter: list[int], key: list[int]) -> 
     assert block.tolist() == numpy_block(counter, key)
 
 
-def test_philox_known_answers_of_the_authors() -> None:
-    # kat_vectors of the Random123 distribution, philox4x64-10
-    zeros = streams.philox(np.zeros(4, dtype=np.uint64), (0, 0))
-    assert [f"{word:016x}" for word in zeros.tolist()] == [
-        "16554d9eca36314c", "db20fe9d672d0fdc", "d7e772cee186176b", "7e68b68aec7ba23b",
-    ]  # fmt: skip
-
-
 def test_uniform_places_seed_purpose_step_and_id_as_documented() -> None:
     got = streams.uniform(2**64 - 5, Purpose.AXIS, 17, np.array([123_456]), 8)[0]
     raw = [

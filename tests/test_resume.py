@@ -33,19 +33,10 @@ GROWING = {
 CASES = {
     "growth, nutrient and death": ("spheroid", SPHEROID),
     "shells": ("spheroid", {**SPHEROID, "nutrients.oxygen.geometry": "radial"}),
-    "transient": (
-        "spheroid",
-        {**SPHEROID, "duration": "20 h", "nutrients.oxygen.regime": "transient"},
-    ),
-    "types and motility": (
-        "sorting",
-        {"duration": "2 h", "initial.count": 60, "output.every": "35 min"},
-    ),
     "exact JKR": (
         "doublet",
         {"contact.law": "exact-jkr", "duration": "40 min", "output.every": "12 min"},
     ),
-    "friction": ("growth", {**GROWING, "friction": {}}),
     "a finite medium and a reaction": ("growth", {
         **GROWING, "duration": "2 h", "output.every": "30 min", "nutrients": {
             "a": {"boundary": 0.05, "uptake": 2.0, "finite_medium": {"volume": 1e7},
@@ -65,6 +56,15 @@ CASES = {
              "begin": 0, "end": "60 h"},
         ],
     }),
+    "the doomed and the damaged": ("growth", {
+        **GROWING, "death": {"damage_time": "10 h", "damage_variation": 0.5,
+                             "damage_repair_time": "20 h", "lysis_time": "4 h"},
+        "nutrients": {"oxygen": {"boundary": 0.2, "uptake": 0.0, "necrosis": 0.02, "spacing": 20.0,
+                                 "media": [["8 h", 0.01]]}},
+        "radiation": {"course": {"dose": "2 Gy", "start": "6 h", "every": "6 h", "fractions": 2,
+                                 "alpha": "0.3 1/Gy", "beta": "0.03 1/Gy^2",
+                                 "mitotic_divisions": 2}},
+    }),
     "driven cells that divide smoothly": ("growth", {
         **GROWING, "growth.division": "smooth",
         "growth.phases": {name: {"duration": "2 h"} for name in ("G1", "S", "G2", "M")},
@@ -77,9 +77,7 @@ CASES = {
                                  "growth_half_saturation": 0.1}},
     }),
 }  # fmt: skip
-
-
-LONG = pytest.param("transient", marks=pytest.mark.slow)
+"""Further physics is resumed from frames in memory in ``test_determinism``."""
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +86,7 @@ def spheroid(tmp_path_factory):
     return mc.run(scene, output=tmp_path_factory.mktemp("whole") / "run", report=False, threads=1)
 
 
-@pytest.mark.parametrize("case", [LONG if case == "transient" else case for case in CASES])
+@pytest.mark.parametrize("case", CASES)
 def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_path):
     name, changes = CASES[case]
     if changes is SPHEROID:
@@ -99,6 +97,9 @@ def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_pa
     assert len(whole.frames) >= 3
     if "medium" in case:
         assert whole.frames[1].cells.lag.any()
+    if "doomed" in case:
+        columns = [(frame.cells.doomed.any(), frame.cells.damage.any()) for frame in whole.frames]
+        assert columns[1:4] == [(False, False), (True, True), (True, True)]
     for k, threads in ((1, 2), (len(whole.frames) - 2, 1)):
         again = tmp_path / f"again{k}"
         result = mc.resume(

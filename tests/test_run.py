@@ -92,27 +92,6 @@ def test_python_surface_of_the_design(tmp_path):
     assert result.plot.growth() is not None
 
 
-def test_json_prints_one_document(tmp_path):
-    done = multicell("run", "settle", "-o", tmp_path / "o", "--json", "--no-report",
-                     "--set", "duration=2 min", "--set", "initial.count=5", check=0)  # fmt: skip
-    summary = json.loads(done.stdout)
-    assert summary["cells"] == 5
-    assert summary["ledger"] == {}
-
-
-def test_existing_folder_is_refused_and_overwritten_on_request(folder, tmp_path):
-    out = tmp_path / "o"
-    arguments = ["run", "settle", "-o", out, "--no-report", "--set", "duration=1 min",
-                 "--set", "initial.count=5"]  # fmt: skip
-    multicell(*arguments, check=0)
-    (out / "mine.txt").write_text("keep")
-    refused = multicell(*arguments, check=2)
-    assert "not empty" in refused.stderr
-    assert "--overwrite" in refused.stderr
-    multicell(*arguments, "--overwrite", check=0)
-    assert (out / "mine.txt").read_text() == "keep"
-
-
 def test_a_step_that_cannot_be_solved_exits_with_1_and_keeps_the_frames(tmp_path):
     done = multicell(
         "run", "settle", "-o", tmp_path / "o", "--set", "integrator=euler",
@@ -127,24 +106,23 @@ def test_a_step_that_cannot_be_solved_exits_with_1_and_keeps_the_frames(tmp_path
     assert result.summary()["interrupted"] is True
 
 
-def test_compare_command_writes_table_chart_and_page(tmp_path):
-    done = multicell(
-        "compare", "settle", "-o", tmp_path / "o", "--methods", "euler,cvode", "--repeats", "1",
-        "--budget", "2",
-        "--set", "initial.count=10", "--set", "duration=5 min", "--json", check=0,
-    )  # fmt: skip
-    rows = json.loads(done.stdout)
-    assert {row["method"] for row in rows} == {"euler", "cvode"}
-    assert min(row["error_position"] or 1 for row in rows) < 1e-4
-    names = {entry.name for entry in (tmp_path / "o").iterdir()}
-    assert {"workprecision.csv", "workprecision.png", "report.html"} <= names
+SMALL = ["settle", "--set", "initial.count=8", "--set", "duration=2 min", "--json"]
+COMMANDS = {
+    "run": (["--no-report"], lambda told: told["cells"] == 8, "summary.json"),
+    "compare": (
+        ["--methods", "euler,cvode", "--repeats", "1", "--budget", "2"],
+        lambda told: min(row["error_position"] or 1 for row in told) < 1e-4, "workprecision.png",
+    ),
+    "stability": (
+        ["--methods", "euler"], lambda told: {row["method"] for row in told} == {"euler"},
+        "stability.png",
+    ),
+}  # fmt: skip
 
 
-def test_stability_command_writes_limits_map_and_page(tmp_path):
-    done = multicell(
-        "stability", "settle", "-o", tmp_path / "o", "--methods", "euler",
-        "--set", "initial.count=12", "--json", check=0,
-    )  # fmt: skip
-    assert {row["method"] for row in json.loads(done.stdout)} == {"euler"}
-    names = {entry.name for entry in (tmp_path / "o").iterdir()}
-    assert {"limits.csv", "stability.png", "report.html"} <= names
+@pytest.mark.parametrize("command", COMMANDS)
+def test_json_is_one_document_beside_the_files(command, tmp_path):
+    more, right, file = COMMANDS[command]
+    done = multicell(command, *SMALL, *more, "-o", tmp_path / "o", check=0)
+    assert right(json.loads(done.stdout))
+    assert (tmp_path / "o" / file).stat().st_size > 0

@@ -35,30 +35,33 @@ class ResponseLaw(ABC):
         """Signal in the middle of the response, by which cells are ranked at the start of a run."""
 
 
-@final
 @dataclass(frozen=True)
-class Monod(ResponseLaw):
-    """s / (half + s); falling half / (half + s); what is below zero (tension) counts as zero."""
+class HalfLaw(ResponseLaw):
+    """A law with half of its effect at the signal ``half``, or a threshold there."""
 
     half: float
+
+    @property
+    def middle(self) -> float:
+        """The signal ``half``."""
+        return self.half
+
+
+@final
+class Monod(HalfLaw):
+    """s / (half + s); falling half / (half + s); what is below zero (tension) counts as zero."""
 
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
         """Return the share."""
         above = np.maximum(signal, 0.0)
         return (self.half if falls else above) / (self.half + above)
 
-    @property
-    def middle(self) -> float:
-        """Half the effect is at ``half``."""
-        return self.half
-
 
 @final
 @dataclass(frozen=True)
-class Hill(ResponseLaw):
+class Hill(HalfLaw):
     """sⁿ / (halfⁿ + sⁿ), n = ``power``; what is below zero (tension) counts as zero."""
 
-    half: float
     power: float
 
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
@@ -67,18 +70,12 @@ class Hill(ResponseLaw):
             ratio = np.maximum(signal, 0.0) / self.half
             return 1.0 / (1.0 + ratio ** (self.power if falls else -self.power))
 
-    @property
-    def middle(self) -> float:
-        """Half the effect is at ``half``."""
-        return self.half
-
 
 @final
 @dataclass(frozen=True)
-class Threshold(ResponseLaw):
+class Threshold(HalfLaw):
     """All from ``half`` on (if ``strict`` only above it), nothing below; falling the other way."""
 
-    half: float
     strict: bool = False
 
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
@@ -86,11 +83,6 @@ class Threshold(ResponseLaw):
         if falls:
             return signal < self.half
         return signal > self.half if self.strict else signal >= self.half
-
-    @property
-    def middle(self) -> float:
-        """The threshold."""
-        return self.half
 
 
 @final

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from multicell import random
 from multicell.biology.driven import Named, add_forces
 from multicell.biology.responding import value_of
-from multicell.cells import Cells, FloatArray
+from multicell.cells import Cells, FloatArray, Found, IntArray, Mask
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -18,16 +17,16 @@ if TYPE_CHECKING:
     from multicell.scene.parts import Motility
 
 
-_NONE: Mapping[str, FloatArray] = {}
+_NONE: Found = {}
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+_MOMENTS: Final = 20
+"""Moments in a window: the chance of more is below the resolution of a random number."""
+_EARLIER: Final = 1 << 20
+"""Added to the number of a window, so that those before the start have numbers above zero too."""
 
 
 def active_force(
-    plan: BiologyPlan,
-    cells: Cells,
-    time: float,
-    gradients: Mapping[str, FloatArray] = _NONE,
-    found: Mapping[str, FloatArray] = _NONE,
+    plan: BiologyPlan, cells: Cells, time: float, gradients: Found = _NONE, found: Found = _NONE
 ) -> FloatArray:
     """Return the active force of each cell at a time, (n, 3) nN.
 
@@ -44,9 +43,7 @@ def active_force(
     if law.renewal == "regular":
         random_part = _regular(plan, law, cells, time)
     else:
-        from multicell.biology.renewal import directions_at
-
-        random_part = directions_at(plan, cells.id, time / law.persistence)
+        random_part = _renewed(plan, cells.id, time / law.persistence)
     bias = value_of(plan, "bias", law.bias, found, cells, early=True)
     if bias is not None:
         return law.force * _biased(law, np.clip(bias, -1.0, 1.0)[:, None], random_part, gradients)
@@ -68,9 +65,48 @@ def _regular(plan: BiologyPlan, law: Motility, cells: Cells, time: float) -> Flo
     return force
 
 
-def _biased(
-    law: Motility, bias: Any, random_part: FloatArray, gradients: Mapping[str, FloatArray]
-) -> FloatArray:
+def _renewed(plan: BiologyPlan, ids: IntArray, time: float) -> FloatArray:
+    """Return the random directions of cells that change them at random moments, (n, 3).
+
+    A Poisson process without a state: time is cut into windows of one polarisation time. How many
+    moments fall into a window (a Poisson number with mean 1) and where (uniformly) are functions of
+    seed, cell and window, and so is the direction that is taken at each of them. The direction at a
+    ``time`` (in polarisation times) is that of the last moment before: in the same window, or in an
+    earlier one if there is none, as in one window of e on average.
+    """
+    out = np.empty((len(ids), 3))
+    window = int(np.floor(time))
+    left, before = np.arange(len(ids)), time - window
+    while left.size:
+        last, found = _last_moment(plan, ids[left], window, before)
+        for number in np.unique(last[found]):
+            now = left[found & (last == number)]
+            out[now] = random.directions(
+                plan.seed, Purpose.MOTILITY, (window + _EARLIER) * _MOMENTS + int(number), ids[now],
+                plan.dimensions,
+            )  # fmt: skip
+        left, window, before = left[~found], window - 1, 1.0
+    return out
+
+
+def _last_moment(
+    plan: BiologyPlan, ids: IntArray, window: int, before: float
+) -> tuple[IntArray, Mask]:
+    """Return the number of the last moment of a window before a part of it, and if there is one."""
+    u = random.uniform(plan.seed, Purpose.RENEWAL, window + _EARLIER, ids, 1 + _MOMENTS)
+    count = np.searchsorted(_cumulated(), u[:, 0], side="right")
+    moments = np.where(np.arange(_MOMENTS) < count[:, None], u[:, 1:], np.inf)
+    moments[moments >= before] = -np.inf
+    return moments.argmax(axis=1), moments.max(axis=1) > -np.inf
+
+
+def _cumulated() -> FloatArray:
+    """Return the chances of at most 0, 1, ... moments in a window."""
+    chances = np.exp(-1.0) / np.cumprod(np.concatenate([[1.0], np.arange(1.0, _MOMENTS)]))
+    return np.asarray(np.cumsum(chances))
+
+
+def _biased(law: Motility, bias: Any, random_part: FloatArray, gradients: Found) -> FloatArray:
     """Return the directions of b u + (1 - |b|) e, (n, 3); u is zero where there is no gradient."""
     along = np.array(law.direction) if law.direction else gradients.get(law.towards, np.zeros(3))
     length = np.linalg.norm(along, axis=-1, keepdims=True)
@@ -80,9 +116,7 @@ def _biased(
     return np.asarray(total / np.where(size > 0.0, size, 1.0))
 
 
-def chemotactic_force(
-    plan: BiologyPlan, cells: Cells, gradients: Mapping[str, FloatArray]
-) -> FloatArray:
+def chemotactic_force(plan: BiologyPlan, cells: Cells, gradients: Found) -> FloatArray:
     """Return the force along the gradients of fields, (n, 3) nN.
 
     F = force ∇c / (|∇c| + half): proportional to small gradients, and of constant size in steep
@@ -133,10 +167,10 @@ def push(
     plan: BiologyPlan,
     cells: Cells,
     time: float,
-    gradients: Mapping[str, FloatArray],
+    gradients: Found,
     end: float | None = None,
     named: Named | None = None,
-    found: Mapping[str, FloatArray] = _NONE,
+    found: Found = _NONE,
 ) -> FloatArray | None:
     """Return all forces that are no contact forces, with their rates, (n, 6), or None.
 

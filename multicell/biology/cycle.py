@@ -17,16 +17,15 @@ in M are one dividing cell.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.durations import draw_lengths, newborn_lengths
+from multicell.biology.draws import draw_lengths, newborn_lengths
 from multicell.biology.responding import value_of
-from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
+from multicell.cells import HALF, Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import rest_overlap
 from multicell.scene.parts import PHASES
@@ -56,7 +55,7 @@ def advance(
     plan: BiologyPlan,
     cells: Cells,
     factor: FloatArray,
-    unfavourable: NDArray[np.bool_],
+    unfavourable: Mask,
     dt: float,
     pace: FloatArray | None = None,
 ) -> Cycling:
@@ -99,9 +98,7 @@ def advance(
     return now
 
 
-def phase_pace(
-    plan: BiologyPlan, found: Mapping[str, FloatArray], cells: Cells
-) -> FloatArray | None:
+def phase_pace(plan: BiologyPlan, found: Found, cells: Cells) -> FloatArray | None:
     """Return the factor of the clock in each phase, (n, 5), or None where nothing responds.
 
     The response of the entry into a phase sets the pace of the phase before it. Cells grow at
@@ -150,9 +147,9 @@ def _change(
     plan: BiologyPlan,
     cells: Cells,
     now: Cycling,
-    at_end: NDArray[np.int64],
+    at_end: IntArray,
     factor: FloatArray,
-    unfavourable: NDArray[np.bool_],
+    unfavourable: Mask,
     left: FloatArray,
 ) -> None:
     """Lead cells at the end of their phase into the next one."""
@@ -180,7 +177,7 @@ def _change(
     now.phase_length[onward] = _length_of(plan, cells, onward, now.phase[onward])
 
 
-def leave_rest(plan: BiologyPlan, cells: Cells, wakes: NDArray[np.bool_]) -> None:
+def leave_rest(plan: BiologyPlan, cells: Cells, wakes: Mask) -> None:
     """Lead the cells in G0 that are to go on into S."""
     awake = np.flatnonzero(wakes & (cells.phase == Phase.G0) & (cells.state == State.QUIESCENT))
     cells.state[awake], cells.phase[awake] = State.PROLIFERATING, Phase.S
@@ -332,7 +329,7 @@ def volume_in_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
 
 
 def _length_of(
-    plan: BiologyPlan, cells: Cells, index: NDArray[np.int64], phase: NDArray[np.int8]
+    plan: BiologyPlan, cells: Cells, index: IntArray, phase: NDArray[np.int8]
 ) -> FloatArray:
     """Return how long the cells at ``index`` stay in a phase, s."""
     lengths = draw_lengths(plan, cells.id[index], cells.kind[index])

@@ -1,20 +1,16 @@
-"""Division: one mother becomes two daughters of half her volume."""
+"""Division of a mother into two daughters, and cells that become another type then or at a rate."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.changes import mutant_chances, mutate
 from multicell.biology.cycle import enter_cycle
-from multicell.biology.durations import draw_cycle_times
+from multicell.biology.draws import draw_cycle_times, draw_moduli, drift
 from multicell.biology.responding import value_of
-from multicell.biology.traits import draw_moduli, drift
-from multicell.cells import HALF, SPHERE, Cells, FloatArray, State
+from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, Mask, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -25,12 +21,10 @@ if TYPE_CHECKING:
 # the coupling times would divide in this step or the next at the whim of the last bit.
 ROUNDING = 1e-12
 
-_NONE: Mapping[str, FloatArray] = {}
+_NONE: Found = {}
 
 
-def due_to_divide(
-    plan: BiologyPlan, cells: Cells, found: Mapping[str, FloatArray]
-) -> NDArray[np.bool_]:
+def due_to_divide(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
     """Return which cells are at the end of their cycle, (n,); ``plan`` is one with growth."""
     if plan.order:
         ripe = (cells.phase == plan.order[-1]) & (cells.progress >= cells.phase_length)
@@ -39,7 +33,7 @@ def due_to_divide(
     return np.asarray(ripe & (cells.state == State.PROLIFERATING))
 
 
-def _division_volume(plan: BiologyPlan, cells: Cells, found: Mapping[str, FloatArray]) -> Any:
+def _division_volume(plan: BiologyPlan, cells: Cells, found: Found) -> Any:
     """Return the volume at which cells divide, µm³: a number, or (n,) where it responds."""
     scale = value_of(plan, "division radius", 1.0, found, cells)
     return plan.division_volume if scale is None else plan.division_volume * scale**3
@@ -50,7 +44,7 @@ def divide(
     cells: Cells,
     next_id: int,
     dt: float = 0.0,
-    found: Mapping[str, FloatArray] = _NONE,
+    found: Found = _NONE,
     factor: float | FloatArray = 1.0,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
@@ -121,7 +115,7 @@ def _waited(
 def _daughters(
     plan: BiologyPlan,
     mothers: Cells,
-    ids: NDArray[np.int64],
+    ids: IntArray,
     mutant: FloatArray | None,
 ) -> Cells:
     """Return two daughters for each of the ``mothers``, side by side, named ``ids``.
@@ -161,3 +155,63 @@ def _grow_since(
     share = waited / daughters.cycle_time
     volume = plan.law.volume_after(0.5 * mother, share, plan.birth_volume)
     daughters.radius = np.cbrt(volume / SPHERE)
+
+
+def change_types(plan: BiologyPlan, cells: Cells, found: Found, step: int, dt: float) -> Cells:
+    """Return the cells after those of a step of ``dt`` s have changed that do.
+
+    With the rates k_j of the types j a living cell changes with the probability 1 - exp(-Σ k dt),
+    and then becomes j with k_j / Σ k: a Markov chain whose rates are held for a step.
+    """
+    rates = _by_type(plan, "change to", found, cells)
+    if rates is None:
+        return cells
+    rates[cells.dead] = 0.0
+    u = random.uniform(plan.seed, Purpose.CHANGE, step, cells.id, 2)
+    total = rates.sum(axis=1)
+    turns = np.flatnonzero(u[:, 0] < -np.expm1(-total * dt))
+    if not turns.size:
+        return cells
+    chosen = (u[turns, 1, None] * total[turns, None] >= np.cumsum(rates[turns], axis=1)).sum(axis=1)
+    after = cells.shared()
+    _become(plan, after, turns, np.minimum(chosen, len(plan.types) - 1))
+    return after
+
+
+def mutant_chances(plan: BiologyPlan, cells: Cells, found: Found) -> FloatArray | None:
+    """Return the chance of a daughter of each cell to be of each type, (n, types), or None."""
+    return _by_type(plan, "mutation to", found, cells)
+
+
+def mutate(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> None:
+    """Let daughters be of another type, whose mothers' chances are (n, types).
+
+    Chances that add up to more than one leave none of the mother's type.
+    """
+    u = random.uniform(plan.seed, Purpose.MUTATION, 0, daughters.id)[:, 0]
+    ends = np.cumsum(chances, axis=1)
+    turns = np.flatnonzero(u < ends[:, -1])
+    _become(plan, daughters, turns, (u[turns, None] >= ends[turns]).sum(axis=1))
+
+
+def _by_type(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> FloatArray | None:
+    """Return the values of a behaviour for each type, (n, types), zero for the cell's own."""
+    out = None
+    for number, name in enumerate(plan.types):
+        value = value_of(plan, f"{behaviour} {name}", 0.0, found, cells)
+        if value is not None:
+            out = np.zeros((len(cells), len(plan.types))) if out is None else out
+            out[:, number] = np.where(cells.kind == number, 0.0, value)
+    return out
+
+
+def _become(plan: BiologyPlan, cells: Cells, index: IntArray, kinds: IntArray) -> None:
+    """Make cells of other types: their moduli and cycles go with those of the types."""
+    before, kind = cells.kind[index], cells.kind.copy()
+    kind[index] = kinds
+    for name, ratio in (("young", plan.young_ratio), ("cycle_time", plan.cycle_scale)):
+        if ratio is not None:
+            column = getattr(cells, name).copy()
+            column[index] *= ratio[kinds] / ratio[before]
+            setattr(cells, name, column)
+    cells.kind = kind

@@ -17,9 +17,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, IntArray
+from multicell.cells import Cells, FloatArray, IntArray, Mask
 from multicell.scene.driven import Driver, by_identity, check_members, drivers, members, within
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ def _load(law: Force, begin: float, end: float, share: float) -> FloatArray:
 
 def prescribed(
     plan: BiologyPlan, cells: Cells, named: Named, begin: float, end: float
-) -> tuple[NDArray[np.bool_], FloatArray] | None:
+) -> tuple[Mask, FloatArray] | None:
     """Return which cells are moved in a span of time, (n,), and all velocities, (n, 3) µm/s.
 
     The velocity of a cell that is not moved is zero. None if nothing is moved in the span.
@@ -101,7 +100,7 @@ def prescribed(
     return held, velocity
 
 
-def driven(plan: BiologyPlan, cells: Cells, named: Named, path: str) -> NDArray[np.bool_]:
+def driven(plan: BiologyPlan, cells: Cells, named: Named, path: str) -> Mask:
     """Return which cells a driver drives now, (n,)."""
     table, _, name = path.partition(".")
     driver: Driver = getattr(plan, table)[name]

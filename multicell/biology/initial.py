@@ -1,22 +1,93 @@
-"""The population at the start of a run."""
+"""The population at the start of a run: as a table gives it, what is left open is drawn."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.cycle import place_in_cycle, volume_ratio
-from multicell.biology.durations import draw_cycle_times, draw_lengths, stages
-from multicell.biology.plan import biology_plan
-from multicell.biology.traits import draw_kinds, draw_moduli
-from multicell.cells import SPHERE, Cells, FloatArray, State
+from multicell.biology.cycle import (
+    growing_time,
+    place_by_volume,
+    place_in_cycle,
+    share_of_growth,
+    time_before_phase,
+    volume_in_phase,
+    volume_ratio,
+)
+from multicell.biology.draws import (
+    draw_cycle_times,
+    draw_kinds,
+    draw_lengths,
+    draw_moduli,
+    stages,
+)
+from multicell.biology.plan import BiologyPlan, biology_plan
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Phase, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
+    from multicell.scene.start_table import Given
+
+
+def initial_cells(scene: Scene) -> Cells:
+    """Return the cells that a run starts with.
+
+    The scene's ``initial`` part says how many, how arranged, how far apart (centre distance over
+    mean diameter), how much displaced at random, and at which stage of growth; ``cells`` and
+    ``growth`` give size, moduli and cycle times. With a table the cells are those that it gives, in
+    its order. What has no column is drawn as for others, with random numbers that depend on the
+    seed and the identity of a cell alone. Radius, age and place in the cycle belong together: of
+    those that are missing each follows from those that are there.
+
+    Returns Cells: identities 0 ... n - 1 from the centre outwards, in a row along x, or those of
+    the table, else numbered by its rows; parent -1 but for sisters that part. Without a table all
+    proliferate at pressure zero, with the centroid of the sites at the origin.
+    """
+    n, given, kind = scene.initial.count, None, None
+    columns: Mapping[str, NDArray[Any]] = {}
+    table = scene.initial.cells
+    if table is not None:
+        from multicell.scene.start_checks import check_start_table, kinds_of, positions
+
+        check_start_table(scene)
+        given, kind = table.given, kinds_of(scene, table.given)
+        n, columns = len(given), given.columns
+    plan = biology_plan(scene)
+    ids = columns.get("id", np.arange(n, dtype=np.int64))
+    kind = draw_kinds(plan, ids) if kind is None else kind
+    cells = Cells(
+        id=ids,
+        parent=np.full(n, -1, dtype=np.int64),
+        position=np.zeros((n, 3)) if given is None else positions(given),
+        radius=np.ones(n),
+        young=columns["young"] if "young" in columns else draw_moduli(plan, ids, kind),
+        poisson=columns.get("poisson", np.full(n, scene.cells.poisson)),
+        state=_states(columns, n),
+        age=np.zeros(n),
+        cycle_time=np.full(n, np.inf),
+        pressure=columns.get("pressure", np.zeros(n)),
+        kind=kind,
+        doomed=columns.get("doomed", np.zeros(n, dtype=np.int8)),
+        damage=columns.get("damage", np.zeros(n)),
+        lag=columns.get("lag", np.zeros(n)),
+    )
+    volume = (_in_phases if plan.order else _without_phases)(plan, cells, given)
+    cells.radius = columns.get("radius", np.cbrt(volume / SPHERE))
+    if given is None:
+        cells.position = _positions(scene, ids, cells.radius)
+        return cells
+    if "age" in columns:
+        cells.age = columns["age"]
+    elif cells.dead.any():
+        cells.age = np.where(cells.dead, 0.0, cells.age)
+    if plan.order and "parent" in columns:
+        cells.parent = _mothers(plan, cells, given)
+    return cells.copy()  # the table stays as it is
 
 
 def packed_ball(count: int) -> FloatArray:
@@ -59,52 +130,7 @@ def row(count: int) -> FloatArray:
     return sites
 
 
-def initial_cells(scene: Scene) -> Cells:
-    """Return the cells that a run starts with.
-
-    - ``scene``: its ``initial`` part says how many, how arranged, how far apart (centre distance
-      over mean diameter), how much displaced at random, and at which stage of growth; ``cells`` and
-      ``growth`` give size, moduli and cycle times
-
-    Returns Cells: identities 0 ... n - 1 from the centre outwards, in a row along x; parent -1, all
-    proliferating, centroid of the sites at the origin, pressure zero; with a table what it says
-    (:func:`multicell.biology.tabled.tabled_cells`).
-    """
-    initial = scene.initial
-    if initial.cells is not None:
-        from multicell.biology.tabled import tabled_cells
-
-        return tabled_cells(scene)
-    plan = biology_plan(scene)
-    ids = np.arange(initial.count, dtype=np.int64)
-    kind = draw_kinds(plan, ids)
-    phases = bool(plan.order)
-    lengths = draw_lengths(plan, ids, kind) if phases else np.empty((initial.count, 0))
-    cycle_time = lengths.sum(axis=1) if phases else draw_cycle_times(plan, ids, kind)
-    progress = stages(plan, ids, kind, cycle_time)
-    age = np.zeros(initial.count) if scene.growth is None else progress * cycle_time
-    cells = Cells(
-        id=ids,
-        parent=np.full(initial.count, -1),
-        position=np.zeros((initial.count, 3)),
-        radius=np.ones(initial.count),
-        young=draw_moduli(plan, ids, kind),
-        poisson=np.full(initial.count, scene.cells.poisson),
-        state=np.full(initial.count, State.PROLIFERATING, dtype=np.int8),
-        age=age,
-        cycle_time=cycle_time,
-        pressure=np.zeros(initial.count),
-        kind=kind,
-    )
-    volume = (
-        place_in_cycle(plan, cells, lengths, progress) if phases else volume_ratio(plan, progress)
-    )
-    cells.radius = np.cbrt(plan.birth_volume * volume / SPHERE)
-    cells.position = _positions(scene, ids, cells.radius)
-    return cells
-
-
-def _positions(scene: Scene, ids: NDArray[np.int64], radius: FloatArray) -> FloatArray:
+def _positions(scene: Scene, ids: IntArray, radius: FloatArray) -> FloatArray:
     """Return the starting positions (n, 3), µm, of cells with these radii, (n,) µm."""
     diameter = 2.0 * float(radius.mean())
     flat = scene.dimensions == 2
@@ -117,3 +143,108 @@ def _positions(scene: Scene, ids: NDArray[np.int64], radius: FloatArray) -> Floa
         z[:, 2] *= not flat
         position = position + scene.initial.jitter * diameter * z
     return position
+
+
+def _mothers(plan: BiologyPlan, cells: Cells, given: Given) -> IntArray:
+    """Return the mothers of sisters that part, -1 for all other cells.
+
+    Only of those does it matter: they are in M together, where division is smooth.
+    """
+    assert plan.growth is not None
+    mother = np.full(len(cells), -1, dtype=np.int64)
+    if plan.growth.division != "smooth":
+        return mother
+    named = given.columns["parent"]
+    young = np.flatnonzero((cells.phase == Phase.M) & (named >= 0))
+    _, place, number = np.unique(named[young], return_inverse=True, return_counts=True)
+    crowd = np.zeros(len(cells), dtype=bool)
+    crowd[young] = number[place] > 2
+    given.refuse(crowd, "parent", "is {}, the mother of more than two cells in M")
+    sisters = young[number[place] == 2]
+    mother[sisters] = named[sisters]
+    return mother
+
+
+def _states(columns: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.int8]:
+    """Return the states of the cells; those in G0 rest where nothing else is said."""
+    if "state" in columns:
+        return columns["state"]
+    phase = columns.get("phase", np.full(count, Phase.G1))
+    resting = phase.any() & (phase == Phase.G0)
+    return np.where(resting, np.int8(State.QUIESCENT), np.int8(State.PROLIFERATING))
+
+
+def _volumes(plan: BiologyPlan, given: Given | None) -> FloatArray | None:
+    """Return the volumes of the cells over that at birth, (n,), if a table tells them."""
+    radius = None if given is None else given.columns.get("radius")
+    return None if radius is None else np.asarray(SPHERE * radius**3 / plan.birth_volume)
+
+
+def _without_phases(plan: BiologyPlan, cells: Cells, given: Given | None) -> FloatArray:
+    """Give cells cycle times and ages; return their volumes, µm³."""
+    drawn = draw_cycle_times(plan, cells.id, cells.kind)
+    cells.cycle_time = drawn if given is None else given.columns.get("cycle_time", drawn)
+    volume = _volumes(plan, given)
+    if volume is not None:
+        progress = share_of_growth(plan, volume)
+    elif given is not None and "age" in given.columns and plan.growth is not None:
+        progress = _share_of_cycle(cells, given, cells.cycle_time)
+    else:
+        progress = stages(plan, cells.id, cells.kind, cells.cycle_time)
+    if plan.growth is not None:
+        cells.age = progress * cells.cycle_time
+    ratio = volume_ratio(plan, progress) if volume is None else volume
+    return np.asarray(plan.birth_volume * ratio)
+
+
+def _in_phases(plan: BiologyPlan, cells: Cells, given: Given | None) -> FloatArray:
+    """Give cells their place in the cycle; return their volumes, µm³."""
+    lengths = draw_lengths(plan, cells.id, cells.kind)
+    whole = lengths.sum(axis=1)
+    if given is None:
+        share = stages(plan, cells.id, cells.kind, whole)
+        return np.asarray(plan.birth_volume * place_in_cycle(plan, cells, lengths, share))
+    columns = given.columns
+    cells.cycle_time = columns.get("cycle_time", growing_time(plan, lengths))
+    volume = _volumes(plan, given)
+    if "phase" in columns:
+        cells.phase = columns["phase"]
+        _in_given_phase(plan, cells, given, lengths)
+    elif volume is not None:
+        place_by_volume(plan, cells, volume)
+    else:
+        share = stages(plan, cells.id, cells.kind, whole)
+        if "age" in columns:
+            share = _share_of_cycle(cells, given, whole)
+        own = cells.cycle_time
+        place_in_cycle(plan, cells, lengths, share)
+        cells.cycle_time = own
+    cells.age = time_before_phase(plan, cells)[:, 0] + cells.progress
+    return np.asarray(plan.birth_volume * volume_in_phase(plan, cells))
+
+
+def _in_given_phase(plan: BiologyPlan, cells: Cells, given: Given, lengths: FloatArray) -> None:
+    """Say how long cells are to be in the phases that the table gives, and have been."""
+    columns, resting = given.columns, cells.phase == Phase.G0
+    own = np.where(resting, 0.0, lengths[np.arange(len(cells)), cells.phase - 1])
+    cells.phase_length = columns.get("phase_length", own)
+    if "progress" in columns:
+        cells.progress = columns["progress"]
+        beyond = (cells.progress > cells.phase_length) & ~cells.dead
+        problem = "is {}, more than the length of the phase that is drawn for the cell"
+        hint = "Give a column 'phase_length_s', or leave progress out."
+        given.refuse(beyond, "progress", problem, hint)
+        return
+    share = np.zeros(len(cells))
+    if plan.stage != "birth":
+        share = random.uniform(plan.seed, Purpose.STAGE, 0, cells.id)[:, 0]
+    cells.progress = share * cells.phase_length
+
+
+def _share_of_cycle(cells: Cells, given: Given, cycle: FloatArray) -> FloatArray:
+    """Return the part of the cycle that cells have behind them by their age, (n,)."""
+    share = given.columns["age"] / cycle
+    share = np.where(cells.dead, 0.0, share)  # the age of the dead counts from their death
+    hint = "Give a column 'radius_um': of cells that have rested the age does not tell the size."
+    given.refuse(share >= 1.0, "age", "is {}, beyond the cycle time of the cell", hint)
+    return share

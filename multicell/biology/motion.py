@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multicell.biology import adhesion
 from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
 from multicell.biology.driven import Named, prescribed
-from multicell.biology.inflow import inflow_drag
 from multicell.biology.responding import value_of
 from multicell.biology.surface import surface_force
-from multicell.cells import Cells, FloatArray
+from multicell.cells import Cells, FloatArray, Found, IntArray, stokes_drag
 from multicell.mechanics.motion import Motion
-from multicell.results.observables import contact_rows
+from multicell.results.observables import Extent, centre, contact_rows, distances, packing_ratio
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from multicell.biology.plan import BiologyPlan
 
 
@@ -31,9 +26,9 @@ def motion_of(
     begin: float,
     end: float,
     *,
-    concentrations: Mapping[str, FloatArray],
-    gradients: Mapping[str, FloatArray],
-    contacts: NDArray[np.int64],
+    concentrations: Found,
+    gradients: Found,
+    contacts: IntArray,
     named: Named | None = None,
 ) -> Motion:
     """Return what mechanics must know of the cells between two times.
@@ -60,7 +55,7 @@ def motion_of(
         young = young * stiffness
     return Motion(
         cells.radius, rate, young, cells.poisson, begin, end,
-        bonds=adhesion.bonds(plan, cells, concentrations, begin, end),
+        bonds=bonds(plan, cells, concentrations, begin, end),
         push=pushed,
         kind=cells.kind if plan.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
@@ -68,3 +63,80 @@ def motion_of(
         offset=None if apart is None else apart[1],
         held=held, velocity=velocity,
     )  # fmt: skip
+
+
+def bonds(
+    plan: BiologyPlan, cells: Cells, concentrations: Found, begin: float, end: float
+) -> FloatArray | None:
+    """Return receptors and ligands at ``begin`` and their rates up to ``end``, (n, 4), or None.
+
+    At ``begin`` they are those of the cells. At ``end`` they are the type's course at that time,
+    times the factors of the concentrations that it finds at ``begin``. Between the two times they
+    run linearly, so that a course with a kink between two coupling times is cut there.
+    """
+    if plan.adhesion is None:
+        return None
+    now = np.stack([cells.receptor, cells.ligand], axis=1)
+    then = bond_levels(plan, cells, concentrations, end)
+    rate = (then - now) / (end - begin) if end > begin else np.zeros_like(now)
+    return np.ascontiguousarray(np.hstack([now, rate]))
+
+
+def bond_levels(plan: BiologyPlan, cells: Cells, concentrations: Found, time: float) -> FloatArray:
+    """Return the receptors and ligands that cells have at a time in these conditions, (n, 2).
+
+    Concentrations that are not known yet have no effect.
+    """
+    levels = np.array([part.bonds(time) for part in plan.types.values()])[cells.kind]
+    for column, behaviour in enumerate(("receptors", "ligands")):
+        response = value_of(plan, behaviour, 1.0, concentrations, cells, early=True)
+        if response is not None:
+            levels[:, column] *= response
+    return np.asarray(levels)
+
+
+def inflow_velocity(
+    cells: Cells, radius: FloatArray, dt: float, dimensions: int, removal: float
+) -> FloatArray | None:
+    """Return the velocity of the medium at each cell, (n, 3) µm/s; None where it is at rest.
+
+    What a dead cell loses leaves the tissue as fluid, and tissue takes its place. Stokes drag
+    against a medium at rest would hold up that inflow, and a core would come apart in place of
+    closing. So the medium moves as an incompressible one with these sinks does: div u = -q, about
+    the centre of all cells. With Q(r) the volume of tissue that is lost within r per time,
+
+        u = -Q(r) / (4πr²) in space, -Q(r) / (2πr) in a plane,
+
+    which keeps the part of space that cells fill. A cell that loses v makes room for v over that
+    part.
+
+    - ``radius``, (n,), µm: of the cells after a time ``dt`` in s
+    - ``removal``: part of their volume with which cells vanish; its loss is spread over the rest
+    """
+    d = dimensions
+    lost = np.where(cells.dead, cells.radius**d - radius**d, 0.0)
+    lost = np.maximum(lost, 0.0)  # the dead may swell, which their contacts see to
+    if not dt > 0.0 or not lost.any():
+        return None
+    origin = centre(cells, d)
+    far = distances(cells, origin)
+    order = np.argsort(far, kind="stable")
+    within = np.empty(len(cells))
+    within[order] = np.cumsum(lost[order]) - lost[order]  # no cell moves itself
+    rate = within / (1.0 - removal) / packing_ratio(cells, d, Extent(cells, d, origin)) / dt
+    # volumes of balls and areas of discs over those of the unit ball or disc: hence 1/d
+    inward = np.divide(rate, d * far**d, out=np.zeros(len(cells)), where=far > 0.0)
+    return -inward[:, None] * (cells.position - origin)
+
+
+def inflow_drag(
+    plan: BiologyPlan, cells: Cells, radius: FloatArray, dt: float
+) -> FloatArray | None:
+    """Return the force of the moving medium on each cell, 6πηr u: (n, 3) nN, or None."""
+    if plan.inflow == 0.0 or plan.death is None:
+        return None
+    removal = plan.death.removal_fraction
+    velocity = inflow_velocity(cells, radius, dt, plan.dimensions, removal)
+    if velocity is None:
+        return None
+    return stokes_drag(plan.inflow) * cells.radius[:, None] * velocity

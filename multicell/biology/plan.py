@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multicell.biology.responding import bind_responses, missing_signals
-from multicell.cells import Phase
+from multicell.cells import Mask, Phase
 from multicell.scene.pairs import surface_energies
 from multicell.scene.sizes import birth_volume, division_volume
 from multicell.units import oxygen_solubility
 
 if TYPE_CHECKING:
-    from multicell.behaviours.growth_laws.law import GrowthLaw
+    from multicell.behaviours.growth_laws.laws import GrowthLaw
     from multicell.biology.responding import BoundResponse
     from multicell.cells import FloatArray
     from multicell.contact.law import PairLaw
@@ -78,7 +77,7 @@ class BiologyPlan:
     division_volume: float
     law: GrowthLaw | None
     order: tuple[Phase, ...]
-    grows: NDArray[np.bool_]
+    grows: Mask
     restricted: bool
     stage: str
     varies: bool
@@ -126,10 +125,13 @@ _OF_CELLS: Final = ("young", "young_variation", "heritable", "reaction_time")
 def biology_plan(scene: Scene) -> BiologyPlan:
     """Return what biology needs of a scene."""
     growth, cells, kinds = scene.growth, scene.cells, list(scene.types.values())
-    phases = growth is not None and bool(growth.phases)
+    phases = {} if growth is None else growth.phases
+    order = (Phase.G1, Phase.S, Phase.G2, Phase.M)
+    if growth is not None and growth.division == "smooth":
+        order = (Phase.M, *order[:-1])
     own = [kind.young for kind in kinds]
     known = bind_responses(scene)
-    growth_signals = {name for part in known.get("growth rate", ()) for name in part.signals}
+    growth_signals = {name for part in known.get("growth rate", ()) for name in part.needs}
     rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
     ratio = [1.0 if young is None else young / cells.young for young in own]
     oxygen = [part.oxygen for part in scene.radiation.values() if part.oxygen]
@@ -138,9 +140,9 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         birth_volume=birth_volume(scene),
         division_volume=division_volume(scene),
         law=None if growth is None else growth.growth_law,
-        order=_order(growth) if growth is not None and phases else (),
-        grows=np.array([_grows(growth, phase) for phase in Phase]),
-        restricted=growth is not None and phases and growth.restriction,
+        order=order if phases else (),
+        grows=np.array([p.name in phases and phases[p.name].grows for p in Phase]),
+        restricted=growth is not None and bool(phases) and growth.restriction,
         stage=scene.initial.stage,
         varies=_varies(scene),
         founders=founders(scene),
@@ -183,14 +185,3 @@ def _varies(scene: Scene) -> bool:
     if growth.phases:
         return any(part.distribution != "fixed" for part in growth.phases.values())
     return growth.cycle_variation > 0.0 and "cycle_time" not in scene.cells.heritable
-
-
-def _order(growth: Growth) -> tuple[Phase, ...]:
-    if growth.division == "smooth":
-        return (Phase.M, Phase.G1, Phase.S, Phase.G2)
-    return (Phase.G1, Phase.S, Phase.G2, Phase.M)
-
-
-def _grows(growth: Growth | None, phase: Phase) -> bool:
-    known = {} if growth is None else growth.phases
-    return phase.name in known and known[phase.name].grows

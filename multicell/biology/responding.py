@@ -24,26 +24,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.behaviours.catalogue import needs_contacts
-from multicell.behaviours.laws import Constant, ResponseLaw, Threshold
+from multicell.behaviours.catalogue import CONTACTS, CROWDED, needs_contacts
+from multicell.behaviours.laws import Constant, Threshold
 from multicell.random import Purpose
+from multicell.results.observables import contact_rows
 from multicell.scene.responses import Effect, effects
+from multicell.vectors import lengths
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
-    from multicell.cells import Cells, FloatArray
+    from multicell.cells import Cells, FloatArray, Found, IntArray, Mask
     from multicell.scene.scene import Scene
 
-    Found = Mapping[str, FloatArray]
 
 _OF_CELLS: Final = ("age", "volume", "radius")
+
+
+Level = Callable[["Found", "Cells | None", "FloatArray | None"], Any]
+"""What returns a signal, (n,), from what cells find, the cells and their pressure."""
 
 
 @final
@@ -51,44 +55,43 @@ _OF_CELLS: Final = ("age", "volume", "radius")
 class BoundResponse:
     """A response ready for arrays of cells.
 
-    - ``level``: returns the signal, (n,), from what cells find, the cells and their pressure
-    - ``law``, ``falls``, ``low``, ``high``, ``combine``, ``short``: as in
-      :class:`multicell.scene.responses.Effect`
+    - ``effect``: what it is in the scene
+    - ``level``: returns its signal
+    - ``needs``: names of all signals that it is made from
     - ``mask``, (types,) bool, or None: which types respond; None for all
-    - ``signals``: names of all signals that it is made from
-    - ``yes_or_no``: whether its value is zero or one, as booleans
     """
 
-    level: Callable[[Found, Cells | None, FloatArray | None], Any]
-    law: ResponseLaw
-    falls: bool
-    low: float
-    high: float
-    combine: str
-    short: bool
-    mask: NDArray[np.bool_] | None
-    signals: frozenset[str]
-    yes_or_no: bool
+    effect: Effect
+    level: Level
+    needs: frozenset[str]
+    mask: Mask | None
+
+    @property
+    def yes_or_no(self) -> bool:
+        """Whether its value is zero or one, as booleans."""
+        ends = self.effect.low, self.effect.high
+        return isinstance(self.effect.law, Threshold) and ends == (0.0, 1.0)
 
     @property
     def is_local(self) -> bool:
         """Whether fields and pressure at a place are all that it depends on."""
-        others = [name in _OF_CELLS or name == "time" or needs_contacts(name)
-                  for name in self.signals]  # fmt: skip
+        others = (name in _OF_CELLS or _is_elsewhere(name) for name in self.needs)
         return self.mask is None and not any(others)
 
     def share(self, found: Found, cells: Cells | None, pressure: FloatArray | None = None) -> Any:
         """Return the share of the full effect, (n,); booleans for a threshold."""
-        return self.law.share(self.level(found, cells, pressure), falls=self.falls)
+        level = self.level(found, cells, pressure)
+        return self.effect.law.share(level, falls=self.effect.falls)
 
     def value(self, found: Found, cells: Cells | None, pressure: FloatArray | None = None) -> Any:
         """Return the value of the behaviour under this response alone, (n,)."""
-        share = self.share(found, cells, pressure)
-        if self.low == 0.0 and self.high == 1.0:
+        share, low, high = self.share(found, cells, pressure), self.effect.low, self.effect.high
+        if low == 0.0 and high == 1.0:
             return share
-        if math.isinf(self.high):
-            return np.where(share, self.high, self.low)
-        return self.low + (self.high - self.low) * share
+        return np.where(share, high, low) if math.isinf(high) else low + (high - low) * share
+
+
+Known = tuple[BoundResponse, ...]
 
 
 def bind_responses(scene: Scene) -> dict[str, tuple[BoundResponse, ...]]:
@@ -104,47 +107,42 @@ def bind_responses(scene: Scene) -> dict[str, tuple[BoundResponse, ...]]:
         if effect.types or others:
             who = effect.types or [kind for kind in kinds if kind not in others]
             mask = np.array([kind in who for kind in kinds])
-        made.setdefault(effect.behaviour, []).append(_bound(scene, effect, mask))
+        level, needs = _level(scene, effect.signals)
+        bound = BoundResponse(effect, level, frozenset(needs), mask)
+        made.setdefault(effect.behaviour, []).append(bound)
     return {name: tuple(bound) for name, bound in made.items()}
 
 
-def _bound(scene: Scene, effect: Effect, mask: NDArray[np.bool_] | None) -> BoundResponse:
-    level, names = _level(scene, effect.signals)
-    return BoundResponse(
-        level, effect.law, effect.falls, effect.low, effect.high, effect.combine, effect.short,
-        mask, frozenset(names),
-        isinstance(effect.law, Threshold) and (effect.low, effect.high) == (0.0, 1.0),
-    )  # fmt: skip
-
-
-def _level(scene: Scene, signals: tuple[str, ...]) -> tuple[Callable[..., Any], set[str]]:
+def _level(scene: Scene, signals: tuple[str, ...]) -> tuple[Level, set[str]]:
     """Return what finds signals, and the names of all that they are made from."""
     if not signals:
         return _count, set()
-    parts = [_one_level(scene, name) for name in signals]
-    names = set().union(*(found for _, found in parts))
-    if len(parts) == 1:
-        return parts[0][0], names
-    return partial(_together, tuple(level for level, _ in parts)), names
+    levels, names = zip(*(_one_level(scene, name) for name in signals), strict=True)
+    if len(levels) == 1:
+        return levels[0], names[0]
+    return lambda *at: tuple(level(*at) for level in levels), set().union(*names)
 
 
-def _one_level(scene: Scene, name: str) -> tuple[Callable[..., Any], set[str]]:
+def _one_level(scene: Scene, name: str) -> tuple[Level, set[str]]:
     if name == "ATP":
-        assert scene.energy is not None
-        supply = partial(scene.energy.supply, scene.nutrients)
-        return partial(_of_fields, supply), set(scene.energy.yields or ())
+        energy, fields = scene.energy, scene.nutrients
+        assert energy is not None
+        return lambda found, *_: energy.supply(fields, found), set(energy.yields or ())
     if name == "pressure":
         return _pressure, {name}
     if name in _OF_CELLS:
-        return partial(_column, name), {name}
-    if name in scene.signals:
-        part = scene.signals[name]
-        inner = [_one_level(scene, other) for other in part.of]
-        levels = tuple(level for level, _ in inner)
-        scales = tuple(float(scale) for scale in part.of.values())
-        made = partial(_derived, levels, scales, part.combine)
-        return made, set().union(*(names for _, names in inner))
-    return partial(_found, name), {name}
+        return lambda _, cells, __: getattr(cells, name), {name}
+    if name not in scene.signals:
+        return lambda found, *_: found[name], {name}
+    part = scene.signals[name]
+    levels, names = zip(*(_one_level(scene, other) for other in part.of), strict=True)
+    scales = tuple(float(scale) for scale in part.of.values())
+
+    def derived(*at: Any) -> FloatArray:
+        parts = [level(*at) / scale for level, scale in zip(levels, scales, strict=True)]
+        return np.asarray(_DERIVED[part.combine](np.stack(np.broadcast_arrays(*parts))))
+
+    return derived, set().union(*names)
 
 
 def _count(found: Found, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
@@ -153,24 +151,8 @@ def _count(found: Found, cells: Cells | None, pressure: FloatArray | None) -> Fl
     return np.zeros(0 if like is None else len(like))
 
 
-def _found(name: str, found: Found, cells: Any, pressure: Any) -> FloatArray:
-    return found[name]
-
-
-def _of_fields(supply: Callable[[Found], FloatArray], found: Found, *_: Any) -> FloatArray:
-    return supply(found)
-
-
-def _pressure(found: Found, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
+def _pressure(_: Found, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
     return cast("Cells", cells).pressure if pressure is None else pressure
-
-
-def _column(name: str, found: Found, cells: Cells, pressure: Any) -> FloatArray:
-    return cast("FloatArray", getattr(cells, name))
-
-
-def _together(levels: tuple[Callable[..., Any], ...], *at: Any) -> tuple[Any, ...]:
-    return tuple(level(*at) for level in levels)
 
 
 _DERIVED: Final[Mapping[str, Callable[..., Any]]] = {
@@ -179,13 +161,6 @@ _DERIVED: Final[Mapping[str, Callable[..., Any]]] = {
     "minimum": np.minimum.reduce,
     "maximum": np.maximum.reduce,
 }
-
-
-def _derived(
-    levels: tuple[Callable[..., Any], ...], scales: tuple[float, ...], combine: str, *at: Any
-) -> FloatArray:
-    parts = [level(*at) / scale for level, scale in zip(levels, scales, strict=True)]
-    return np.asarray(_DERIVED[combine](np.stack(np.broadcast_arrays(*parts))))
 
 
 def value_of(
@@ -208,23 +183,21 @@ def value_of(
     if known is None:
         return None
     if early:
-        known = tuple(part for part in known if part.signals <= {*found, *_OF_CELLS, "pressure"})
+        known = tuple(part for part in known if part.needs <= {*found, *_OF_CELLS, "pressure"})
         if not known:
             return None
     out = combine(known, own, found, cells, cells.pressure)
-    return np.maximum(out, 0.0) if known[-1].combine == "sum" and behaviour != "bias" else out
+    return (
+        np.maximum(out, 0.0) if known[-1].effect.combine == "sum" and behaviour != "bias" else out
+    )
 
 
 def combine(
-    known: tuple[BoundResponse, ...],
-    own: float,
-    found: Found,
-    cells: Cells | None,
-    pressure: FloatArray,
+    known: Known, own: float, found: Found, cells: Cells | None, pressure: FloatArray
 ) -> FloatArray:
     """Return the value that responses of one behaviour make of its own one, (n,)."""
     out = np.full(len(pressure), own)
-    rule = known[-1].combine if known else ""
+    rule = known[-1].effect.combine if known else ""
     if rule == "physicell":
         return _physicell(known, own, found, cells, pressure)
     for place, part in enumerate(known):
@@ -247,27 +220,26 @@ def _kind(cells: Cells | None) -> NDArray[np.int16]:
 
 
 def _physicell(
-    known: tuple[BoundResponse, ...],
-    own: float,
-    found: Found,
-    cells: Cells | None,
-    pressure: FloatArray,
+    known: Known, own: float, found: Found, cells: Cells | None, pressure: FloatArray
 ) -> FloatArray:
     """Return the values under PhysiCell's rule, (n,)."""
     base, graded = np.full(len(pressure), own), []
     for part in known:
         here = True if part.mask is None else part.mask[_kind(cells)]
-        if isinstance(part.law, Constant):
-            base = np.where(here, part.high, base)
+        if isinstance(part.effect.law, Constant):
+            base = np.where(here, part.effect.high, base)
         else:
             graded.append((part, here))
     none = np.zeros(len(pressure))
     sums, ends = {True: none, False: none}, {True: base, False: base}
     for part, here in graded:
         # the value at a high signal decides whether the signal raises or lowers the behaviour
-        start, end = (part.high, part.low) if part.falls else (part.low, part.high)
+        effect = part.effect
+        start, end = effect.low, effect.high
+        if effect.falls:
+            start, end = end, start
         rises, share = end > start, np.asarray(part.share(found, cells, pressure), dtype=float)
-        share = 1.0 - share if part.falls else share
+        share = 1.0 - share if effect.falls else share
         with np.errstate(divide="ignore"):
             odds = share / (1.0 - share)
         sums[rises] = sums[rises] + np.where(here, odds, 0.0)
@@ -277,7 +249,7 @@ def _physicell(
     return np.asarray((1.0 - down) * ((1.0 - up) * base + up * ends[True]) + down * ends[False])
 
 
-def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> NDArray[np.bool_]:
+def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
     """Return which cells would rest here, (n,).
 
     A chance p is the part of cells that rest: each has its own level, drawn once for its life, and
@@ -308,22 +280,85 @@ def rate_of_harm(
     """
     known = plan.responses.get(behaviour, ())
     if cells is None:
-        known = tuple(part for part in known if part.is_local and "pressure" not in part.signals)
+        known = tuple(part for part in known if part.is_local and "pressure" not in part.needs)
     hazard = None
-    named = tuple(part for part in known if not part.short)
-    if named and named[-1].combine == "physicell":
+    named = tuple(part for part in known if not part.effect.short)
+    if named and named[-1].effect.combine == "physicell":
         pressure = _count(found, None, None) if cells is None else cells.pressure
         hazard = combine(named, 0.0, found, cells, pressure)
         known = known[: -len(named)]
     for part in known:
         value = part.value(found, cells)
         before = np.zeros(len(value)) if hazard is None else hazard
-        new = np.maximum(before, value) if part.short else before + value
+        new = np.maximum(before, value) if part.effect.short else before + value
         hazard = new if part.mask is None else np.where(part.mask[_kind(cells)], new, before)
     return hazard
 
 
 def missing_signals(responses: Mapping[str, tuple[BoundResponse, ...]]) -> frozenset[str]:
     """Return the signals that neither fields nor cells carry: time, and what neighbours make."""
-    named = {name for known in responses.values() for part in known for name in part.signals}
-    return frozenset(name for name in named if name == "time" or needs_contacts(name))
+    named = {name for known in responses.values() for part in known for name in part.needs}
+    return frozenset(filter(_is_elsewhere, named))
+
+
+def _is_elsewhere(name: str) -> bool:
+    return name == "time" or needs_contacts(name)
+
+
+def other_signals(
+    plan: BiologyPlan, cells: Cells, contacts: IntArray, time: float
+) -> dict[str, FloatArray]:
+    """Return the signals besides fields that the responses of a plan need, name -> (n,).
+
+    - ``contacts``, (m, 2): identities of the cells that touched at the end of the last motion. Of
+      cells that were born since, those count that overlap.
+    - ``time``: simulated time, s
+    """
+    out = {}
+    if "time" in plan.elsewhere:
+        out["time"] = np.full(len(cells), time)
+    counted = plan.elsewhere - {"time"}
+    if not counted:
+        return out
+    pairs = np.concatenate([contact_rows(cells, contacts), _of_newborn(cells)])
+    first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
+    names = list(plan.types)
+    for name in sorted(counted):
+        who, weight = np.ones(len(first), dtype=bool), None
+        if name == "crowding":
+            weight = _overlap(cells, first, second) ** 2 / CROWDED
+        elif name == "dead neighbours":
+            who = cells.dead[second]
+        elif name == "neighbours":
+            who = ~cells.dead[second]
+        else:
+            kind = names.index(name.removeprefix(CONTACTS))
+            who = (cells.kind[second] == kind) & ~cells.dead[second]
+        out[name] = np.bincount(first[who], weight, minlength=len(cells)).astype(float)
+    return out
+
+
+def _overlap(cells: Cells, first: IntArray, second: IntArray) -> FloatArray:
+    """Return the overlap of pairs of cells over the sum of their radii, (m,), zero if apart."""
+    distance = lengths(cells.position[first] - cells.position[second])
+    reach = cells.radius[first] + cells.radius[second]
+    return np.asarray(np.maximum(1.0 - distance / reach, 0.0))
+
+
+def _of_newborn(cells: Cells) -> IntArray:
+    """Return the pairs that overlap of which one cell has just been born, (m, 2) rows."""
+    born = np.flatnonzero((cells.age == 0.0) & (cells.parent >= 0) & ~cells.dead)
+    if not born.size:
+        return np.empty((0, 2), dtype=np.int64)
+    from scipy.spatial import cKDTree
+
+    reach = cells.radius[born] + float(cells.radius.max())
+    near = cKDTree(cells.position).query_ball_point(cells.position[born], reach)
+    first = np.repeat(born, [len(rows) for rows in near])
+    second = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near])
+    distance = lengths(cells.position[first] - cells.position[second])
+    newborn = np.isin(second, born)
+    # a pair of two newborn cells is found from both sides
+    keep = (distance < cells.radius[first] + cells.radius[second]) & (first != second)
+    keep &= ~newborn | (first < second)
+    return np.stack([first[keep], second[keep]], axis=1)

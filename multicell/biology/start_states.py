@@ -16,21 +16,18 @@ the start.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multicell.biology.cycle import time_before_phase, volume_in_phase
 from multicell.biology.responding import rate_of_harm, wants_rest
-from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
+from multicell.cells import SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
 
-    Concentrations = Mapping[str, FloatArray]
-    Mask = NDArray[np.bool_]
 
 MAX_PASSES: Final = 20
 """Passes in which resting and dead cells are found in turn."""
@@ -55,7 +52,7 @@ class StartStates:
         self,
         plan: BiologyPlan,
         cells: Cells,
-        field: Callable[[Cells], Concentrations],
+        field: Callable[[Cells], Found],
         *,
         tabled: bool = False,
     ) -> None:
@@ -69,7 +66,7 @@ class StartStates:
         self.dead = np.zeros(len(cells), dtype=bool)
         self._few = int(_PART_OF_LAYER * len(cells) ** (2.0 / 3.0))
 
-    def find(self, found: Concentrations) -> tuple[Cells, int]:
+    def find(self, found: Found) -> tuple[Cells, int]:
         """Return the cells in their states, and how many of them do not fit their field.
 
         ``found`` is what they find with the states that they have now.
@@ -86,10 +83,10 @@ class StartStates:
         left |= awake & wants_rest(self._plan, now, found)
         return now, int(left.sum())
 
-    def _let_rest(self, found: Concentrations) -> Concentrations:
+    def _let_rest(self, found: Found) -> Found:
         """Let cells rest that find too little, and wake those that find enough."""
 
-        def poor(found: Concentrations) -> Mask:
+        def poor(found: Found) -> Mask:
             lacking = wants_rest(self._plan, self._first, found)
             return np.asarray(self._may_rest & ~self.dead & lacking)
 
@@ -100,16 +97,16 @@ class StartStates:
             return found
         return self._turn(self.rests, pool, poor, found, resting=True)
 
-    def _let_die(self, found: Concentrations) -> Concentrations:
+    def _let_die(self, found: Found) -> Found:
         """Let the cells die that cannot live with what they find."""
 
-        def starved(found: Concentrations) -> Mask:
+        def starved(found: Found) -> Mask:
             return np.asarray(self._may_die & ~self.dead & self._starve(found))
 
         pool = np.flatnonzero(starved(found))
         return self._turn(self.dead, pool, starved, found, resting=False) if pool.size else found
 
-    def _starve(self, found: Concentrations) -> Mask:
+    def _starve(self, found: Found) -> Mask:
         """Return which cells would die at once of what they find, (n,)."""
         hazard = rate_of_harm(self._plan, "necrosis rate", found, self._first)
         return np.zeros(len(self.dead), dtype=bool) if hazard is None else np.isinf(hazard)
@@ -117,12 +114,12 @@ class StartStates:
     def _turn(
         self,
         turned: Mask,
-        pool: NDArray[np.int64],
-        short: Callable[[Concentrations], Mask],
-        found: Concentrations,
+        pool: IntArray,
+        short: Callable[[Found], Mask],
+        found: Found,
         *,
         resting: bool,
-    ) -> Concentrations:
+    ) -> Found:
         """Turn the poorest of a pool, as few as leave no other cell short; return what cells find.
 
         ``turned`` is changed.
@@ -184,7 +181,7 @@ def _rest_for_long(plan: BiologyPlan, cells: Cells) -> Cells:
     return rested
 
 
-def _plenty(plan: BiologyPlan, cells: Cells, found: Concentrations, resting: bool) -> FloatArray:
+def _plenty(plan: BiologyPlan, cells: Cells, found: Found, resting: bool) -> FloatArray:
     """Return what cells find over their thresholds, the smallest ratio of each cell, (n,).
 
     Those that rest because of pressure have less than none.
@@ -193,12 +190,12 @@ def _plenty(plan: BiologyPlan, cells: Cells, found: Concentrations, resting: boo
     # over a threshold next to nothing a ratio may be infinite; one of zero excludes nobody
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         for part in plan.responses.get("rest" if resting else "necrosis rate", ()):
-            level, middle = part.level(found, cells, None), part.law.middle
-            if part.signals == {"pressure"}:
+            level, middle = part.level(found, cells, None), part.effect.law.middle
+            if part.needs == {"pressure"}:
                 ratio = np.where(part.share(found, cells) > 0.0, -1.0, np.inf)
             elif middle == 0.0:
                 continue
-            elif part.falls == (part.high > part.low):
+            elif part.effect.falls == (part.effect.high > part.effect.low):
                 ratio = level / middle
             else:
                 ratio = np.where(level > 0.0, middle / level, np.inf)

@@ -5,29 +5,23 @@ Each function returns a new population, or what is needed to make one, and chang
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multicell.biology.adhesion import bond_levels
 from multicell.biology.cycle import Cycling, advance, leave_rest, phase_pace
-from multicell.biology.death import damage_after, remove_lysed
 from multicell.biology.division import divide
-from multicell.biology.growth import volumes_after
+from multicell.biology.growth import corrected_factor, volumes_after
+from multicell.biology.motion import bond_levels
 from multicell.biology.responding import wants_rest
-from multicell.biology.splitting import corrected_factor
-from multicell.biology.states import deciding, update_states
-from multicell.cells import SPHERE, Cells, FloatArray
+from multicell.biology.states import damage_after, deciding, remove_lysed, update_states
+from multicell.cells import SPHERE, Cells, FloatArray, Found, Mask
 from multicell.scene.domain import check_inside
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
-
-Concentrations = Mapping[str, FloatArray]
 
 
 @final
@@ -60,7 +54,7 @@ class Events(NamedTuple):
 
 
 def grow(
-    plan: BiologyPlan, cells: Cells, concentrations: Concentrations, factor: FloatArray, dt: float
+    plan: BiologyPlan, cells: Cells, concentrations: Found, factor: FloatArray, dt: float
 ) -> Grown:
     """Return what growth makes of cells in a time ``dt`` (s).
 
@@ -80,7 +74,7 @@ def grow(
 
 
 def age_cells(
-    plan: BiologyPlan, cells: Cells, grown: Grown, concentrations: Concentrations,
+    plan: BiologyPlan, cells: Cells, grown: Grown, concentrations: Found,
     begin: float, end: float,
 ) -> tuple[Cells, float]:  # fmt: skip
     """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
@@ -99,9 +93,7 @@ def age_cells(
     return after, SPHERE * float(lost.sum())
 
 
-def bind(
-    plan: BiologyPlan, after: Cells, cells: Cells, concentrations: Concentrations, time: float
-) -> None:
+def bind(plan: BiologyPlan, after: Cells, cells: Cells, concentrations: Found, time: float) -> None:
     """Give ``after`` the receptors and ligands that ``cells`` have at a time in s."""
     if plan.adhesion is not None:
         levels = bond_levels(plan, cells, concentrations, time)
@@ -114,7 +106,7 @@ def divide_and_remove(
     next_id: int,
     time: float,
     dt: float,
-    found: Concentrations = MappingProxyType({}),
+    found: Found = MappingProxyType({}),
     factor: float | FloatArray = 1.0,
 ) -> Events:
     """Return the cells after all that changes their number at the end of a step.
@@ -135,11 +127,11 @@ def divide_and_remove(
 def decide(
     plan: BiologyPlan,
     cells: Cells,
-    concentrations: Concentrations,
+    concentrations: Found,
     step: int,
     dt: float,
     time: float,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Set damage and states of cells by what they find; return which have died, (n,) bool."""
     before = cells.state
     if "damage rate" in plan.responses:

@@ -246,7 +246,7 @@ def _note_short_times(source: str, changes: Mapping[str, Any], scene: Scene) -> 
 
 def name_law(spec: str) -> dict[str, str]:
     """Load a law of the user's own; return the key that takes it and the name in scenes."""
-    from multicell.behaviours.growth_laws.law import GrowthLaw
+    from multicell.behaviours.growth_laws.laws import GrowthLaw
     from multicell.behaviours.laws import ResponseLaw
     from multicell.contact.custom import load_law
 

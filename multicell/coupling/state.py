@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.biology.signals import other_signals
+from multicell.biology.responding import other_signals
 from multicell.coupling.timeline import Timeline
 from multicell.coupling.wall import PHASES, Phase
 from multicell.errors import SceneError

@@ -130,62 +130,39 @@ class Element:
 
 def read_xml(path: Path) -> Element:
     """Return the root element of an XML file."""
-    parser, tree = expat.ParserCreate(), _Tree(path.name)
-    tree.listen(parser)
+    parser, elements, above = expat.ParserCreate(), list[Element](), list[Element]()
+
+    def refuse(problem: str, hint: str = "") -> SceneError:
+        return SceneError(f"{path.name}, line {parser.CurrentLineNumber}", problem, hint)
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        if len(above) >= _MAX_DEPTH or len(elements) >= _MAX_ELEMENTS:
+            raise refuse("is nested too deeply, or too large")
+        name = attributes.get("name", attributes.get("ID", attributes.get("index", "")))
+        higher = f"{above[-1].path}/" if len(above) > 1 else ""
+        place = f"{higher}{tag}[{name}]" if name else f"{higher}{tag}"
+        made = Element(tag, attributes, place, path.name, parser.CurrentLineNumber)
+        elements.append(made)
+        if above:
+            above[-1].children.append(made)
+        above.append(made)
+
+    def text(characters: str) -> None:
+        above[-1].text += characters
+
+    def document_type(*_: object) -> None:
+        hint = "Entities may name files or grow without bound; remove <!DOCTYPE …>."
+        raise refuse("has a document type, which is not read", hint)
+
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler = begin, lambda _: above.pop()
+    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = text, document_type
     try:
         parser.Parse(read_text(path), True)
     except expat.ExpatError as error:
         problem = f"is not well-formed XML: {expat.errors.messages[error.code]}"
         raise SceneError(f"{path.name}, line {error.lineno}", problem) from None
-    assert tree.root is not None
-    return tree.root
-
-
-@final
-class _Tree:
-    """The elements as the parser meets them."""
-
-    def __init__(self, file: str) -> None:
-        self.file = file
-        self.root: Element | None = None
-        self._open: list[Element] = []
-        self._count = 0
-
-    def listen(self, parser: expat.XMLParserType) -> None:
-        """Have the parser call this object."""
-        self._parser = parser
-        parser.buffer_text = True
-        parser.StartElementHandler = self._begin
-        parser.EndElementHandler = self._end
-        parser.CharacterDataHandler = self._characters
-        parser.StartDoctypeDeclHandler = self._document_type
-
-    def _begin(self, tag: str, attributes: dict[str, str]) -> None:
-        self._count += 1
-        line = self._parser.CurrentLineNumber
-        if len(self._open) >= _MAX_DEPTH or self._count > _MAX_ELEMENTS:
-            raise SceneError(f"{self.file}, line {line}", "is nested too deeply, or too large")
-        name = attributes.get("name", attributes.get("ID", attributes.get("index", "")))
-        title = f"{tag}[{name}]" if name else tag
-        above = self._open[-1].path if len(self._open) > 1 else ""
-        path = f"{above}/{title}" if above else title
-        made = Element(tag, attributes, path, self.file, line)
-        if self._open:
-            self._open[-1].children.append(made)
-        else:
-            self.root = made
-        self._open.append(made)
-
-    def _end(self, tag: str) -> None:
-        self._open.pop()
-
-    def _characters(self, text: str) -> None:
-        self._open[-1].text += text
-
-    def _document_type(self, *_: object) -> None:
-        place = f"{self.file}, line {self._parser.CurrentLineNumber}"
-        hint = "Entities may name files or grow without bound; remove <!DOCTYPE …>."
-        raise SceneError(place, "has a document type, which is not read", hint)
+    return elements[0]
 
 
 _CONFIG = "config"

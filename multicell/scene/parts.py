@@ -8,8 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from multicell.behaviours.growth_laws.law import GrowthLaw
-from multicell.behaviours.growth_laws.registry import LAWS
+from multicell.behaviours.growth_laws.laws import LAWS, GrowthLaw
 from multicell.errors import SceneError
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS

@@ -31,14 +31,30 @@ def state(described, **columns):
     return biology_plan(described), cells
 
 
-@pytest.mark.parametrize("dose", [1e-3, 8e-3])
-def test_survivors_under_a_hill_kill_fall_exponentially_at_the_rate_of_the_dose(dose):
-    kill = {"behaviour": "death rate", "signal": "drug", "law": "hill", "half": "2 uM",
-            "power": 3, "largest": "0.2 1/h"}  # fmt: skip
-    made = scene(1500, responses=[kill]).with_changes({"nutrients.drug.boundary": dose})
-    dead = int(finished(made).cells.dead.sum())
-    rate = 0.2 * dose**3 / (0.002**3 + dose**3)
-    assert within(dead, 1500, 1.0 - math.exp(-6.0 * rate))
+@mc.response(parameters={"half": ""})
+def hypoxic_kill(drug, oxygen, p):
+    return drug / (p.half + drug) / (1.0 + oxygen)
+
+
+HILL = {"behaviour": "death rate", "signal": "drug", "law": "hill", "half": "2 uM",
+        "largest": "0.1 1/h"}  # fmt: skip
+KILLS = {
+    "little": (1e-3, {**HILL, "power": 3, "largest": "0.2 1/h"}, 1.0 / 9.0),
+    "much": (8e-3, {**HILL, "power": 3, "largest": "0.2 1/h"}, 64.0 / 65.0),
+    "a law of the user's own": (
+        2e-3, {"behaviour": "death rate", "signal": "drug, oxygen", "largest": "0.2 1/h",
+               "law": hypoxic_kill.scene_name(), "parameters": {"half": 0.002}}, 0.5 / 1.05,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kill", KILLS)
+def test_survivors_of_a_drug_fall_exponentially_at_the_rate_of_the_dose(kill):
+    dose, response, share = KILLS[kill]
+    constant = {"uptake": 0.0, "spacing": 20.0}
+    fields = {"drug": {"boundary": dose, **constant}, "oxygen": {"boundary": 0.05, **constant}}
+    dead = int(finished(scene(1500, nutrients=fields, responses=[response])).cells.dead.sum())
+    assert within(dead, 1500, 1.0 - math.exp(-6.0 * 0.2 * share))
 
 
 def test_two_clones_under_a_constant_drug_grow_at_their_own_rates():
@@ -235,7 +251,7 @@ def test_neighbours_are_counted_by_type_and_the_dead_apart():
             for name in ("neighbours", "dead neighbours", "contacts with b")
         ],
     })  # fmt: skip
-    from multicell.biology.signals import other_signals
+    from multicell.biology.responding import other_signals
 
     plan, cells = state(made)
     cells.kind[:] = [0, 1, 1]
@@ -279,8 +295,6 @@ def test_uptake_responds_to_another_field_and_the_ledger_closes():
     assert abs(halved.ledger["oxygen"].relative_remainder) < 1e-6
 
 
-HILL = {"behaviour": "death rate", "signal": "drug", "law": "hill", "half": "2 uM",
-        "largest": "0.1 1/h"}  # fmt: skip
 REFUSED = {
     "behaviour": ({**HILL, "behaviour": "deth rate"}, "behaviour: .*Did you mean"),
     "signal": ({**HILL, "signal": "drog"}, "signal: .*Did you mean 'drug'"),
@@ -324,26 +338,9 @@ def test_oxygen_is_given_as_a_pressure():
     assert made.responses["response_1"].half == pytest.approx(made.nutrients["oxygen"].boundary / 2)
 
 
-@mc.response(parameters={"half": ""})
-def hypoxic_kill(drug, oxygen, p):
-    return drug / (p.half + drug) / (1.0 + oxygen)
-
-
-def test_a_law_of_the_users_own_is_evaluated_in_a_run():
-    mc.testing.check_response(hypoxic_kill(half=0.5))
-    name = hypoxic_kill.scene_name()
-    made = scene(
-        1500,
-        nutrients={"drug": {"boundary": 0.002, "uptake": 0.0, "spacing": 20.0},
-                   "oxygen": {"boundary": 0.05, "uptake": 0.0, "spacing": 20.0}},
-        responses=[{"behaviour": "death rate", "signal": "drug, oxygen", "law": name,
-                    "parameters": {"half": 0.002}, "largest": "0.2 1/h"}],
-    )  # fmt: skip
-    rate = 0.2 * 0.5 / 1.05
-    assert within(int(finished(made).cells.dead.sum()), 1500, 1.0 - math.exp(-6.0 * rate))
-
-
 def test_a_law_that_breaks_its_promises_is_named():
+    mc.testing.check_response(hypoxic_kill(half=0.5))
+
     @mc.response(parameters={})
     def too_much(signal, p):
         return 2.0 * signal

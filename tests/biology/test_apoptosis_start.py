@@ -35,8 +35,9 @@ def alive(simulation):
     return int(np.isin(simulation.cells.state, (State.PROLIFERATING, State.QUIESCENT)).sum())
 
 
-@pytest.mark.parametrize("phases", [False, True])
-@pytest.mark.parametrize("stage", ["birth", "uniform", "asynchronous"])
+@pytest.mark.parametrize(
+    ("stage", "phases"), [("birth", False), ("uniform", True), ("asynchronous", False)]
+)
 def test_survivors_fall_exponentially_from_the_start(stage, phases):
     scene = described(stage, phases)
     simulation = Simulation(scene)
@@ -70,9 +71,9 @@ def test_cells_born_in_the_run_die_at_the_same_rate_as_those_of_the_start():
         assert low <= died[mine].sum() <= high
 
 
-@pytest.mark.parametrize("step", [600.0, 10 * HOUR])
-def test_who_dies_when_does_not_depend_on_the_coupling_step(step):
+def test_who_dies_when_does_not_depend_on_the_coupling_step():
     """Each life is drawn once: a coarser step notices the same deaths later."""
+    step = 10 * HOUR
     fine, coarse = (described(step=dt, count=500, rate=2e-5) for dt in (600.0, step))
     deaths = []
     for scene in (fine, coarse):

@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial import cKDTree
 
-from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
-from multicell.biology.durations import scatter_about
+from multicell.biology.draws import scatter_about
 from multicell.biology.growth import growth_factor, volumes_after
 from multicell.biology.initial import initial_cells, packed_ball
 from multicell.biology.plan import biology_plan
-from multicell.biology.states import deciding, update_states
+from multicell.biology.states import deciding, remove_lysed, update_states
 from multicell.cells import SPHERE, Cells, State
 from multicell.random import Purpose
 from multicell.scene.scene import Scene

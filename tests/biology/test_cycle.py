@@ -10,7 +10,7 @@ from scipy import stats
 import multicell as mc
 from multicell.biology.cycle import advance, enter_cycle, parting
 from multicell.biology.division import divide
-from multicell.biology.durations import draw_lengths, quantile
+from multicell.biology.draws import draw_lengths, quantile
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.cells import Phase, State
@@ -399,8 +399,10 @@ STICKY = {
 }
 
 
-@pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
-@pytest.mark.parametrize("name", STICKY)
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [("types energies", "jkr"), ("receptors", "jkr"), ("both", "exact-jkr")],
+)
 def test_sisters_of_a_smooth_division_feel_no_force_whatever_makes_them_stick(name, law):
     """Their force at birth is zero with the energies of their type and their receptors."""
     described = scene(

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from running import refused
 from scipy import integrate, stats
-from stored import assert_same_bits
 
 import multicell as mc
 from multicell import Scene, SceneError, Simulation
@@ -136,25 +135,14 @@ def test_responses_add_to_the_thresholds():
     np.testing.assert_allclose(simulation.cells.damage, 0.12, rtol=1e-9)
 
 
-def test_a_resumed_run_has_the_bits_of_the_whole(tmp_path):
-    """Frames before the first damage have no such column; tables of cells keep it."""
-    media = [["0 h", 0.2], ["6 h", 0.01]]
-    scene = starving(
-        {"damage_time": "10 h", "damage_variation": 0.5, "damage_repair_time": "20 h"},
-        count=30, growth={"cycle_time": "12 h"},
-    )  # fmt: skip
-    changes = {"nutrients.oxygen.media": media, "duration": "16 h", "output.every": "4 h"}
-    scene = scene.with_changes(changes)
-    whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
-    worst = [float(frame.cells.damage.max()) for frame in whole.frames]
-    assert worst[:2] == [0.0, 0.0]
-    assert 0.0 < worst[2] < worst[4]
-    for k in (0, 2, 3):
-        mc.resume(tmp_path / "whole", k, output=tmp_path / f"{k}", report=False, threads=1)
-        assert_same_bits(tmp_path / "whole", tmp_path / f"{k}")
-    last = whole.to_pandas("cells").query("frame == 4").drop(columns=["frame"])
+def test_a_table_of_cells_keeps_their_damage():
+    scene = starving({"damage_time": "10 h", "damage_variation": 0.5}, count=30, growth={})
+    simulation = Simulation(scene, threads=1)
+    simulation.step()
+    last = simulation.frame().to_pandas()
     again = Simulation(scene, cells=last)
     found = again.cells.take(np.argsort(again.cells.id))
+    assert found.damage.any()
     np.testing.assert_array_equal(found.damage, last.sort_values("id")["damage"])
     with pytest.raises(DataError, match="must not be negative"):
         Simulation(scene, cells=last.assign(damage=-0.5))

@@ -1,17 +1,21 @@
-"""Persistent random motion, chemotaxis and haptotaxis against closed forms."""
+"""Random motion, persistent and biased, chemotaxis and haptotaxis against closed forms."""
 
 import numpy as np
 import pytest
 from running import refused
+from scipy import integrate, stats
 
 import multicell as mc
-from multicell.biology.active_forces import push
+from multicell import random
+from multicell.biology.active_forces import active_force, push
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.cells import State
 from multicell.scene.scene import Scene
 
 RADIUS = 5.0 * 0.5 ** (1 / 3)
+SPEED = 1.0 / (6 * np.pi * 5.0 * RADIUS)
+WAY = np.array([1.0, 2.0, -2.0]) / 3.0
 
 
 def free(**changes):
@@ -112,9 +116,164 @@ def test_the_dead_do_not_move_by_themselves_and_types_differ():
     np.testing.assert_allclose(size[8:], np.where(cells.kind[8:] == 0, 0.25, 1.0))
 
 
-def test_bad_input():
+def test_taxis_without_a_field_or_out_of_the_plane_is_refused():
     scene = mc.load_scene("spheroid")
     with refused("chemotaxis.oxigen", "is not a field"):
         scene.with_changes({"chemotaxis.oxigen": {}})
     with refused("haptotaxis.axis", "2 dimensions"):
         scene.with_changes({"haptotaxis.axis": "z", "dimensions": 2, "nutrients": {}})
+
+
+# biased random motion
+
+
+def walking(count=4000, dimensions=3, nutrients=None, **motility):
+    """Return such cells that walk."""
+    parts = {"initial.count": count, "nutrients": nutrients or {}, "dimensions": dimensions}
+    return free(**parts, motility={"force": 1.0, "persistence": 600.0, **motility})
+
+
+def mean_along(bias, dimensions):
+    """Return <d·u> of d = (b u + (1 - b) e) / |...| for b >= 0.
+
+    In space the mean of |b u + c e| over the sphere is that of the distance from a shell of
+    radius c to a point at b, and <d·u> its derivative by b (Newton's shell theorem). In the plane
+    by quadrature.
+    """
+    c = 1.0 - bias
+    if dimensions == 3:
+        return 2 * bias / (3 * c) if bias < c else 1.0 - c * c / (3 * bias * bias)
+
+    def part(angle):
+        x, y = bias + c * np.cos(angle), c * np.sin(angle)
+        return x / np.hypot(x, y)
+
+    return integrate.quad(part, 0.0, np.pi, epsabs=1e-10)[0] / np.pi
+
+
+def directions(scene, times):
+    cells = initial_cells(scene)
+    return np.stack([active_force(biology_plan(scene), cells, t) for t in times])
+
+
+@pytest.mark.parametrize(
+    ("dimensions", "renewal", "bias"),
+    [(3, "regular", 0.2), (3, "random", 0.5), (2, "regular", 0.8), (2, "random", 0.2),
+     (3, "regular", -0.3)],
+)  # fmt: skip
+def test_the_mean_direction_is_that_of_the_closed_form(dimensions, renewal, bias):
+    way = WAY if dimensions == 3 else np.array([0.6, -0.8, 0.0])
+    scene = walking(
+        dimensions=dimensions, bias=bias, direction=list(3.0 * way), renewal=renewal
+    )  # fmt: skip
+    found = directions(scene, 1e4 + 6000.0 * np.arange(8))
+    np.testing.assert_allclose(np.linalg.norm(found, axis=2), 1.0, rtol=1e-12)
+    along = found @ way
+    error = along.std() / np.sqrt(along.size)
+    exact = np.sign(bias) * mean_along(abs(bias), dimensions)
+    assert along.mean() == pytest.approx(exact, abs=4 * error)
+    across = found - along[..., None] * way
+    np.testing.assert_allclose(across.mean(axis=(0, 1)), 0.0, atol=4 / np.sqrt(along.size))
+
+
+@pytest.mark.parametrize("renewal", ["regular", "random"])
+def test_a_full_bias_goes_straight_and_none_keeps_the_bits(renewal):
+    scene = walking(50, bias=1.0, direction=[0, 0, -2], renewal=renewal)
+    np.testing.assert_array_equal(
+        directions(scene, [0.0, 1e5]), np.broadcast_to([0.0, 0.0, -1.0], (2, 50, 3))
+    )
+    cells, plain = initial_cells(walking(50)), walking(50)
+    shift = (cells.id + 1) * 0.5 * (np.sqrt(5.0) - 1.0) % 1.0
+    interval = np.floor(5000.0 / 600.0 + shift).astype(int)
+    exact = np.stack([
+        random.directions(0, random.Purpose.MOTILITY, int(k), np.array([i]), 3)[0]
+        for i, k in zip(cells.id, interval, strict=True)
+    ])  # fmt: skip
+    np.testing.assert_array_equal(active_force(biology_plan(plain), cells, 5000.0), exact)
+
+
+def test_random_moments_are_a_poisson_process():
+    """Times between changes are exponential, with the polarisation time as their mean.
+
+    Directions are seen on a grid of times only: cells are observed for 10 polarisation times.
+    """
+    scene = walking(600, renewal="random")
+    times = 12.0 * np.arange(500)
+    found = directions(scene, times)
+    changed = (np.diff(found, axis=0) != 0.0).any(axis=2)
+    # changes in a time are Poisson numbers; two between two looks, each 2 % of τ, are seen as one
+    seen = 1.0 - np.exp(-0.02)
+    error = 4 * np.sqrt(seen / changed.size)
+    assert changed.mean() == pytest.approx(seen, abs=error)
+    first = changed.argmax(axis=0)[changed.any(axis=0)]
+    waited = 0.02 * (first + np.random.default_rng(0).random(first.size))
+    assert stats.kstest(waited, stats.expon.cdf).statistic < 1.63 / np.sqrt(first.size)
+    counts = changed[:495].reshape(9, 55, 600).sum(axis=1)
+    # of numbers that are independent in disjoint times
+    assert abs(np.corrcoef(counts[:-1].ravel(), counts[1:].ravel())[0, 1]) < 4 / np.sqrt(4800)
+    assert counts.var() == pytest.approx(counts.mean(), rel=0.06)
+    again = directions(scene, times[::-1][:50])[::-1]
+    np.testing.assert_array_equal(again, found[-50:])
+
+
+@pytest.mark.parametrize("renewal", ["regular", "random"])
+def test_free_cells_drift_and_spread_as_the_closed_forms_say(renewal):
+    """Drift v <d>, and spread of independent runs of length τ (or exponential ones, twice that)."""
+    scene = walking(2000, bias=0.4, direction=[0, 1, 0], renewal=renewal, persistence="2 min")
+    frames = mc.run(scene).frames
+    first, last = frames[0].cells, frames[-1].cells
+    moved = last.position[np.argsort(last.id)] - first.position[np.argsort(first.id)]
+    time, tau = 7200.0, 120.0
+    mean = mean_along(0.4, 3)
+    error = moved[:, 1].std() / np.sqrt(len(moved))
+    assert moved[:, 1].mean() == pytest.approx(SPEED * mean * time, abs=4 * error)
+
+    def square(height):  # of the part of d along u
+        along = 0.4 + 0.6 * height
+        return along**2 / (0.4**2 + 0.6**2 + 2 * 0.4 * 0.6 * height) / 2
+
+    variance = integrate.quad(square, -1.0, 1.0)[0] - mean**2
+    if renewal == "regular":  # <v(0) v(t)> falls linearly to zero at τ
+        spread = SPEED**2 * variance * tau * (time - tau / 3)
+    else:  # it falls like exp(-t / τ)
+        spread = 2 * SPEED**2 * variance * tau * (time - tau * (1 - np.exp(-time / tau)))
+    noise = 4 * spread * np.sqrt(2 / len(moved))
+    # positions follow forces of the beginnings of coupling steps, half a polarisation time long
+    assert moved[:, 1].var() == pytest.approx(spread, abs=noise + 0.03 * spread)
+
+
+def test_a_bias_follows_the_gradient_of_a_field():
+    """Between two sides the gradient is constant: the drift is that of a fixed direction."""
+    sides = {
+        "x-": {"type": "value", "value": 0.0},
+        "x+": {"type": "value", "value": 0.1},
+        "*": {"type": "derivative", "derivative": 0.0},
+    }
+    signal = {
+        "diffusion": 100.0, "boundary": 0.1, "uptake": 0.0, "margin": 30.0, "spacing": 20.0,
+        "sides": sides,
+    }  # fmt: skip
+    scene = walking(40, bias=-0.5, towards="signal", nutrients={"signal": signal})
+    simulation = mc.Simulation(scene, threads=1)
+    simulation.step()
+    found = simulation._motion(60.0, 120.0, simulation.cells.radius).push[:, :3]
+    fixed = walking(40, bias=-0.5, direction=[1, 0, 0])
+    np.testing.assert_allclose(found, active_force(fixed, simulation.cells, 60.0), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("motility", "path", "words"),
+    [
+        ({"bias": 0.3}, "motility.bias", "needs a direction"),
+        ({"bias": 0.3, "direction": [1, 0, 0], "towards": "o"}, "motility.bias", "not both"),
+        ({"direction": [1, 0, 0]}, "motility.direction", "has no effect"),
+        ({"bias": 0.3, "direction": [0, 0, 0]}, "motility.direction", "is zero"),
+        ({"bias": 0.3, "direction": [1]}, "motility.direction", "three numbers"),
+        ({"bias": 0.3, "direction": "x"}, "motility.direction", "three numbers"),
+        ({"bias": 0.3, "towards": "oxygne"}, "motility.towards", "not a field"),
+        ({"bias": 0.3, "direction": [0, 0, 1]}, "motility.direction", "out of the plane"),
+    ],
+)
+def test_a_bias_without_meaning_is_refused(motility, path, words):
+    with refused(path, words):
+        walking(1, dimensions=2, **motility)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, interpolate, optimize, stats
 
-from multicell.biology.durations import malthusian_rate
+from multicell.biology.draws import malthusian_rate
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.biology.step import age_cells, decide, divide_and_remove, grow

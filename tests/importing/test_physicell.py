@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import expon
 
 import multicell as mc
-from multicell.biology.durations import quantile
+from multicell.biology.draws import quantile
 from multicell.importing.files import read_xml
 from multicell.importing.imported import Fate
 from multicell.scene.pairs import pair_of

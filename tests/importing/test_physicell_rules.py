@@ -9,8 +9,7 @@ from physicell_project import MM_HG, ON
 import multicell as mc
 from multicell.behaviours.catalogue import CROWDED
 from multicell.biology.plan import biology_plan
-from multicell.biology.responding import rate_of_harm, value_of
-from multicell.biology.signals import other_signals
+from multicell.biology.responding import other_signals, rate_of_harm, value_of
 from multicell.importing.imported import Fate
 from multicell.results.observables import contact_rows
 

@@ -8,8 +8,8 @@ import pytest
 from scipy import integrate
 
 import multicell as mc
+from multicell.biology.growth import corrected_factor, lag_after
 from multicell.biology.plan import biology_plan
-from multicell.biology.splitting import corrected_factor, lag_after
 from multicell.cells import State
 from multicell.simulation import Simulation
 

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
-from multicell.behaviours.growth_laws.law import GrowthLaw
-from multicell.behaviours.growth_laws.registry import LAWS
+from multicell.behaviours.growth_laws.laws import LAWS, GrowthLaw
 from multicell.contact.custom import law_of, refuse_names
 from multicell.errors import SceneError
 from multicell.plugins.laws import OwnLaw

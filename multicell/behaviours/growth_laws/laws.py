@@ -1,7 +1,10 @@
-"""Laws of growth in closed form.
+"""Laws of growth in closed form, and what every law of growth offers.
 
-With V_d = 2 V_b the division volume and K = ``target`` V_d the volume that a saturating law goes
-to:
+A law is dV/dt = f g(V), with f in [0, 1] what nutrient and pressure leave of growth, and g so that
+a cell of the birth volume V_b doubles it in its cycle time T where f = 1. f is fixed in a coupling
+step, and only scales time: a step of length t is one of length f t with f = 1. So a law needs no
+time but the *share* of a cycle without limits, s = f t / T. With V_d = 2 V_b the division volume
+and K = ``target`` V_d the volume that a saturating law goes to:
 
     linear       g = V_b / T                        V(t) = V + g t
     exponential  g = r V           r T = ln 2       V(t) = V e^{rt}
@@ -23,16 +26,41 @@ Biol. 14 (2018) e1005991, https://doi.org/10.1371/journal.pcbi.1005991).
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
-from typing import TYPE_CHECKING, ClassVar, final
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, ClassVar, Final, final
 
 import numpy as np
 
-from multicell.behaviours.growth_laws.law import GrowthLaw
+from multicell.plugins.laws import Laws
 from multicell.schema import number, parameters
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
+
+
+class GrowthLaw(ABC):
+    """A law of growth with its parameters; laws are frozen dataclasses.
+
+    Volumes are in any unit, with ``birth`` the volume at birth in the same one.
+    """
+
+    constant: ClassVar[bool] = False
+    """Whether the rate is the same at every volume: a step then is a product."""
+
+    @abstractmethod
+    def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
+        """Return g(V) T, the growth of volume in a cycle at the rate of a volume, (n,)."""
+
+    @abstractmethod
+    def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
+        """Return the volumes after a share of a cycle without limits, (n,)."""
+
+    @abstractmethod
+    def share_at(self, ratio: FloatArray) -> FloatArray:
+        """Return the share of a cycle from birth to a volume, (n,): inverse of ``volume_after``.
+
+        ``ratio`` is the volume over that at birth, from 1 to 2.
+        """
 
 
 @final
@@ -174,3 +202,9 @@ class Gompertz(Saturating):
         """Return ln[ln(K/V_b)/ln(K/V)] / r T."""
         largest = self.largest()
         return np.asarray(np.log(math.log(largest) / np.log(largest / ratio)) / self.exponent)
+
+
+LAWS: Final[Laws[GrowthLaw]] = Laws({law.__name__.lower(): law for law in (
+    Linear, Exponential, Relaxation, Logistic, Gompertz,
+)})  # fmt: skip
+"""All laws by their names in a scene; :func:`multicell.growth_law` enters those of the user's."""

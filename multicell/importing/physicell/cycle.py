@@ -20,8 +20,6 @@ _INSTANT = 1.0
 _NEVER = 1e6
 """Mean cycle over the duration of the run, for types whose cells do not divide."""
 _RATE = "cytoplasmic_biomass_change_rate"
-_PARTS = ("fluid_fraction", "nuclear", "fluid_change_rate", "nuclear_biomass_change_rate")
-"""Elements about parts of a cell's volume."""
 _SLOWEST, _FASTEST = 0.7, 12.0
 """Bounds of rate times growing time: beyond, cells become ever smaller, or grow at once."""
 _NAMES = ("G1", "S", "G2", "M")
@@ -369,9 +367,5 @@ def _account_for_volume(model: Model, kind: Kind, cycle: Cycle, lead: Kind | Non
             "as for that of most dividing cells"
         )
         account.take(one, *((Fate.APPROXIMATED, "growth.target", note) if grows else (Fate.OFF,)))
-    for tag in _PARTS:
-        account.leave_out(table.all(tag), "a cell has one volume")
-    for tag in ("calcified_fraction", "calcification_rate"):
-        account.leave_out(table.all(tag), "no calcium", acts=lambda one: one.number() != 0.0)
     note = "that of each model of death counts"
     account.take_all(table.all("relative_rupture_volume"), Fate.OFF, note=note)

@@ -192,8 +192,7 @@ def _account_for_course(model: Model, kind: Kind, one: Element, code: str) -> No
         "cytoplasmic_biomass_change_rate": "death.swelling_time",
         "nuclear_biomass_change_rate": "death.swelling_time",
     }
-    account, calcium = model.account, one.all("parameters/calcification_rate")
-    account.leave_out(calcium, "no calcium", acts=lambda rate: rate.number() != 0.0)
+    account = model.account
     for tag, key in keys.items():
         leaves = one.all(f"parameters/{tag}")
         if code == APOPTOSIS:

@@ -36,8 +36,6 @@ def read_mechanics(model: Model) -> None:
     _read_range(model)
     _read_adhesion(model)
     _read_wall(model)
-    for kind in model.kinds:
-        _read_springs(model, kind)
 
 
 def _repulsion(kind: Kind) -> float:
@@ -188,14 +186,3 @@ def _read_wall(model: Model) -> None:
     else:
         note = "cells that leave the box stop for good in PhysiCell; here elastic walls hold them"
     model.account.take(found, Fate.APPROXIMATED, "domain.wall", note)
-
-
-def _read_springs(model: Model, kind: Kind) -> None:
-    attaches = kind.number_of("mechanics/attachment_rate", 0.0) > 0.0
-    for table in kind.element.all("phenotype/mechanics"):
-        for tag in ("attachment_elastic_constant", "attachment_rate", "detachment_rate",
-                    "maximum_number_of_attachments"):  # fmt: skip
-            note = "cells are not joined by springs"
-            model.account.leave_out(table.all(tag), note, acts=attaches)
-        for tag in ("cell_BM_adhesion_strength", "cell_BM_repulsion_strength"):
-            model.account.leave_out(table.all(tag), "used by C++ code of a model only")

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from multicell.errors import DataError, SceneError
-from multicell.importing.files import read_xml
+from multicell.importing.files import Element, read_xml
 from multicell.importing.imported import Account, Fate, Imported
 from multicell.importing.physicell import run
 from multicell.importing.physicell.cycle import read_cycle
 from multicell.importing.physicell.death import read_death
-from multicell.importing.physicell.fields import name_fields, read_fields
+from multicell.importing.physicell.fields import name_fields, read_fields, read_secretion
 from multicell.importing.physicell.mechanics import read_mechanics
 from multicell.importing.physicell.model import MINUTE, Kind, Model, read_kinds
 from multicell.importing.physicell.motility import read_motility
@@ -22,40 +25,105 @@ from multicell.importing.physicell.rules import (
     rules_of,
     set_behaviour,
 )
-from multicell.importing.physicell.secretion import read_secretion
 from multicell.importing.physicell.start import read_start
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import with_cells
 
-if TYPE_CHECKING:
-    from multicell.importing.files import Element
+_OfType = Callable[[Kind, Element], bool]
+_TRANSFORMATIONS: Final = "cell_transformations", "transformation_rates/transformation_rate"
+
+
+def _acts(element: Element) -> bool:
+    return bool(element.word()) and element.number() != 0.0
+
+
+def _enabled(element: Element) -> bool:
+    return element.says("enabled")
+
+
+def _written(element: Element) -> bool:
+    found = element.find("enable")
+    return found is None or found.flag()
+
+
+def _joins(kind: Kind, _: Element) -> bool:
+    return kind.number_of("mechanics/attachment_rate", 0.0) > 0.0
+
+
+def _attacks(kind: Kind, element: Element) -> bool:
+    """Return whether a number of interactions does something: how cells attack, if they do."""
+    rates = kind.listed("cell_interactions", "attack_rates/attack_rate", own=True)
+    return _acts(element) and (element.tag not in _ATTACKS or any(map(_acts, rates)))
+
 
 _CODE = "read by C++ code of the model only"
 _ATTACKS: Final = ("attack_damage_rate", "attack_duration", "damage_rate")
-_TRANSFORMATIONS: Final = "cell_transformations", "transformation_rates/transformation_rate"
-_PARTS: Final = {
-    "cell_interactions": "cells do not eat, attack or fuse with each other",
-    "cell_integrity": "cells have no damage",
-    "molecular": _CODE,
-}
+_INSIDE = "there are no models inside cells"
+_PICTURES = "pictures and reports are made of the results of any run"
+_SPRINGS = "cells are not joined by springs"
+_FIELDS = "microenvironment_setup/options"
+_OMITTED: Final[Sequence[tuple[str, bool | Callable[[Element], bool], str]]] = (
+    ("parallel/omp_num_threads", True,
+     "of this machine, not of the model: multicell run --threads"),
+    ("overall/dt_diffusion", True,
+     "fields are solved to a tolerance, in a steady state where they settle"),
+    ("overall/dt_mechanics", True, "the method of integration chooses its steps by their error"),
+    ("overall/dt_intracellular", True, _INSIDE),
+    ("save/folder", True, "multicell run -o names the folder"),
+    ("save/SVG", _written, _PICTURES),
+    ("save/legacy_data", _written, _PICTURES),
+    ("save/intracellular_data", _written, _PICTURES),
+    ("options/legacy_random_points_on_sphere_in_divide", Element.flag,
+     "divisions have random directions on a sphere"),
+    ("options/legacy_cell_defaults_copy", Element.flag,
+     "types take over what PhysiCell has taken over since 1.10"),
+    (f"{_FIELDS}/track_internalized_substrates_in_each_agent", Element.flag,
+     "what a cell has taken up is not kept"),
+    (f"{_FIELDS}/initial_condition", _enabled, "a field starts with one concentration everywhere"),
+    (f"{_FIELDS}/dirichlet_nodes", _enabled,
+     "concentrations are held on sides of the box, not inside"),
+    ("user_parameters", True, _CODE),
+)  # fmt: skip
+"""What has no counterpart here, whether it does something in the model, and why it has none."""
+_OMITTED_OF_TYPES: Final[Sequence[tuple[str, str, _OfType | None, str]]] = (
+    ("", "custom_data", None, _CODE),
+    ("phenotype", "intracellular", None, _INSIDE),
+    ("phenotype", "molecular", lambda _, one: _acts(one), _CODE),
+    ("phenotype", "cell_integrity", lambda _, one: _acts(one), "cells have no damage"),
+    ("phenotype", "cell_interactions", _attacks,
+     "cells do not eat, attack or fuse with each other"),
+    ("phenotype/mechanics", "attachment_elastic_constant attachment_rate detachment_rate "
+     "maximum_number_of_attachments", _joins, _SPRINGS),
+    ("phenotype/mechanics", "cell_BM_adhesion_strength cell_BM_repulsion_strength", None,
+     "used by C++ code of a model only"),
+    ("phenotype/volume", "fluid_fraction nuclear fluid_change_rate nuclear_biomass_change_rate",
+     None, "a cell has one volume"),
+    ("phenotype/volume", "calcified_fraction calcification_rate", lambda _, one: _acts(one),
+     "no calcium"),
+    ("phenotype/death/model/parameters", "calcification_rate", lambda _, one: _acts(one),
+     "no calcium"),
+)  # fmt: skip
+"""The same of a type: where, elements there, whether a number in them acts (None: yes), and why."""
 
 
 def read_others(model: Model) -> None:
     """Account for what has no counterpart here."""
     account = model.account
     _read_changes(model)
+    for path in ("cell_rules/settings", "options/disable_automated_spring_adhesions"):
+        account.take_all(model.root.all(path), Fate.OFF)
+    found, note = model.root.all(f"{_FIELDS}/calculate_gradients"), "where chemotaxis asks for them"
+    account.take_all(found, Fate.MAPPED, note=note)
+    for path, acts, why in _OMITTED:
+        account.leave_out(model.root.all(path), why, acts=acts)
     for kind in model.kinds:
-        for part, why in _PARTS.items():
-            if (found := kind.own(part)) is not None:
-                _leave(model, found, why)
         _account_for_changes(model, kind)
-        inside = kind.element.all("phenotype/intracellular")
-        account.leave_out(inside, "there are no models inside cells")
-        account.leave_out(kind.element.all("custom_data"), _CODE)
         for one in kind.element.all("initial_parameter_distributions"):
             _read_distributions(model, one)
-    account.take_all(model.root.all("cell_rules/settings"), Fate.OFF)
-    account.leave_out(model.root.all("user_parameters"), _CODE)
+        for where, tags, of_type, why in _OMITTED_OF_TYPES:
+            for tag in tags.split():
+                leaves = chain(*(e.leaves() for e in kind.element.all(f"{where}/{tag}".strip("/"))))
+                account.leave_out(leaves, why, acts=of_type is None or partial(of_type, kind))
 
 
 def _changes(kind: Kind) -> dict[str, float]:
@@ -83,18 +151,6 @@ def _account_for_changes(model: Model, kind: Kind) -> None:
             model.account.take(one, Fate.OFF)
         else:
             model.account.take(one, Fate.MAPPED, f"responses.change_to_{to.key}_of_{kind.key}")
-
-
-def _leave(model: Model, part: Element, why: str) -> None:
-    """Account for the numbers of a part: those that are zero do nothing in the model either."""
-    peaceful = not any(_acts(one) for one in part.all("attack_rates/attack_rate"))
-    for leaf in part.leaves():
-        idle = peaceful and leaf.tag in _ATTACKS and part.tag == "cell_interactions"
-        model.account.leave_out([leaf], why, acts=_acts(leaf) and not idle)
-
-
-def _acts(element: Element) -> bool:
-    return bool(element.word()) and element.number() != 0.0
 
 
 def _read_distributions(model: Model, table: Element) -> None:

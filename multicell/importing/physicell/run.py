@@ -15,26 +15,17 @@ if TYPE_CHECKING:
 
 _FARTHEST, _FINEST = 1e6, 0.1
 """Farthest place and shortest side of a voxel, µm."""
-_STEPS = {
-    "dt_diffusion": "fields are solved to a tolerance, in a steady state where they settle",
-    "dt_mechanics": "the method of integration chooses its steps by their error",
-    "dt_intracellular": "there are no models inside cells",
-}
-
-_LEGACY = {
-    "legacy_random_points_on_sphere_in_divide": "divisions have random directions on a sphere",
-    "legacy_cell_defaults_copy": "types take over what PhysiCell has taken over since 1.10",
-}
 
 
 def read_run(model: Model) -> None:
-    """Read ``domain``, ``overall``, ``save``, ``options`` and ``parallel``."""
+    """Read ``domain``, ``overall``, ``save`` and the seed."""
     _read_domain(model)
     _read_overall(model)
     _read_save(model)
-    _read_options(model)
-    note = "of this machine, not of the model: multicell run --threads"
-    model.account.leave_out(model.root.all("parallel/omp_num_threads"), note)
+    seeds = ("options/random_seed", "user_parameters/random_seed")
+    seed = next(filter(None, map(model.root.find, seeds)), None)
+    if seed is not None:
+        _read_seed(model, seed)
 
 
 def _required(above: Element, path: str) -> Element:
@@ -121,8 +112,6 @@ def _read_overall(model: Model) -> None:
         elif found is not None:
             note = f"PhysiCell only prints it: numbers are taken in {usual}, as there"
             take(found, Fate.APPROXIMATED, note=note)
-    for tag, note in _STEPS.items():
-        model.account.leave_out(overall.all(tag), note)
     found = overall.find("dt_phenotype")
     model.scene["coupling_step"] = (6.0 if found is None else found.number(above=0.0)) * MINUTE
 
@@ -150,25 +139,6 @@ def _read_save(model: Model) -> None:
         model.account.take(every, Fate.MAPPED, "output.every")
         take_all(save.all("full_data/enable"), Fate.MAPPED, "output.every")
     take_all(save.all("full_data"), Fate.OFF)
-    model.account.leave_out(save.all("folder"), "multicell run -o names the folder")
-    for tag in ("SVG", "legacy_data", "intracellular_data"):
-        found = save.find(f"{tag}/enable")
-        note = "pictures and reports are made of the results of any run"
-        model.account.leave_out(save.all(tag), note, acts=found is None or found.flag())
-
-
-def _read_options(model: Model) -> None:
-    options, account = model.root.find("options"), model.account
-    seed = None if options is None else options.find("random_seed")
-    if seed is None:
-        seed = model.root.find("user_parameters/random_seed")
-    if seed is not None:
-        _read_seed(model, seed)
-    if options is None:
-        return
-    account.take_all(options.all("disable_automated_spring_adhesions"), Fate.OFF)
-    for tag, note in _LEGACY.items():
-        account.leave_out(options.all(tag), note, acts=lambda one: one.flag())
 
 
 def _read_seed(model: Model, seed: Element) -> None:

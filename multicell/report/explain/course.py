@@ -19,7 +19,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.durations import malthusian_rate
+from multicell.biology.draws import malthusian_rate
 from multicell.biology.growth import growth_factor
 from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm

@@ -10,7 +10,7 @@ from typing import Any
 
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
 from multicell.behaviours.laws import Constant, Hill, Linear, Monod, Table, Threshold
-from multicell.biology.durations import malthusian_rate
+from multicell.biology.draws import malthusian_rate
 from multicell.biology.plan import founders
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS

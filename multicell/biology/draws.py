@@ -1,4 +1,4 @@
-"""How long the cycle of a cell and its phases last, and where in it a population is at the start.
+"""What each cell draws: its durations, type and modulus, and where in its cycle it starts.
 
 A newborn cell draws its durations from the distributions of the scene. The living cells of a
 population that has grown for long are no sample of newborn ones. Where nothing limits growth, and
@@ -27,38 +27,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.cells import FloatArray
+from multicell.cells import FloatArray, IntArray
 from multicell.random import Purpose
 from multicell.scene.parts import PHASES
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
+    from multicell.cells import Cells
     from multicell.scene.parts import Growth, PhaseLength
 
 
-def draw_lengths(plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
+def draw_lengths(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
     """Return the durations of G1, S, G2 and M of each cell, (n, 4) s.
 
     They depend on seed and identity only; founders of a stable population
     (:func:`multicell.biology.plan.founders`) have longer ones than newborn cells.
     """
 
-    def draw(ids: NDArray[np.int64], attempt: int) -> FloatArray:
+    def draw(ids: IntArray, attempt: int) -> FloatArray:
         return _phases(plan, ids, attempt)
 
     return _drawn(plan, ids, draw) * scale(plan, kind)[:, None]
 
 
-def newborn_lengths(
-    plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16]
-) -> FloatArray:
+def newborn_lengths(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
     """Return durations as newborn cells draw them, (n, 4) s, independent of those of founders."""
     return _phases(plan, ids, 0) * scale(plan, kind)[:, None]
 
 
-def draw_cycle_times(
-    plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16]
-) -> FloatArray:
+def draw_cycle_times(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
     """Return cycle times of new cells, (n,), s; infinite in a scene without growth.
 
     Those of founders are longer than those of newborn cells.
@@ -67,7 +64,7 @@ def draw_cycle_times(
     if growth is None:
         return np.full(len(ids), np.inf)
 
-    def draw(ids: NDArray[np.int64], attempt: int) -> FloatArray:
+    def draw(ids: IntArray, attempt: int) -> FloatArray:
         mean, variation = growth.cycle_time, growth.cycle_variation
         return scatter_about(plan.seed, Purpose.CYCLE, attempt, ids, mean, variation)
 
@@ -76,7 +73,7 @@ def draw_cycle_times(
 
 
 def stages(
-    plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16], duration: FloatArray
+    plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16], duration: FloatArray
 ) -> FloatArray:
     """Return the part of its cycle that each cell has behind it at the start, (n,).
 
@@ -148,7 +145,7 @@ def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
 
 
 def scatter_about(
-    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], mean: float, variation: float
+    seed: int, purpose: Purpose, step: int, ids: IntArray, mean: float, variation: float
 ) -> FloatArray:
     """Return positive numbers that scatter normally about ``mean``, (n,).
 
@@ -162,7 +159,7 @@ def scatter_about(
     return np.asarray(mean * (1.0 + variation * z))
 
 
-def _phases(plan: BiologyPlan, ids: NDArray[np.int64], attempt: int) -> FloatArray:
+def _phases(plan: BiologyPlan, ids: IntArray, attempt: int) -> FloatArray:
     """Return one draw of the durations of all phases, (n, 4) s."""
     assert plan.growth is not None
     u = random.uniform(plan.seed, Purpose.PHASES, 0, ids, len(PHASES), attempt)
@@ -171,7 +168,7 @@ def _phases(plan: BiologyPlan, ids: NDArray[np.int64], attempt: int) -> FloatArr
 
 
 def _drawn(
-    plan: BiologyPlan, ids: NDArray[np.int64], draw: Callable[[NDArray[np.int64], int], FloatArray]
+    plan: BiologyPlan, ids: IntArray, draw: Callable[[IntArray, int], FloatArray]
 ) -> FloatArray:
     """Return durations: the first draw of newborn cells, a later one of founders.
 
@@ -223,3 +220,34 @@ def _cut(variation: float) -> float:
 def _shift(phase: PhaseLength) -> float:
     """Return the part of the mean at which a phase's gamma distribution begins."""
     return phase.shift if phase.distribution == "shifted-gamma" else 0.0
+
+
+def draw_kinds(plan: BiologyPlan, ids: IntArray) -> NDArray[np.int16]:
+    """Return the type of each cell at the start, (n,): the scene's fractions, mixed at random.
+
+    The numbers of cells are the fractions rounded, not drawn: only who is what is random.
+    """
+    if len(plan.types) < 2:
+        return np.zeros(len(ids), dtype=np.int16)
+    share = np.cumsum([kind.fraction for kind in plan.types.values()])
+    ends = np.round(share / share[-1] * len(ids))
+    place = np.empty(len(ids))
+    place[np.argsort(random.uniform(plan.seed, Purpose.KIND, 0, ids)[:, 0])] = np.arange(len(ids))
+    return np.searchsorted(ends, place, side="right").astype(np.int16)
+
+
+def draw_moduli(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
+    """Return Young's moduli of new cells, (n,), kPa."""
+    drawn = scatter_about(plan.seed, Purpose.MODULI, 0, ids, plan.young, plan.young_variation)
+    return drawn if plan.young_ratio is None else np.asarray(drawn * plan.young_ratio[kind])
+
+
+def drift(plan: BiologyPlan, daughters: Cells) -> None:
+    """Let traits that daughters inherit drift: ln x changes by a normal number of the scene's sd.
+
+    The mean of ln x stays, so that its variance grows by sd² in each generation. The normal
+    distribution is cut at three standard deviations.
+    """
+    for place, (name, sd) in enumerate(plan.drift.items()):
+        z = random.truncated_normal(plan.seed, Purpose.DRIFT, place, daughters.id, 3.0)
+        setattr(daughters, name, getattr(daughters, name) * np.exp(sd * z))
