@@ -34,7 +34,7 @@ WHAT = {
     "mechanics": "forces, Jacobian, lists", "contact": "pair laws", "plugins": "what users add",
     "tables": "CSV, Parquet",
     "schema": "declarations", "units": "at the door", "random": "streams",
-    "compiling": "by numba, threads",
+    "compiling": "by numba, threads", "precompile": "compiling ahead",
     "importing": "models of PhysiCell",
     "philox": "random words", "cells": "the state", "errors": "what users meet",
 }  # fmt: skip

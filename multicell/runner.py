@@ -18,6 +18,7 @@ from multicell.host.interrupts import STEP
 from multicell.host.memory import Returns, peak
 from multicell.integrators.base import info_of
 from multicell.integrators.own import own_integrator
+from multicell.precompile import Precompilation
 from multicell.report.bar import shown as shown_progress
 from multicell.report.result import Result, history_arrays, load_result, recorded_scene
 from multicell.report.wording import time_unit
@@ -145,10 +146,14 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
         stack.enter_context(failing_as_run())
         interrupt = stack.enter_context(STEP).deliver
         stack.callback(recorder.close)
+        precompilation = None
+        if own is None:
+            precompilation = Precompilation(scene, threads)
+            stack.callback(precompilation.close)
         simulation = Simulation(scene, threads=threads, integrator=own, reactions=options.reactions)
         recorder.note_startup(simulation, begin)
         recorder.record(simulation)
-        advance_run(simulation, recorder, interrupt, options.progress)
+        advance_run(simulation, recorder, interrupt, options.progress, precompilation)
     return recorder
 
 
@@ -172,6 +177,7 @@ def advance_run(
     recorder: Recorder,
     interrupt: Callable[[], None],
     progress: Callable[[Simulation], None] | bool | None,
+    precompilation: Precompilation | None = None,
 ) -> None:
     """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
     try:
@@ -179,6 +185,8 @@ def advance_run(
             while not simulation.finished:
                 simulation.step()
                 recorder.record(simulation)
+                if precompilation is not None:
+                    precompilation.watch(simulation)
                 if note is not None:
                     note(simulation)
                 interrupt()
@@ -194,6 +202,9 @@ def advance_run(
         except OutputError as trouble:
             error.add_note(str(trouble))  # the first error is the one that counts
         raise
+    finally:
+        if precompilation is not None:
+            precompilation.close()
     recorder.finish(simulation, interrupted=False)
 
 
