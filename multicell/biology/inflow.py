@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, stokes_drag
-from multicell.results.observables import Extent, centre, distances, packing_ratio
+from multicell.results.observables import Extent, centre, distances
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -41,7 +41,7 @@ def inflow_velocity(
     order = np.argsort(far, kind="stable")
     within = np.empty(len(cells))
     within[order] = np.cumsum(lost[order]) - lost[order]  # no cell moves itself
-    rate = within / (1.0 - removal) / packing_ratio(cells, d, Extent(cells, d, origin)) / dt
+    rate = within / (1.0 - removal) / Extent(cells, d, origin).packing_ratio() / dt
     # volumes of balls and areas of discs over those of the unit ball or disc: hence 1/d
     inward = np.divide(rate, d * far**d, out=np.zeros(len(cells)), where=far > 0.0)
     return -inward[:, None] * (cells.position - origin)

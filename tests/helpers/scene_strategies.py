@@ -7,7 +7,6 @@ types, wrong units, numbers at the ends of what there is, unknown keys, tables i
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import datetime
 import functools
@@ -87,7 +86,8 @@ TOGETHER = {
     "Motility": ("bias direction", "bias towards", ""),
     "Side": ("type=mixed rate", "type=derivative derivative", "value", ""),
     "Domain": ("shape=sphere radius stiffness", "shape=sphere radius", "x y z"),
-    "Nutrient": ("uptake", "uptake_per_volume", "uptake_on", "geometry=radial layer", "sources"),
+    "Nutrient": ("uptake", "uptake_per_volume uptake_on", "uptake_per_volume sources",
+                 "uptake_per_volume geometry=radial layer"),
 }  # fmt: skip
 """Keys of parts that mean nothing alone, or exclude each other: one row of them is drawn."""
 
@@ -191,10 +191,13 @@ def keys_of(entries, part=Scene, path=""):
 
 
 class Drawer:
-    """Draws values for declarations; ``extreme`` is the part of numbers from all of their range."""
+    """Draws values for declarations.
 
-    def __init__(self, draw, extreme):
-        self.draw, self.extreme = draw, extreme
+    ``extreme`` is the part of numbers from all of their range, ``share`` that of optional keys.
+    """
+
+    def __init__(self, draw, extreme, share=0.45):
+        self.draw, self.extreme, self.share = draw, extreme, share
 
     def chance(self, share):
         return self.draw(st.integers(0, 999)) < 1000 * share
@@ -212,7 +215,7 @@ class Drawer:
                             if f.name in specs(part)):  # fmt: skip
             needed = field.default is field.default_factory or field.name in row
             excluded = field.name not in row and any(field.name in other for other in rows)
-            if needed or (not excluded and self.chance(0.45)):
+            if needed or (not excluded and self.chance(self.share)):
                 value = row.get(field.name) or self.value(spec, field, f"{path}{field.name}")
                 if value is not None:
                     entries[field.name] = value
@@ -278,6 +281,8 @@ class Drawer:
         return {name: entries for name, entries in drawn.items() if entries is not None}
 
     def _quantities(self, spec, field, path):
+        if path.endswith("surface_energy"):  # a symmetric matrix
+            return dict.fromkeys(TYPES, 0.05)
         names = self.some(self.known(path))
         if spec.bounds.at_least == 1:  # of reactions, which take whole numbers
             return dict.fromkeys(names, 1)
@@ -432,9 +437,9 @@ def written_table(rows):
 
 
 @st.composite
-def plausible(draw, extreme=0.004, small=True):
+def plausible(draw, extreme=0.004, small=True, share=0.45):
     """Draw the entries of a scene that fits together; ``small``: that runs in a moment."""
-    drawer = Drawer(draw, extreme)
+    drawer = Drawer(draw, extreme, share)
     scene = drawer.part(Scene, "") or {"duration": 3600.0}
     if small:
         _make_small(drawer, scene)
@@ -504,7 +509,7 @@ def _loosen(scene):
 def look_until(done, look, examples=100, most=60):
     """Call ``look`` with plausible scenes of any size, of other seeds each time, until ``done``."""
     for number in range(most):
-        drawing = given(entries=plausible(small=False))(lambda entries: look(entries))
+        drawing = given(entries=plausible(small=False, share=0.8))(lambda entries: look(entries))
         limits = settings(max_examples=examples, deadline=None, phases=[hypothesis.Phase.generate],
                           suppress_health_check=list(HealthCheck))  # fmt: skip
         hypothesis.seed(number)(limits(drawing))()
