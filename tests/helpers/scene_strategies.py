@@ -506,7 +506,7 @@ def _loosen(scene):
                 kind.pop("ligand", None)
 
 
-def look_until(done, look, examples=100, most=60):
+def look_until(done, look, examples=40, most=100):
     """Call ``look`` with plausible scenes of any size, of other seeds each time, until ``done``."""
     for number in range(most):
         drawing = given(entries=plausible(small=False, share=0.8))(lambda entries: look(entries))

@@ -248,12 +248,6 @@ def test_bonds_shift_equilibrium_and_pull_off():
     assert found["b-b"].deepest()[0] == 0.0
 
 
-def test_each_pair_of_types_has_its_own_surface_energy():
-    found = {name: pair.deepest()[0] for name, pair in pairs(mc.load_scene("sorting"), 4.0)}
-    energies = {"cohesive-cohesive": 0.2, "cohesive-loose": 0.1, "loose-loose": 0.1}
-    assert found == pytest.approx({name: 3.0 * np.pi * x for name, x in energies.items()})
-
-
 # --- report, summary and folder ----------------------------------------------------------------
 
 
