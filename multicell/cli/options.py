@@ -230,7 +230,8 @@ def of_scene(command: Callable[..., Any]) -> Callable[..., Any]:
     def called(scene: str, law: str | None, changes: Sequence[str], **options: Any) -> Any:
         return command(scene_of(scene, changes, law), **options)
 
-    return called
+    decorated: Callable[..., Any] = called
+    return decorated
 
 
 def _note_short_times(source: str, changes: Mapping[str, Any], scene: Scene) -> None:
