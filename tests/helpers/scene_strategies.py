@@ -441,6 +441,8 @@ def plausible(draw, extreme=0.004, small=True, share=0.45):
     """Draw the entries of a scene that fits together; ``small``: that runs in a moment."""
     drawer = Drawer(draw, extreme, share)
     scene = drawer.part(Scene, "") or {"duration": 3600.0}
+    # functions of this process, which no scene brings along
+    scene.get("output", {}).pop("observables", None)
     if small:
         _make_small(drawer, scene)
     return fitted(scene) or {"duration": 3600.0}
