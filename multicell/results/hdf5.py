@@ -326,7 +326,7 @@ def _contained(path: Path, group: Any, depth: int) -> dict[str, Any]:
 
     Raises OutputError for links, deeper groups and data that are kept in another file.
     """
-    found = {}
+    found: dict[str, Any] = {}
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             raise OutputError(f"'{path}' is damaged: {name} is a link")
