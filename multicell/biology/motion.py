@@ -13,7 +13,7 @@ from multicell.biology.responding import value_of
 from multicell.biology.surface import surface_force
 from multicell.cells import Cells, FloatArray, Found, IntArray, stokes_drag
 from multicell.mechanics.motion import Motion
-from multicell.results.observables import Extent, centre, contact_rows, distances, packing_ratio
+from multicell.results.observables import Extent, centre, contact_rows, distances
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -123,7 +123,7 @@ def inflow_velocity(
     order = np.argsort(far, kind="stable")
     within = np.empty(len(cells))
     within[order] = np.cumsum(lost[order]) - lost[order]  # no cell moves itself
-    rate = within / (1.0 - removal) / packing_ratio(cells, d, Extent(cells, d, origin)) / dt
+    rate = within / (1.0 - removal) / Extent(cells, d, origin).packing_ratio() / dt
     # volumes of balls and areas of discs over those of the unit ball or disc: hence 1/d
     inward = np.divide(rate, d * far**d, out=np.zeros(len(cells)), where=far > 0.0)
     return -inward[:, None] * (cells.position - origin)

@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from multicell.cli import options as shared
 from multicell.cli import study as studies
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
 
 
 def _observables(what: str, several: str) -> shared.Option:
@@ -26,7 +29,7 @@ def _observables(what: str, several: str) -> shared.Option:
 
 
 @click.command()
-@click.argument("scene", type=shared.SCENE)
+@shared.of_scene
 @shared.output_option("Folder of the analysis; its runs are kept there.")
 @studies.free_option
 @shared.valued(
@@ -52,19 +55,15 @@ def _observables(what: str, several: str) -> shared.Option:
     "What the indices are of",
     "May be given several times; by default the usual ones of the scene.",
 )
-@shared.changes_option
-@shared.law_option
 @studies.analysis_options
 def sensitivity(
-    scene: str,
+    scene: Scene,
     output: Path,
     free: Sequence[str],
     method: str,
     size: int | None,
     seeds: int,
     observables: Sequence[str],
-    changes: Sequence[str],
-    law: str | None,
     **how: Any,
 ) -> None:
     """Find out which parameters of a SCENE decide its observables.
@@ -75,12 +74,11 @@ def sensitivity(
     take the runs that are there.
     """
     pairs = studies.key_values(free, "--free")
-    described = shared.scene_of(scene, changes, law)
     from multicell.calibration.sensitivity import carry_out, plan_of
 
     with studies.planning():
         plan = plan_of(
-            described, pairs, observables=observables or None, method=method, size=size, seeds=seeds
+            scene, pairs, observables=observables or None, method=method, size=size, seeds=seeds
         )
     result = studies.carry_out_study(plan, output, carry_out, how)
     studies.print_analysis(result, result.runs, how)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from multicell.schema import separated
 if TYPE_CHECKING:
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability_limits.result import StabilityMap
+    from multicell.scene.scene import Scene
 
 
 def _positive(context: click.Context, option: click.Parameter, value: float | None) -> float | None:
@@ -36,10 +37,8 @@ def _seconds(name: str, help: str, default: float | None = None) -> Callable[[An
 
 
 _comparing = shared.grouped(
-    click.argument("scene", type=shared.SCENE),
+    shared.of_scene,
     shared.output_option("Folder for the results; it must be empty or new."),
-    shared.law_option,
-    shared.changes_option,
     click.option(
         "--methods",
         metavar="NAMES",
@@ -82,26 +81,17 @@ _comparing = shared.grouped(
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
 @_seconds("--patience", "Longest solve in s.", default=10.0)
 @_seconds("--budget", "Time for all methods together in s.")
-def compare(
-    scene: str,
-    law: str | None,
-    changes: Sequence[str],
-    stepwise: int | None,
-    quiet: bool,
-    as_json: bool,
-    **options: Any,
-) -> None:
+def compare(scene: Scene, stepwise: int | None, quiet: bool, as_json: bool, **options: Any) -> None:
     """Chart error against cost of integration methods on a SCENE.
 
     All methods replay the same events at the same times. The reference is computed twice, and
     its uncertainty is part of the chart. Trajectories of a growing or driven population diverge
     with any method: compare those with --stepwise.
     """
-    described = shared.scene_of(scene, changes, law)
     from multicell.comparison.work_precision import compare as compared
 
     result = compared(
-        described, stepwise=stepwise or False, progress=None if quiet else complain, **options
+        scene, stepwise=stepwise or False, progress=None if quiet else complain, **options
     )
     _show(result, options["output"], quiet, as_json)
 
@@ -114,19 +104,16 @@ def compare(
     default="settled",
     help="What the cells start from: settled, growing, compressed, divided, or snap (exact JKR).",
 )
-def stability(
-    scene: str, law: str | None, changes: Sequence[str], quiet: bool, as_json: bool, **options: Any
-) -> None:
+def stability(scene: Scene, quiet: bool, as_json: bool, **options: Any) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
     Limits are compared with theory. From another --state than settled each method solves one
     coupling step, and a method that suppresses unstable modes of the true motion is reported to
     damp a real instability.
     """
-    described = shared.scene_of(scene, changes, law)
     from multicell.comparison.stability_limits.search import stability as limits_of
 
-    result = limits_of(described, progress=None if quiet else complain, **options)
+    result = limits_of(scene, progress=None if quiet else complain, **options)
     _show(result, options["output"], quiet, as_json)
 
 

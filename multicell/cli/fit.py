@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from multicell.calibration.fit_plan import FitPlan
     from multicell.calibration.fitted import Fit
+    from multicell.scene.scene import Scene
 
 
 def _budget(context: click.Context, option: click.Parameter, value: str | None) -> int | str | None:
@@ -28,7 +29,7 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
 
 
 @click.command()
-@click.argument("scene", type=shared.SCENE)
+@shared.of_scene
 @click.option(
     "--data",
     required=True,
@@ -91,8 +92,6 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     metavar="NAME",
     help="unknown: estimate what data scatter beyond runs and their stated errors.",
 )
-@shared.changes_option
-@shared.law_option
 @shared.observable_option
 @click.option(
     "--reuse",
@@ -106,12 +105,10 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
 @shared.quiet_option
 @shared.as_json_option
 def fit(
-    scene: str,
+    scene: Scene,
     data: Path,
     free: Sequence[str],
     output: Path,
-    changes: Sequence[str],
-    law: str | None,
     cores: int | None,
     scheduler: str | None,
     yes: bool,
@@ -128,11 +125,10 @@ def fit(
     was stopped continues with the same command; a larger --budget adds to it.
     """
     pairs = studies.key_values(free, "--free")
-    described = shared.scene_of(scene, changes, law)
     from multicell.calibration.fit import carry_out, plan_of
 
     with studies.planning():
-        plan = plan_of(described, data, pairs, **options)
+        plan = plan_of(scene, data, pairs, **options)
     count, words = studies.cores_wanted(cores, scheduler), "starting"
 
     def note(what: str, done: int, wanted: int) -> float:

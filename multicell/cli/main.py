@@ -54,19 +54,17 @@ def main() -> None:
 
 
 @main.command()
-@click.argument("scene", type=shared.SCENE)
-@shared.law_option
-@shared.changes_option
+@shared.of_scene
 @shared.as_json_option
-def explain(scene: str, law: str | None, changes: Sequence[str], as_json: bool) -> None:
+def explain(scene: Scene, as_json: bool) -> None:
     """Explain what a SCENE uses and why, without running it."""
     from multicell.report.explain.scene import explain as explained
 
-    facts = explained(shared.scene_of(scene, changes, law))
+    facts, name = explained(scene), click.get_current_context().params["scene"]
     if as_json:
-        print_json({"scene": scene, **facts})
+        print_json({"scene": name, **facts})
     else:
-        _print_facts(shared.console(), scene, facts)
+        _print_facts(shared.console(), name, facts)
 
 
 _run_options = shared.grouped(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -218,6 +218,20 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
     described = scene.with_changes(parsed).with_observables(*own)
     _note_short_times(source, parsed, described)
     return described
+
+
+def of_scene(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the scene that SCENE, ``--law`` and ``--set`` describe."""
+
+    @click.argument("scene", type=SCENE)
+    @law_option
+    @changes_option
+    @wraps(command)
+    def called(scene: str, law: str | None, changes: Sequence[str], **options: Any) -> Any:
+        return command(scene_of(scene, changes, law), **options)
+
+    decorated: Callable[..., Any] = called
+    return decorated
 
 
 def _note_short_times(source: str, changes: Mapping[str, Any], scene: Scene) -> None:

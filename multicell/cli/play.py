@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("scene", type=shared.SCENE)
+@shared.of_scene
 @shared.keyed(
     "--key",
     "keys",
@@ -39,17 +39,13 @@ if TYPE_CHECKING:
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="By default a free one.")
 @click.option("--no-browser", is_flag=True, help="Print the address, and do not open it.")
-@shared.law_option
-@shared.changes_option
 def play(
-    scene: str,
+    scene: Scene,
     keys: Sequence[str],
     coarse: float | None,
     quantity: str,
     port: int,
     no_browser: bool,
-    law: str | None,
-    changes: Sequence[str],
 ) -> None:
     """Open a page with sliders for keys of a SCENE, and the view of a run beside them.
 
@@ -57,13 +53,13 @@ def play(
     alone, at an address with a secret; Ctrl-C ends all of it.
     """
     needs("tornado")
-    described = shared.scene_of(scene, changes, law)
     from multicell.cli.playground import Playground, serve
     from multicell.studies.axes import parse_ranges
 
-    ranges = parse_ranges(key_values(keys, "--key"), described)
-    factor, note = _factor(described, coarse)
-    with Playground(described, ranges, factor, note, quantity, law) as playground:
+    ranges = parse_ranges(key_values(keys, "--key"), scene)
+    factor, note = _factor(scene, coarse)
+    law = click.get_current_context().params["law"]
+    with Playground(scene, ranges, factor, note, quantity, law) as playground:
 
         def ready(address: str) -> None:
             click.echo(f"{address}\nCtrl-C ends it.")

@@ -19,6 +19,7 @@ from multicell.errors import MissingPackage
 from multicell.units import time_text
 
 if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
     from multicell.studies.cost import StudyCost
     from multicell.studies.engine import Outcome
     from multicell.studies.status import RunStatus
@@ -45,9 +46,10 @@ yes_option = click.option(
     "--yes", "-y", is_flag=True, help="Do not ask before what is expected to take over an hour."
 )
 retry_option = click.option("--retry", is_flag=True, help="Try again what has failed.")
-_studied = shared.grouped(
-    shared.law_option, shared.observable_option, shared.integrator_option, shared.as_json_option
+_recorded = shared.grouped(
+    shared.observable_option, shared.integrator_option, shared.as_json_option
 )
+_studied = shared.grouped(shared.law_option, _recorded)
 analysis_options = shared.grouped(
     cores_option,
     scheduler_option,
@@ -67,7 +69,7 @@ def study() -> None:
 
 
 @study.command()
-@click.argument("scene", type=shared.SCENE)
+@shared.of_scene
 @shared.output_option("Folder of the study.")
 @shared.keyed(
     "--vary",
@@ -98,16 +100,13 @@ def study() -> None:
     help="Runs of each point, with the same seeds at all points.",
 )
 @click.option("--every", metavar="TIME", help="Between rows of the table of results, as '6 h'.")
-@shared.changes_option
-@_studied
+@_recorded
 @shared.overwrite_option("Replace the plan of another study; its runs stay.")
 @shared.quiet_option
 def new(
-    scene: str,
+    scene: Scene,
     output: Path,
     vary: Sequence[str],
-    changes: Sequence[str],
-    law: str | None,
     integrator: str | None,
     quiet: bool,
     as_json: bool,
@@ -117,12 +116,11 @@ def new(
 
     A folder that holds the same study, or a part of it, is widened: what has run stays.
     """
-    base = shared.scene_of(scene, changes, law)
     from multicell.studies.study import study as planned
 
     with planning():
         made = planned(
-            base, key_values(vary, "--vary"), output=output, integrator=integrator or "", **options
+            scene, key_values(vary, "--vary"), output=output, integrator=integrator or "", **options
         )
         made.expected(1)
     _print_plan(made, quiet, as_json)

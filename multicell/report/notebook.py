@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, final, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.errors import OutputError
 from multicell.report.wording import cell_count, measures, time_unit
-from multicell.units import to_base
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,22 +38,6 @@ class DrawnFrames(Sequence["Frame"]):
         """Simulated time of every frame: (k,), s; frames on disk are not read for it."""
         known = getattr(self._frames, "times", None)
         return np.array([f.time for f in self._frames] if known is None else known, dtype=float)
-
-    def nearest(self, time: float | str, path: str = "time") -> int:
-        """Return the number of the frame nearest to a time, s or with a unit.
-
-        Raises OutputError for a time beyond the frames, and SceneError, which names ``path``, for
-        what is no time.
-        """
-        wanted, times = to_base(time, "s", path), self.times
-        if not len(times):
-            raise OutputError("the run has no frames")
-        unit = time_unit(times[-1])
-        if not times[0] <= wanted <= times[-1]:
-            first, last = (unit.text(end) for end in (times[0], times[-1]))
-            asked = time if isinstance(time, str) else unit.text(wanted)
-            raise OutputError(f"the run has no frame at {asked}: it goes from {first} to {last}")
-        return int(np.argmin(np.abs(times - wanted)))
 
     def __len__(self) -> int:
         return len(self._frames)

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.report.notebook import DrawnFrames, line, shown
+from multicell.report.wording import time_unit
 from multicell.results.frame import Frame, Named
+from multicell.units import to_base
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -84,7 +86,15 @@ class Result:
     def number_at(self, time: float | str, path: str = "time") -> int:
         """Return the number of the frame nearest to a time; an error names it ``path``."""
         assert isinstance(self.frames, DrawnFrames)
-        return self.frames.nearest(time, path)
+        wanted, times = to_base(time, "s", path), self.frames.times
+        if not len(times):
+            raise OutputError("the run has no frames")
+        unit = time_unit(times[-1])
+        if not times[0] <= wanted <= times[-1]:
+            first, last = (unit.text(end) for end in (times[0], times[-1]))
+            asked = time if isinstance(time, str) else unit.text(wanted)
+            raise OutputError(f"the run has no frame at {asked}: it goes from {first} to {last}")
+        return int(np.argmin(np.abs(times - wanted)))
 
     def summary(self) -> dict[str, Any]:
         """Return a copy of the summary."""

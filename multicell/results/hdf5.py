@@ -10,6 +10,7 @@ of HDF5, and each frame one of ours over all that it holds. Nothing that leads o
 from __future__ import annotations
 
 import io
+import math
 import os
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -114,8 +115,6 @@ NAME: Final = "frames.h5"
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
 _ALWAYS: Final = 1 << 28  # bytes that are read at once whatever the size of the file
 _RATIO: Final = 60  # how much smaller what is read at once may be in the file; 10 is usual
-_IN_FRAMES: Final = ("cells/", "contacts/pair", "progress/text", "fields/", "concentrations/")
-"""Data sets of which one frame's rows are read at a time."""
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
@@ -319,25 +318,35 @@ def check_whole(path: Path) -> None:
 def check_contained(path: Path) -> None:
     """Refuse any HDF5 file that leads out of itself, or claims to hold far more than it."""
     with _open_file(path) as file:
-        claimed, left = 0, [file]
-        while left:
-            group = left.pop()
-            for name in group:
-                if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                    raise OutputError(f"'{path}' is damaged: {name} is a link")
-                entry = group[name]
-                if isinstance(entry, h5py.Group):
-                    raise OutputError(f"'{path}' is damaged: {name} is a group")
-                if not isinstance(entry, h5py.Dataset):
-                    continue
-                if _keeps_data_elsewhere(entry):
-                    raise OutputError(f"'{path}' is damaged: {name} keeps its data elsewhere")
-                claimed += int(entry.size or 0) * entry.dtype.itemsize
-        _check_claim(path, claimed)
+        _check_claim(path, sum(map(_bytes, _contained(path, file, 0).values())))
 
 
-def _keeps_data_elsewhere(column: Any) -> bool:
-    return bool(column.is_virtual or column.id.get_create_plist().get_external_count())
+def _contained(path: Path, group: Any, depth: int) -> dict[str, Any]:
+    """Return the data sets of a group, and of those in it down to a depth, by their paths.
+
+    Raises OutputError for links, deeper groups and data that are kept in another file.
+    """
+    found: dict[str, Any] = {}
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise OutputError(f"'{path}' is damaged: {name} is a link")
+        entry = group[name]
+        if isinstance(entry, h5py.Group):
+            if not depth:
+                raise OutputError(f"'{path}' is damaged: {name} is a group")
+            below = _contained(path, entry, depth - 1)
+            found |= {f"{name}/{inner}": column for inner, column in below.items()}
+        elif isinstance(entry, h5py.Dataset):
+            if entry.is_virtual or entry.id.get_create_plist().get_external_count():
+                raise OutputError(f"'{path}' is damaged: {name} keeps its data elsewhere")
+            found[name] = entry
+    return found
+
+
+def _bytes(column: Any, rows: int | None = None) -> int:
+    """Return what all of a data set, or so many rows of it, takes in memory."""
+    size = int(column.size or 0) if rows is None else rows * math.prod(column.shape[1:])
+    return size * int(column.dtype.itemsize)
 
 
 def _check_claim(path: Path, claimed: int) -> None:
@@ -368,22 +377,28 @@ class File:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._claimed = 0
-        self._at_once: dict[str, int] = {}
         with _open_file(path) as file:
             self._read_format(file)
-            for group in ("fields", "history", "cells", "frames", "lineage"):
-                self._direct(file, group)
-                if not isinstance(file[group], h5py.Group):
-                    raise self._damage(f"{group} is no group")
+            columns = _contained(path, file, 2)
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
-            sets = layout(self.nutrients)
-            self._sets = {p: kind for p, kind in sets.items() if p not in SPARSE or p in file}
-            self._check_sets(file)
-            shared = {path: file[path][()] for path in ("scene", *_shared(self._sets))}
+            sets = {p: k for p, k in layout(self.nutrients).items() if p not in SPARSE or p in file}
+            for name, kind in {"scene": of_rows("|u1"), **sets}.items():
+                if name not in columns:
+                    raise self._damage(f"it has no {name}")
+                if columns[name].dtype.str != kind.dtype:
+                    raise self._damage(f"{name} has type {columns[name].dtype}")
+            whole = ["scene", *_shared(sets)]
+            at_once = [*whole, *(f"history/{name}" for name in self.columns)]
+            _check_claim(path, sum(_bytes(columns[name]) for name in at_once))
+            shared = {name: file[name][()] for name in whole}
             if digest(shared) != int(file.attrs["digest"]):
                 raise self._damage("its scene, index or lineage is not what was written")
+            for name, kind in sets.items():
+                if name not in shared and kind.pool in shared:  # read a frame at a time
+                    rows = int(np.diff(shared[kind.pool]).max(initial=0))
+                    _check_claim(path, _bytes(columns[name], rows))
+            self.rows = len(file["history"][self.columns[0]]) if self.columns else 0
             self.identity, self.absorbed = (
                 self._name(file, key) for key in ("identity", "absorbed")
             )
@@ -410,67 +425,10 @@ class File:
                 f"'{self.path}' has result format {int(written)}; "
                 f"this multicell reads format {FORMAT}"
             )
-        frames = file.attrs["frames"]
-        if np.shape(frames) != () or int(frames) < 0:
-            raise self._damage("it does not say how many frames it has")
-        self.count = int(frames)
 
     def _name(self, file: Any, key: str) -> str:
         value = file.attrs[key]
         return bytes(value).decode("ascii", "replace") if isinstance(value, bytes) else ""
-
-    def _direct(self, file: Any, path: str) -> None:
-        """Refuse a path that is missing, or that leads over a link to somewhere else."""
-        parts = path.split("/")
-        for depth in range(1, len(parts) + 1):
-            inner = "/".join(parts[:depth])
-            link = file.get(inner, getlink=True)
-            if link is None:
-                raise self._damage(f"it has no {path}")
-            if not isinstance(link, h5py.HardLink):
-                raise self._damage(f"{inner} is a link, and links are not followed")
-
-    def _check_sets(self, file: Any) -> None:
-        """Check place, type, shape and storage of every data set before anything is read."""
-        self._check_set(file, "scene", of_rows("|u1"), None)
-        lengths = {"frames": self.count, "ends": self.count + 1}
-        # those of known length come first: they hold the lengths of the others
-        for path, kind in sorted(self._sets.items(), key=lambda x: x[1].pool not in lengths):
-            self._check_set(file, path, kind, lengths[kind.pool])
-            if kind.pool == "ends":
-                ends = file[path][()]
-                if ends[0] != 0 or (np.diff(ends) < 0).any():
-                    raise self._damage(f"{path} does not rise from 0")
-                lengths[path] = int(ends[-1])
-                self._at_once[path] = int(np.diff(ends).max(initial=0))
-        self.rows = 0
-        for k, name in enumerate(self.columns):
-            path = f"history/{name}"
-            self._check_set(file, path, of_rows("<f8"), self.rows if k else None)
-            self.rows = int(file[path].shape[0])
-
-    def _check_set(self, file: Any, path: str, kind: Kind, rows: int | None) -> None:
-        self._direct(file, path)
-        column = file[path]
-        tail = () if kind.width is None else (kind.width,)
-        if not isinstance(column, h5py.Dataset):
-            raise self._damage(f"{path} is no data set")
-        if _keeps_data_elsewhere(column):
-            raise self._damage(f"{path} keeps its data elsewhere, and that is not followed")
-        if column.dtype.str != kind.dtype or column.ndim != 1 + len(tail):
-            raise self._damage(f"{path} has type {column.dtype} and shape {column.shape}")
-        if column.shape[1:] != tail or (rows is not None and column.shape[0] != rows):
-            raise self._damage(f"{path} has shape {column.shape}, not {(rows, *tail)}")
-        # an array may claim any size: it is as large as the pieces of it that are there
-        pieces = -(-column.shape[0] // kind.chunk)
-        if column.chunks != (kind.chunk, *tail) or column.id.get_num_chunks() != pieces:
-            raise self._damage(f"{path} is not complete")
-        width = column.dtype.itemsize * (kind.width or 1)
-        if path.startswith(_IN_FRAMES):
-            _check_claim(self.path, width * self._at_once.get(kind.pool, 0))
-        else:
-            self._claimed += width * column.shape[0]
-            _check_claim(self.path, self._claimed)
 
     def history(self) -> dict[str, NDArray[np.float64]]:
         """Return the history by column, (m,) each."""

@@ -5,7 +5,7 @@ To add one is to write its entry, with a function of the state of a run.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 from weakref import ref
@@ -20,7 +20,6 @@ from multicell.scene.domain import walls
 from multicell.scene.pairs import compression
 
 if TYPE_CHECKING:
-    from multicell.cells import Cells
     from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
     from multicell.scene.scene import Scene
@@ -65,10 +64,6 @@ def _mean(values: NDArray[Any]) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-def _in_space(find: Callable[[Cells, int, of.Extent], float]) -> Callable[[TissueState], float]:
-    return lambda state: find(state.cells, state.dimensions, state.extent)
-
-
 def _over_radius(state: TissueState, length: float) -> float:
     return length / state.extent.radius() if len(state.cells) else float("nan")
 
@@ -81,17 +76,17 @@ _at_end = partial(Observable, at_end=True)
 
 OBSERVABLES: Final = (
     _count("cells", lambda s: len(s.cells), shown="{:,}".format),
-    _tissue_length("diameter", _in_space(of.diameter), doc="2 R"),
+    _tissue_length("diameter", lambda s: s.extent.diameter(), doc="2 R"),
     _length("radius", lambda s: s.extent.radius(), doc="R"),
     _tissue_length(
         "viable_rim",
-        _in_space(of.viable_rim),
+        lambda s: s.extent.rim(State.NECROTIC),
         absent="without a core, and where the dead lie outside the living",
         doc="R less the necrotic radius",
     ),
     _tissue_length(
         "proliferating_rim",
-        lambda s: of.rim(s.cells, s.dimensions, [State.QUIESCENT, State.NECROTIC], s.extent),
+        lambda s: s.extent.rim(State.QUIESCENT, State.NECROTIC),
         exists=lambda scene: scene.growth,
         absent="without quiescent and necrotic cells, and where they lie outside the others",
         doc="R less the radius, by the same formula, of quiescent and necrotic cells",
@@ -105,14 +100,14 @@ OBSERVABLES: Final = (
     ),
     _tissue_length(
         "necrotic_radius",
-        _in_space(of.necrotic_radius),
+        lambda s: s.extent.radius_of(State.NECROTIC),
         title="radius of the necrotic core",
         shown_if_zero=False,
         doc="the same formula over necrotic cells about the common centre; 0 without any",
     ),
     Observable(
         "necrotic_ratio",
-        lambda s: _over_radius(s, of.necrotic_radius(s.cells, s.dimensions, s.extent)),
+        lambda s: _over_radius(s, s.extent.radius_of(State.NECROTIC)),
         exists=_has_phases,
         absent="without cells",
         doc="the necrotic radius over R; with `growth.phases`",
@@ -135,7 +130,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "packing_ratio",
-        _in_space(of.packing_ratio),
+        lambda s: s.extent.packing_ratio(),
         absent="without cells",
         shown="{:.2f}".format,
         doc="sum of the cells' volumes over the volume of the ball of this diameter (areas "

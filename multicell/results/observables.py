@@ -8,7 +8,7 @@ their own.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
@@ -60,7 +60,7 @@ class Extent:
         self._dimensions = dimensions
         self._weights = sizes(cells, dimensions)
         self._squares = np.empty(0)
-        self._state = cells.state
+        self._state, self._radii = cells.state, cells.radius
         self._known: dict[tuple[State, ...], float] = {}
         if len(cells):
             if origin is None:
@@ -86,6 +86,36 @@ class Extent:
             self._known[states] = self.radius(chosen[self._state])
         return self._known[states]
 
+    def diameter(self) -> float:
+        """Return twice the radius of all cells, µm; 0 without cells."""
+        return 2.0 * self.radius()
+
+    def rim(self, *states: State) -> float:
+        """Return the thickness of the layer outside the cells in some states, µm; NaN without any.
+
+        The states are necrotic for the viable rim, and quiescent too for the proliferating one.
+        Cells of these states that lie further out than all on average are no core: there is no
+        layer outside them. A core that is hollow, because its oldest cells were removed, is
+        measured somewhat too large.
+        """
+        core = self.radius_of(*states)
+        thickness = self.radius() - core
+        # rounding must not take the rim of a population that is all core
+        lost = thickness < -1e-12 * core
+        return float("nan") if core == 0.0 or lost else max(thickness, 0.0)
+
+    def packing_ratio(self) -> float:
+        """Return the sum of the cells' volumes over the volume of the ball round them, NaN if none.
+
+        In a plane it is areas over the area of the disc. Spheres that do not overlap stay at or
+        below 1, since no body has a smaller radius of gyration than the ball of its volume;
+        :func:`multicell.scene.packing.densest` says how much overlap is too much.
+        """
+        if len(self._radii) == 0:
+            return float("nan")
+        ratio = self._radii / self.radius()
+        return float((cubes(ratio) if self._dimensions == 3 else ratio * ratio).sum())
+
 
 def uniform_radius(
     cells: Cells, origin: FloatArray, dimensions: int, mask: Mask | None = None
@@ -109,52 +139,15 @@ def uniform_radius(
     return Extent(cells, dimensions, origin).radius(mask)
 
 
-def diameter(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
-    """Return the diameter of the population in µm (:func:`uniform_radius`), 0 without cells."""
-    return 2.0 * (extent or Extent(cells, dimensions)).radius()
-
-
-def necrotic_radius(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
-    """Return the radius of the necrotic core in µm, 0 if no cell is necrotic.
-
-    The formula of :func:`uniform_radius` over necrotic cells about the centre of all cells; a
-    core that is hollow, because its oldest cells were removed, is measured somewhat too large.
-    """
-    return (extent or Extent(cells, dimensions)).radius_of(State.NECROTIC)
-
-
 def viable_volume(cells: Cells) -> float:
     """Return the volume of the ball of all cells less that of the necrotic core in µm³.
 
     NaN without living cells, and where the dead lie outside the living.
     """
     extent = Extent(cells, 3)
-    volume = 4.0 / 3.0 * np.pi * (extent.radius() ** 3 - necrotic_radius(cells, 3, extent) ** 3)
+    core = extent.radius_of(State.NECROTIC)
+    volume = 4.0 / 3.0 * np.pi * (extent.radius() ** 3 - core**3)
     return volume if volume > 0.0 and not cells.dead.all() else float("nan")
-
-
-def rim(
-    cells: Cells, dimensions: int, inside: Sequence[State], extent: Extent | None = None
-) -> float:
-    """Return the thickness of the layer outside the cells in some states in µm, NaN without any.
-
-    - ``inside``: states of the cells within: necrotic ones for the viable rim, quiescent ones too
-      for the proliferating one
-
-    Cells of these states that lie further out than all on average are no core: there is no layer
-    outside them.
-    """
-    extent = extent or Extent(cells, dimensions)
-    core = extent.radius_of(*inside)
-    thickness = extent.radius() - core
-    # rounding must not take the rim of a population that is all core
-    lost = thickness < -1e-12 * core
-    return float("nan") if core == 0.0 or lost else max(thickness, 0.0)
-
-
-def viable_rim(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
-    """Return the thickness of the layer outside the necrotic core in µm, NaN without a core."""
-    return rim(cells, dimensions, [State.NECROTIC], extent)
 
 
 FEWEST_INHIBITED = 10
@@ -182,20 +175,6 @@ def inhibited_radius(cells: Cells, dimensions: int, threshold: float = 0.2) -> f
     if inhibited < FEWEST_INHIBITED:
         return 0.0
     return float(radius[order[inhibited - 1 : inhibited + 1]].mean())
-
-
-def packing_ratio(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
-    """Return the sum of the cells' volumes over the volume of the ball round them, NaN if none.
-
-    In a plane it is areas over the area of the disc. The ball is that of :func:`diameter`. Spheres
-    that do not overlap stay at or below 1, since no body has a smaller radius of gyration than the
-    ball of its volume; :func:`multicell.scene.packing.densest` says how much overlap is too much.
-    """
-    if len(cells) == 0:
-        return float("nan")
-    radius = (extent or Extent(cells, dimensions)).radius()
-    ratio = cells.radius / radius
-    return float((cubes(ratio) if dimensions == 3 else ratio * ratio).sum())
 
 
 def settle(cells: Cells, walls: Walls | Sphere, compression: Compression | None) -> float:

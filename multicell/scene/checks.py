@@ -147,6 +147,9 @@ _FINEST = 0.001
 def check_nutrients(scene: Scene) -> None:
     """Raise ``SceneError`` for fields that do not fit together or to the rest of the scene."""
     check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", FIELD)
+    for name, reaction in scene.reactions.items():
+        for key in ("consumes", "produces", "activated_by", "inhibited_by"):
+            check_names(getattr(reaction, key), scene.nutrients, f"reactions.{name}.{key}", FIELD)
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
         _check_names(scene, path, nutrient)
@@ -412,9 +415,6 @@ _SHARED = (
 
 def check_reactions(scene: Scene) -> None:
     """Raise ``SceneError`` for reactions that do not fit the fields of the scene."""
-    for name, reaction in scene.reactions.items():
-        for key in ("consumes", "produces", "activated_by", "inhibited_by"):
-            check_names(getattr(reaction, key), scene.nutrients, f"reactions.{name}.{key}", FIELD)
     _check_groups(scene, scene.reactions)
 
 

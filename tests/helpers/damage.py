@@ -25,29 +25,27 @@ RECORD_FILES = ("frames.h5", "frames.journal")
 
 
 def hurt(folder, rng):
-    ways = [_cut, _cut, _flip, _flip, _flip, _overwrite, _lengthen, _replace, _text]
+    ways = [cut, cut, flip, flip, flip, _overwrite, _lengthen, special, text]
     if (folder / "frames.h5").is_file():
         ways += [_edit] * 10
     if (folder / "frames.journal").is_file():
         ways += [_shuffle] * 3
     way = rng.choice(ways)
-    return f"{way.__name__}: {way(folder, rng)}"
+    small = ["scene.toml", "summary.json"]
+    names = small if way is text else [*RECORD_FILES, *RECORD_FILES, *small]
+    path = rng.choice([folder / name for name in names if (folder / name).is_file()])
+    whole = way in (_edit, _shuffle)
+    return f"{path.name}, {way.__name__}: {way(folder if whole else path, rng)}"
 
 
-def _some_file(folder, rng, names=RECORD_FILES):
-    names = [*names, *names, "scene.toml", "summary.json"]
-    return rng.choice([folder / name for name in names if (folder / name).is_file()])
+def cut(path, rng):
+    size = path.stat().st_size
+    left = rng.choice([0, rng.randrange(200), rng.randrange(size + 1)])
+    os.truncate(path, min(left, size))
+    return left
 
 
-def _cut(folder, rng):
-    path = _some_file(folder, rng)
-    size = rng.choice([0, rng.randrange(200), rng.randrange(path.stat().st_size)])
-    os.truncate(path, min(size, path.stat().st_size))
-    return f"{path.name} to {size} bytes"
-
-
-def _flip(folder, rng):
-    path = _some_file(folder, rng)
+def flip(path, rng):
     data = bytearray(path.read_bytes())
     # HDF5 has its own structure at the beginning and all over the file
     reach = rng.choice([100, 2_000, len(data), len(data)])
@@ -55,11 +53,10 @@ def _flip(folder, rng):
     for place in places:
         data[place] ^= 1 << rng.randrange(8)
     path.write_bytes(data)
-    return f"{path.name} at {places}"
+    return places
 
 
-def _overwrite(folder, rng):
-    path = _some_file(folder, rng)
+def _overwrite(path, rng):
     data = bytearray(path.read_bytes())
     start = rng.randrange(len(data))
     length = min(rng.choice([4, 100, 4096, 1 << 20]), len(data) - start)
@@ -67,64 +64,53 @@ def _overwrite(folder, rng):
         [bytes(length), b"\xff" * length, rng.randbytes(length)]
     )
     path.write_bytes(data)
-    return f"{path.name} from {start} for {length}"
+    return f"from {start} for {length}"
 
 
-def _lengthen(folder, rng):
-    path = _some_file(folder, rng)
+def _lengthen(path, rng):
     tail = rng.choice([bytes(5000), rng.randbytes(5000), path.read_bytes()])
     path.write_bytes(path.read_bytes() + tail)
-    return path.name
 
 
-def _replace(folder, rng):
-    path = _some_file(folder, rng)
+def special(path, rng):
+    """Put something else in the place of a file."""
+    way = rng.choice(["fifo", "zero", "folder", "dangling", "loop", "nothing", "empty", "other"])
+    others = [other for other in path.parent.iterdir() if other.is_file() and other != path]
     path.unlink()
-    what = rng.choice(["nothing", "folder", "empty", "text", "dangling", "loop", "fifo", "other"])
-    if what == "folder":
-        path.mkdir()
-    elif what in ("empty", "text"):
-        path.write_text("" if what == "empty" else "these are not results\n" * 50)
-    elif what in ("dangling", "loop"):
-        path.symlink_to("nowhere" if what == "dangling" else path.name)
-    elif what == "fifo":
+    if way == "fifo":
         os.mkfifo(path)
-    elif what == "other":
-        names = [n for n in (*RECORD_FILES, "summary.json") if (folder / n).is_file()]
-        shutil.copy(folder / rng.choice([*names, "scene.toml"]), path) if names else None
-    return f"{path.name} by {what}"
+    elif way == "folder":
+        path.mkdir()
+    elif way == "empty":
+        path.touch()
+    elif way == "other" and others:
+        shutil.copy(rng.choice(sorted(others)), path)
+    elif way in ("zero", "dangling", "loop"):
+        path.symlink_to({"zero": "/dev/zero", "dangling": "nowhere", "loop": path.name}[way])
+    return way
 
 
-def _text(folder, rng):
-    """Edit the small files as a person or a broken program would."""
-    deep, digits = "[" * 100_000 + "]" * 100_000, "1" * 5000
-    if rng.random() < 0.5 or not (folder / "summary.json").is_file():
-        path = folder / "scene.toml"
+def text(path, rng):
+    """Edit a small file as a person or a broken program would."""
+    edits = {
+        "deep": "[" * 100_000, "deep table": '{"a":' * 5000 + "1" + "}" * 5000,
+        "digits": f'{{"cells": {"1" * 5000}}}', "list": "[1, 2]", "number": "3", "nothing": "",
+        "nan": '{"time": NaN, "cells": Infinity}', "null": "null", "keys": ".".join("a" * 30_000),
+        "types": '{"digest": [], "problem": 3, "time": {}, "reason": [1]}', "latin": "\udce4",
+    }  # fmt: skip
+    if path.suffix == ".toml":
         text = path.read_text()
-        edits = {
+        edits |= {
             "other cells": text.replace("young = 1.0", "young = 1.5"),
             "other nutrient": text.replace("nutrients.oxygen", "nutrients.glucose"),
-            "no nutrient": text[: text.index("[nutrients")],
-            "deep": f"title = {deep}\n" + text,
-            "digits": f"seed = {digits}\n",
-            "latin": "title = 'Gewebe \udce4'\n" + text,
+            "no nutrient": text.partition("[nutrients")[0],
+            "deep value": f"title = {edits['deep']}\n{text}",
+            "many digits": f"seed = {'1' * 5000}\n",
             "remark": "# looked at\n" + text,
         }
-        name = rng.choice(list(edits))
-        path.write_bytes(edits[name].encode("utf-8", "surrogateescape"))
-        return f"scene.toml, {name}"
-    edits = {
-        "deep": deep,
-        "deep table": '{"a":' * 5000 + "1" + "}" * 5000,
-        "digits": f'{{"cells": {digits}}}',
-        "list": "[1, 2]",
-        "number": "3",
-        "latin": '{"title": "\udce4"}',
-        "nothing": "",
-    }
     name = rng.choice(list(edits))
-    (folder / "summary.json").write_bytes(edits[name].encode("utf-8", "surrogateescape"))
-    return f"summary.json, {name}"
+    path.write_bytes(edits[name].encode("utf-8", "surrogateescape"))
+    return name
 
 
 def _shuffle(folder, rng):

@@ -4,19 +4,16 @@ Each case is one number: :func:`check` does the same damage for the same number.
 """
 
 import json
-import os
 import random
 import shutil
 from pathlib import Path
 
 import h5py
 import numpy as np
-from damage import MEMORY
+from damage import MEMORY, cut, flip, special, text
 from forks import limit_memory
 
 import multicell as mc
-
-DEEP = "[" * 100_000
 
 
 def files_of(folder):
@@ -31,23 +28,8 @@ def files_of(folder):
 
 def hurt(folder, rng):
     path = folder / rng.choice(files_of(folder))
-    way = rng.choice([_cut, _flip, _flip, _edit, _edit, _edit, _special, _special, _text])
+    way = rng.choice([cut, flip, flip, _edit, _edit, _edit, special, special, text])
     return f"{path.relative_to(folder)}, {way.__name__}: {way(path, rng)}"
-
-
-def _cut(path, rng):
-    size = rng.randrange(path.stat().st_size + 1)
-    os.truncate(path, size)
-    return size
-
-
-def _flip(path, rng):
-    data = bytearray(path.read_bytes())
-    places = [rng.randrange(len(data)) for _ in range(rng.choice([1, 1, 2, 16]))]
-    for place in places:
-        data[place] ^= 1 << rng.randrange(8)
-    path.write_bytes(data)
-    return places
 
 
 def _edit(path, rng):
@@ -84,32 +66,6 @@ def _edit(path, rng):
             rng.choice(b"123456789".replace(data[place : place + 1], b"")).to_bytes(1, "big")
         )
     return f"digit at {place}"
-
-
-def _special(path, rng):
-    way = rng.choice(["fifo", "zero", "folder", "dangling", "loop", "nothing", "empty"])
-    path.unlink()
-    if way == "fifo":
-        os.mkfifo(path)
-    elif way == "folder":
-        path.mkdir()
-    elif way == "empty":
-        path.touch()
-    elif way != "nothing":
-        path.symlink_to({"zero": "/dev/zero", "dangling": "nowhere", "loop": path.name}[way])
-    return way
-
-
-def _text(path, rng):
-    texts = {
-        "deep": DEEP, "deep table": '{"a":' * 5000 + "1" + "}" * 5000,
-        "digits": f'{{"cells": {"1" * 5000}}}', "list": "[1, 2]", "number": "3",
-        "nan": '{"time": NaN, "cells": Infinity}', "null": "null", "keys": ".".join("a" * 30_000),
-        "types": '{"digest": [], "problem": 3, "time": {}, "reason": [1]}', "latin": "\udce4",
-    }  # fmt: skip
-    name = rng.choice(list(texts))
-    path.write_bytes(texts[name].encode("utf-8", "surrogateescape"))
-    return name
 
 
 # --- what must hold ---------------------------------------------------------------------------

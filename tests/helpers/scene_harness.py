@@ -1,8 +1,8 @@
-"""What must hold of every scene, and worker processes that try it with many.
+"""What must hold of every scene, and processes that try it with many.
 
 A case is a dict of a scene. :func:`load_case` and :func:`run_case` return what became of it, or
-raise :class:`Fault`. :func:`campaign` draws cases in worker processes, which are killed when a case
-takes longer than it may, and returns a :class:`Tally` with all faults.
+raise :class:`Fault`. :func:`campaign` draws cases in processes of their own and returns a
+:class:`Tally` with all faults.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import collections
 import contextlib
 import fnmatch
 import json
-import multiprocessing
+import pickle
 import re
 import tempfile
 import time as clock
@@ -323,7 +323,6 @@ def _check_numbers(result, summary):
 class Tally:
     counts: collections.Counter = field(default_factory=collections.Counter)
     faults: dict = field(default_factory=dict)
-    seconds: float = 0.0
 
     @property
     def total(self):
@@ -341,21 +340,16 @@ class Tally:
     def __str__(self):
         """Return one line of counts, and every kind of fault with a scene that shows it."""
         counts = ", ".join(f"{name} {count}" for name, count in self.counts.most_common())
-        lines = [f"{self.total} in {self.seconds:.0f} s: {counts}"]
+        lines = [f"{self.total}: {counts}"]
         for verdict, entries in self.faults.values():
             lines += ["", verdict, f"scene: {entries!r}"]
         return "\n".join(lines)
 
 
-KINDS = {"load": (load_case, SECONDS_TO_LOAD), "run": (run_case, SECONDS_TO_RUN)}
-# hypothesis makes new cases of old ones: few of one seed do not share a fault of the drawing
-_BATCH = {"load": 500, "run": 8}
-
-
 def judged(kind, entries):
     """Return what became of a case, or a text that begins with ``FAULT``."""
     try:
-        return KINDS[kind][0](entries)
+        return (load_case if kind == "load" else run_case)(entries)
     except Fault as fault:
         return f"FAULT {fault}"
     except Exception as error:
@@ -367,119 +361,51 @@ def judged(kind, entries):
         )
 
 
-def _work(pipe):
-    """Draw and judge cases as the parent asks for: (kind, seed, number)."""
-    from multicell.scene.scene import load_scene
-
-    explained(load_scene("spheroid"))  # what is imported once is no case's
-    while (task := pipe.recv()) is not None:
-        _draw(*task, pipe)
-        pipe.send(("done", None))
-
-
-def _draw(kind, seed, number, pipe):
+def draw(kind, seed, number, noted):
+    """Draw and judge cases; note each one, and then its verdict, in a file."""
     import hypothesis
     import scene_strategies
     from hypothesis import HealthCheck, Phase, given, settings
 
-    @hypothesis.seed(seed)
-    @settings(
-        max_examples=number, database=None, deadline=None, phases=[Phase.generate],
-        suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
-    @given(entries=scene_strategies.wild() if kind == "load" else scene_strategies.plausible())
-    def each(entries):
-        pipe.send(("begin", entries))
-        pipe.send(("end", judged(kind, entries)))
+    from multicell.scene.scene import load_scene
 
-    each()
+    explained(load_scene("spheroid"))  # what is imported once is no case's
+    with open(noted, "wb", buffering=0) as file:
 
+        @hypothesis.seed(seed)
+        @settings(
+            max_examples=number, database=None, deadline=None, phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        )  # fmt: skip
+        @given(entries=scene_strategies.wild() if kind == "load" else scene_strategies.plausible())
+        def each(entries):
+            pickle.dump(entries, file)
+            pickle.dump(judged(kind, entries), file)
 
-@dataclass
-class _Worker:
-    context: object
-    process: object = None
-    pipe: object = None
-    task: tuple | None = None
-    left: int = 0
-    case: object = None
-    since: float = 0.0
-
-    def start(self):
-        self.pipe, other = self.context.Pipe()
-        self.process = self.context.Process(target=_work, args=(other,), daemon=True)
-        self.process.start()
-        other.close()
-        self.case = None
-
-    def give(self, task):
-        self.task, self.left, self.case = task, task[2], None
-        self.pipe.send(task)
-
-    def stop(self):
-        self.process.kill()
-        self.process.join()
-        self.pipe.close()
+        each()
 
 
-def campaign(kind, number, workers=2, first_seed=0, report=None):
-    """Draw and judge ``number`` cases; ``report`` is called with the tally now and then."""
-    begin = clock.monotonic()
-    context = multiprocessing.get_context("spawn")
-    tasks = collections.deque()
-    while sum(task[2] for task in tasks) < number:
-        size = min(_BATCH[kind], number - sum(task[2] for task in tasks))
-        tasks.append((kind, first_seed + len(tasks), size))
-    tally, crew = Tally(), [_Worker(context) for _ in range(min(workers, len(tasks)))]
-    for worker in crew:
-        worker.start()
-        worker.give(tasks.popleft())
-    try:
-        while crew:
-            ready = multiprocessing.connection.wait([w.pipe for w in crew], timeout=1.0)
-            for worker in list(crew):
-                _attend(worker, worker.pipe in ready, kind, tally, tasks)
-                if worker.task is None:
-                    worker.stop()
-                    crew.remove(worker)
-            tally.seconds = clock.monotonic() - begin
-            if report is not None:
-                report(tally)
-    finally:
-        for worker in crew:
-            worker.stop()
+BATCH = {"load": 100, "run": 8}
+"""Cases of one seed and process: hypothesis makes new cases of old ones."""
+
+
+def campaign(kind, number, forks, place, first_seed=0):
+    """Draw and judge ``number`` cases in processes that are killed where one hangs."""
+    tally = Tally()
+    limit = 60.0 + BATCH[kind] * (SECONDS_TO_LOAD if kind == "load" else SECONDS_TO_RUN)
+    for batch, begin in enumerate(range(0, number, BATCH[kind])):
+        noted = place / f"{kind}-{batch}"
+        task = {"kind": kind, "seed": first_seed + batch, "noted": str(noted),
+                "number": min(BATCH[kind], number - begin)}  # fmt: skip
+        done = forks.ask(function="scene_harness:draw", limit=limit, **{"with": task})
+        found = []
+        with noted.open("rb") as file, contextlib.suppress(EOFError):
+            while True:
+                found.append(pickle.load(file))
+        if len(found) % 2:  # hung or died
+            found.append(f"FAULT ended by {done['code']}: {done['text'][-1000:]}")
+        elif done["code"] != 0:
+            raise RuntimeError(f"a process ended between two cases: {done}")
+        for entries, verdict in zip(found[::2], found[1::2], strict=True):
+            tally.add(verdict, entries)
     return tally
-
-
-def _attend(worker, ready, kind, tally, tasks):
-    """Take what a worker says; replace it where it says nothing for too long, or has died."""
-    problem = ""
-    if ready:
-        try:
-            word, what = worker.pipe.recv()
-        except EOFError:
-            worker.process.join()
-            if worker.case is None:
-                raise RuntimeError("a worker died between two cases") from None
-            problem = f"FAULT died with exit code {worker.process.exitcode}"
-        else:
-            if word == "begin":
-                worker.case, worker.since = what, clock.monotonic()
-            elif word == "end":
-                tally.add(what, worker.case)
-                worker.case, worker.left = None, worker.left - 1
-            else:  # hypothesis may run out of new cases before the number is reached
-                worker.task = None
-    # a case that ends a little too late tells so itself, and its time is that of the processor
-    elif worker.case is not None and clock.monotonic() - worker.since > 4.0 * KINDS[kind][1]:
-        problem = "FAULT hang"
-    if problem:
-        tally.add(problem, worker.case)
-        worker.stop()
-        worker.start()
-        seed = worker.task[1] + 1_000_003
-        worker.task = None
-        if worker.left > 1:
-            tasks.append((kind, seed, worker.left - 1))
-    if worker.task is None and tasks:
-        worker.give(tasks.popleft())

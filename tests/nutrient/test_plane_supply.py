@@ -8,7 +8,7 @@ import multicell as mc
 from multicell.cells import SPHERE, State
 from multicell.report.explain.course import SHELLS, Profile
 from multicell.report.explain.scene import explain
-from multicell.results.observables import diameter
+from multicell.results.observables import Extent
 from multicell.scene.scales import height
 from multicell.scene.sizes import typical_radius
 
@@ -72,7 +72,7 @@ def test_supply_from_above_is_that_of_a_layer_of_still_medium(perfusion):
     scene = plane(perfusion=perfusion, necrosis=None).with_changes({"initial.count": 6000})
     oxygen, simulation = scene.nutrients["oxygen"], mc.Simulation(scene)
     high = height(scene, "oxygen")
-    radius = 0.5 * diameter(simulation.cells, 2)
+    radius = 0.5 * Extent(simulation.cells, 2).diameter()
     each = oxygen.largest_uptake(SPHERE * typical_radius(scene) ** 3)
     q = 6000 * each / (np.pi * radius**2 * high)
     c0, half = oxygen.boundary, oxygen.half_saturation

@@ -9,7 +9,7 @@ from multicell.cells import SPHERE
 from multicell.errors import SceneError
 from multicell.nutrient.fields import FieldSystem
 from multicell.report.explain.course import course
-from multicell.results.observables import diameter
+from multicell.results.observables import Extent
 from multicell.scene.scales import scales
 from multicell.scene.scene import Scene
 
@@ -49,7 +49,7 @@ def test_a_ball_has_the_field_of_the_closed_form_whatever_its_cells_size(radius)
     )  # fmt: skip
     simulation = mc.Simulation(described)
     cells = simulation.cells
-    ball = 0.5 * diameter(cells, 3)
+    ball = 0.5 * Extent(cells, 3).diameter()
     taken = most * float(cells.volume.sum())
     surface = 0.2 - taken / (4.0 * np.pi * diffusion) * (1.0 / ball - 1.0 / (ball + 40.0))
     field = simulation.frame().fields["a"]

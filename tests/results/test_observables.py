@@ -18,20 +18,10 @@ def _uniform_ball(radius, count=200_000, seed=3):
     return direction * (radius * rng.random(count) ** (1 / 3))[:, None]
 
 
-def test_one_cell_has_its_own_size_wherever_it_lies_and_is_all_core_if_necrotic():
-    cells = cells_at([[40.0, -3.0, 7.0]], radius=4.5)
-    assert observables.diameter(cells, 3) == pytest.approx(9.0, rel=1e-14)
-    assert np.isnan(observables.viable_rim(cells, 3))
-    assert observables.necrotic_radius(cells, 3) == 0.0
-    cells.state[:] = State.NECROTIC
-    assert observables.necrotic_radius(cells, 3) == pytest.approx(4.5, rel=1e-14)
-    assert observables.viable_rim(cells, 3) == pytest.approx(0.0, abs=1e-14)
-
-
 def test_two_cells_follow_the_parallel_axis_theorem_and_weigh_as_their_volumes():
     cells = cells_at([[-6.0, 0.0, 0.0], [6.0, 0.0, 0.0]], radius=5.0)
     expected = np.sqrt(5.0 / 3.0 * (36.0 + 0.6 * 25.0))
-    assert observables.diameter(cells, 3) == pytest.approx(2.0 * expected, rel=1e-14)
+    assert observables.Extent(cells, 3).diameter() == pytest.approx(2.0 * expected, rel=1e-14)
     cells = cells_at([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], radius=[2.0, 1.0])
     np.testing.assert_allclose(observables.centre(cells, 3), [1.0, 0.0, 0.0], rtol=1e-14)
 
@@ -39,12 +29,14 @@ def test_two_cells_follow_the_parallel_axis_theorem_and_weigh_as_their_volumes()
 def test_uniform_ball_is_measured_with_its_own_radius():
     cells = cells_at(_uniform_ball(100.0) + np.array([30.0, 0.0, -8.0]), radius=0.5)
     # standard error of the mean square distance: sqrt(12/175) R^2 / sqrt(n), half of it in R
-    assert observables.diameter(cells, 3) == pytest.approx(200.0, rel=4 * 0.262 / 2 / 447)
+    assert observables.Extent(cells, 3).diameter() == pytest.approx(200.0, rel=4 * 0.262 / 2 / 447)
 
 
 def test_packed_ball_does_not_depend_on_the_cells_overlap():
     position = ball(4000, jitter=0.0)
-    small, large = (observables.diameter(cells_at(position, radius=r), 3) for r in (1.0, 5.0))
+    small, large = (
+        observables.Extent(cells_at(position, radius=r), 3).diameter() for r in (1.0, 5.0)
+    )
     expected = 2.0 * (3 * 4000 * 8.4**3 / np.sqrt(2) / (4 * np.pi)) ** (1 / 3)
     assert small == pytest.approx(expected, rel=5e-3)
     # exactly R^2 + r^2: only the cells' own extent differs

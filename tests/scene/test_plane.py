@@ -50,11 +50,15 @@ def moment_by_samples(cells: Cells, dimensions: int) -> float:
 @BOTH
 def test_one_cell_has_its_own_size(dimensions):
     cells = cells_at([[40.0, -3.0, 0.0]], radius=4.5)
-    assert observables.diameter(cells, dimensions) == pytest.approx(9.0, rel=1e-14)
-    assert observables.packing_ratio(cells, dimensions) == pytest.approx(1.0, rel=1e-13)
-    dead = cells_at([[40.0, -3.0, 0.0]], radius=4.5, state=State.NECROTIC)
-    assert observables.necrotic_radius(dead, dimensions) == pytest.approx(4.5, rel=1e-14)
-    assert observables.viable_rim(dead, dimensions) == pytest.approx(0.0, abs=1e-12)
+    living = observables.Extent(cells, dimensions)
+    assert living.diameter() == pytest.approx(9.0, rel=1e-14)
+    assert living.packing_ratio() == pytest.approx(1.0, rel=1e-13)
+    assert living.radius_of(State.NECROTIC) == 0.0
+    assert np.isnan(living.rim(State.NECROTIC))
+    cells.state[:] = State.NECROTIC
+    dead = observables.Extent(cells, dimensions)
+    assert dead.radius_of(State.NECROTIC) == pytest.approx(4.5, rel=1e-14)
+    assert dead.rim(State.NECROTIC) == pytest.approx(0.0, abs=1e-12)
 
 
 @BOTH
@@ -66,7 +70,7 @@ def test_unlike_cells_are_measured_as_their_bodies_are(dimensions):
     cells = cells_at(position, radius=rng.uniform(1.0, 12.0, 12))
     share = dimensions / (dimensions + 2)
     expected = np.sqrt(moment_by_samples(cells, dimensions) / share)
-    assert observables.diameter(cells, dimensions) == pytest.approx(2 * expected, rel=3e-3)
+    assert observables.Extent(cells, dimensions).diameter() == pytest.approx(2 * expected, rel=3e-3)
     size = cells.radius**dimensions
     middle = (size[:, None] * position).sum(axis=0) / size.sum()
     np.testing.assert_allclose(observables.centre(cells, dimensions), middle, rtol=1e-12)
@@ -80,13 +84,13 @@ def test_a_dense_tissue_with_a_core(dimensions):
     distance = np.linalg.norm(position, axis=1)
     state = np.where(distance < 0.5 * edge, State.NECROTIC, State.PROLIFERATING)
     cells = cells_at(position + SHIFT, radius=2.0, state=state)
-    assert observables.diameter(cells, dimensions) == pytest.approx(2 * edge, rel=6e-3)
-    assert observables.necrotic_radius(cells, dimensions) == pytest.approx(0.5 * edge, rel=1e-2)
-    assert observables.viable_rim(cells, dimensions) == pytest.approx(0.5 * edge, rel=1e-2)
-    lacking = observables.Extent(cells, dimensions).radius(distance < 0.7 * edge)
-    assert lacking == pytest.approx(0.7 * edge, rel=1e-2)
+    extent = observables.Extent(cells, dimensions)
+    assert extent.diameter() == pytest.approx(2 * edge, rel=6e-3)
+    assert extent.radius_of(State.NECROTIC) == pytest.approx(0.5 * edge, rel=1e-2)
+    assert extent.rim(State.NECROTIC) == pytest.approx(0.5 * edge, rel=1e-2)
+    assert extent.radius(distance < 0.7 * edge) == pytest.approx(0.7 * edge, rel=1e-2)
     filled = np.pi / 4 if dimensions == 2 else np.pi / 6
-    assert observables.packing_ratio(cells, dimensions) == pytest.approx(filled, rel=2e-2)
+    assert extent.packing_ratio() == pytest.approx(filled, rel=2e-2)
 
 
 @BOTH
@@ -103,7 +107,7 @@ def test_cells_that_do_not_overlap_never_pass_a_packing_ratio_of_one(dimensions)
             gap = np.linalg.norm(far[:, None] - position[:k], axis=2) - radius[:k] - radius[k]
             position[k] = far[np.argmax((gap < 0.0).any(axis=1)) - 1]
         cells = cells_at(position, radius=radius)
-        assert 0.0 < observables.packing_ratio(cells, dimensions) <= 1.0
+        assert 0.0 < observables.Extent(cells, dimensions).packing_ratio() <= 1.0
 
 
 @BOTH
@@ -123,7 +127,7 @@ def test_profiles_count_in_rings_and_shells(dimensions):
 def test_distance_of_two_cells_follows_from_their_diameter(dimensions):
     for apart in (3.0, 11.0):
         cells = cells_at([[0.0, 0, 0], [apart, 0, 0]], radius=[4.0, 7.0])
-        size = np.array([observables.diameter(cells, dimensions)])
+        size = np.array([observables.Extent(cells, dimensions).diameter()])
         found = contact_plots.distance_of_two(size, cells, dimensions)
         assert found[0] == pytest.approx(apart, rel=1e-12)
 
@@ -152,8 +156,8 @@ def test_dead_cells_outside_the_others_are_no_core():
     position = uniform(100.0, 3, 5000)
     outside = np.linalg.norm(position, axis=1) > 80.0
     cells = cells_at(position, radius=1.0, state=np.where(outside, State.NECROTIC, 0))
-    assert observables.necrotic_radius(cells, 3) > 100.0
-    assert np.isnan(observables.viable_rim(cells, 3))
+    assert observables.Extent(cells, 3).radius_of(State.NECROTIC) > 100.0
+    assert np.isnan(observables.Extent(cells, 3).rim(State.NECROTIC))
 
 
 @BOTH

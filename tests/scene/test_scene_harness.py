@@ -1,13 +1,12 @@
 """Scenes drawn from the declarations: each loads or is refused by name, runs or fails by name.
 
 ``pytest tests/scene/test_scene_harness.py -s --scenes 20000 --runs 1000 --first-seed 1`` searches
-longer, in a process for each core, and prints what became of them. Every fault found got a
+longer and prints what became of them; several at once need other seeds. Every fault found got a
 test here.
 """
 
 from __future__ import annotations
 
-import os
 from contextlib import suppress
 
 import pytest
@@ -26,17 +25,12 @@ from multicell.units import RANGES, shown, to_base
 # --- the search --------------------------------------------------------------------------------
 
 
-def workers():
-    """Return one process for each core that may be used."""
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return max(1, count or 1)
-
-
 def searched(request, kind, option):
     """Draw as many cases as the command asks for; print and return the tally."""
     number = request.config.getoption(option)
     seed = request.config.getoption("--first-seed") * 10_000
-    tally = campaign(kind, number, workers=workers(), first_seed=seed)
+    forks, place = map(request.getfixturevalue, ("forks", "tmp_path"))
+    tally = campaign(kind, number, forks, place, first_seed=seed)
     print(f"\n{option[2:]}: {tally}")
     assert not tally.faults, str(tally)
     assert tally.total >= 0.9 * number
@@ -143,6 +137,14 @@ def specs_of_laws():
         ({"types": {"a": {"receptor_by": {"o2": [[0, 1e300]]}}}}, "types.a.receptor_by.o2"),
         ({"contact": {"law": "linear", "cutoff": 1e9}}, "contact.cutoff"),
         ({"cells": {"": 1}}, "cells.''"),
+        (
+            {
+                "domain": {axis: [-50, 50] for axis in "xyz"},
+                "nutrients": {"o2": {}},
+                "reactions": {"r": {"rate": 1, "consumes": {"co2": 1}}},
+            },
+            "reactions.r.consumes.co2",
+        ),
         ({"": 1}, "''"),
     ],
 )

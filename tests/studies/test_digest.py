@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scene_strategies import plausible
 
@@ -47,7 +47,7 @@ def shuffled(entries, chance, path=""):
 
 
 @given(plausible(extreme=0.0), st.integers(0, 2**32))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
 def test_equal_scenes_have_one_digest(entries, seed):
     try:
         scene = mc.Scene.from_dict(entries)
