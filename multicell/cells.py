@@ -255,11 +255,10 @@ def rows_of(known: IntArray, ids: IntArray) -> IntArray:
         return np.full(ids.shape, -1)
     low, high = int(known.min()), int(known.max())
     if high - low < _TABLE * len(known) + 1000:
-        table = np.full(high - low + 2, -1, dtype=np.int32)
-        table[known - low] = np.arange(len(known), dtype=np.int32)
-        # the last entry stands for all that are not between the two
-        inside = (ids >= low) & (ids <= high)
-        return table[np.where(inside, ids - low, high - low + 1)].astype(np.int64)
+        # the first and the last entry stand for all that are not between the two
+        table = np.full(high - low + 3, -1, dtype=np.int32)
+        table[known - (low - 1)] = np.arange(len(known), dtype=np.int32)
+        return table.take(ids - (low - 1), mode="clip").astype(np.int64)
     order = np.argsort(known)
     place = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
     return np.where(known[order[place]] == ids, order[place], -1)
