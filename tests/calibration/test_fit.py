@@ -18,7 +18,7 @@ import multicell as mc
 from multicell.calibration.data import Datum, read_data
 from multicell.calibration.fit import plan_of
 from multicell.calibration.likelihood import _check, scatter_of
-from multicell.calibration.pool import Pool, open_pool
+from multicell.calibration.pool import Pool
 from multicell.calibration.problem import ranges_of
 from multicell.calibration.search import Search
 from multicell.calibration.simulator import SceneSimulator, reading
@@ -228,17 +228,6 @@ def test_intervals_are_those_of_the_draws():
     assert undetermined(problem.ranges, draws, even)[0].kind == "open"
     tilted = intervals(problem.ranges, draws, draws[:, 0] / draws.sum())["p0"]
     assert tilted.median == pytest.approx(math.sqrt(0.5), abs=2e-3)
-
-
-def test_workers_of_a_cluster_find_the_same_as_this_process():
-    """Two processes: the search is the same to the bit."""
-    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.2, noise=0.1, seeds=2)
-    own = Search(problem, None, seed=4).run(Pool(), 15)
-    with open_pool(2, None) as pool:
-        assert pool.count == 2
-        theirs, here = calls_of(lambda: Search(problem, None, seed=4).run(pool, 15))
-    assert here == []
-    assert [e.misfit.loss for e in theirs] == [e.misfit.loss for e in own]
 
 
 DATA = {"time / h": [10, 20], "cells": [7, 9]}

@@ -157,10 +157,19 @@ def test_a_point_that_the_scene_refuses_is_told_with_its_values():
     assert "necrosis = '0.015 mM', nutrients.oxygen.quiescence = '0.01 mM'" in str(error.value)
 
 
-def test_points_whose_scenes_are_equal_are_told():
-    law = {"contact.law": ["jkr", "hertz"], "contact.surface_energy": [0.02, 0.02]}
-    with pytest.raises(SceneError, match="has no meaning where"):
-        make_plan(EMT6, points=law)
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"points": {"contact.law": ["jkr", "hertz"], "contact.surface_energy": [0.02] * 2}},
+         "has no meaning where"),
+        ({"vary": {OXYGEN: "1000 uM, 1 mM"}}, "'1000 uM' and nutrients.oxygen.boundary = '1 mM'"),
+        ({"points": {"contact.law": ["jkr", "jkr"]}}, "contact.law: makes no difference"),
+    ],
+)  # fmt: skip
+def test_points_whose_scenes_are_equal_are_told(given, said):
+    with pytest.raises(SceneError) as error:
+        make_plan(EMT6, **given)
+    assert said in str(error.value)
 
 
 def test_seeds_must_fit_behind_that_of_the_scene():
