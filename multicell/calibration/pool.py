@@ -43,8 +43,9 @@ class Pool:
             for key, function, arguments in calls:
                 yield key, self._call(function, *arguments)
             return
-        from distributed import as_completed
+        import distributed
 
+        as_completed: Any = distributed.as_completed  # which has no types
         # equal calls are different work: one that was cancelled must not come back as another
         pending = {
             self._client.submit(function, *arguments, pure=False): key
