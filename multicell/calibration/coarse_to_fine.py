@@ -14,10 +14,10 @@ A ratio leaves zero at zero: a core that has not begun stays so.
 from __future__ import annotations
 
 import tempfile
-import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -26,19 +26,15 @@ import numpy as np
 from multicell.calibration.fit_plan import BESIDE, FURTHER, PAIRS, write_result
 from multicell.calibration.likelihood import MAX_REPEATS, MIN_REPEATS
 from multicell.calibration.pool import open_pool
+from multicell.calibration.search import Run, Search, entry_of
 from multicell.calibration.simulator import Reading, Simulator
 from multicell.errors import FitFailed, SceneError
-from multicell.results.documents import Lines
 
 if TYPE_CHECKING:
     from multicell.calibration.fit_plan import FitPlan, Progress
     from multicell.calibration.fitted import Fit
-    from multicell.cells import FloatArray
 
 MIN_POINTS: Final = 10
-_LOG: Final = "pairs.log"
-
-Key = tuple[tuple[float, ...], int, int]
 
 
 @final
@@ -117,21 +113,19 @@ def fit_coarse_first(
         else:
             folder = Path(output)
         first = fitted("coarse", coarse, repeats=MIN_REPEATS, profile_runs=0)
-        path = folder / "coarse" / _LOG
-        runs, seconds = _pairs(first, coarse, fine, path, note, cores, scheduler)
-        seeds, ratios = plan.problem.seeds, _ratios(plan, runs)
+        simulators = {"fine": fine, "coarse": coarse}
+        runs = _pairs(first, simulators, folder / "coarse", note, cores, scheduler)
+        seeds, ratios = plan.problem.seeds, _ratios(runs)
         corrected = Corrected(coarse, fine, seeds, ratios)
         found = fitted(
             "fine", corrected, points=max(MIN_POINTS, plan.points // FURTHER),
             adopted=_entries(first, corrected),
         )  # fmt: skip
-        known = first.readings
-        made = [key for key in found.readings if key not in known]
-        counts = {
-            "coarse": len(known) + len(runs["coarse"]) + sum(key[2] in seeds for key in made),
-            "fine": len(runs["fine"]) + sum(key[2] not in seeds for key in made),
-        }
-        facts = {**found.facts, "coarse": _account(plan, counts, seconds, ratios)}
+        made = [key for key in found.readings if key not in first.readings]
+        counts = {name: sum(map(len, beside)) for name, beside in runs.items()}
+        counts["coarse"] += len(first.readings) + sum(key[2] in seeds for key in made)
+        counts["fine"] += sum(key[2] not in seeds for key in made)
+        facts = {**found.facts, "coarse": _account(plan, counts, ratios)}
         found = replace(found, facts=facts, folder=None if output is None else found.folder)
         if output is not None:
             write_result(found, folder / "fine")
@@ -140,21 +134,19 @@ def fit_coarse_first(
 
 
 def _account(
-    plan: FitPlan,
-    counts: Mapping[str, int],
-    seconds: Mapping[str, float],
-    ratios: Sequence[Sequence[float]],
+    plan: FitPlan, counts: Mapping[str, int], ratios: Sequence[Sequence[float]]
 ) -> dict[str, Any]:
-    """Return what the fit has cost, and what fine runs alone would have."""
+    """Return what the fit is expected to have cost, and what fine runs alone would have."""
+    seconds = {"fine": plan.seconds_a_run(1.0), "coarse": plan.seconds_a_run(plan.coarse)}
     spent = sum(counts[name] * seconds[name] for name in counts)
     alone = plan.runs * seconds["fine"]
     words = (
         f"The search made {counts['coarse']} coarse runs (factor {plan.coarse:g}), corrected by "
-        f"{counts['fine']} fine ones: about {spent:,.0f} s of CPU, where the {plan.runs} runs of "
-        f"the same fit would take {alone:,.0f} s."
+        f"{counts['fine']} fine ones: by forecast {spent:,.0f} s of CPU, where the {plan.runs} "
+        f"runs of the same fit would take {alone:,.0f} s."
     )
     return {
-        "factor": plan.coarse, "runs": dict(counts), "seconds_a_run": dict(seconds),
+        "factor": plan.coarse, "runs": dict(counts), "seconds_a_run": seconds,
         "seconds": spent, "fine_runs_alone": plan.runs, "fine_seconds_alone": alone,
         "saved": 1.0 - spent / alone if alone > 0.0 else float("nan"),
         "ratios": [list(row) for row in ratios], "words": words,
@@ -164,92 +156,55 @@ def _account(
 def _entries(first: Fit, corrected: Corrected) -> list[dict[str, Any]]:
     """Return the search of a fit as entries of a log, with corrected readings."""
     points = [e.shares.tolist() for e in first.evaluations]
-    entries: list[dict[str, Any]] = [{"points": points, "reused": True}]
-    for shares in points:
-        for condition, seed in first.problem.tasks():
-            run = tuple(shares), condition, seed
-            reading = corrected.corrected(first.readings[run], condition)
-            entries.append({
-                "shares": shares, "condition": condition, "seed": seed, "reason": reading.reason,
-                "values": [None if v != v else v for v in reading.values], "reused": True,
-            })  # fmt: skip
-    return entries
-
-
-def timed(
-    simulator: Simulator, shares: Sequence[float], condition: int, seed: int
-) -> tuple[Reading, float]:
-    """Return what a run gives, and the CPU time that it took, s."""
-    begin = clock.process_time()
-    reading = simulator(shares, condition, seed)
-    return reading, clock.process_time() - begin
+    runs = [(tuple(shares), k, seed) for shares in points for k, seed in first.problem.tasks()]
+    readings = (corrected.corrected(first.readings[run], run[1]) for run in runs)
+    entries = [entry_of(*pair, reused=True) for pair in zip(runs, readings, strict=True)]
+    return [{"points": points, "reused": True}, *entries]
 
 
 def _pairs(
-    first: Fit, coarse: Simulator, fine: Simulator, path: Path, note: Progress,
+    first: Fit, simulators: Mapping[str, Simulator], folder: Path, note: Progress,
     cores: int | None, scheduler: str | None,
-) -> tuple[dict[str, dict[Key, FloatArray]], dict[str, float]]:  # fmt: skip
-    """Return readings of fine and coarse runs at draws from a fit, and mean CPU times, s."""
+) -> dict[str, list[dict[Run, Reading]]]:  # fmt: skip
+    """Return the readings of fine and coarse runs at draws from a fit, by condition."""
     if first.sample is None:
         raise FitFailed("too few points were tried with coarse runs", "Take a larger budget.")
     shares, weights = first.sample
     likely = np.interp((np.arange(PAIRS) + 0.5) / PAIRS, np.cumsum(weights), np.arange(len(shares)))
-    draws = [tuple(shares[round(float(k))].tolist()) for k in likely]
+    draws = shares[np.round(likely).astype(int)].tolist()
     begin = max(first.problem.seeds) + 1 + 10 * MAX_REPEATS
-    conditions = range(len(first.problem.measured.conditions))
-    wanted = {
-        (name, (draw, condition, begin + row * BESIDE + k))
-        for row, draw in enumerate(draws)
-        for condition in conditions
-        for name, count in (("fine", 1), ("coarse", BESIDE))
-        for k in range(count)
-    }
-    runs: dict[str, dict[Key, FloatArray]] = {"fine": {}, "coarse": {}}
-    spent: dict[str, list[float]] = {"fine": [], "coarse": []}
-    lines = Lines(path)
-
-    def take(entry: Mapping[str, Any]) -> None:
-        key = (tuple(entry["shares"]), entry["condition"], entry["seed"])
-        if (entry["which"], key) not in wanted:  # of a fit that was overwritten
-            return
-        values = np.array([np.nan if v is None else v for v in entry["values"]])
-        runs[entry["which"]][key] = values
-        spent[entry["which"]].append(entry["seconds"])
-
-    for entry in lines.entries:
-        take(entry)
-    missing = sorted((name, key) for name, key in wanted if key not in runs[name])
+    found = {}
     with open_pool(cores, scheduler) as pool:
-        simulators = {"fine": fine, "coarse": coarse}
-        calls = [((n, key), timed, (simulators[n], list(key[0]), *key[1:])) for n, key in missing]
-        for done, ((which, key), (reading, seconds)) in enumerate(pool.results(calls), start=1):
-            values = [None if np.isnan(v) else v for v in reading.values]
-            entry = {
-                "which": which, "shares": list(key[0]), "condition": key[1], "seed": key[2],
-                "values": values, "seconds": seconds,
-            }  # fmt: skip
-            lines.append([entry])
-            take(entry)
-            note("fine runs beside coarse ones", done, len(missing))
-    return runs, {name: float(np.mean(times)) for name, times in spent.items()}
+        for name, count in (("fine", 1), ("coarse", BESIDE)):
+            points = [(draw, begin + row * BESIDE + k)
+                      for row, draw in enumerate(draws) for k in range(count)]  # fmt: skip
+            problem = replace(first.problem, simulator=simulators[name])
+            search = Search(problem, folder / f"{name}.log")
+            search.extra(pool, points, partial(note, f"{name} runs beside each other"))
+            found[name] = [
+                {
+                    run: search.readings[run]
+                    for draw, seed in points
+                    for run in [(tuple(draw), k, seed)]
+                }
+                for k in range(len(problem.measured.conditions))
+            ]
+    return found
 
 
-def _ratios(
-    plan: FitPlan, runs: Mapping[str, Mapping[Key, FloatArray]]
-) -> tuple[tuple[float, ...], ...]:
+def _ratios(runs: Mapping[str, Sequence[Mapping[Run, Reading]]]) -> tuple[tuple[float, ...], ...]:
     """Return mean fine over mean coarse readings of each datum, by condition."""
     found = []
-    for condition in range(len(plan.problem.measured.conditions)):
+    for fine, coarse in zip(runs["fine"], runs["coarse"], strict=True):
         means = []
-        for name in ("fine", "coarse"):
-            rows = np.array([v for key, v in runs[name].items() if key[1] == condition])
+        for name, readings in (("fine", fine), ("coarse", coarse)):
+            rows = np.array([reading.values for reading in readings.values()])
             count = np.isfinite(rows).sum(axis=0)
             if not count.any():
                 words = f"no {name} run at draws from the first fit has any of the data"
                 raise FitFailed(words, "See whether the ranges make sense.")
             means.append(np.nansum(rows, axis=0) / np.maximum(count, 1))
-        fine, coarse = means
-        ratio = np.ones_like(fine)
-        np.divide(fine, coarse, out=ratio, where=fine * coarse > 0.0)
+        ratio = np.ones_like(means[0])
+        np.divide(means[0], means[1], out=ratio, where=means[0] * means[1] > 0.0)
         found.append(tuple(ratio.tolist()))
     return tuple(found)

@@ -23,6 +23,8 @@ from multicell.tables.titles import split_title
 from multicell.units import to_base
 
 _ERRORS: Final = ("sd", "sem")
+NUMBERS: Final = ("time", "start", "at", "depth", "value", *_ERRORS, "n")
+"""Kinds of columns that hold numbers."""
 _NO_CONDITIONS: Final = ("title", "seed")
 _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 """Units of times by titles without one."""
@@ -57,6 +59,11 @@ class Column:
     def number(self, text: str, place: str) -> float:
         """Return a field as a number of base units; raises DataError if it is none."""
         number = finite(text, place)
+        if self.kind in _ERRORS and not number > 0.0:
+            hint = "Leave it empty where it is unknown."
+            raise DataError(place, f"is {text}, must be above 0", hint)
+        if self.kind == "n" and (number < 1.0 or number != int(number)):
+            raise DataError(place, f"is {text}, must be a whole number of at least 1")
         if self.relative:
             return number / 100.0
         signed = self.kind in ("time", "depth") or may_be_negative(self.name)

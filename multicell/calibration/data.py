@@ -47,7 +47,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, final
 
-from multicell.calibration.columns import Column, columns_of, fields_of
+from multicell.calibration.columns import NUMBERS, Column, columns_of, fields_of
 from multicell.calibration.noise import group
 from multicell.errors import DataError, SceneError
 from multicell.results.observable import represented
@@ -202,6 +202,10 @@ def read_data(
     return rows.measured()
 
 
+def _key(column: Column) -> tuple[str, str]:
+    return column.kind, column.name
+
+
 @final
 class _Rows:
     """Reads the rows of a table one by one."""
@@ -218,7 +222,7 @@ class _Rows:
     ) -> None:
         self._table = table
         self._columns = columns
-        self._places = {(column.kind, column.name): k for k, column in enumerate(columns)}
+        self._relative = {_key(column) for column in columns if column.relative}
         self._scene = scene
         self._sd = sd
         self._start = start
@@ -230,14 +234,15 @@ class _Rows:
 
     def read(self, row: int) -> None:
         """Read one row."""
-        condition = self._condition(row)
-        time, at = self._when(row)
+        condition, numbers = self._condition(row), self._numbers(row)
+        time, at = self._when(row, numbers)
         scene = self._scenes[condition]
         fields, timed = fields_of(scene), in_history(scene)
         known = fields | timed | at_the_end(scene)
-        depth, _ = self._field(row, "depth", "depth") or (None, 0)
-        named = self._places.get(("specimen", "specimen"))
-        name = (named is not None and self._text(row, named)) or self._table.places[row]
+        depth = numbers.get(("depth", "depth"))
+        texts = zip(self._columns, self._table.rows[row], strict=True)
+        names = [text for column, text in texts if column.kind == "specimen" and text]
+        name = names[0] if names else self._table.places[row]
         found = 0
         for place, column in enumerate(self._columns):
             if column.kind != "value" or not self._text(row, place):
@@ -253,8 +258,7 @@ class _Rows:
             if column.name not in fields | timed and (time is not None or at is not None):
                 problem = f"'{column.name}' is known at the end of a run only"
                 raise DataError(where, problem, "Leave the time of this row empty.")
-            value = self._number(row, place)
-            datum = self._datum(row, column, value, where, condition, time, at)
+            datum = self._datum(row, column, numbers, where, condition, time, at)
             alone = ((f"{condition} {name}", 0.0),) if self._has_specimens else ()
             self._data.append(replace(datum, depth=depth, specimens=alone))
             found += 1
@@ -274,13 +278,25 @@ class _Rows:
         data = group(self._data, self._table.name)
         return Measured(tuple(data), conditions, units, self._table.name)
 
+    def _numbers(self, row: int) -> dict[tuple[str, str], float]:
+        """Return the numbers of a row in base units by kind and name of their columns."""
+        return {
+            _key(column): column.number(text, self._where(row, place))
+            for place, (column, text) in enumerate(
+                zip(self._columns, self._table.rows[row], strict=True)
+            )
+            if text and column.kind in NUMBERS
+        }
+
     def _datum(
-        self, row: int, column: Column, value: float, where: str, condition: int,
-        time: float | None, at: tuple[str, float] | None,
+        self, row: int, column: Column, numbers: Mapping[tuple[str, str], float], where: str,
+        condition: int, time: float | None, at: tuple[str, float] | None,
     ) -> Datum:  # fmt: skip
         """Return a datum with what it is compared in."""
-        given = self._deviation(row, column.name, "sd")
-        mean, count = self._deviation(row, column.name, "sem"), self._tissues(row, column.name)
+        value, given, mean, count = (
+            numbers.get((kind, column.name)) for kind in ("value", "sd", "sem", "n")
+        )
+        assert value is not None
         if mean is not None and (given is not None or count is not None):
             problem = f"has both '{column.name} sem' and '{column.name} sd' or '{column.name} n'"
             raise DataError(where, problem, "The error of the mean stands in place of both.")
@@ -288,20 +304,24 @@ class _Rows:
             problem = f"has a '{column.name} sem' or '{column.name} n', and is a single specimen"
             raise DataError(where, problem, "Rows of means have no specimens.")
         tissues = math.inf if mean is not None else count or 1.0
-        given = mean or given
-        relative = given[0] if given is not None and given[1] else None
+        kind = "sd" if mean is None else "sem"
+        given = mean if given is None else given
+        relative = given if (kind, column.name) in self._relative else None
         if given is None:
             relative = self._sd
         log = column.name == "cells" and relative is not None
         if relative is not None and value == 0.0:
-            size = 1.0 if column.base == "um" else self._radius(row, column.name)
+            size = 1.0 if column.base == "um" else None
+            if column.name in _OF_RADIUS:  # a part of the radius
+                diameter = numbers.get(("value", "diameter"), 0.0)
+                size = numbers.get(("value", "radius")) or 0.5 * diameter or None
             if log or size is None:
                 raise DataError(where, "is 0, of which a relative standard deviation says nothing",
                                 f"Add a column '{column.name} sd' with its unit.")  # fmt: skip
             sigma = self._scenes[condition].cells.division_radius / size
         elif relative is None:
             assert given is not None
-            sigma = given[0]
+            sigma = given
         else:
             sigma = relative if log else relative * abs(value)
         return Datum(
@@ -309,56 +329,20 @@ class _Rows:
             condition, self._table.places[row], tissues,
         )  # fmt: skip
 
-    def _radius(self, row: int, name: str) -> float | None:
-        """Return what a length that is stated as a part of the radius is a part of, µm."""
-        for wanted, part in (("radius", 1.0), ("diameter", 0.5)):
-            found = self._field(row, "value", wanted)
-            if name in _OF_RADIUS and found is not None and found[0]:
-                return part * found[0]
-        return None
-
-    def _field(self, row: int, kind: str, name: str) -> tuple[float, int] | None:
-        """Return the number in a column and its place; None without a column or a value."""
-        place = self._places.get((kind, name))
-        if place is None or not self._text(row, place):
-            return None
-        return self._number(row, place), place
-
-    def _tissues(self, row: int, name: str) -> float | None:
-        """Return how many tissues an observable was measured on, if a column says so."""
-        value, place = self._field(row, "n", name) or (None, 0)
-        if value is not None and (value < 1.0 or value != int(value)):
-            problem = f"is {self._text(row, place)}, must be a whole number of at least 1"
-            raise DataError(self._where(row, place), problem)
-        return value
-
-    def _deviation(self, row: int, name: str, kind: str) -> tuple[float, bool] | None:
-        """Return an error of an observable and whether it is relative, if known."""
-        found = self._field(row, kind, name)
-        if found is None:
-            return None
-        value, place = found
-        if not value > 0.0:
-            problem = f"is {self._text(row, place)}, must be above 0"
-            raise DataError(self._where(row, place), problem, "Leave it empty where it is unknown.")
-        return value, self._columns[place].relative
-
-    def _when(self, row: int) -> tuple[float | None, tuple[str, float] | None]:
+    def _when(
+        self, row: int, numbers: Mapping[tuple[str, str], float]
+    ) -> tuple[float | None, tuple[str, float] | None]:
         """Return the simulated time of a row, or the observable and its value that state it."""
-        moments = [
-            (column, self._number(row, place))
-            for place, column in enumerate(self._columns)
-            if column.kind in ("time", "at") and self._text(row, place)
-        ]
+        moments = [c for c in self._columns if c.kind in ("time", "at") and _key(c) in numbers]
         if not moments:
             return None, None
         if len(moments) > 1:
-            problem = f"has both '{moments[0][0].title}' and '{moments[1][0].title}'"
+            problem = f"has both '{moments[0].title}' and '{moments[1].title}'"
             raise DataError(self._where(row), problem, "One of them states when.")
-        column, value = moments[0]
-        if column.kind == "at":
-            return None, (column.name, value)
-        start, _ = self._field(row, "start", "start") or (self._start, 0)
+        value = numbers[_key(moments[0])]
+        if moments[0].kind == "at":
+            return None, (moments[0].name, value)
+        start = numbers.get(("start", "start"), self._start)
         if value < start:
             problem = f"was measured at {value:g} s, before the run begins at {start:g} s"
             raise DataError(self._where(row), problem)
@@ -440,10 +424,6 @@ class _Rows:
 
     def _text(self, row: int, place: int) -> str:
         return self._table.rows[row][place]
-
-    def _number(self, row: int, place: int) -> float:
-        """Return the number in a field in base units."""
-        return self._columns[place].number(self._text(row, place), self._where(row, place))
 
     def _where(self, row: int | None, place: int | None = None) -> str:
         """Return a row, a column or a field in words."""

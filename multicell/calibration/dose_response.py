@@ -20,7 +20,7 @@ from multicell.schema import chosen
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_seeds, whole
-from multicell.studies.pictures.values import key_words, words
+from multicell.studies.picture_data import key_words, words
 from multicell.studies.plan import Plan, make_plan
 from multicell.studies.readings import may_be_negative, observables_of, read_final
 from multicell.studies.study import Study, write_study

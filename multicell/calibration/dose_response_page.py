@@ -12,8 +12,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from multicell.calibration.dose_curve import DOSES, TOTALS
 from multicell.report.html import write_page
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, SIZE, save, styled
-from multicell.studies.pictures.layout import with_heading
-from multicell.studies.pictures.values import number_text, sentence
+from multicell.studies.picture_data import number_text, sentence
+from multicell.studies.pictures import with_heading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

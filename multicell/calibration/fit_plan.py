@@ -105,18 +105,22 @@ class FitPlan:
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
         """Return how many runs are left at most, and the time on one core in s that they take."""
+        conditions, fine = len(self.problem.measured.conditions), self.seconds_a_run(1.0)
+        if self.coarse == 1.0:
+            count = max(0, self.runs - (0 if folder is None else self._done(Path(folder))))
+            return count, fine * count
+        searched = self.runs + self.runs // FURTHER + PAIRS * BESIDE * conditions
+        again = PAIRS * conditions + self.runs - self.points * len(self.problem.tasks())
+        return searched + again, searched * self.seconds_a_run(self.coarse) + again * fine
+
+    def seconds_a_run(self, factor: float) -> float:
+        """Return the time on one core in s that a run is expected to take, coarse by a factor."""
         from multicell.scene.coarsening import coarsen
         from multicell.studies.cost import cost_of
 
         scenes = [condition.scene for condition in self.problem.measured.conditions]
-        fine = sum(cost_of(scene).seconds for scene in scenes) / len(scenes)
-        if self.coarse == 1.0:
-            count = max(0, self.runs - (0 if folder is None else self._done(Path(folder))))
-            return count, float(fine * count)
-        wide = sum(cost_of(coarsen(scene, self.coarse)).seconds for scene in scenes) / len(scenes)
-        searched = self.runs + self.runs // FURTHER + PAIRS * BESIDE * len(scenes)
-        again = PAIRS * len(scenes) + self.runs - self.points * len(self.problem.tasks())
-        return searched + again, float(searched * wide + again * fine)
+        scenes = [s if factor == 1.0 else coarsen(s, factor) for s in scenes]
+        return sum(cost_of(scene).seconds for scene in scenes) / len(scenes)
 
     def _done(self, folder: Path) -> int:
         """Return how many runs of the fit a folder has; nothing of another fit counts."""

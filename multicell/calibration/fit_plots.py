@@ -15,7 +15,7 @@ from multicell.calibration.verdict import quantiles
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, counts, styled
 from multicell.report.wording import TimeUnit, time_unit
 from multicell.results.quantities import unit_of
-from multicell.studies.pictures.layout import panels, with_heading
+from multicell.studies.pictures import panels, with_heading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

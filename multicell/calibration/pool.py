@@ -1,83 +1,68 @@
-"""Where the runs of a fit are made: in this process, or by the workers of a Dask cluster.
-
-Both are executors of :mod:`concurrent.futures`.
-"""
+"""Where the runs of a fit are made: in this process, or by the workers of a Dask cluster."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import CancelledError, Executor, Future
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from queue import SimpleQueue
-from typing import Any, Final, final
+from typing import Any, final
 
 from multicell.errors import ClusterError, FitFailed
-
-_AHEAD: Final = 2
-"""Calls that are submitted for each worker, so that none of them waits for the next one."""
 
 Call = tuple[Any, Callable[..., Any], tuple[Any, ...]]
 """What a result comes back with, the function, and its arguments."""
 
 
-class InProcessExecutor(Executor):
-    """Makes each call in this process, as soon as it is submitted."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Make a call and return its result as a future; what it raises is raised at once."""
-        future: Future[Any] = Future()
-        future.set_result(fn(*args, **kwargs))
-        return future
+def _here(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)
 
 
 @final
 class Pool:
-    """An executor, and how many calls it makes at the same time.
+    """What makes calls: workers, or this process.
 
-    - ``executor``: makes the calls; by default this process
-    - ``threads``: counts the workers, which may come and go; by default there is one
+    - ``client``: of Dask; None: this process
+    - ``call``: makes one call in this process
     """
 
-    def __init__(
-        self, executor: Executor | None = None, threads: Callable[[], int] | None = None
-    ) -> None:
-        self._executor = InProcessExecutor() if executor is None else executor
-        self._threads = threads
+    def __init__(self, client: Any = None, call: Callable[..., Any] = _here) -> None:
+        self._client, self._call = client, call
 
     @property
     def count(self) -> int:
         """How many calls are made at the same time."""
-        return 1 if self._threads is None else max(1, self._threads())
+        return 1 if self._client is None else max(1, sum(self._client.nthreads().values()))
 
-    def results(self, calls: Iterable[Call]) -> Generator[tuple[Any, Any], None, None]:
+    def results(self, calls: Iterable[Call]) -> Iterator[tuple[Any, Any]]:
         """Make calls and yield the key and the result of each one, in the order in which they end.
 
-        Calls are taken one by one as workers come free, so that their iterator may depend on the
-        results so far. Those under way are cancelled where this iterator is closed.
+        In this process each is made once the result before it was taken. Those under way are
+        cancelled where this iterator is closed.
         """
-        ended: SimpleQueue[Future[Any]] = SimpleQueue()
-        pending: dict[Future[Any], Any] = {}
-        remaining = iter(calls)
+        if self._client is None:
+            for key, function, arguments in calls:
+                yield key, self._call(function, *arguments)
+            return
+        import distributed
+
+        as_completed: Any = distributed.as_completed  # which has no types
+        # equal calls are different work: one that was cancelled must not come back as another
+        pending = {
+            self._client.submit(function, *arguments, pure=False): key
+            for key, function, arguments in calls
+        }
         try:
-            while True:
-                # in this process a call has ended once it is submitted: none is made in vain
-                most = 1 if self._threads is None else _AHEAD * self.count
-                while len(pending) < most and (call := next(remaining, None)) is not None:
-                    key, function, arguments = call
-                    future = self._executor.submit(function, *arguments)
-                    pending[future] = key
-                    future.add_done_callback(ended.put)
-                if not pending:
-                    return
-                future = ended.get()
-                yield pending.pop(future), _result(future)
-        finally:
-            for future in pending:
-                future.cancel()
+            for future in as_completed(list(pending), loop=self._client.loop):
+                yield pending[future], result_of(future)
+        except ClusterError:
+            raise
+        except BaseException:
+            self._client.cancel(list(pending))
+            raise
 
 
-def _result(future: Future[Any]) -> Any:
-    """Return what a call came to, or say why it came to nothing."""
+def result_of(future: Any) -> Any:
+    """Return what a call came to; raises ClusterError or FitFailed where it came to nothing."""
     try:
         return future.result()
     except CancelledError as error:
@@ -107,8 +92,5 @@ def open_pool(cores: int | None, scheduler: str | None) -> Iterator[Pool]:
         return
     from multicell.studies.workers import workers
 
-    client: Any  # Dask's has no types
     with workers(cores, scheduler) as client:
-        # equal calls are different work: one that was cancelled must not come back as another
-        executor = client.get_executor(pure=False)
-        yield Pool(executor, lambda: sum(client.nthreads().values()))
+        yield Pool(client)

@@ -240,10 +240,8 @@ class Search:
         calls: list[Call] = [
             (run, self._problem.simulator, (list(run[0]), run[1], run[2])) for run in missing
         ]
-        for (shares, condition, seed), reading in pool.results(calls):
-            values = [None if math.isnan(v) else v for v in reading.values]
-            run = {"shares": list(shares), "condition": condition, "seed": seed}
-            self._note({**run, "values": values, "reason": reading.reason})
+        for run, reading in pool.results(calls):
+            self._note(entry_of(run, reading))
             done += 1
             if progress is not None:
                 progress(done, wanted)
@@ -303,6 +301,13 @@ def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator
         noise=problem.noise,
         prior=problem.prior,
     )
+
+
+def entry_of(run: Run, reading: Reading, **more: Any) -> dict[str, Any]:
+    """Return a run as an entry of a search's log."""
+    (shares, condition, seed), values = run, [None if v != v else v for v in reading.values]
+    known = {"shares": list(shares), "condition": condition, "seed": seed, "values": values}
+    return {**known, "reason": reading.reason, **more}
 
 
 def _point(shares: Sequence[float]) -> Point:

@@ -15,8 +15,8 @@ from multicell.calibration.verdict import in_words
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
-from multicell.studies.pictures.layout import with_heading
-from multicell.studies.pictures.values import key_words, sentence, words
+from multicell.studies.picture_data import key_words, sentence, words
+from multicell.studies.pictures import with_heading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 from multicell.calibration.data import MAX_BYTES, read_data
 from multicell.calibration.fit_plan import FIT, SEARCH, FitPlan, make_runs
 from multicell.calibration.fitted import Fit
-from multicell.calibration.pool import InProcessExecutor, Pool
+from multicell.calibration.pool import Pool
 from multicell.calibration.priors import Density, prior_of
 from multicell.calibration.problem import Problem, problem_of, ranges_of
-from multicell.calibration.search import Search
+from multicell.calibration.search import Search, entry_of
 from multicell.calibration.simulator import OUTGROWN
 from multicell.errors import MulticellError, OutputError, SceneError
 from multicell.results.documents import read_table as read_document
@@ -31,15 +31,6 @@ FACTS: Final = (
     "sd", "specimens", "scatter", "seeds", "repeats", "sets_of_parameters", "reused",
     "fresh_runs", "profile_runs", "seconds", "coarse",
 )  # fmt: skip
-
-
-@final
-class _NoRuns(InProcessExecutor):
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
-        raise OutputError(f"'{self._folder}' lacks runs of its fit: the same fit makes them again")
 
 
 def load_fit(folder: str | Path) -> Fit:
@@ -65,7 +56,11 @@ def load_fit(folder: str | Path) -> Fit:
         raise OutputError(f"'{folder}' holds no fit that is done")
     plan = stored_plan(folder, result)
     facts = {name: value for name, value in result.items() if name in FACTS}
-    return make_runs(plan, folder, Pool(_NoRuns(folder)), facts)
+
+    def refuse(*call: Any) -> None:
+        raise OutputError(f"'{folder}' lacks runs of its fit: the same fit makes them again")
+
+    return make_runs(plan, folder, Pool(call=refuse), facts)
 
 
 def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
@@ -140,12 +135,9 @@ def reusable(problem: Problem, folder: str | Path) -> list[dict[str, Any]]:
             continue
         points.append(here)
         for (k, seed), run in zip(wanted, old, strict=True):
-            found = readings[run]
-            values = [found.values[i] for i in places[k][1]]
-            entries.append({
-                "shares": here, "condition": k, "seed": seed, "reason": found.reason,
-                "values": [None if v != v else v for v in values], "reused": True,
-            })  # fmt: skip
+            values = tuple(readings[run].values[i] for i in places[k][1])
+            found = replace(readings[run], values=values)
+            entries.append(entry_of((tuple(here), k, seed), found, reused=True))
     return [{"points": points, "reused": True}, *entries] if points else []
 
 

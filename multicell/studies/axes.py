@@ -109,23 +109,18 @@ def _between(low: float, high: float, share: float, log: bool) -> float:
     return low * math.pow(high / low, share) if log else low + share * (high - low)
 
 
-def parse_axis(
-    key: str, text: str | Sequence[Any], scene: Scene, *, repeated: bool = False
-) -> Axis:
+def parse_axis(key: str, text: str | Sequence[Any], scene: Scene) -> Axis:
     """Return the axis that a text or a list of values describes.
 
     - ``key``: dotted key of the scene
     - ``text``: as typed behind ``--vary``, or the values as :meth:`Scene.with_changes` takes them
     - ``scene``: the scene that is varied
-    - ``repeated``: whether a value may be there twice, as in a column of a table
     """
     found = key_of(scene, key)
     given = _listed(found, text) if isinstance(text, str) else _sequence(found, text)
     if not given:
         raise SceneError(found.name, "has no values", f"For example {_example(found)}.")
     plain = [found.plain(value) for value in given]
-    if not repeated:
-        _refuse_twice(found, given, plain)
     numeric = all(isinstance(x, int | float) and not isinstance(x, bool) for x in plain)
     return Axis(
         found.name, tuple(given), found.unit, tuple(map(float, plain)) if numeric else None,
@@ -288,16 +283,6 @@ def _ends(key: Key, text: str | Sequence[Any]) -> tuple[bool, list[Any]]:
         problem = f"has the range {_described(text)}, must be two values"
         raise SceneError(key.name, problem, hint)
     return log, values[:2]
-
-
-def _refuse_twice(key: Key, given: Sequence[Any], plain: Sequence[Any]) -> None:
-    seen: dict[str, Any] = {}
-    for value, converted in zip(given, plain, strict=True):
-        word = json.dumps(converted, sort_keys=True)
-        if word in seen:
-            same = "" if seen[word] == value else f" (as {seen[word]!r} is)"
-            raise SceneError(key.name, f"has the value {value!r} twice{same}")
-        seen[word] = value
 
 
 def _described(text: str | Sequence[Any]) -> str:

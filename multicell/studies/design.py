@@ -117,24 +117,11 @@ def _check_lists(design: Design) -> None:
         return
     if not columns:
         raise SceneError("points", "is empty", "A list needs a column for each key.")
-    _check_rows(columns)
-    check_runs(len(columns[0].values), 1, "points")
-
-
-def _check_rows(group: Sequence[Axis]) -> None:
-    """Refuse columns of different lengths, or a row twice."""
-    lengths = {len(axis.values) for axis in group}
-    if len(lengths) > 1:
-        words = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in group)
+    if len({len(axis.values) for axis in columns}) > 1:
+        words = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in columns)
         hint = "The values of a point stand at the same places of their lists."
-        raise SceneError(group[0].key, f"goes with lists of other lengths: {words}", hint)
-    seen: dict[tuple[Any, ...], int] = {}
-    for k, row in enumerate(zip(*(axis.coordinates for axis in group), strict=True)):
-        if row in seen:
-            values = ", ".join(f"{axis.key} = {axis.values[k]!r}" for axis in group)
-            problem = f"has the same point twice, as number {seen[row] + 1} and {k + 1}: {values}"
-            raise SceneError(group[0].key, problem)
-        seen[row] = k
+        raise SceneError(columns[0].key, f"goes with lists of other lengths: {words}", hint)
+    check_runs(len(columns[0].values), 1, "points")
 
 
 def _points(design: Design) -> Iterator[Point]:
@@ -232,4 +219,4 @@ def _column(table: Table, title: str, cells: Sequence[str], scene: Scene) -> Axi
         except SceneError as error:
             raise SceneError(name, f"{error.problem} ({where})", error.hint) from None
         values.append(value)
-    return parse_axis(name, values, scene, repeated=True)
+    return parse_axis(name, values, scene)

@@ -11,7 +11,7 @@ import numpy as np
 
 from multicell.report.html import Drawing, write_page
 from multicell.report.wording import clock, time_unit
-from multicell.studies.pictures import values as of
+from multicell.studies import picture_data as of
 from multicell.studies.plots import StudyPlots
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def _drawings(table: xr.Dataset, title: str, names: Sequence[str]) -> dict[str, 
 
 def _subtitle(table: xr.Dataset) -> str:
     sizes = [
-        f"{of.axis_words(table, name)} ({len(of.scale(table, name).values)})"
+        f"{of.scale(table, name).words} ({len(of.scale(table, name).values)})"
         for name in of.axes_of(table)
     ]
     seeds = table.sizes[of.SEED]

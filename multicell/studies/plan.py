@@ -206,7 +206,7 @@ def _columns(points: Any, scene: Scene) -> tuple[Axis, ...]:
                 problem = f"has other keys in row {k + 1} than in row 1"
                 raise SceneError("points", problem, "Every point needs a value of every key.")
         table = {key: [row[key] for row in flat] for key in flat[0]}
-    return tuple(parse_axis(key, table[key], scene, repeated=True) for key in table)
+    return tuple(parse_axis(key, table[key], scene) for key in table)
 
 
 def _flat(entries: Mapping[str, Any], path: str = "") -> dict[str, Any]:

@@ -9,6 +9,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+_KEPT = ("point", "seed")
+
 
 @final
 class StudyPlots:
@@ -23,7 +25,8 @@ class StudyPlots:
     """
 
     def __init__(self, table: xr.Dataset, title: str) -> None:
-        self._table, self._title = table, title
+        single = [n for n in table["state"].dims if table.sizes[n] == 1 and n not in _KEPT]
+        self._table, self._title = table.squeeze(single, drop=True), title
 
     def heatmap(
         self,
@@ -45,7 +48,7 @@ class StudyPlots:
         Raises SceneError for an unknown observable or axis; ValueError if the design is sampled or
         varies nothing: there are no tiles.
         """
-        from multicell.studies.pictures.heatmap import heatmap
+        from multicell.studies.pictures import heatmap
 
         return heatmap(self._table, self._title, observable, x, y, at)
 
@@ -63,7 +66,7 @@ class StudyPlots:
         Raises SceneError for an unknown observable or axis, or an observable that is a single
         number of each run.
         """
-        from multicell.studies.pictures.curves import curves
+        from multicell.studies.pictures import curves
 
         return curves(self._table, self._title, observable, at)
 
@@ -76,6 +79,6 @@ class StudyPlots:
 
         Raises SceneError for an unknown observable; ValueError if nothing is varied.
         """
-        from multicell.studies.pictures.response import response
+        from multicell.studies.pictures import response
 
         return response(self._table, self._title, observable)

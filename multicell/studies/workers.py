@@ -13,7 +13,6 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell import __version__
 from multicell.errors import ClusterError
 from multicell.host.extras import needs, quiet
 from multicell.results.folder import file_errors, versions
@@ -216,36 +215,28 @@ def check_workers(client: Any, scheduler: str) -> None:
         )
     many = [f"{address} has {count} threads" for address, count in threads.items() if count != 1]
     _refuse(many, "a run takes a process of its own", "Start workers with '--nthreads 1'")
-    python = ".".join(map(str, sys.version_info[:2]))
+    own = {**versions(), "Python": "{}.{}".format(*sys.version_info)}
+    wrong = []
     # an expression, not a function of ours, which workers without multicell could not load
-    found = client.run(eval, _WHAT, on_error="return")
-    wrong = [said for address, what in found.items() if (said := _other(address, what))]
-    hint = "Install the same packages where workers run as here"
-    _refuse(wrong, f"this process has multicell {__version__} and Python {python}", hint)
-    own = versions()
-    other = [
-        f"{address} has {name} {packages[name]}"
-        for address, packages in client.run(versions).items()
-        for name in own
-        if packages[name] != own[name]
-    ]
-    _refuse(other, ", ".join(f"{name} {number}" for name, number in own.items()), hint)
+    for address, theirs in client.run(eval, _WHAT, on_error="return").items():
+        if isinstance(theirs, ModuleNotFoundError):
+            wrong.append(f"{address} has no multicell")
+        elif isinstance(theirs, BaseException):
+            said = f"{type(theirs).__name__}: {theirs}"
+            wrong.append(f"{address} cannot load multicell ({said})")
+        else:
+            other = [name for name in own if theirs.get(name) != own[name]]
+            wrong += [f"{address} has {name} {theirs.get(name)}" for name in other[:1]]
+    ours = ", ".join(f"{name} {number}" for name, number in own.items())
+    _refuse(
+        wrong, f"this process has {ours}", "Install the same packages where workers run as here"
+    )
 
 
-_WHAT: Final = "(*__import__('sys').version_info[:2], __import__('multicell').__version__)"
-
-
-def _other(address: str, what: Any) -> str:
-    """Return what of a worker is not as here, or nothing."""
-    if isinstance(what, ModuleNotFoundError):
-        return f"{address} has no multicell"
-    if isinstance(what, BaseException):
-        return f"{address} cannot load multicell ({type(what).__name__}: {what})"
-    *python, version = what
-    if version != __version__:
-        return f"{address} has multicell {version}"
-    same = tuple(python) == sys.version_info[:2]
-    return "" if same else f"{address} has Python {'.'.join(map(str, python))}"
+_WHAT: Final = (
+    "{**__import__('multicell.results.folder', fromlist=['versions']).versions(),"
+    " 'Python': '{}.{}'.format(*__import__('sys').version_info)}"
+)
 
 
 def _refuse(wrong: list[str], right: str, hint: str) -> None:

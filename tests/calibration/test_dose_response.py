@@ -197,7 +197,6 @@ TABLES = {
     "no control": ({"dose": DOSES[1:], "response": DOSES[1:]}, "dose 0, the control"),
     "too few": ({"dose": DOSES[:4], "response": DOSES[:4]}, "3 doses above 0 in 'dose'"),
     "negative": ({"dose": [-1.0, *DOSES], "response": [1.0, *DOSES]}, "a dose below 0"),
-    "no number": ({"dose": DOSES, "response": ["x", *DOSES[1:]]}, "must be a number"),
     "twice": ({**PAIR, "replicate": ["a"] * 18}, "second one of the replicate 'a'"),
     "no single": (
         {"dose A": [*DOSES, *(0 * DOSES[1:]), 7.0], "dose B": [*(0 * DOSES), *DOSES[1:], 1.0],
@@ -224,11 +223,7 @@ ASKED = {
     "no control": ({"doses": "log 0.1:10:5 uM"}, "no dose 0, the control"),
     "too few": ({"doses": "0,1,2,3 uM"}, "3 doses above the control"),
     "not rising": ({"doses": "0,1,3,2,4 uM"}, "do not rise"),
-    "a word": ({"dose": "contact.law", "doses": "jkr,hertz"}, "is no number"),
-    "no dose": ({"dose": None}, "needs a scene, doses"),
     "one key": ({"dose": None, "combine": (DRUG,)}, "must be two keys"),
-    "unknown observable": ({"observable": "proliferatin"}, "Did you mean 'proliferating'"),
-    "unknown top": ({"top": "fre"}, "Did you mean 'free'"),
     "no schedule": ({"dose": "nutrients.drug.media"}, "no concentration above 0"),
     "data too": ({"data": PAIR}, "stands in place of a scene"),
 }

@@ -1,22 +1,13 @@
-"""Where the runs of a fit are made: in which order, how many at once, and what is lost."""
+"""Where the runs of a fit are made: in which order, and what is said of those that are lost."""
 
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 
 import pytest
+from cheap_fits import MATRIX, calls_of, linear
 
-from multicell.calibration.pool import Pool
+from multicell.calibration.pool import Pool, open_pool, result_of
+from multicell.calibration.search import Search
 from multicell.errors import ClusterError, FitFailed
-
-
-class Held(Executor):
-    """Keeps calls until they are let go."""
-
-    def __init__(self):
-        self.futures = []
-
-    def submit(self, function, /, *arguments):
-        self.futures.append(Future())
-        return self.futures[-1]
 
 
 class KilledWorker(Exception):  # noqa: N818
@@ -37,20 +28,20 @@ def test_in_this_process_a_call_is_made_when_the_one_before_has_ended():
     assert found == [("call 0", 0), ("call 1", 1), ("call 2", 4), ("call 3", 9)]
 
 
-def test_twice_as_many_calls_as_workers_are_under_way_and_those_left_are_cancelled():
-    made, executor = [], Held()
-    results = Pool(executor, lambda: 2).results(calls(10, made))
-    executor.submit = lambda *given: ended(Held.submit(executor, *given), len(executor.futures))
-    assert next(results) == ("call 3", "fourth")
-    assert len(made) == 4
-    results.close()
-    assert [future.cancelled() for future in executor.futures] == [True, True, True, False]
-
-
-def ended(future, number):
-    if number == 4:
-        future.set_result("fourth")
-    return future
+def test_workers_find_the_same_as_this_process_to_the_bit():
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.2, noise=0.1, seeds=2)
+    own = Search(problem, None, seed=4).run(Pool(), 15)
+    with open_pool(2, None) as pool:
+        assert pool.count == 2
+        theirs, here = calls_of(lambda: Search(problem, None, seed=4).run(pool, 15))
+        equal = sorted(pool.results([(k, pow, (3, 2)) for k in range(5)]))
+        left = pool.results([(k, pow, (k, 2)) for k in range(50)])
+        key, value = next(left)
+        left.close()  # those under way are cancelled
+    assert here == []
+    assert [e.misfit.loss for e in theirs] == [e.misfit.loss for e in own]
+    assert equal == [(k, 9) for k in range(5)]
+    assert value == key**2
 
 
 @pytest.mark.parametrize(
@@ -62,12 +53,7 @@ def ended(future, number):
     ],
 )
 def test_calls_that_come_to_nothing_say_why(lose, error, said):
-    executor = Held()
-    executor.submit = lambda *given: lost(Held.submit(executor, *given), lose)
-    with pytest.raises(error, match=said):
-        list(Pool(executor, lambda: 1).results(calls(3, [])))
-
-
-def lost(future, lose):
+    future = Future()
     lose(future)
-    return future
+    with pytest.raises(error, match=said):
+        result_of(future)

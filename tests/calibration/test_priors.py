@@ -167,27 +167,18 @@ def test_another_prior_is_another_fit():
 
 REFUSED = [
     ("norm(18 um, 2 h)", "is '18 um', must be a time"),
-    ("norm(18, 2)", "is '18', a string without a unit"),
     ("norm(18 h)", "has 'norm(18 h)' without scale"),
     ("norm(18 h, 2 h, 3 h)", "too many positional arguments. It takes loc, scale"),
     ("norm(18 h, sd=2 h)", "got an unexpected keyword argument 'sd'. It takes loc, scale"),
-    ("norm(18 h, loc=2 h)", "multiple values for argument 'loc'"),
     ("norm(loc=18 h, loc=2 h)", "an argument is given twice"),
-    ("norm(eighteen, 2 h)", "has 'eighteen' in its distribution, must be a number"),
     ("norm(18 h, -2 h)", "has 'norm' with arguments that scipy.stats refuses (64800, -7200)"),
     ("nrom(18 h, 2 h)", "has the distribution 'nrom', which scipy.stats does not have"),
     ("uniform(8 h, 25 h)", "has the distribution 'uniform', which is a range. Write its ends"),
-    ("lognorm(median=18 h)", "has 'lognorm(median=18 h)' without s"),
     ("lognorm(median=18 h, sigma=0.3 h)", "has '0.3 h' in its distribution, must have no unit"),
     ("norm(18 h, 10 h)", "(a thousandth beyond). Cut the distribution"),
     ("norm(18 h, 2 h) in 100:200 h", "next to nothing in 360000 to 720000 s"),
-    ("norm(18 h, 2 h) in 30:10 h", "must have the lower end first"),
-    ("norm(18 h, 2 h) in ten", "must be two numbers with a colon and a unit"),
     ("__import__('os')", "must be two numbers with a colon and a unit"),
-    ("rv_continuous(1)", "has the distribution 'rv_continuous', which scipy.stats does not have"),
     ((stats.norm(18, 2),), "must be a frozen distribution and its unit"),
-    ((stats.norm(18, 2), "um"), "is '1 um', must be a time"),
-    ((stats.poisson(3), "h"), "has the distribution 'poisson', which scipy.stats does not have"),
 ]
 
 
@@ -208,16 +199,12 @@ def test_a_count_has_no_distribution():
 BOTH = {CYCLE: "8:30 h", RADIUS: "4:10 um"}
 REFUSED_CONSTRAINTS = [
     (f"{CYCLE}", "must be two sums with '<' or '>' between them"),
-    (f"1 h < {CYCLE} < 2 h", "must be two sums with '<' or '>' between them"),
     (f"{CYCLE} < growth.cycle_variation", "which is neither a free parameter nor a number"),
     (f"{CYCLE} < grwth.cycle_time", "Did you mean 'growth.cycle_time'?"),
     (f"{CYCLE} < {RADIUS}", "compares s with um"),
-    (f"{CYCLE} < 5 um", "constraint: is '5 um', must be a time"),
     (f"{CYCLE} < {CYCLE}", "leaves no free parameter"),
     (f"{CYCLE} < 40 h", "always holds within the ranges"),
-    (f"{CYCLE} > 30 h", "never holds within the ranges"),
     (f"__import__('os') < {CYCLE}", "which is neither a free parameter nor a number"),
-    (f" < {CYCLE}", "has '', which is neither a free parameter nor a number"),
 ]
 
 

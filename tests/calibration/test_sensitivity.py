@@ -247,9 +247,7 @@ def test_a_run_that_fails_is_told_and_left_out(tmp_path, here, monkeypatch):
 
 
 BAD = {
-    "unknown key": ({"free": {"cells.yong": "1:2 kPa"}}, "Did you mean 'cells.young'"),
     "unknown observable": ({"observables": ["diametre"]}, "Did you mean 'diameter'"),
-    "no observable": ({"observables": []}, "names none"),
     "unknown method": ({"method": "soboll"}, "must be one of morris, sobol"),
     "too few": ({"size": 3}, "too few trajectories"),
     "no power of two": ({"method": "sobol", "size": 48}, "Take 32 or 64"),
@@ -355,15 +353,3 @@ def test_the_plane_of_morris_has_a_point_for_each_parameter():
     points = np.concatenate([line.get_xydata() for line in plane.lines if line.get_marker() == "o"])
     wanted = np.stack([column(result, "mu_star"), column(result, "sigma")], axis=1)
     np.testing.assert_allclose(np.sort(points, axis=0), np.sort(wanted, axis=0))
-
-
-def test_salib_is_loaded_for_analyses_only():
-    import subprocess
-    import sys
-
-    code = (
-        "import sys, multicell as mc, multicell.cli.main; mc.load_scene('settle'); mc.sensitivity; "
-        "print(*(name in sys.modules for name in ('SALib', 'pandas', 'xarray', 'distributed')))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()) == {"False"}

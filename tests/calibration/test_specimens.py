@@ -119,16 +119,10 @@ REFUSED = {
     "day, diameter / um, diameter n, specimen\n5, 7, 3, a\n": "has a 'diameter sem' or 'diameter n', and is a single specimen",
     "day, diameter / um, specimen\n5, 7, a\n5, 8, a\n": "line 3: measures 'diameter' of a specimen for the second time",
     "day, diameter / um, specimen\n5, 7, a\n5, 7, b\n": "line 2 and 1 more: has specimens that agree exactly in 'diameter'. Add a column 'diameter sd'",
-    "day, necrotic, specimen\n5, 0, a\n5, 0, b\n": "line 2, 'necrotic': is 0, of which a relative standard deviation says nothing",
     "day, diameter / um, specimen / um\n5, 7, a\n": "'specimen / um': has the unit 'um', must have none",
-    "day / h, diameter / um\n5, 7\n": "'day' is no observable and no key of the scene",
-    "day, time / h, diameter / um\n5, 5, 7\n": "'time / h': says the same as 'day'",
     "day, oxygen / mM\n5, 0.1\n": "line 2, 'oxygen / mM': has no depth. A field has a value at a 'depth / um'",
-    "day, depth / um, oxygen / mM\n5, , 0.1\n": "line 2, 'oxygen / mM': has no depth",
     "day, depth / um, diameter / um\n5, 7, 300\n": "'diameter / um': has a depth, and is no field",
-    "day, depth / um, oxygen / um\n5, 7, 0.1\n": "'oxygen / um': is '1 um', must be a concentration, which 'um' is not",
     "day, depth / um, oxygen / mmHg\n5, 7, 0\n": "is 0, of which a relative standard deviation says nothing. Add a column 'oxygen sd' with its unit.",
-    "day, uptake_glucose / amol/s\n5, 7\n": "'uptake_glucose' is no observable",
 }  # fmt: skip
 
 

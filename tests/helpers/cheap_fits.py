@@ -14,7 +14,7 @@ from multicell.calibration.data import Condition, Datum, Measured, read_data
 from multicell.calibration.emulator import emulator
 from multicell.calibration.fitted import Fit
 from multicell.calibration.likelihood import fresh
-from multicell.calibration.pool import InProcessExecutor, Pool
+from multicell.calibration.pool import Pool
 from multicell.calibration.problem import Problem
 from multicell.calibration.profiles import check_ends
 from multicell.calibration.search import Search
@@ -38,20 +38,16 @@ def calls_of(work):
     return found, CALLS[before:]
 
 
-class _Stopping(InProcessExecutor):
-    def __init__(self, calls):
-        self._left = calls
-
-    def submit(self, function, /, *arguments):
-        if self._left == 0:
-            raise KeyboardInterrupt
-        self._left -= 1
-        return super().submit(function, *arguments)
-
-
 def stopping(calls):
     """Return a pool that stops after some calls, as a process does that is killed."""
-    return Pool(_Stopping(calls))
+    left = iter(range(calls))
+
+    def call(function, *arguments):
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return function(*arguments)
+
+    return Pool(call=call)
 
 
 def killed(arguments, calls):

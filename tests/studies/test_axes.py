@@ -1,6 +1,5 @@
 """Axes and ranges: how they are read, and how what cannot be is told."""
 
-import math
 import tomllib
 
 import numpy as np
@@ -33,11 +32,8 @@ def emt6():
         (OXYGEN, "log 0.05:0.2:3 mM", ("0.05 mM", "0.1 mM", "0.2 mM"), (0.05, 0.1, 0.2)),
         (OXYGEN, [0.07, "140 uM"], (0.07, "140 uM"), (0.07, 0.14)),
         (OXYGEN, np.array([0.07, 0.14]), (0.07, 0.14), (0.07, 0.14)),
-        (OXYGEN, (x for x in (0.07, 0.14)), (0.07, 0.14), (0.07, 0.14)),
         ("contact.law", "jkr, hertz", ("jkr", "hertz"), None),
-        ("integrator", "cvode,rkc2", ("cvode", "rkc2"), None),
         ("initial.count", "10:30:3", (10, 20, 30), (10.0, 20.0, 30.0)),
-        ("initial.count", "5", (5,), (5.0,)),
         ("growth.phases.M.grows", "true,false", (True, False), None),
         ("cells.heritable", '[["young"], []]', (["young"], []), None),
     ],
@@ -84,26 +80,15 @@ def test_the_unit_of_a_rate_constant_follows_from_its_reaction():
         ("boundary", "1 mM", "'nutrients.oxygen.boundary' or 'nutrients.glucose.boundary'"),
         ("wholly.unknown", "1 mM", "is not a key of this scene"),
         ("nutrients.oxygen", "1 mM", "is a table, not a value"),
-        ("growth.phases", "1", "name one of its keys (G1, S, G2, M)"),
-        (f"{OXYGEN}.x", "1 mM", "is a value, not a table"),
         ("friction.normal", "1,2 kPa s/um", "the scene has no 'friction'"),
         (OXYGEN, "1,2 mMol", "unknown unit"),
-        (OXYGEN, "1,,2 mM", "has an empty value"),
         (OXYGEN, "", "has no values. For example '1,2,5 mM'"),
-        (OXYGEN, [], "has no values"),
         (OXYGEN, 3, "must have a list"),
-        (OXYGEN, {"a": 1}, "must have a list"),
         (OXYGEN, "1 mM, 2", "with units and without"),
-        (OXYGEN, "1000 uM, 1 mM", "has the value '1 mM' twice (as '1000 uM' is)"),
         (OXYGEN, "3:1:5 mM", "the lower end first"),
         (OXYGEN, "[1, 2", "not valid TOML"),
         (OXYGEN, "high", "must be a number and a unit"),
-        ("cells.young", "-1 kPa", "must be above 0 kPa"),
         ("seed", "1,2", "give the number of seeds"),
-        ("title", "a,b", "changes nothing in a run"),
-        ("contact.law", "jk,hertz", "Did you mean 'jkr'"),
-        ("initial.count", "1.5,2", "must be a whole number"),
-        ("growth.phases.M.grows", "yes", "must be true or false"),
         ("", "1", "not a dotted key"),
     ],
 )  # fmt: skip
@@ -133,13 +118,8 @@ def test_ranges_are_read(emt6, text, low, high, log):
         (OXYGEN, "1 mM", "two numbers with a colon"),
         (OXYGEN, "2:1 mM", "the lower end first"),
         (OXYGEN, "log 0:1 mM", "has no logarithm"),
-        (OXYGEN, "1:2 s", "must be a concentration"),
         (OXYGEN, (1.0,), "must be two values"),
-        (OXYGEN, (1.0, 2.0, 3.0), "must be two values"),
-        (OXYGEN, (math.nan, 1.0), "must be a finite number"),
         ("contact.law", "1:2", "is no number"),
-        ("initial.count", "0:5", "must be at least 1"),
-        ("growth.fases.G1.duration", "1:2 h", "growth.phases.G1.duration"),
     ],
 )
 def test_what_is_no_range_is_told(emt6, key, text, said):

@@ -107,15 +107,6 @@ def test_what_is_no_design_is_told(make, said):
     assert said in str(error.value)
 
 
-def test_a_row_stands_in_a_list_once():
-    columns = (
-        parse_axis(GLUCOSE, ["0.8 mM", "800 uM", "1 mM"], EMT6, repeated=True),
-        parse_axis("cells.young", [1.0, 1.0, 1.0], EMT6, repeated=True),
-    )
-    with pytest.raises(SceneError, match="the same point twice, as number 1 and 2"):
-        Design("list", columns)
-
-
 def test_points_are_read_from_a_table(tmp_path):
     file = tmp_path / "points.csv"
     file.write_text(
@@ -135,17 +126,11 @@ def test_points_are_read_from_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "holds no data"),
-        ("cells.young [kPa]\n", "holds no data"),
-        ("cells.yung [kPa]\n1\n", "Did you mean 'cells.young'"),
         ("cells.young\n1\n", "has no unit in the header"),
         ("cells.young [s]\n1\n", "line 2"),
-        ("cells.young [kPa]\n1\n-1\n", "line 3"),
         ("cells.young [kPa],contact.law\n1\n", "line 2: has 1 fields, the header has 2"),
         ("cells.young [kPa],contact.law\n1,\n", "is empty in"),
         ("cells.young [kPa],\n1,2\n", "a column without a key"),
-        ("cells.young [kPa],cells.young [kPa]\n1,2\n", "is varied twice"),
-        ("contact.law\njkr\njkr\n", "the same point twice"),
     ],
 )
 def test_tables_of_points_that_are_none_are_told(tmp_path, text, said):

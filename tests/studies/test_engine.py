@@ -171,9 +171,7 @@ def test_what_the_machine_refused_is_tried_again_unasked(tmp_path, monkeypatch):
 DAMAGES = {
     "summary": ("summary.json", lambda data: data[:50]),
     "file cut short": ("frames.h5", lambda data: data[: len(data) // 2]),
-    "no results": ("frames.h5", lambda data: b""),
     "another scene": ("scene.toml", lambda data: data.replace(b"seed = 0", b"seed = 7")),
-    "broken scene": ("scene.toml", lambda data: b"duration = "),
 }
 
 

@@ -11,6 +11,7 @@ from studied import CHANGES, alive, gone, runs_of, short_runs, started, statuses
 
 import multicell as mc
 from multicell.errors import ClusterError
+from multicell.results.folder import versions
 from multicell.studies.engine import carry_out
 from multicell.studies.workers import _sees, check_folder, check_workers, workers
 
@@ -74,22 +75,24 @@ class Other:
         return {"tcp://10.0.0.7:4000": 1}
 
     def run(self, function, *arguments, **options):
-        answer = self.answer if function is eval else function()
-        return {"tcp://10.0.0.7:4000": answer}
+        return {"tcp://10.0.0.7:4000": self.answer}
+
+
+OWN = {**versions(), "Python": "{}.{}".format(*sys.version_info)}
 
 
 @pytest.mark.parametrize(
     ("answer", "problem"),
     [
         (ImportError("broken"), r"cannot load multicell \(ImportError: broken\)"),
-        ((*sys.version_info[:2], "0.0.1"), r"has multicell 0\.0\.1, but"),
-        ((3, 9, mc.__version__), r"has Python 3\.9, but this process has multicell"),
+        ({**OWN, "multicell": "0.0.1"}, r"has multicell 0\.0\.1, but"),
+        ({**OWN, "Python": "3.9"}, r"has Python 3\.9, but this process has multicell"),
     ],
 )
 def test_workers_with_other_versions_are_named(answer, problem):
     with pytest.raises(ClusterError, match=problem):
         check_workers(Other(answer), "tcp://10.0.0.7:8786")
-    check_workers(Other((*sys.version_info[:2], mc.__version__)), "tcp://10.0.0.7:8786")
+    check_workers(Other(OWN), "tcp://10.0.0.7:8786")
 
 
 class Elsewhere:

@@ -1,1 +1,0 @@
-"""Pictures of a study, drawn from its table of runs."""
