@@ -38,7 +38,7 @@ _MAX_POINTS: Final = 100
 _ABOVE: Final = 3  # readings above zero without which nothing is known of what is behind them
 _JITTER: Final = 1e-10  # of the diagonal of covariances, in variances of the values
 _DIFFERENCE: Final = 1e-7  # step of slopes, in parts of a range
-_SWEEPS: Final = 2  # in which what is behind readings of zero and hyperparameters are found
+_SWEEPS: Final = 3  # in which what is behind readings of zero and hyperparameters are found
 
 Loss = Callable[[Array], Array]  # from parameters (k, d) to -2 ln L, (k,)
 Mask = NDArray[np.bool_]
