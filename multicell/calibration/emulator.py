@@ -8,9 +8,10 @@ runs scatter between neighbouring points.
 
 A quantity that cannot be negative, such as the radius of a core, has a kink where it begins. There
 the process is of a signed quantity behind it, which is the reading where that is above zero, and of
-which a reading of zero says only that it is not (Tobin 1958, Econometrica 26, 24). What is behind
-readings of zero is imputed from those above zero, and means and variances of readings are those of
-the signed quantity cut off at zero.
+which a reading of zero says only that it is not (Tobin 1958, Econometrica 26, 24). What such
+readings say is approximated by expectation propagation (Minka 2001, UAI 17, 362), one Gaussian
+factor each; means and variances of readings are those of the signed quantity cut off at zero. Where
+the readings above zero leave a reading of zero no room, the white part grows until both are likely.
 
 The synthetic likelihood of the processes (:mod:`multicell.calibration.problem`) gives the next
 points that are worth a run, and with fresh runs an approximate posterior
@@ -19,7 +20,6 @@ points that are worth a run, and with fresh runs an approximate posterior
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
@@ -38,7 +38,9 @@ _MAX_POINTS: Final = 100
 _ABOVE: Final = 3  # readings above zero without which nothing is known of what is behind them
 _JITTER: Final = 1e-10  # of the diagonal of covariances, in variances of the values
 _DIFFERENCE: Final = 1e-7  # step of slopes, in parts of a range
-_SWEEPS: Final = 3  # in which what is behind readings of zero and hyperparameters are found
+_SWEEPS: Final = 60  # of expectation propagation, at most
+_DENIED: Final = 4.0
+"""Standard deviations above zero at which the readings around a reading of zero deny it."""
 
 Loss = Callable[[Array], Array]  # from parameters (k, d) to -2 ln L, (k,)
 Mask = NDArray[np.bool_]
@@ -46,30 +48,49 @@ Mask = NDArray[np.bool_]
 
 @final
 @dataclass(frozen=True, eq=False)
-class Process:
-    """Gaussian processes of the data of one observable, which share their hyperparameters.
+class Column:
+    """Gaussian processes of some data that the same points say something of.
 
     - ``data``, (m,): numbers of the data
+    - ``points``, (p,): numbers of these points
+    - ``root``, (p, p): lower Cholesky factor of their covariance
+    - ``weights``, (p, m): inverse covariance times values
     - ``centre``, ``width``, (m,): origin and scale of the values
-    - ``fitted``: scikit-learn's regressor of the scaled values; the second part of its kernel is
-      white
     """
 
     data: NDArray[np.int64]
+    points: NDArray[np.int64]
+    root: Array
+    weights: Array
     centre: Array
     width: Array
-    fitted: Any
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Process:
+    """Gaussian processes of the data of one observable, which share their hyperparameters.
+
+    - ``smooth``: scikit-learn's kernel of all but the white part
+    - ``points``, (k, d): where runs were made
+    - ``columns``: of all data
+    """
+
+    smooth: Any
+    points: Array
+    columns: tuple[Column, ...]
 
     def predict(self, shares: Array, means: Array, variances: Array) -> None:
         """Fill in the columns of means and variances of the smooth part for parameters (k, d)."""
         from scipy.linalg import solve_triangular
 
-        smooth, places = self.fitted.kernel_.k1, shares - 0.5
-        near = smooth(places, self.fitted.X_train_)
-        known = solve_triangular(self.fitted.L_, near.T, lower=True, check_finite=False)
-        left = np.maximum(smooth.diag(places) - (known**2).sum(axis=0), 0.0)
-        means[:, self.data] = self.centre + self.width * (near @ self.fitted.alpha_)
-        variances[:, self.data] = left[:, None] * self.width**2
+        near, prior = self.smooth(shares - 0.5, self.points), self.smooth.diag(shares - 0.5)
+        for column in self.columns:
+            own = near[:, column.points]
+            known = solve_triangular(column.root, own.T, lower=True, check_finite=False)
+            left = np.maximum(prior - (known**2).sum(axis=0), 0.0)
+            means[:, column.data] = column.centre + column.width * (own @ column.weights)
+            variances[:, column.data] = left[:, None] * column.width**2
 
 
 @final
@@ -167,47 +188,159 @@ def emulator(
 
 def _process(points: Array, residuals: Array, numbers: NDArray[np.int64], lowest: Array) -> Process:
     """Return the processes of the data of one observable."""
+    from scipy.linalg import cho_solve, cholesky
+
     values, lowest = residuals[:, numbers], lowest[numbers]
     hidden: Mask = values <= lowest + 1e-9
     hidden &= (~hidden).sum(axis=0) >= _ABOVE
     seen = np.ma.masked_array(values, hidden)
     centre, width = np.asarray(seen.mean(axis=0)), np.asarray(seen.std(axis=0)) + 1e-9
     values, lowest = (values - centre) / width, (lowest - centre) / width
-    fitted = _regressor(points, values)
-    for _ in range(_SWEEPS if hidden.any() else 0):
-        values = _behind(fitted.kernel_(points), values, hidden, lowest)
-        fitted = _regressor(points, values)
-    return Process(numbers, centre, width, fitted)
+    patterns: dict[bytes, list[int]] = {}
+    for k, column in enumerate(hidden.T):
+        patterns.setdefault(column.tobytes(), []).append(k)
+    groups = [np.array(group) for group in patterns.values()]
+    kernel = _kernel(points, values, [(~hidden[:, group[0]], group) for group in groups])
+    kernel = _with_zeros(kernel, points, values, hidden, lowest)
+    covariance = kernel(points) + _JITTER * np.eye(len(points))
+    columns = []
+    for group in groups:
+        # of readings of zero each datum has its own covariance
+        for own in [group] if not hidden[:, group[0]].any() else group[:, None]:
+            used, targets, noise = _targets(
+                covariance, values[:, own], hidden[:, own[0]], float(lowest[own[0]])
+            )
+            root = cholesky(covariance[np.ix_(used, used)] + np.diag(noise), lower=True)
+            weights = cho_solve((root, True), targets)
+            columns.append(Column(numbers[own], used, root, weights, centre[own], width[own]))
+    return Process(kernel.k1, points, tuple(columns))
 
 
-def _regressor(points: Array, values: Array) -> Any:
-    """Return the regressor of values (k, m) at points (k, d), of largest marginal likelihood."""
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.gaussian_process import GaussianProcessRegressor
+def _kernel(points: Array, values: Array, groups: Sequence[tuple[Mask, NDArray[np.int64]]]) -> Any:
+    """Return the kernel of largest marginal likelihood of the values that are seen.
+
+    - ``points``, (k, d), ``values``, (k, m)
+    - ``groups``: data and the points where they are seen
+    """
+    from scipy.linalg import cho_solve, cholesky
+    from scipy.optimize import minimize
     from sklearn.gaussian_process.kernels import ConstantKernel, DotProduct, Matern, WhiteKernel
 
     rough = ConstantKernel(1.0, (1e-10, 1e4))
     rough *= Matern(np.full(points.shape[1], 0.5), (0.05, 50.0), nu=2.5)
     parabola = ConstantKernel(100.0, "fixed") * DotProduct(1.0, "fixed") ** 2
     kernel = parabola + rough + WhiteKernel(1e-4, (1e-9, 1.0))
-    with warnings.catch_warnings():
-        # hyperparameters at the ends of their ranges are as good as others
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        return GaussianProcessRegressor(kernel, alpha=_JITTER).fit(points, values)
+
+    def loss(theta: Array) -> tuple[float, Array]:
+        covariance, slope = kernel.clone_with_theta(theta)(points, eval_gradient=True)
+        total, down = 0.0, np.zeros(len(theta))
+        for seen, group in groups:
+            own = np.ix_(seen, seen)
+            count = int(seen.sum())
+            try:
+                root = cholesky(covariance[own] + _JITTER * np.eye(count), lower=True)
+            except np.linalg.LinAlgError:
+                return 1e25, np.zeros(len(theta))
+            weights = cho_solve((root, True), values[np.ix_(seen, group)])
+            total += 0.5 * float((values[np.ix_(seen, group)] * weights).sum())
+            total += len(group) * float(np.log(np.diag(root)).sum())
+            outer = weights @ weights.T - len(group) * cho_solve((root, True), np.eye(count))
+            down -= 0.5 * np.einsum("ij,ijk->k", outer, slope[own])
+        return total, down
+
+    found = minimize(loss, kernel.theta, jac=True, method="L-BFGS-B", bounds=kernel.bounds)
+    return kernel.clone_with_theta(found.x)
 
 
-def _behind(covariance: Array, values: Array, hidden: Mask, lowest: Array) -> Array:
-    """Return values (k, m) with what is behind readings of zero, which is not above it.
+def _with_zeros(kernel: Any, points: Array, values: Array, hidden: Mask, lowest: Array) -> Any:
+    """Return a kernel whose white part is large enough for the readings of zero.
 
-    That is what the readings above zero predict there, or zero where they predict more.
+    - ``points``, (k, d), ``values``, ``hidden``, (k, m), ``lowest``, (m,)
+
+    Kernels are fitted to what is seen. If that denies a zero, both would be forced through the same
+    points and expectation propagation has no solution: the white part is then the one of largest
+    likelihood of both, each zero taken for itself.
     """
-    covariance = covariance + _JITTER * np.eye(len(covariance))
-    values = values.copy()
-    for k in np.flatnonzero(hidden.any(axis=0)):
-        zero, seen = hidden[:, k], ~hidden[:, k]
-        weights = np.linalg.solve(covariance[np.ix_(seen, seen)], values[seen, k])
-        values[zero, k] = np.minimum(covariance[np.ix_(zero, seen)] @ weights, lowest[k])
-    return values
+    from scipy.linalg import cho_factor, cho_solve
+    from scipy.optimize import minimize_scalar
+    from scipy.special import log_ndtr
+
+    white, smooth = kernel.k2.noise_level, kernel.k1(points)
+    data = np.flatnonzero(hidden.any(axis=0))
+
+    def heights(white: float) -> tuple[Array, float]:
+        """Return deviations by which zeros are denied, and -ln L of all other readings."""
+        covariance = smooth + (white + _JITTER) * np.eye(len(points))
+        found, total = [], 0.0
+        for k in data:
+            zero, seen = hidden[:, k], ~hidden[:, k]
+            factor = cho_factor(covariance[np.ix_(seen, seen)], lower=True)
+            across = covariance[np.ix_(seen, zero)]
+            weights = cho_solve(factor, values[seen, k])
+            known = (across * cho_solve(factor, across)).sum(axis=0)
+            left = np.maximum(covariance[zero, zero] - known, white + _JITTER)
+            found.append((across.T @ weights - lowest[k]) / np.sqrt(left))
+            total += 0.5 * float(values[seen, k] @ weights) + np.log(np.diag(factor[0])).sum()
+        return np.concatenate(found) if found else np.zeros(0), total
+
+    if heights(white)[0].max(initial=0.0) <= _DENIED:
+        return kernel
+
+    def loss(log_white: float) -> float:
+        above, total = heights(float(np.exp(log_white)))
+        return total - float(log_ndtr(-above).sum())
+
+    # no scatter is needed that exceeds the distance of the highest reading from zero
+    most = 2.0 * np.log(np.abs(values[:, data] - lowest[data]).max())
+    best = minimize_scalar(loss, bounds=(np.log(white), most), method="bounded").x
+    return kernel.clone_with_theta(np.append(kernel.theta[:-1], best))
+
+
+def _targets(
+    covariance: Array, values: Array, hidden: Mask, lowest: float
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return the points that say something, values that a process goes through, and their noise.
+
+    - ``covariance``, (k, k): of the points, the white part included
+    - ``values``, (k, m): at hidden points they are not above ``lowest``, and m is 1
+
+    Where they are seen these are the values without noise; where not, the factors of expectation
+    propagation.
+    """
+    from scipy.special import erfcx
+
+    noise = np.zeros(len(hidden))
+    if not hidden.any():
+        return np.arange(len(hidden)), values, noise
+    across = covariance[np.ix_(~hidden, hidden)]
+    part = np.linalg.solve(covariance[np.ix_(~hidden, ~hidden)], across).T
+    mean, spread = part @ values[~hidden, 0], covariance[np.ix_(hidden, hidden)] - part @ across
+    precision, shift = np.zeros(len(mean)), np.zeros(len(mean))
+    for _ in range(_SWEEPS):
+        root = np.sqrt(precision)
+        inner = np.linalg.solve(np.eye(len(mean)) + root[:, None] * spread * root,
+                                root[:, None] * spread)  # fmt: skip
+        after = spread - (spread * root) @ inner
+        variance = np.maximum(np.diag(after), 1e-12)
+        without = 1.0 / np.maximum(1.0 / variance - precision, 1e-12)
+        centre = without * ((mean + after @ (shift - precision * mean)) / variance - shift)
+        # moments of a normal number that is not above the lowest one
+        place = (lowest - centre) / np.sqrt(without)
+        ratio = np.sqrt(2.0 / np.pi) / erfcx(-place / np.sqrt(2.0))
+        cut = without * np.maximum(1.0 - ratio * (place + ratio), 1e-6)
+        wanted = np.maximum(1.0 / cut - 1.0 / without, 0.0)
+        pulled = (centre - np.sqrt(without) * ratio) / cut - centre / without
+        change = np.abs(wanted - precision).max()
+        precision, shift = 0.3 * precision + 0.7 * wanted, 0.3 * shift + 0.7 * pulled
+        if change <= 1e-4 * precision.max():
+            break
+    telling = precision > 1e-8
+    targets, used = values.copy(), ~hidden
+    places = np.flatnonzero(hidden)[telling]
+    used[places] = True
+    noise[places] = 1.0 / precision[telling]
+    targets[places, 0] = shift[telling] / precision[telling]
+    return np.flatnonzero(used), targets[used], noise[used]
 
 
 def _near_scatter(scatter: Array, loss: Array) -> Array:

@@ -130,8 +130,8 @@ def test_zeros_that_contradict_their_neighbours_are_taken_for_scatter():
     found = emulator(shares, values, np.zeros((24, 1)), np.ones(24), lowest=np.zeros(1))
     means, variances = found.predict(np.linspace(0.0, 1.0, 7)[:, None])
     assert np.isfinite(variances).all()
-    # half of all readings are above zero, 7.5 on average: so is what scatters this much
-    assert 0.0 < means.min() <= means.max() < 7.5
+    # half of all readings are above zero: so is a signed quantity that scatters this much
+    assert 0.0 < means.min() <= means.max() < 5.0
     assert variances.min() > 1.0
 
 
