@@ -391,10 +391,11 @@ def test_numbers_that_make_no_sense_are_refused():
     ("kind", "conditions", "words"),
     [
         ("squares", {"x": {"value": 1.0}}, "say nothing of the side 'y-'"),
-        ("squares", {"*": {"curvature": 1.0}}, "oxygen.conditions: are none that fields know"),
+        ("squares", {"*": {"curvature": 1.0}}, "have .* on the side"),
+        ("squares", {"*": {"value": np.ones(7)}}, "or 24 of them"),
         ("squares", "auto_periodic_neumann", "expected a finite number"),
         ("shells", {"curvature": 1.0}, "say nothing of the side 'r\\+'"),
-        ("shells", {"r+": {"curvature": 1.0}}, "on the surface of a ball"),
+        ("shells", {"r+": {"curvature": 1.0}}, "on the side"),
         ("shells", {"value": np.nan}, "have nan, expected a finite number"),
     ],
 )

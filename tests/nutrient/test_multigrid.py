@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from grids import diffusion
 from pde import CartesianGrid
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
@@ -12,7 +13,6 @@ import multicell as mc
 from multicell.compiling.threads import Team
 from multicell.nutrient import steady, stencil
 from multicell.nutrient.cartesian import Box, gather, mesh, moved
-from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.multigrid import Hierarchy, MultigridSolver
 from multicell.nutrient.steady import solve_steady
 
@@ -28,7 +28,7 @@ def operator(shape, sides=VALUE, varied=None, h=10.0):
     names = FACES[: 2 * len(shape)]
     named = {face: sides.get(face, VALUE) if "x-" in sides else sides for face in names}
     height = 20.0 if len(shape) == 2 else None
-    return Diffusion(grid, D, named, height=height, varied=varied)
+    return diffusion(grid, D, named, height=height, varied=varied)
 
 
 def ball(op, most=0.02):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -107,15 +108,14 @@ class Reactions:
         volumes = coupled.volumes
         for i, each in enumerate(self.substances):
             nodes, own = (x[i].reshape(each.shape) for x in (c, made))
-            a = each.flows(nodes, each.schedule.at(t), each.sink, own)
+            a = each.flows(nodes, each.schedule.at(t), own)
             spent = each.linear * float(np.sum(volumes * c[i]))
             supplied = float(np.sum(volumes * coupled.supplies[i]))
             left = abs(a.inflow + supplied + a.made - a.used - a.uptake - spent)
-            newton, linear = (coupled.newton, coupled.linear_steps) if i == 0 else (0, 0)
-            reports[each.name] = SolveReport(
-                newton, linear, left, a.inflow, a.uptake, spent, supplied, a.outflow, a.made,
-                a.used,
-            )  # fmt: skip
+            newton, cg = (coupled.newton, coupled.linear_steps) if i == 0 else (0, 0)
+            reports[each.name] = replace(
+                a, newton=newton, cg=cg, residual=left, spent=spent, supplied=supplied
+            )
         return c, reports
 
     def ahead(self, nodes: Nodes, begin: float, end: float) -> FloatArray:
