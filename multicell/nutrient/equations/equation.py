@@ -195,7 +195,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         """
         self.check(state)
         result = state.copy(label="evolution rate")
-        result.data, _ = self.rates(state.data, t)
+        result.data, _ = self.rates(np.asarray(state.data, dtype=np.float64), t)
         return result
 
     def rates(self, data: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:

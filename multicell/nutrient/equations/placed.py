@@ -79,8 +79,10 @@ class PlacedSubstance:
         if supply is not None and supply.size != math.prod(self.shape):
             problem = f"has the shape {supply.shape}, the grid has {self.shape}"
             raise SceneError(f"substances.{self.name}.supply", problem)
-        self._supplied = None if supply is None else supply.reshape(self.shape)
-        self._injected = 0.0 if supply is None else float(np.sum(layout.volumes * self._supplied))
+        self._supplied, self._injected = supply, 0.0
+        if supply is not None:
+            self._supplied = supply = supply.reshape(self.shape)
+            self._injected = float(np.sum(layout.volumes * supply))
         varied = None if varied is None else varied.reshape(self.shape)
         self._level = self.schedule.at(0.0)
         conditions = self.conditions_at(self._level)
