@@ -23,7 +23,7 @@ def demand(described):
     """Return cells in all states, and what the fields take as their demand."""
     cells = mc.Simulation(described).cells.copy()
     cells.state = np.resize(np.array(State, dtype=cells.state.dtype), len(cells))
-    return cells, *FieldSystem(described).demand_now("a", cells)
+    return cells, *FieldSystem(described).demand("a", cells)
 
 
 def test_without_factors_secretion_goes_with_uptake():

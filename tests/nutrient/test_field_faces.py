@@ -185,7 +185,7 @@ def test_chemotaxis_and_explain_go_on_with_a_thin_margin(dimensions, geometry, m
     assert explain(scene)["parts"]
     simulation = finished(scene)
     assert np.isfinite(simulation.cells.position).all()
-    found = simulation.field_system.gradients(simulation.cells.position, ["oxygen"])["oxygen"]
+    found = simulation.field_system.gradients(simulation.cells)["oxygen"]
     assert np.isfinite(found).all()
     assert np.abs(found).max() > 0.0
     assert (simulation.concentrations["oxygen"] <= 0.07 * (1 + 1e-12)).all()

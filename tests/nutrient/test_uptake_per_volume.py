@@ -27,7 +27,7 @@ def test_a_cell_takes_up_in_proportion_to_its_volume():
     described = scene({"uptake_per_volume": "0.02 amol/s/um^3"})
     cells = mc.Simulation(described).cells
     assert np.ptp(cells.volume) > 0.5 * cells.volume.min()
-    capacity, production = FieldSystem(described).demand_now("a", cells)
+    capacity, production = FieldSystem(described).demand("a", cells)
     assert production is None
     np.testing.assert_allclose(capacity, 0.02 * SPHERE * cells.radius**3, rtol=1e-14)
 
