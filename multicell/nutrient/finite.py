@@ -30,11 +30,10 @@ from pde.solvers.base import SolverBase
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient.balance import COLUMNS, SIGNS, Exchange
-from multicell.nutrient.course import Course, Demand
 from multicell.nutrient.medium import WellMixed, beyond
 
 if TYPE_CHECKING:
-    from multicell.nutrient.group import FieldGroup
+    from multicell.nutrient.group import Demand, FieldGroup
     from multicell.nutrient.steady import SolveReport
 
 _FADED: Final = 1e-3
@@ -90,8 +89,8 @@ class _Exchange:
         self.nutrients = {name: f.parameters.nutrient for name, f in group.fields.items()}
         self.steady = group.first.parameters.regime == "steady"
         self.before = np.array([field.stored() for field in group.fields.values()])
-        self.course = course = Course(group, position, demand, radius, begin, carry=not self.steady)
-        self.relaid = course.masses() - self.before
+        group.begin(position, demand, radius, begin, carry=not self.steady)
+        self.relaid = group.masses() - self.before
         self.media: dict[str, WellMixed] = {}
         self.totals: dict[str, float] = {}
         self.guess: dict[str, float] = {}
@@ -99,7 +98,7 @@ class _Exchange:
             medium = field.well_mixed
             if medium is None:
                 continue
-            volume = beyond(name, self.nutrients[name], course.layout.whole)
+            volume = beyond(name, self.nutrients[name], group.layout.whole)
             amount = medium.amount - (0.0 if self.steady else float(self.relaid[i]))
             if not amount >= 0.0:
                 problem = f"the grid of {name} came to enclose more than its finite medium holds"
@@ -129,13 +128,13 @@ class _Exchange:
         self.guess[name] = self.media[name].concentration
 
     def _content(self, name: str) -> float:
-        return float(self.course.masses()[self.group.names.index(name)])
+        return float(self.group.masses()[self.group.names.index(name)])
 
     def march(self, end: float) -> None:
         """Bring all to ``end`` (s) by a solver of py-pde's registry; the account goes along."""
         if end > self.now:
             kind = AtRestWithMedia if self.steady else WithMedia
-            equation = kind(self.course, self.media, self.guess)
+            equation = kind(self.group, self.media, self.guess)
             state: Any = SimpleNamespace(data=equation.data(self.totals))
             solver = SolverBase.from_name(
                 "multicell-march", equation,  # type: ignore[arg-type]
@@ -168,7 +167,7 @@ class _Exchange:
             self.totals = dict(zip(self.media, data.tolist(), strict=True))
             self.guess = dict(zip(self.media, equation.levels.tolist(), strict=True))
             return
-        m, state = len(self.group.names), self.course.state
+        m, state = len(self.group.names), self.group.state
         state.data[...] = data[:m].reshape(state.data.shape)
         for (name, medium), values in zip(self.media.items(), data[m:], strict=True):
             self.media[name] = replace(medium, amount=medium.volume * float(values[0]))
@@ -176,7 +175,7 @@ class _Exchange:
 
     def _settle(self) -> None:
         """Bring steady fields to rest with their media: both hold what is there in all."""
-        slow = AtRestWithMedia(self.course, self.media, self.guess)
+        slow = AtRestWithMedia(self.group, self.media, self.guess)
         slow.settle(slow.data(self.totals), self.now)
         self.guess = dict(zip(self.media, slow.levels.tolist(), strict=True))
         for name, medium in self.media.items():
@@ -188,29 +187,29 @@ class _Exchange:
         """Give the fields what has been found, and return the account of the step."""
         for name, medium in self.media.items():
             self.group.fields[name].well_mixed = medium
-        self.course.finish(self.now)
-        gained = self.course.masses() - self.before if self.steady else self.relaid
-        return self.course.march({**self.info, "amounts": self.amounts}, gained)
+        self.group.finish(self.now)
+        gained = self.group.masses() - self.before if self.steady else self.relaid
+        return self.group.exchanges({**self.info, "amounts": self.amounts}, gained)
 
 
 class _Media:
     """Fields and the finite media round them, for steps of backward Euler.
 
-    - ``course``: the fields' equation and state
+    - ``group``: the fields' equation and state
     - ``media``, ``levels``: by name of the field; first guess of the concentrations, mM
     """
 
     def __init__(
-        self, course: Course, media: Mapping[str, WellMixed], levels: Mapping[str, float]
+        self, group: FieldGroup, media: Mapping[str, WellMixed], levels: Mapping[str, float]
     ) -> None:
-        self.equation, self.state = course.equation, course.state
+        self.equation, self.state = group.equation, group.state
         self.names, self.switches = self.equation.names, self.equation.switches
         self.levels = np.array(list(levels.values()))
         self._rows = [self.names.index(name) for name in media]
         self._volumes = np.array([medium.volume for medium in media.values()])
         self._placed = [self.equation.substances[name] for name in media]
         self._decay = np.array([each.substance.decay for each in self._placed])
-        nutrients = [field.parameters.nutrient for field in course.group.fields.values()]
+        nutrients = [field.parameters.nutrient for field in group.fields.values()]
         self._faded = np.array([_FADED * nutrient.highest for nutrient in nutrients])
         self._root = _Root(list(media))
 
