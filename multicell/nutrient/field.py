@@ -91,25 +91,6 @@ class NutrientField:
         demand = {self.name: (capacity, production)}
         return self.group.solve(position, demand, radius=radius, time=time)[self.name]
 
-    def advance(
-        self,
-        position: FloatArray,
-        capacity: FloatArray,
-        *,
-        production: FloatArray | None = None,
-        radius: FloatArray | None = None,
-        begin: float,
-        end: float,
-    ) -> Exchange:
-        """March the field from ``begin`` to ``end`` (s); parameters as for :meth:`solve`.
-
-        The grid is laid round the cells first. What it encloses then and did not before is the
-        medium of the moment, counted as ``relaid``.
-        """
-        demand = {self.name: (capacity, production)}
-        reports = self.group.advance(position, demand, radius=radius, begin=begin, end=end)
-        return reports[self.name]
-
     @property
     def group(self) -> FieldGroup:
         """The field as a group of one: what lays its grid and brings it forward."""

@@ -167,8 +167,8 @@ class _Exchange:
             self.totals = dict(zip(self.media, data.tolist(), strict=True))
             self.guess = dict(zip(self.media, equation.levels.tolist(), strict=True))
             return
-        m, state = len(self.group.names), self.group.state
-        state.data[...] = data[:m].reshape(state.data.shape)
+        m, nodes = len(self.group.names), self.group.state.data
+        nodes[...] = data[:m].reshape(nodes.shape)
         for (name, medium), values in zip(self.media.items(), data[m:], strict=True):
             self.media[name] = replace(medium, amount=medium.volume * float(values[0]))
             self.guess[name] = self.media[name].concentration

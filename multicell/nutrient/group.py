@@ -1,6 +1,6 @@
 """Fields that share a grid, brought forward together: one that stands alone, or those that react.
 
-The fields are the state of one equation of py-pde's
+The fields are the state of one equation
 (:class:`multicell.nutrient.equations.equation.FieldEquation`), made anew when the grid changes its
 shape, and a solver out of py-pde's registry brings it forward. The account of a step is made of
 the same values as the step, so that what one field loses to a reaction the others gain.
@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from pde.fields.scalar import ScalarField
 from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
@@ -27,8 +27,6 @@ from multicell.nutrient.sources import injected
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:
-    from pde.grids.base import GridBase
-
     from multicell.nutrient.equations.schedule import Schedule
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.parameters import FieldParameters
@@ -47,7 +45,8 @@ class FieldGroup:
     - ``fields``: by name, all with the same grid
     - ``kinetics``: reactions between them, in the same order; None where there are none
 
-    - ``layout``, ``equation``, ``state`` (ScalarField or FieldCollection, mM): of the last solve
+    - ``layout``, ``equation``: of the last solve
+    - ``state``: its values for py-pde's solvers, which ask for no more than ``data``, (m, ...) mM
     - ``info``: what py-pde's solver said of it; see ``pde.SolverBase``
     """
 
@@ -111,8 +110,8 @@ class FieldGroup:
         """Begin with the media's concentrations everywhere."""
         nothing = np.zeros(len(position)), None
         self.begin(position, dict.fromkeys(self.names, nothing), radius, time, carry=False)
-        levels = {name: field.level(time) for name, field in self.fields.items()}
-        self.state.data[...] = self.equation.state(levels).data
+        for nodes, field in zip(self.state.data, self.fields.values(), strict=True):
+            nodes[...] = field.level(time)
         self.finish(time)
 
     def begin(
@@ -128,7 +127,8 @@ class FieldGroup:
         strays = all(f.parameters.open_medium for f in fields)
         self.layout, self._kept, position = self.first.lay(position, radius, strays=strays)
         self._set_equation(self.layout, position, radius, demand)
-        self._set_state([self._first(f, time, carry) for f in fields])
+        first = np.array([self._first(f, time, carry) for f in fields])
+        self.state = SimpleNamespace(data=first, equation=self.equation)
 
     def _first(self, field: NutrientField, time: float, carry: bool) -> FloatArray:
         """Return the values that a field begins with on the layout."""
@@ -145,8 +145,7 @@ class FieldGroup:
 
     def masses(self) -> FloatArray:
         """Return what each field holds, (m,) amol."""
-        nodes = np.reshape(self.state.data, (-1, *self.layout.shape))
-        return np.array([float(np.sum(self.layout.volumes * c)) for c in nodes])
+        return np.array([float(np.sum(self.layout.volumes * c)) for c in self.state.data])
 
     def _run(self, name: str, begin: float, end: float, **options: Any) -> None:
         """Bring the state to ``end`` (s) by a solver of py-pde's registry."""
@@ -156,8 +155,7 @@ class FieldGroup:
 
     def finish(self, time: float) -> None:
         """Give the fields what has been found."""
-        nodes = np.reshape(self.state.data, (-1, *self.layout.shape))
-        for field, values in zip(self.fields.values(), nodes, strict=True):
+        for field, values in zip(self.fields.values(), self.state.data, strict=True):
             conditions = field.parameters.conditions(self.layout, field.level(time))
             field.take(self.layout, values.copy(), conditions, self._kept)
 
@@ -203,40 +201,6 @@ class FieldGroup:
             tissue=tissue_share(layout, position, radius) if tissue else None,
             threads=self.first.threads,
         )  # fmt: skip
-
-    def _set_state(self, values: list[FloatArray]) -> None:
-        """Make a state of the equation; the last one, with other values, if it still holds.
-
-        - ``values``, mM: at the nodes, for each field
-        """
-        equation, last = self.equation, self.state
-        if len(values) == 1:
-            (own,) = values
-            if last is None or last.nodes != own.shape:
-                self.state = last = _Following(equation.grid, label=self.names[0])
-                last.nodes = own.shape
-            last.equation = equation
-            last.data[...] = own.reshape(last.data.shape)
-        elif last is not None and last.grid is equation.grid:
-            last.data[...] = np.reshape(values, last.data.shape)
-        else:
-            self.state = equation.state_of(values)
-
-
-@final
-class _Following(ScalarField):  # type: ignore[no-untyped-call]
-    """A state on the grid that its equation has at the moment, which is made if asked for.
-
-    - ``nodes``: shape of the equation's layout
-    """
-
-    equation: FieldEquation | None = None
-    nodes: tuple[int, ...] = ()
-
-    @property
-    def grid(self) -> GridBase:
-        """py-pde's grid."""
-        return self._grid if self.equation is None else self.equation.grid
 
 
 def substance(

@@ -76,7 +76,8 @@ def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
     field.group.fill(place, radius=np.ones(1), time=0.0)
     field.attach_medium()
     assert field.well_mixed.volume == pytest.approx(ratio * sphere)
-    field.advance(place, nothing, radius=np.ones(1), begin=0.0, end=1.0)
+    still = place, {"a": (nothing, None)}
+    field.group.advance(*still, radius=np.ones(1), begin=0.0, end=1.0)
     assert field.well_mixed.concentration == 2.0
     roots = [
         brentq(lambda q: (3 + ratio * q * q) * np.sin(q) - 3 * q * np.cos(q), low, low + np.pi)
@@ -85,7 +86,7 @@ def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
     q, now = np.array(roots), 1.0
     final = 2.0 * ratio * sphere / (1.0 + ratio)
     for time in (0.5, 2.0, 6.0):
-        field.advance(place, nothing, radius=np.ones(1), begin=now, end=1.0 + time)
+        field.group.advance(*still, radius=np.ones(1), begin=now, end=1.0 + time)
         now = 1.0 + time
         terms = 6 * ratio * (ratio + 1) * np.exp(-diffusion * q**2 * time / a**2)
         exact = 1.0 - np.sum(terms / (9 + 9 * ratio + q**2 * ratio**2))

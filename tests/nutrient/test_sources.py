@@ -64,11 +64,12 @@ def test_the_error_of_a_point_is_of_second_order():
 def test_a_point_that_begins_to_give():
     """c = S/(4πDr) erfc(r/√(4Dt)) before it reaches the walls."""
     oxygen = field(100.0, 10.0, "transient", sources={"pump": POINT})
-    nobody = {**NOBODY, "radius": np.empty(0)}
-    oxygen.group.fill(nobody["position"], radius=nobody["radius"], time=0.0)
+    nowhere, nobody = np.empty((0, 3)), np.empty(0)
+    oxygen.group.fill(nowhere, radius=nobody, time=0.0)
     lost = 0.0
     for begin, end in ((0.0, 2.0), (2.0, 4.0)):
-        march = oxygen.advance(**nobody, begin=begin, end=end)
+        demand = {"a": (nobody, None)}
+        march = oxygen.group.advance(nowhere, demand, radius=nobody, begin=begin, end=end)["a"]
         for r in (30.0, 45.0):
             exact = 3000.0 / (4 * np.pi * D * r) * erfc(r / np.sqrt(4 * D * end))
             assert oxygen.sample(around(r)).mean() == pytest.approx(exact, rel=4e-2)

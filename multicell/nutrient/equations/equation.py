@@ -32,7 +32,7 @@ from multicell.nutrient.grid import Layout
 from multicell.nutrient.uptake import uptake_and_slope
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from pde.grids.base import GridBase
 
@@ -172,14 +172,9 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
                 problem = f"has the shape {array.shape}, the grid has {shape}"
                 raise SceneError(f"values.{name}", problem)
             arrays.append(array if array.ndim else np.broadcast_to(array, shape))
-        return self.state_of(arrays)
-
-    def state_of(self, nodes: Iterable[FloatArray]) -> State:
-        """Return a state of the values (mM) at the nodes, of each substance in their order."""
-        grid = self.grid
         fields = [
-            ScalarField(grid, array.reshape(grid.shape), label=name)
-            for name, array in zip(self.substances, nodes, strict=True)
+            ScalarField(self.grid, array.reshape(shape), label=name)
+            for name, array in zip(self.substances, arrays, strict=True)
         ]
         return fields[0] if len(fields) == 1 else FieldCollection(fields, labels=[*self.substances])
 

@@ -11,12 +11,7 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.equations.solving import (
-    Inverse,
-    labels,
-    refuse_runaway,
-    suitable,
-)
+from multicell.nutrient.equations.solving import suitable
 from multicell.scene.nutrient import MOST
 
 if TYPE_CHECKING:
@@ -44,10 +39,9 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     rtol
         Relative tolerance of a step's error, by the root of its mean square over all nodes.
     atol
-        Absolute tolerance, one or one for each field; absent: ``rtol`` times a thousandth of each
-        field's largest value.
-    max_order, krylov_dim, max_steps
-        Largest order; dimension of the Krylov space; most steps between two calls of trackers.
+        Absolute tolerance; absent: ``rtol`` times a thousandth of each field's largest value.
+    max_steps
+        Most steps between two calls of trackers.
     """
 
     name = "multicell-implicit"
@@ -58,18 +52,14 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         *,
         backend: Any = "auto",
         rtol: float = 1e-5,
-        atol: float | list[float] | None = None,
-        max_order: int = 5,
-        krylov_dim: int = 10,
+        atol: float | None = None,
         max_steps: int = 100_000,
     ) -> None:
         super().__init__(pde, backend=backend)
         for name, value in (("rtol", rtol), ("atol", atol)):
-            if value is not None and not (np.isfinite(value) & (np.asarray(value) > 0.0)).all():
+            if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise SceneError(name, f"is {value!r}, must be above zero")
-        self.rtol, self.atol = rtol, atol
-        self.options = {"rtol": rtol, "max_order": max_order, "krylov_dim": krylov_dim}
-        self.max_steps = max_steps
+        self.rtol, self.atol, self.max_steps = rtol, atol, max_steps
 
     def make_stepper(
         self, state: Any, dt: float | None = None
@@ -84,11 +74,8 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             For an equation or a state that it cannot solve.
         """
         equation = suitable(self.pde, state, "shifted_inverse")
-        names = labels(state)
-        if self.atol is not None and np.size(self.atol) not in (1, len(names)):
-            raise SceneError("atol", f"has {np.size(self.atol)} numbers for {len(names)} fields")
         self.info.update(dt=dt, steps=0, evaluations=0, stochastic=False)
-        march = _March(self, equation, names, dt)
+        march = _March(self, equation, dt)
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
             state.data[...] = march.advance(state.data, float(t_start), float(t_end))
@@ -104,22 +91,17 @@ class _March:
     Its clock counts from its start: short steps would be lost on a clock that shows days.
     """
 
-    def __init__(
-        self,
-        solver: ImplicitFieldSolver,
-        equation: Any,
-        names: list[str],
-        first: float | None,
-    ) -> None:
+    def __init__(self, solver: ImplicitFieldSolver, equation: Any, first: float | None) -> None:
         self.owner, self.info = solver, solver.info
-        self.equation, self.names, self.first = equation, names, first
+        self.equation, self.first = equation, first
         self.begin = self.reached = math.nan
         self.y = np.empty(0)
 
     def advance(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return the data at ``end``."""
         self.shape = data.shape
-        jumps = self._jumps(begin, end)
+        # when the rates jump, the beginning included
+        jumps = self.equation.switches(float(np.nextafter(begin, -np.inf)), end)
         if begin != self.reached or begin in jumps or not np.array_equal(self.y, data.ravel()):
             self._start(np.array(data, dtype=float).ravel(), begin)
         limit = self.info["steps"] + self.owner.max_steps
@@ -143,32 +125,27 @@ class _March:
             hint = "Look at the rates of the reactions that make it, or let them saturate."
             raise NutrientFailed(f"at t = {self.reached:.6g} {words}", hint)
 
-    def _jumps(self, begin: float, end: float) -> list[float]:
-        """Return when the rates jump from ``begin`` on, itself included, up to ``end``."""
-        found: list[float] = self.equation.switches(float(np.nextafter(begin, -np.inf)), end)
-        return found
-
     def _start(self, y: FloatArray, begin: float) -> None:
         from sksundae.cvode import CVODE, CVODEPrecond
 
-        options = dict(self.owner.options, atol=self._absolute(y), first_step=self.first or 0.0)
-        options["precond"] = CVODEPrecond(self.setup, self.precondition, side="right")
         self.begin = self.reached = begin
         self.y = y
-        self.near: Inverse | None = None
-        self.cvode = CVODE(self.velocity, method="BDF", linsolver="gmres", **options)
+        self.near: Any = None
+        self.cvode = CVODE(
+            self.velocity, method="BDF", linsolver="gmres", krylov_dim=10, rtol=self.owner.rtol,
+            atol=self._absolute(y), first_step=self.first or 0.0,
+            precond=CVODEPrecond(self.setup, self.precondition, side="right"),
+        )  # fmt: skip
         self.cvode.init_step(0.0, y)
 
     def _absolute(self, y: FloatArray) -> FloatArray:
         """Return the absolute tolerance of each value."""
-        parts = np.abs(y).reshape(len(self.names), -1)
-        if self.owner.atol is None:
-            largest = parts.max(axis=1)
-            largest[largest == 0.0] = largest.max() or 1.0
-            each = self.owner.rtol * _SMALL * largest
-        else:
-            each = np.broadcast_to(np.asarray(self.owner.atol, dtype=float), len(self.names))
-        return np.repeat(each, parts.shape[1])
+        if self.owner.atol is not None:
+            return np.full(y.size, self.owner.atol)
+        parts = np.abs(y).reshape(len(self.equation.names), -1)
+        largest = parts.max(axis=1)
+        largest[largest == 0.0] = largest.max() or 1.0
+        return np.repeat(self.owner.rtol * _SMALL * largest, parts.shape[1])
 
     def _step(self, stop: float, limit: int) -> None:
         """Take one step of CVODE's, up to ``stop`` at most."""
@@ -190,8 +167,19 @@ class _March:
         now = min(self.begin + t, self.last)
         data = np.array(y).reshape(self.shape)
         found, _ = self.equation.rates(data, now)
-        refuse_runaway(self.names, data, found, now)
+        if not np.isfinite(found).all():
+            raise self._runaway(data, found, now)
         yp[:] = found.ravel()
+
+    def _runaway(self, data: FloatArray, found: FloatArray, t: float) -> NutrientFailed:
+        """Return the error of rates that are not finite, which names the field."""
+        names = self.equation.names
+        fields, rates = (x.reshape(len(names), -1) for x in (data, found))
+        bad = int(np.argmax(~np.isfinite(rates).all(axis=1)))
+        problem = f"the rate of {names[bad]} is not finite at t = {t:.6g}"
+        largest = f"where its largest value is {np.abs(fields[bad]).max():.3g}"
+        hint = "Look for a reaction that makes it grow without bound"
+        return NutrientFailed(f"{problem}, {largest}", hint)
 
     def setup(
         self, t: float, y: FloatArray, yp: FloatArray, jok: int, jnew: list[int], gamma: float
@@ -207,5 +195,4 @@ class _March:
         gamma: float, delta: float, lr: int,
     ) -> None:  # fmt: skip
         """Solve about (I - γJ) z = r."""
-        assert self.near is not None
         z[:] = self.near(np.array(r).reshape(self.shape) / gamma, 1.0 / gamma).ravel()

@@ -131,17 +131,7 @@ class Reactions:
 
     def _coupled(self, t: float) -> Coupled:
         """Return the equations with what holds at a time in s."""
-        levels = [each.schedule.at(t) for each in self.substances]
-        pairs = list(zip(self.substances, levels, strict=True))
-        return Coupled(
-            [each.at(level) for each, level in pairs],
-            np.array([each.sink.ravel() for each in self.substances]),
-            np.array([each.supply(level).ravel() for each, level in pairs]),
-            np.array([each.substance.half_saturation for each in self.substances]),
-            np.array([each.linear for each in self.substances]),
-            self.kinetics,
-            self.tissue,
-        )
+        return Coupled(self.substances, self.kinetics, self.tissue, t)
 
     def growing(self, nodes: Nodes) -> str:
         """Return which substance grows without bound and how fast, in words; empty if none does."""

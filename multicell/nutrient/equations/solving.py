@@ -7,20 +7,12 @@ those of :class:`multicell.FieldEquation`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from pde.fields.collection import FieldCollection
-
-from multicell.cells import FloatArray
-from multicell.errors import NutrientFailed, SceneError
+from multicell.errors import SceneError
 
 if TYPE_CHECKING:
     from pde.pdes.base import PDEBase
-
-Inverse = Callable[[FloatArray, float], FloatArray]
-"""(r, shift) -> about (shift - J)⁻¹ r, arrays like a state's data."""
 
 
 def suitable(pde: PDEBase, state: Any, method: str) -> Any:
@@ -32,21 +24,3 @@ def suitable(pde: PDEBase, state: Any, method: str) -> Any:
     if check is not None:
         check(state)
     return pde
-
-
-def labels(state: Any) -> list[str]:
-    """Return a name for each field of a state."""
-    fields = list(state) if isinstance(state, FieldCollection) else [state]
-    return [field.label or f"field {i}" for i, field in enumerate(fields)]
-
-
-def refuse_runaway(names: list[str], data: FloatArray, found: FloatArray, t: float) -> None:
-    """Refuse rates that are not finite; raises NutrientFailed it names the field."""
-    if np.isfinite(found).all():
-        return
-    fields, rates = (x.reshape(len(names), -1) for x in (data, found))
-    bad = int(np.argmax(~np.isfinite(rates).all(axis=1)))
-    problem = f"the rate of {names[bad]} is not finite at t = {t:.6g}"
-    largest = f"where its largest value is {np.abs(fields[bad]).max():.3g}"
-    hint = "Look for a reaction that makes it grow without bound"
-    raise NutrientFailed(f"{problem}, {largest}", hint)
