@@ -7,6 +7,7 @@ import pytest
 from pde import (
     CallbackTracker,
     CartesianGrid,
+    DiffusionPDE,
     FieldCollection,
     ScalarField,
     SphericalSymGrid,
@@ -15,6 +16,7 @@ from pde import (
 from scipy.integrate import solve_bvp
 
 import multicell as mc
+from multicell.errors import NutrientFailed
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Substance
 
@@ -116,17 +118,6 @@ def test_rates_follow_a_changing_medium(kind):
     assert [steps.at(t) for t in (4.999, 5.0)] == [0.07, 0.02]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_amounts_add_up(kind):
-    equation = equation_of(kind, perfusion=0.01, medium=0.05)
-    balance = equation.balance(random_state(equation))["oxygen"]
-    gained = balance["inflow"] + balance["secreted"]
-    lost = balance["uptake"] + balance["decayed"]
-    assert balance["secreted"] == pytest.approx(90.0, rel=1e-12)
-    size = max(abs(x) for x in balance.values())
-    assert balance["stored"] == pytest.approx(gained - lost, abs=1e-11 * size)
-
-
 # --- our solvers beside py-pde's ------------------------------------------------------------------
 
 
@@ -195,24 +186,6 @@ def test_every_solver_of_pdes_solves_it(solver, order):
     assert np.abs(ours.data - state.data).max() > 0.01
 
 
-def test_a_closed_box_keeps_what_it_holds_and_follows_its_ode():
-    """Without sides the content falls by decay and rises by secretion, wherever the cells are."""
-    equation = equation_of("cubes", decay=0.3, capacity=None)
-    closed = Substance(
-        D, {"*": WALL}, decay=0.3, production=equation.substances["oxygen"].substance.production
-    )
-    equation = FieldEquation(equation.grid, {"oxygen": closed}, cells_of("cubes"))
-    state = random_state(equation)
-    volume = 160.0**3
-    start, gained = state.data.mean(), 90.0 / volume
-    end = equation.solve(state, 4.0, solver="multicell-implicit", rtol=1e-8, tracker=None)
-    expected = gained / 0.3 + (start - gained / 0.3) * np.exp(-0.3 * 4.0)
-    assert end.data.mean() == pytest.approx(expected, rel=1e-6)
-    still = FieldEquation(equation.grid, {"oxygen": Substance(D, {"*": WALL})})
-    end = still.solve(state, 5.0, solver="multicell-implicit", tracker=None)
-    assert end.data.mean() == pytest.approx(start, rel=1e-9)
-
-
 def test_a_medium_that_jumps_is_met_on_time():
     """Where all is stirred at once c follows k (medium - c): a closed form through a jump."""
     steps = mc.Schedule.steps([(0.0, 1.0), (2.0, 0.25)])
@@ -234,6 +207,71 @@ def test_a_medium_that_jumps_is_met_on_time():
     np.testing.assert_allclose(values[:2], [1.0 - np.exp(-1.5), first], rtol=1e-6)
     rest = equation.solve(state, (0.0, 2.0), solver="multicell-steady", tracker=None)
     np.testing.assert_allclose(rest.data, 0.25, rtol=1e-9)
+
+
+# --- clocks, trackers, refusals of our solvers ----------------------------------------------------
+
+GRID = CartesianGrid([(0.0, 40.0)] * 2, 4)
+CLOSED = {"*": WALL}
+
+
+def closed(**terms):
+    """Return a closed box in which nothing differs from place to place, empty at first."""
+    equation = mc.FieldEquation(GRID, {"drug": mc.Substance(1000.0, CLOSED, **terms)})
+    return equation, equation.state({"drug": 0.0})
+
+
+def test_trackers_may_change_the_state():
+    """c' = 1 mM/s is set back to zero each second."""
+    equation, state = closed(supply=np.ones(GRID.shape))
+
+    def clear(state, t):
+        state.data[...] = 0.0
+
+    tracker = CallbackTracker(clear, np.array([1.0, 2.0]))
+    end = equation.solve(state, 2.7, solver="multicell-implicit", tracker=tracker)
+    np.testing.assert_allclose(end.data, 0.7, rtol=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["multicell-implicit", "multicell-march"])
+def test_time_runs_from_any_start(solver):
+    """A medium that rises from the tenth day on is followed within microseconds."""
+    start, rate = 864000.0, 1e6
+    rising = mc.Schedule(np.array([start]), np.zeros(1), np.ones(1))
+    equation, state = closed(perfusion=rate, medium=rising)
+    exact = {"multicell-implicit": {"rtol": 1e-8}, "multicell-march": {"tolerance": 1e-6}}[solver]
+    end = equation.solve(state, (start, start + 2.0), solver=solver, tracker=None, **exact)
+    np.testing.assert_allclose(end.data, 2.0 - 1.0 / rate, rtol=1e-7)
+
+
+def test_rates_that_are_not_finite_are_refused_by_name():
+    fields = {name: mc.Substance(1000.0, CLOSED) for name in ("calm", "wild")}
+    equation = mc.FieldEquation(GRID, fields)
+    values = {"calm": 1.0, "wild": np.where(np.arange(16) == 5, np.inf, 1.0)}
+    with (
+        np.errstate(invalid="ignore"),
+        pytest.raises(NutrientFailed, match="rate of wild is not finite at t = 0"),
+    ):
+        equation.solve(equation.state(values), 1.0, solver="multicell-implicit", tracker=None)
+
+
+def test_what_cannot_be_solved_is_said():
+    equation, state = closed(supply=np.ones(GRID.shape))
+    implicit, march = "multicell-implicit", "multicell-march"
+    for solver, options, words in (
+        (implicit, {"rtol": 0.0}, r"rtol: is 0\.0, must be above zero"),
+        (march, {"tolerance": np.nan}, "tolerance: is nan"),
+    ):
+        with pytest.raises(mc.SceneError, match=words):
+            equation.solve(state, 1.0, solver=solver, tracker=None, **options)
+    with pytest.raises(NutrientFailed, match="too many steps"):
+        equation.solve(state, 1.0, solver=implicit, tracker=None, max_steps=1)
+    both = FieldCollection([state, state])
+    for solver in (implicit, march, "multicell-steady"):
+        with pytest.raises(mc.SceneError, match="equation: is DiffusionPDE, but multicell's"):
+            DiffusionPDE().solve(ScalarField(GRID, 1.0), 1.0, solver=solver, tracker=None)
+        with pytest.raises(mc.SceneError, match="state: has 2 fields"):
+            equation.solve(both, 1.0, solver=solver, tracker=None)
 
 
 # --- against solve_bvp and closed forms -----------------------------------------------------------

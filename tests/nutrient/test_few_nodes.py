@@ -18,24 +18,6 @@ D = 1000.0
 WALL = {"derivative": 0.0}
 
 
-@pytest.mark.parametrize("values", [True, False])
-@pytest.mark.parametrize("n", [1, 2, 3, 8, 13, 48])
-def test_halves_are_the_transform_of_scipy(n, values):
-    whole = (fft.dst if values else fft.dct)(np.eye(n), type=2, axis=0, norm="ortho")
-    found, of = dense.halves(n, values)
-    half = (n + 1) // 2
-    np.testing.assert_allclose(found[0], whole[0::2, :half], atol=1e-7)
-    odd = found[1][: n // 2, : n // 2]
-    np.testing.assert_allclose(odd, whole[1::2, : n // 2][:, ::-1], atol=1e-7)
-    np.testing.assert_array_equal(found[2], found[0].T)
-    np.testing.assert_array_equal(found[3], found[1].T)
-    # the matrix that is diagonalised: a second difference between two ends
-    matrix = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-    matrix[0, 0] += 1.0 if values else -1.0
-    matrix[-1, -1] += 1.0 if values else -1.0
-    np.testing.assert_allclose(np.sort(of), np.linalg.eigvalsh(matrix), atol=1e-13)
-
-
 @pytest.mark.parametrize("shape", [(1, 1, 1), (2, 3, 1), (5, 4, 7), (9, 9, 9), (48, 3, 11)])
 @pytest.mark.parametrize("values", [(True, True, True), (False, False, False), (True, False, True)])
 def test_the_inverse_is_that_of_scipy(shape, values):

@@ -15,7 +15,7 @@ D = 2000.0
 RADIUS = 100.0
 HALF_WIDTH = 150.0
 CENTRE = np.array([3.1, -5.3, 1.7])  # off every symmetry of the grid
-SIZES = (20, 28, 40)
+SIZES = (20, 40)
 
 
 def cube(n, half_width=HALF_WIDTH):
