@@ -370,8 +370,6 @@ def scatter(
     """
     points = _points(position)
     amounts = np.ascontiguousarray(amount, dtype=np.float64)
-    if amounts.shape != points.shape[:1]:
-        raise ValueError(f"amount has shape {amounts.shape}, expected ({len(points)},)")
     out = np.zeros(shape)
     _refuse_outside(_scatter(points, amounts, origin, spacing, out), points)
     out /= spacing**3
@@ -395,8 +393,6 @@ def gathered(
     That is looked at along the first two or three ``axes``.
     """
     points = _points(position)
-    if values.ndim != 3:
-        raise ValueError(f"values has shape {values.shape}, expected (nx, ny, nz)")
     out = np.empty(len(points))
     outside, flat_near, near = _gather(points, values, origin, spacing, out)
     _refuse_outside(outside, points)

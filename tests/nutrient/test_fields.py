@@ -13,7 +13,7 @@ from multicell.nutrient.field import NutrientField
 from multicell.nutrient.fitness import discretisation_error
 from multicell.nutrient.grid import BoxLayout, ShellLayout, restored
 from multicell.nutrient.parameters import FieldParameters
-from multicell.scene.scales import regime, scales, spacing
+from multicell.scene.scales import regime, spacing
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
@@ -279,10 +279,6 @@ def test_uptakes_that_depend_on_each_other_are_those_of_two_coupled_equations():
 
 def test_scales_and_choices():
     described = scene()
-    found = scales(described, "glucose")
-    assert found.damkohler == pytest.approx(
-        found.demand * (found.length - 50.0) ** 2 / (105.0 * 1.0), rel=1.0
-    )
     assert regime(described, "oxygen") == "steady"
     assert regime(scene(nutrients__glucose__diffusion=1.0), "glucose") == "transient"
     # where nothing comes in there is no level to be at rest at

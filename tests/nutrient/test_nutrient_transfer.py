@@ -69,15 +69,6 @@ def test_positions_outside_are_refused(bad):
         gather(position, np.ones(SHAPE), ORIGIN, SPACING)
 
 
-def test_wrong_shapes_are_refused():
-    with pytest.raises(ValueError, match="amount has shape"):
-        scatter(points(4), np.ones(3), ORIGIN, SPACING, SHAPE)
-    with pytest.raises(ValueError, match="position has shape"):
-        gather(np.zeros((2, 2)), np.ones(SHAPE), ORIGIN, SPACING)
-    with pytest.raises(ValueError, match="values has shape"):
-        gather(points(4), np.ones(3), ORIGIN, SPACING)
-
-
 def test_read_only_arrays_and_no_cells_are_fine():
     position, values = points(4), np.ones(SHAPE)
     position.flags.writeable = values.flags.writeable = False

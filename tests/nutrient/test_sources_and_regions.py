@@ -226,44 +226,31 @@ def test_cells_behind_a_gel_starve_and_nothing_is_lost(regime, medium):
 # --- what is refused ------------------------------------------------------------------------------
 
 BOX = {axis: [-60.0, 60.0] for axis in "xyz"}
-IN_A_BOX, FLAT = {"domain": BOX}, {"dimensions": 2}
 REFUSED = {
-    "neither": ("sources.pump", {"x": 0.0}, {}, "strength", "neither"),
-    "both": ("sources.pump", {"x": 0.0, "strength": 1.0, "flux": 1.0}, {}, "strength", "both"),
-    "a plane of two places": (
-        "sources.pump", {"x": 0.0, "y": 0.0, "flux": 1.0}, {}, "flux", "one of x, y, z",
-    ),
-    "a plane without a domain": (
-        "sources.pump", {"x": 0.0, "flux": 1.0}, {}, "flux", "needs a domain",
-    ),
-    "a point without a place": (
-        "sources.pump", {"x": 0.0, "y": 0.0, "strength": 1.0}, {}, "z", "missing",
-    ),
-    "outside": ("sources.pump", {**POINT, "y": "70 um"}, IN_A_BOX, "y", "outside the domain"),
-    "a plane outside": (
-        "sources.pump", {"z": -61.0, "flux": 1.0}, IN_A_BOX, "z", "outside the domain",
-    ),
-    "depth in a plane": ("sources.pump", POINT, FLAT, "z", "2 dimensions"),
-    "less than nothing": ("sources.pump", {**POINT, "strength": -1.0}, {}, "strength", "at least 0"),
-    "a gel outside": (
-        "regions.gel", {"y": [70.0, 80.0], "diffusion": 1.0}, IN_A_BOX, "y", "outside the domain",
-    ),
-    "a deep gel in a plane": (
-        "regions.gel", {"z": [0.0, 8.0], "diffusion": 1.0}, FLAT, "z", "2 dim",
-    ),
-    "upside down": (
-        "regions.gel", {"x": [8.0, 0.0], "diffusion": 1.0}, {}, "x", "lower end first",
-    ),
-    "nothing": ("regions.gel", {"x": [0.0, 8.0]}, {}, "diffusion", "missing"),
-    "too unlike": (
-        "regions.gel", {"x": [0.0, 8.0], "diffusion": 1e-6}, {}, "diffusion", "within a factor",
-    ),
-}  # fmt: skip
+    "sources.pump": {
+        "neither": ({"x": 0.0}, {}, "strength", "neither"),
+        "both": ({"x": 0.0, "strength": 1.0, "flux": 1.0}, {}, "strength", "both"),
+        "two places": ({"x": 0.0, "y": 0.0, "flux": 1.0}, {}, "flux", "one of x, y, z"),
+        "no domain": ({"x": 0.0, "flux": 1.0}, {}, "flux", "needs a domain"),
+        "no place": ({"x": 0.0, "y": 0.0, "strength": 1.0}, {}, "z", "missing"),
+        "outside": ({**POINT, "y": "70 um"}, {"domain": BOX}, "y", "outside the domain"),
+        "a plane outside": ({"z": -61.0, "flux": 1.0}, {"domain": BOX}, "z", "outside the domain"),
+        "depth in a plane": (POINT, {"dimensions": 2}, "z", "2 dimensions"),
+        "less than nothing": ({**POINT, "strength": -1.0}, {}, "strength", "at least 0"),
+    },
+    "regions.gel": {
+        "outside": ({"y": [70, 80], "diffusion": 1.0}, {"domain": BOX}, "y", "outside the domain"),
+        "depth in a plane": ({"z": [0.0, 8.0], "diffusion": 1.0}, {"dimensions": 2}, "z", "2 dim"),
+        "upside down": ({"x": [8.0, 0.0], "diffusion": 1.0}, {}, "x", "lower end first"),
+        "nothing": ({"x": [0.0, 8.0]}, {}, "diffusion", "missing"),
+        "too unlike": ({"x": [0.0, 8.0], "diffusion": 1e-6}, {}, "diffusion", "within a factor"),
+    },
+}
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_refused_in_words(case):
-    place, entries, changes, key, words = REFUSED[case]
+@pytest.mark.parametrize(("place", "case"), [(p, case) for p in REFUSED for case in REFUSED[p]])
+def test_refused_in_words(place, case):
+    entries, changes, key, words = REFUSED[place][case]
     what, name = place.split(".")
     with refused(f"nutrients.a.{place}.{key}", words):
         scene({what: {name: entries}}, **changes)

@@ -70,7 +70,7 @@ def test_balance_is_met(c, loss):
 
 
 def test_a_cell_takes_up_in_proportion_to_its_volume():
-    described = scene({"geometry": "radial", "uptake_per_volume": "0.02 amol/s/um^3"})
+    described = scene({"uptake_per_volume": "0.02 amol/s/um^3"})
     cells = mc.Simulation(described).cells
     assert np.ptp(cells.volume) > 0.5 * cells.volume.min()
     capacity, production = FieldSystem(described).demand("a", cells)
@@ -87,8 +87,8 @@ def test_a_ball_has_the_field_of_the_closed_form_whatever_its_cells_size(radius)
     diffusion, most = 1000.0, 0.05
     described = scene(
         {
-            "geometry": "radial", "uptake_per_volume": most, "half_saturation": "1e-9 mM", "diffusion": diffusion,
-            "boundary": "0.2 mM", "layer": "40 um", "spacing": "2 um",
+            "uptake_per_volume": most, "half_saturation": "1e-9 mM", "diffusion": diffusion,
+            "boundary": "0.2 mM", "layer": "40 um", "spacing": "2 um", "geometry": "radial",
         },
         initial={"count": round(8000 * (5.0 / radius) ** 3)}, growth=None,
         cells={"division_radius": radius},
@@ -107,9 +107,7 @@ def test_a_ball_has_the_field_of_the_closed_form_whatever_its_cells_size(radius)
 
 
 def test_demand_and_forecast_are_those_of_the_same_uptake_of_typical_cells():
-    by_volume = scene(
-        {"geometry": "radial", "uptake_per_volume": 0.02, "necrosis": "0.01 mM"}, duration="4 d"
-    )
+    by_volume = scene({"uptake_per_volume": 0.02, "necrosis": "0.01 mM"}, duration="4 d")
     assert scales(by_volume, "a").demand == pytest.approx(0.02, rel=1e-12)
     assert np.isfinite(course(by_volume).cells).all()
 
@@ -118,7 +116,7 @@ def test_one_of_the_two_uptakes_only():
     with refused("nutrients.a.uptake_per_volume", "given both"):
         scene({"uptake": 20.0, "uptake_per_volume": 0.02})
     with pytest.raises(SceneError, match="change of concentration"):
-        scene({"geometry": "radial", "uptake_per_volume": "20 amol/s"})
+        scene({"uptake_per_volume": "20 amol/s"})
     changed = scene({}).with_changes(
         {"nutrients.a.uptake": None, "nutrients.a.uptake_per_volume": "72 mM/h"}
     )
