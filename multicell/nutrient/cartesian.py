@@ -370,6 +370,8 @@ def scatter(
     """
     points = _points(position)
     amounts = np.ascontiguousarray(amount, dtype=np.float64)
+    if amounts.shape != points.shape[:1]:
+        raise ValueError(f"amount has shape {amounts.shape}, expected ({len(points)},)")
     out = np.zeros(shape)
     _refuse_outside(_scatter(points, amounts, origin, spacing, out), points)
     out /= spacing**3

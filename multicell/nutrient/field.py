@@ -14,10 +14,9 @@ from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
-    from multicell.nutrient.balance import Exchange
+    from multicell.nutrient.balance import Exchange, WellMixed
     from multicell.nutrient.equations.schedule import Schedule
     from multicell.nutrient.group import FieldGroup
-    from multicell.nutrient.medium import WellMixed
     from multicell.nutrient.parameters import FieldParameters
     from multicell.results.frame import Field
 
@@ -102,7 +101,7 @@ class NutrientField:
 
     def attach_medium(self) -> None:
         """Let a finite medium lie round the grid, as it is at the start."""
-        from multicell.nutrient.medium import attach
+        from multicell.nutrient.balance import attach
 
         self.well_mixed = attach(self.name, self.parameters.nutrient, self.layout.whole)
 

@@ -29,8 +29,7 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.balance import COLUMNS, SIGNS, Exchange
-from multicell.nutrient.medium import WellMixed, beyond
+from multicell.nutrient.balance import COLUMNS, SIGNS, Exchange, WellMixed, beyond
 
 if TYPE_CHECKING:
     from multicell.nutrient.group import Demand, FieldGroup

@@ -22,8 +22,7 @@ from multicell.nutrient.balance import FADED, Exchange
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import LINEAR_TERMS, Substance
 from multicell.nutrient.grid import Layout, tissue_share
-from multicell.nutrient.regions import coefficients
-from multicell.nutrient.sources import injected
+from multicell.nutrient.regions import coefficients, injected
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:

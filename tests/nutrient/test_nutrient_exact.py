@@ -10,7 +10,7 @@ from pde import CartesianGrid, ScalarField, SphericalSymGrid
 from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.diffusion import eigenvalues
 from multicell.nutrient.equations.equation import FieldEquation
-from multicell.nutrient.equations.march_solver import MarchFieldSolver
+from multicell.nutrient.equations.solvers import MarchFieldSolver
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import solve_steady

@@ -74,3 +74,8 @@ def test_read_only_arrays_and_no_cells_are_fine():
     position.flags.writeable = values.flags.writeable = False
     np.testing.assert_allclose(gather(position, values, ORIGIN, SPACING), 1.0)
     assert not scatter(np.empty((0, 3)), np.empty(0), ORIGIN, SPACING, SHAPE).any()
+
+
+def test_as_many_amounts_as_positions_are_asked_for():
+    with pytest.raises(ValueError, match="amount has shape"):
+        scatter(points(4), np.ones(3), ORIGIN, SPACING, SHAPE)

@@ -13,8 +13,7 @@ from multicell.nutrient.cartesian import Box
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import BoxLayout
 from multicell.nutrient.parameters import FieldParameters
-from multicell.nutrient.regions import covered
-from multicell.nutrient.sources import injected
+from multicell.nutrient.regions import covered, injected
 from multicell.report.explain.scene import explain
 from multicell.scene.nutrient import Nutrient, Region, Source
 from multicell.scene.parts import Domain

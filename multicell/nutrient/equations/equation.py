@@ -23,10 +23,12 @@ from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.equations.grid import grid_on, layout_on
-from multicell.nutrient.equations.implicit_solver import ImplicitFieldSolver
-from multicell.nutrient.equations.march_solver import MarchFieldSolver
 from multicell.nutrient.equations.placed import PlacedSubstance
-from multicell.nutrient.equations.steady_solver import SteadyFieldSolver
+from multicell.nutrient.equations.solvers import (
+    ImplicitFieldSolver,
+    MarchFieldSolver,
+    SteadyFieldSolver,
+)
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout
 from multicell.nutrient.uptake import uptake_and_slope

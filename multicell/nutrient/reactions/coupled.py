@@ -32,8 +32,7 @@ from multicell.nutrient.operators import (
     linearised,
     node_volumes,
 )
-from multicell.nutrient.reactions.inverse import apply_blocks, inverse_of_blocks
-from multicell.nutrient.reactions.krylov import gmres
+from multicell.nutrient.reactions.inverse import apply_blocks, gmres, inverse_of_blocks
 from multicell.nutrient.steady import StepRefused
 
 if TYPE_CHECKING:
