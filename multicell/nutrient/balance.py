@@ -22,6 +22,10 @@ COLUMNS: Final = (*SIGNS, "level")
 """What solvers say of a field: its entries, and the concentration of the medium (mM)."""
 
 _MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
+_TOTALS: Final = (
+    "inflow", "outflow", "washed", "uptake", "secreted", "decayed", "relaid", "stored", "content",
+    "remainder", "relative_remainder",
+)  # fmt: skip
 _WHERE_ANY: Final = ("injected", "made", "used")
 
 
@@ -192,22 +196,12 @@ class Ledger:
 
     def summary(self) -> dict[str, float]:
         """Return totals in amol, and the remainder relative to turnover or content."""
-        return {
-            "inflow": self.inflow,
-            "outflow": self.outflow,
-            "washed": self.washed,
-            "uptake": self.uptake,
-            "secreted": self.secreted,
-            "decayed": self.decayed,
-            "relaid": self.relaid,
-            "stored": self.stored,
-            "content": self.content,
-            "remainder": self.remainder,
-            "relative_remainder": self.relative_remainder,
-            **({} if self.injected is None else {"injected": self.injected}),
-            **({} if self.made is None else {"made": self.made, "used": self.used or 0.0}),
-            **self._medium(),
-        }
+        found = {name: getattr(self, name) for name in _TOTALS}
+        if self.injected is not None:
+            found["injected"] = self.injected
+        if self.made is not None:
+            found |= {"made": self.made, "used": self.used or 0.0}
+        return found | self._medium()
 
     def _medium(self) -> dict[str, float]:
         """Return the account of a finite medium, amol."""

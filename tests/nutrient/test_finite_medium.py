@@ -146,7 +146,7 @@ def test_resistances_of_a_membrane_and_a_layer_add_up():
         sides={"*": {"type": "mixed", "rate": 0.05}},
         finite_medium={"volume": 1e9, "unstirred": 30.0},
     )
-    side = FieldParameters(mixed, 10.0, 10.0, "steady", dimensions=3).sides(0.0, 3.0)["x-"]
+    side = FieldParameters(mixed, 10.0, 10.0, "steady", dimensions=3).sides(3.0)["x-"]
     assert (side.type, side.value) == ("mixed", 3.0)
     assert side.rate == pytest.approx(1.0 / 50.0)
 

@@ -95,7 +95,8 @@ class Reactions:
         self, start: Nodes, t: float, dt: float, before: Nodes | None
     ) -> tuple[FloatArray, dict[str, SolveReport]]:
         """Return the state of rest with what holds at ``t``, or that ``dt`` s after ``before``."""
-        coupled, first = self._coupled(t), self._flat(start)
+        coupled = Coupled(self.substances, self.kinetics, self.tissue, t)
+        first = self._flat(start)
         if before is None:
             c = settle(coupled, np.maximum(first, 0.0))
         else:
@@ -126,12 +127,9 @@ class Reactions:
         """
         c = self._flat(nodes)
         with contextlib.suppress(StepRefused):
-            c = self._coupled(begin).step(c, c, end - begin)
+            coupled = Coupled(self.substances, self.kinetics, self.tissue, begin)
+            c = coupled.step(c, c, end - begin)
         return np.asarray(c.max(axis=1))
-
-    def _coupled(self, t: float) -> Coupled:
-        """Return the equations with what holds at a time in s."""
-        return Coupled(self.substances, self.kinetics, self.tissue, t)
 
     def growing(self, nodes: Nodes) -> str:
         """Return which substance grows without bound and how fast, in words; empty if none does."""
