@@ -232,9 +232,10 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     rtol
         Relative tolerance of a step's error, by the root of its mean square over all nodes.
     atol
-        Absolute tolerance; absent: ``rtol`` times a thousandth of each field's largest value.
-    max_steps
-        Most steps between two calls of trackers.
+        Absolute tolerance, one or one for each field; absent: ``rtol`` times a thousandth of each
+        field's largest value.
+    max_order, krylov_dim, max_steps
+        Largest order; dimension of the Krylov space; most steps between two calls of trackers.
     """
 
     name = "multicell-implicit"
@@ -245,14 +246,17 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         *,
         backend: Any = "auto",
         rtol: float = 1e-5,
-        atol: float | None = None,
+        atol: float | list[float] | None = None,
+        max_order: int = 5,
+        krylov_dim: int = 10,
         max_steps: int = 100_000,
     ) -> None:
         super().__init__(pde, backend=backend)
         for name, value in (("rtol", rtol), ("atol", atol)):
-            if value is not None and not (math.isfinite(value) and value > 0.0):
+            if value is not None and not (np.isfinite(value) & (np.asarray(value) > 0.0)).all():
                 raise SceneError(name, f"is {value!r}, must be above zero")
         self.rtol, self.atol, self.max_steps = rtol, atol, max_steps
+        self.options = {"rtol": rtol, "max_order": max_order, "krylov_dim": krylov_dim}
 
     def make_stepper(
         self, state: Any, dt: float | None = None
@@ -267,6 +271,9 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             For an equation or a state that it cannot solve.
         """
         equation = suitable(self.pde, state, "shifted_inverse")
+        if self.atol is not None and np.size(self.atol) not in (1, len(equation.names)):
+            fields = len(equation.names)
+            raise SceneError("atol", f"has {np.size(self.atol)} numbers for {fields} fields")
         self.info.update(dt=dt, steps=0, evaluations=0, stochastic=False)
         march = _March(self, equation, dt)
 
@@ -325,7 +332,7 @@ class _March:
         self.y = y
         self.near: Any = None
         self.cvode = CVODE(
-            self.velocity, method="BDF", linsolver="gmres", krylov_dim=10, rtol=self.owner.rtol,
+            self.velocity, method="BDF", linsolver="gmres", **self.owner.options,
             atol=self._absolute(y), first_step=self.first or 0.0,
             precond=CVODEPrecond(self.setup, self.precondition, side="right"),
         )  # fmt: skip
@@ -333,9 +340,10 @@ class _March:
 
     def _absolute(self, y: FloatArray) -> FloatArray:
         """Return the absolute tolerance of each value."""
-        if self.owner.atol is not None:
-            return np.full(y.size, self.owner.atol)
         parts = np.abs(y).reshape(len(self.equation.names), -1)
+        if self.owner.atol is not None:
+            each = np.broadcast_to(np.asarray(self.owner.atol, dtype=float), len(parts))
+            return np.repeat(each, parts.shape[1])
         largest = parts.max(axis=1)
         largest[largest == 0.0] = largest.max() or 1.0
         return np.repeat(self.owner.rtol * _SMALL * largest, parts.shape[1])
