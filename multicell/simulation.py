@@ -27,9 +27,8 @@ from multicell.biology.step import age_cells, bind, decide, divide_and_remove, g
 from multicell.cells import Cells, FloatArray
 from multicell.compiling.threads import thread_count
 from multicell.contact.custom import Compiling
-from multicell.coupling.fields import SceneFields
 from multicell.coupling.mover import Mover
-from multicell.coupling.state import RunState
+from multicell.coupling.state import RunState, fields_of
 from multicell.errors import NutrientFailed, StepFailed
 from multicell.host.interrupts import STEP
 from multicell.mechanics import neighbours
@@ -103,11 +102,12 @@ class Simulation(RunState):
             check_memory(scene)
         self._compiling = Compiling(scene.contact)
         plan = biology_plan(scene)
+
         super().__init__(
             scene,
             plan=plan,
             mover=Mover(scene, thread_count(threads), integrator),
-            fields=SceneFields(scene, reactions, thread_count(threads), plan),
+            fields=fields_of(scene, reactions, thread_count(threads), plan),
             lineage=lineage,
         )
         self._known_factor: tuple[tuple[Any, ...], FloatArray] = ((), np.empty(0))
@@ -136,7 +136,7 @@ class Simulation(RunState):
             self._note_contacts(self.time, self.mover.contacts(self.cells, motion))
         with self.phase("nutrient"):
             try:
-                self._fields.begin(self.cells, self.time)
+                self.field_system.begin(self.cells, self.time)
                 if self.scene.nutrients and not given_states:
                     self._find_states()
             except NutrientFailed as failure:
@@ -152,7 +152,7 @@ class Simulation(RunState):
         """Find states of the cells that fit the fields which they make."""
 
         def field(cells: Cells) -> dict[str, FloatArray]:
-            self._fields.begin(cells, self.time, again=True)
+            self.field_system.begin(cells, self.time, again=True)
             return self._signals_at(cells)
 
         search = StartStates(
@@ -205,7 +205,7 @@ class Simulation(RunState):
             self._divide_and_remove(end - begin, grown.factor)
             self._sort()
         with self.phase("nutrient"):
-            self._fields.advance(self.cells, began, begin, end)
+            self.field_system.advance(self.cells, begin, end, before=began)
         with self.phase("biology"):
             self._decide(end - begin)
             self._irradiate(begin)
@@ -235,8 +235,7 @@ class Simulation(RunState):
         ratio = self.stability.latest if self.mover.limit > 0.0 else math.nan
         shift = self.replays.latest if self.replays is not None and self.replays.done else math.nan
         extra = {"shift_effect": shift, "stability_ratio": ratio}
-        extra |= self._fields.departure(self.cells)
-        extra |= self._fields.columns(self.cells)
+        extra |= self.field_system.columns(self.cells)
         if self.scene.motions:
             now = self._motion(self.time, self.time, self.cells.radius)
             extra |= driven.columns(self.plan, self.cells, self.named, self.mechanics, now)
@@ -252,7 +251,7 @@ class Simulation(RunState):
 
         A number that does not exist (the viable rim without a core) is None.
         """
-        fields, remarks = self._fields.fitness(self.cells, self.time)
+        fields, remarks = self.field_system.fitness(self.cells, self.time)
         if self.mover.limit > 0.0:
             remarks = [*remarks, *self.stability.notes(self.scene.integrator.method)]
         ledgers = {name: ledger.summary() for name, ledger in self.ledger.items()}
@@ -264,7 +263,8 @@ class Simulation(RunState):
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
         return motion_of(
             self.plan, self.cells, radius, begin, end, concentrations=self.signals,
-            gradients=self._fields.gradients(self.cells), contacts=self.contacts, named=self.named,
+            gradients=self.field_system.gradients(self.cells), contacts=self.contacts,
+            named=self.named,
         )  # fmt: skip
 
     def prepared(self) -> Mechanics:

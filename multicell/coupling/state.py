@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.biology.responding import other_signals
+from multicell.biology.responding import other_signals, value_of
 from multicell.coupling.timeline import Timeline
 from multicell.coupling.wall import PHASES, Phase
 from multicell.errors import SceneError
 from multicell.host.interrupts import UNCUT
 from multicell.integrators.shift import Replays
 from multicell.integrators.stability import Stability
+from multicell.nutrient.fields import FieldSystem
 from multicell.results.frame import Frame, Progress
 from multicell.results.lineage import Lineage
 from multicell.scene.domain import check_start
@@ -24,11 +25,10 @@ from multicell.scene.scales import step_plan
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
     from multicell.cells import Cells, FloatArray, IntArray
-    from multicell.coupling.fields import SceneFields
     from multicell.coupling.mover import Mover
     from multicell.mechanics.system import Mechanics
     from multicell.nutrient.balance import Ledger
-    from multicell.nutrient.fields import FieldSystem
+    from multicell.nutrient.reactions.own import OwnReaction
     from multicell.results.frame import Field
     from multicell.scene.scene import Scene
 
@@ -42,6 +42,17 @@ _STATE: Final = (
     "cells", "timeline", "contacts", "named", "replays", "stability", *_NOTED,
 )  # fmt: skip
 """What a coupling step changes, beside fields, logs and counts of work."""
+
+
+def fields_of(
+    scene: Scene, reactions: Mapping[str, OwnReaction] | None, threads: int, plan: BiologyPlan
+) -> FieldSystem:
+    """Return the fields of a scene, to which its cells respond."""
+
+    def respond(behaviour: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray | None:
+        return value_of(plan, behaviour, 1.0, found, cells, early=True)
+
+    return FieldSystem(scene, reactions, threads, respond)
 
 
 class RunState(ABC):
@@ -64,6 +75,7 @@ class RunState(ABC):
     - ``plan``, BiologyPlan: what biology needs of the scene
     - ``timeline``, Timeline: where the run is in time
     - ``mover``, Mover: mechanics and the integrator
+    - ``field_system``, FieldSystem: what solves for the fields
     - ``wall``, phase -> s: wall time of each phase of the loop
     """
 
@@ -77,10 +89,10 @@ class RunState(ABC):
         *,
         plan: BiologyPlan,
         mover: Mover,
-        fields: SceneFields,
+        fields: FieldSystem,
         lineage: Lineage | None,
     ) -> None:
-        self.scene, self.mover, self._fields = scene, mover, fields
+        self.scene, self.mover, self.field_system = scene, mover, fields
         self.plan = plan
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.timeline = Timeline.at_start(step_plan(scene))
@@ -115,13 +127,13 @@ class RunState(ABC):
         self.replays = Replays(**known.replays)
         self.stability = Stability(**known.stability)
         self._count(known.work)
-        self._fields.resume(frame)
+        self.field_system.restore(frame)
 
     def _progress(self) -> Progress:
         """Return what a frame needs so that the run can be resumed from it."""
         return Progress(
             **{name: getattr(self, name) for name in _NOTED},
-            **self._fields.progress(),
+            **self.field_system.progress(),
             work=asdict(self.mechanics.work),
             driven={path: ids.tolist() for path, ids in self.named.items()},
             replays={} if self.replays is None else self.replays._asdict(),
@@ -139,19 +151,14 @@ class RunState(ABC):
         return self.mover.system
 
     @property
-    def field_system(self) -> FieldSystem | None:
-        """What solves the fields; None without any."""
-        return self._fields.system
-
-    @property
     def nodes(self) -> int:
         """Number of nodes of the largest field in a box; zero without any."""
-        return self._fields.nodes
+        return self.field_system.nodes
 
     @property
     def concentrations(self) -> dict[str, FloatArray]:
         """Concentration of each nutrient at the cells, name -> (n,) mM."""
-        return self._fields.concentrations
+        return self.field_system.concentrations
 
     @property
     def signals(self) -> dict[str, FloatArray]:
@@ -170,12 +177,12 @@ class RunState(ABC):
     @property
     def ledger(self) -> dict[str, Ledger]:
         """What has come in, been taken up, secreted, stored ... of each nutrient."""
-        return self._fields.ledger
+        return self.field_system.ledger
 
     @property
     def fields(self) -> dict[str, Field]:
         """The nutrient fields as they were last solved."""
-        return self._fields.last
+        return self.field_system.solved()
 
     @property
     def time(self) -> float:
@@ -212,7 +219,7 @@ class RunState(ABC):
         return {
             "lineage": self.lineage.counts(),
             "work": vars(self.mechanics.work).copy(),
-            "fields": self._fields.snapshot(),
+            "fields": self.field_system.snapshot(),
             "rest": {name: getattr(self, name) for name in _STATE},
         }
 
@@ -221,7 +228,7 @@ class RunState(ABC):
         with UNCUT:
             self.lineage.cut(snapshot["lineage"])
             self._count(snapshot["work"])
-            self._fields.restore(snapshot["fields"])
+            self.field_system.undo(snapshot["fields"])
             for name, value in snapshot["rest"].items():
                 setattr(self, name, value)
 

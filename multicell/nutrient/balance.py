@@ -1,13 +1,15 @@
-"""Where every molecule of a field came from and went to, over a whole run."""
+"""Where every molecule of a field and its medium came from and went to, over a whole run."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Final, Self, final
 
+from multicell.errors import NutrientFailed
+
 if TYPE_CHECKING:
-    from multicell.nutrient.medium import WellMixed
+    from multicell.scene.nutrient import Nutrient
 
 SIGNS: Final = {
     "inflow": 1.0, "secreted": 1.0, "injected": 1.0, "made": 1.0,
@@ -20,6 +22,10 @@ COLUMNS: Final = (*SIGNS, "level")
 """What solvers say of a field: its entries, and the concentration of the medium (mM)."""
 
 _MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
+_TOTALS: Final = (
+    "inflow", "outflow", "washed", "uptake", "secreted", "decayed", "relaid", "stored", "content",
+    "remainder", "relative_remainder",
+)  # fmt: skip
 _WHERE_ANY: Final = ("injected", "made", "used")
 
 
@@ -190,22 +196,12 @@ class Ledger:
 
     def summary(self) -> dict[str, float]:
         """Return totals in amol, and the remainder relative to turnover or content."""
-        return {
-            "inflow": self.inflow,
-            "outflow": self.outflow,
-            "washed": self.washed,
-            "uptake": self.uptake,
-            "secreted": self.secreted,
-            "decayed": self.decayed,
-            "relaid": self.relaid,
-            "stored": self.stored,
-            "content": self.content,
-            "remainder": self.remainder,
-            "relative_remainder": self.relative_remainder,
-            **({} if self.injected is None else {"injected": self.injected}),
-            **({} if self.made is None else {"made": self.made, "used": self.used or 0.0}),
-            **self._medium(),
-        }
+        found = {name: getattr(self, name) for name in _TOTALS}
+        if self.injected is not None:
+            found["injected"] = self.injected
+        if self.made is not None:
+            found |= {"made": self.made, "used": self.used or 0.0}
+        return found | self._medium()
 
     def _medium(self) -> dict[str, float]:
         """Return the account of a finite medium, amol."""
@@ -218,3 +214,57 @@ class Ledger:
             "medium_decayed": self.spoiled,
             "medium_remainder": self.medium_remainder,
         }
+
+
+@final
+@dataclass(frozen=True)
+class WellMixed:
+    """The stirred part of a medium, with its account from the start on.
+
+    - ``amount``, float, amol
+    - ``volume``, float, µm³
+    - ``fresh``, ``discarded``, float, amol: what fresh medium brought, at the start and at changes,
+      and what went with the old
+    - ``decayed``, float, amol
+    - ``changes``, int: how many entries of the schedule have been done
+    """
+
+    amount: float
+    volume: float
+    fresh: float
+    discarded: float = 0.0
+    decayed: float = 0.0
+    changes: int = 0
+
+    @property
+    def concentration(self) -> float:
+        """Concentration, mM."""
+        return self.amount / self.volume
+
+    def changed(self, concentration: float, part: float) -> WellMixed:
+        """Return it with a part replaced by fresh medium of a concentration in mM."""
+        gone, brought = part * self.amount, part * self.volume * concentration
+        return replace(
+            self, amount=self.amount - gone + brought, fresh=self.fresh + brought,
+            discarded=self.discarded + gone, changes=self.changes + 1,
+        )  # fmt: skip
+
+
+def attach(name: str, nutrient: Nutrient, covered: float) -> WellMixed:
+    """Return the medium at the start, round a grid that covers ``covered`` µm³."""
+    volume, level = beyond(name, nutrient, covered), nutrient.medium(0.0)
+    done = sum(time <= 0.0 for time, _ in nutrient.media or ())
+    return WellMixed(level * volume, volume, level * volume, changes=done)
+
+
+def beyond(name: str, nutrient: Nutrient, covered: float) -> float:
+    """Return the volume of the medium beyond the grid, µm³."""
+    assert nutrient.finite_medium is not None
+    volume = nutrient.finite_medium.volume
+    if not volume > covered:
+        raise NutrientFailed(
+            f"the finite medium of {name} is {volume:.4g} um^3 in all, but its grid covers "
+            f"{covered:.4g} um^3: nothing is left that could be stirred",
+            "Give finite_medium a larger volume, or the field a smaller margin",
+        )
+    return volume - covered

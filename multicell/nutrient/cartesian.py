@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 from numba import njit
@@ -18,10 +18,6 @@ from multicell.errors import NutrientFailed
 from multicell.scene.domain import filling
 from multicell.scene.scales import MAX_NODES
 from multicell.vectors import corners, cubes, second_moments, weighted_mean
-
-if TYPE_CHECKING:
-    from pde.grids.cartesian import CartesianGrid
-
 
 _FARTHEST = 1e9  # spacings from the origin; beyond, rounding would eat into the grid's spacing
 
@@ -66,12 +62,6 @@ class Box:
             np.asarray(o + (np.arange(n) + 0.5) * self.spacing, dtype=np.float64)
             for o, n in zip(self.origin, self.shape, strict=True)
         ]
-
-    def to_pde(self) -> CartesianGrid:
-        """Return py-pde's grid of this box, with two axes where it is flat."""
-        from multicell.results.pde_fields import box_grid
-
-        return box_grid(self.origin, self.shape, self.spacing, flat=self.height is not None)
 
 
 def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
@@ -405,8 +395,6 @@ def gathered(
     That is looked at along the first two or three ``axes``.
     """
     points = _points(position)
-    if values.ndim != 3:
-        raise ValueError(f"values has shape {values.shape}, expected (nx, ny, nz)")
     out = np.empty(len(points))
     outside, flat_near, near = _gather(points, values, origin, spacing, out)
     _refuse_outside(outside, points)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,6 @@ from multicell.nutrient.cartesian import Box
 from multicell.nutrient.dense import eigenvalues
 from multicell.nutrient.faces import ghost_terms
 from multicell.nutrient.steady import SolveReport, solve_steady
-
-if TYPE_CHECKING:
-    from pde.grids.cartesian import CartesianGrid
-
 
 # What diagonalises the second difference on n cell-centred nodes, by what stands at its two ends
 # (True: a value, False: a slope): the name and the type of SciPy's transform.
@@ -40,14 +36,11 @@ class Diffusion:
     In two dimensions nodes are prisms: squares in the plane, ``height`` across it. Arrays have
     three axes all the same, the last one of length 1.
 
-    - ``grid``: a box, or py-pde's Cartesian grid of cubes in three dimensions or of squares in two,
-      cell-centred, not periodic
+    - ``box``: the nodes
     - ``diffusion``, float, µm²/s: in tissue
-    - ``boundary``: concentration in mM on all faces, or py-pde's description of its conditions. On
-      a box each face is named and its condition made of numbers (``{"x-": {"value": 0.1}, "x+":
-      {"derivative": 0.0}, ...}``); what py-pde knows besides, arrays too, holds on its own grid, of
-      one kind on each face. Never pass text from users: py-pde executes it.
-    - ``height``, float, µm: of the layer in two dimensions
+    - ``boundary``: concentration in mM on all faces, or a condition for each in py-pde's terms
+      (``{"x-": {"value": 0.1}, "x+": {"derivative": 0.0}, ...}``). ``value``, ``derivative`` and
+      ``const`` may differ over a face: arrays of its nodes.
     - ``varied``, (nx, ny, nz), optional: coefficient of diffusion at the nodes over that of tissue;
       absent: one everywhere. At faces between nodes it is the harmonic mean, for which the flow is
       continuous where the coefficient jumps.
@@ -57,31 +50,18 @@ class Diffusion:
       conditions add
     - ``source``, (nx, ny, nz), mM/s: what they bring to the nodes where the coefficient is that of
       tissue
-
-    Raises ValueError if the spacing differs between the axes.
     """
 
     def __init__(
         self,
-        grid: CartesianGrid | Box,
+        box: Box,
         diffusion: float,
         boundary: float | Mapping[str, Any],
         *,
-        height: float | None = None,
         varied: FloatArray | None = None,
     ) -> None:
-        self._grid = None if isinstance(grid, Box) else grid
-        if isinstance(grid, Box):
-            self.dimensions = 3 if grid.height is None else 2
-            self.shape, self.spacing = grid.shape, grid.spacing
-        else:
-            steps = grid.discretization
-            if not np.allclose(steps, steps[0], rtol=1e-9):
-                raise ValueError(f"spacing differs between axes: {steps} um")
-            self.dimensions = len(grid.shape)
-            nx, ny, nz = (*grid.shape, 1)[:3]
-            self.shape, self.spacing = (nx, ny, nz), float(steps[0])
-        self.volume = self.spacing**2 * (height or self.spacing)
+        self.dimensions = 3 if box.height is None else 2
+        self.shape, self.spacing, self.volume = box.shape, box.spacing, box.volume
         self.diffusion = diffusion
         self.stiffness = diffusion / self.spacing**2
         self.threads = 1  # that may share the loops over many nodes; it changes no result
@@ -96,10 +76,12 @@ class Diffusion:
 
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
         """Take other conditions on the faces."""
-        if self._grid is None:
-            self._sides = _plain(self.shape, *self._numbers(boundary))
-        else:
-            self._sides = self._by_pde(self._grid, boundary)
+        if not isinstance(boundary, Mapping):
+            boundary = {face: {"value": boundary} for face in _FACES}
+        found = [ghost_terms(boundary[f], self.spacing) for f in _FACES[: 2 * self.dimensions]]
+        const, ghost = zip(*found, strict=True)
+        plain = not any(isinstance(each, np.ndarray) for each in const)
+        self._sides = (_same_sides if plain else _sides)(self.shape, ghost, const)
         self.ghost, self.const = self._sides.ghost, self._sides.const
         brought = self._sides.brought
         self.source = _brought(self.const) if brought is None else brought.copy()
@@ -108,48 +90,8 @@ class Diffusion:
         halves = self._sides.halves
         self._dense = dense.Inverse(halves, self.stiffness) if halves else None
 
-    def _numbers(
-        self, boundary: float | Mapping[str, Any]
-    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return factors and constants of the faces, of a plane those across it."""
-        if not isinstance(boundary, Mapping):
-            boundary = {face: {"value": boundary} for face in _FACES}
-        found = [ghost_terms(boundary[f], self.spacing) for f in _FACES[: 2 * self.dimensions]]
-        return tuple(factor for _, factor in found), tuple(const for const, _ in found)
-
-    def _by_pde(self, grid: CartesianGrid, boundary: float | Mapping[str, Any]) -> _Sides:
-        """Return what py-pde makes of conditions."""
-        values = dict(boundary) if isinstance(boundary, Mapping) else {"value": float(boundary)}
-        conditions = grid.get_boundary_conditions(values, rank=0)
-        self._laplacian: Callable[[FloatArray], FloatArray] = grid.make_operator(
-            "laplace", bc=conditions, backend="scipy"
-        )
-        padded = tuple(n + 2 for n in grid.shape)
-        ones, zeros = np.ones(padded), np.zeros(padded)
-        conditions.set_ghost_cells(ones)
-        conditions.set_ghost_cells(zeros)
-        ghost, const = np.ones(6), []
-        for face in range(6):
-            found = np.zeros(_across(self.shape, face))
-            if face < 2 * self.dimensions:
-                inner = (slice(1, -1),) * (self.dimensions - 1)
-                zero = _layer(zeros, face)[inner]
-                found[...] = zero.reshape(found.shape)
-                # one factor on a face: that of a node in its middle
-                middle = tuple(n // 2 for n in zero.shape)
-                ghost[face] = _layer(ones, face)[inner][middle] - zero[middle]
-            const.append(found)
-        return _Sides.of(self.shape, ghost, const)
-
     def divergence(self, c: FloatArray) -> FloatArray:
-        """Return D L c in mM/s, boundary values included.
-
-        By py-pde's operator on its own grid where the coefficient is uniform, else by the solver's
-        stencil.
-        """
-        if self._grid is not None and self.weights is None:
-            spread = self.diffusion * self._laplacian(c.reshape(self._grid.shape))
-            return np.asarray(spread).reshape(self.shape)
+        """Return D L c in mM/s, boundary values included."""
         out = np.empty_like(c)
         zero = np.zeros_like(c)
         stencil.apply_operator(c, zero, self.stiffness, self.ghost, self.weights, out)
@@ -228,36 +170,35 @@ class _Sides(NamedTuple):
     halves: list[tuple[NDArray[np.float32], FloatArray]]
     brought: FloatArray | None
 
-    @classmethod
-    def of(
-        cls, shape: tuple[int, int, int], ghost: FloatArray, const: Sequence[FloatArray]
-    ) -> _Sides:
-        """Return what follows from these."""
-        kinds, leak = [], 0.0
-        for axis, n in enumerate(shape):
-            low, high = (n > 1 and factor < -0.5 for factor in ghost[2 * axis : 2 * axis + 2])
-            kinds.append((bool(low), bool(high)))
-            for value, factor in zip((low, high), ghost[2 * axis : 2 * axis + 2], strict=True):
-                leak += 0.0 if value else float(1.0 - factor) / n
-        halves = []
-        if max(shape) <= dense.MOST and all(low == high for low, high in kinds):
-            halves = [dense.halves(n, low) for n, (low, _) in zip(shape, kinds, strict=True)]
-        a, b, c, d, e, f = const
-        brought = _brought(const) if halves else None
-        return cls(ghost, (a, b, c, d, e, f), kinds, leak, halves, brought)
 
-
-@lru_cache(maxsize=16)
-def _plain(
-    shape: tuple[int, int, int], ghost: tuple[float, ...], const: tuple[float, ...]
+def _sides(
+    shape: tuple[int, int, int], factors: tuple[float, ...], constants: tuple[Any, ...]
 ) -> _Sides:
-    """Return what follows from conditions that are the same all over each face.
+    """Return what follows from factors and constants of the faces; a plane has two walls besides.
 
-    A plane has two walls besides. A grid that follows the cells has the same shape for many steps.
+    - ``constants``, mM: numbers, or arrays of the nodes of a face
     """
-    walls = 6 - len(ghost)
-    each = [np.full(_across(shape, face), c) for face, c in enumerate((*const, *[0.0] * walls))]
-    return _Sides.of(shape, np.array((*ghost, *[1.0] * walls)), each)
+    walls = 6 - len(factors)
+    ghost, const, kinds, leak = np.array((*factors, *[1.0] * walls)), [], [], 0.0
+    for face, each in enumerate((*constants, *[0.0] * walls)):
+        across = _across(shape, face)
+        const.append(np.full(across, np.reshape(each, across) if np.ndim(each) else each))
+    for axis, n in enumerate(shape):
+        low, high = (n > 1 and factor < -0.5 for factor in ghost[2 * axis : 2 * axis + 2])
+        kinds.append((bool(low), bool(high)))
+        for value, factor in zip((low, high), ghost[2 * axis : 2 * axis + 2], strict=True):
+            leak += 0.0 if value else float(1.0 - factor) / n
+    halves = []
+    if max(shape) <= dense.MOST and all(low == high for low, high in kinds):
+        halves = [dense.halves(n, low) for n, (low, _) in zip(shape, kinds, strict=True)]
+    a, b, c, d, e, f = const
+    return _Sides(
+        ghost, (a, b, c, d, e, f), kinds, leak, halves, _brought(const) if halves else None
+    )
+
+
+_same_sides = lru_cache(maxsize=16)(_sides)
+"""The same for numbers: a grid that follows the cells has the same shape for many steps."""
 
 
 def _transform(

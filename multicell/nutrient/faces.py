@@ -17,16 +17,19 @@ import numpy as np
 from multicell.cells import FloatArray
 
 
-def ghost_terms(condition: Mapping[str, Any], spacing: float) -> tuple[float, float]:
-    """Return ``const`` and ``factor`` of the node beyond a face with py-pde's ``condition``."""
+def ghost_terms(condition: Mapping[str, Any], spacing: float) -> tuple[Any, float]:
+    """Return ``const`` and ``factor`` of the node beyond a face with py-pde's ``condition``.
+
+    ``const`` is an array where the condition differs over the face.
+    """
     h = spacing
     if condition.get("type") == "mixed":
-        rate, const = float(condition["value"]), float(condition["const"])
+        rate = condition["value"]
         whole = 1.0 / h + 0.5 * rate
-        return const / whole, (1.0 / h - 0.5 * rate) / whole
+        return condition["const"] / whole, (1.0 / h - 0.5 * rate) / whole
     if "derivative" in condition:
-        return h * float(condition["derivative"]), 1.0
-    return 2.0 * float(condition["value"]), -1.0
+        return h * condition["derivative"], 1.0
+    return 2.0 * condition["value"], -1.0
 
 
 def by_condition(

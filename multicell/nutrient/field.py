@@ -14,10 +14,9 @@ from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
-    from multicell.nutrient.balance import Exchange
+    from multicell.nutrient.balance import Exchange, WellMixed
     from multicell.nutrient.equations.schedule import Schedule
     from multicell.nutrient.group import FieldGroup
-    from multicell.nutrient.medium import WellMixed
     from multicell.nutrient.parameters import FieldParameters
     from multicell.results.frame import Field
 
@@ -91,25 +90,6 @@ class NutrientField:
         demand = {self.name: (capacity, production)}
         return self.group.solve(position, demand, radius=radius, time=time)[self.name]
 
-    def advance(
-        self,
-        position: FloatArray,
-        capacity: FloatArray,
-        *,
-        production: FloatArray | None = None,
-        radius: FloatArray | None = None,
-        begin: float,
-        end: float,
-    ) -> Exchange:
-        """March the field from ``begin`` to ``end`` (s); parameters as for :meth:`solve`.
-
-        The grid is laid round the cells first. What it encloses then and did not before is the
-        medium of the moment, counted as ``relaid``.
-        """
-        demand = {self.name: (capacity, production)}
-        reports = self.group.advance(position, demand, radius=radius, begin=begin, end=end)
-        return reports[self.name]
-
     @property
     def group(self) -> FieldGroup:
         """The field as a group of one: what lays its grid and brings it forward."""
@@ -121,7 +101,7 @@ class NutrientField:
 
     def attach_medium(self) -> None:
         """Let a finite medium lie round the grid, as it is at the start."""
-        from multicell.nutrient.medium import attach
+        from multicell.nutrient.balance import attach
 
         self.well_mixed = attach(self.name, self.parameters.nutrient, self.layout.whole)
 

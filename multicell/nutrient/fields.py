@@ -9,7 +9,7 @@ the cells: each field may have a grid and a geometry of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
@@ -19,14 +19,13 @@ import numpy as np
 from multicell.cells import Cells, FloatArray, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import Exchange, Ledger
-from multicell.nutrient.field import NutrientField
-from multicell.nutrient.grid import BoxLayout, ShellLayout
-from multicell.nutrient.parameters import FieldParameters
-from multicell.scene.checks import circles, solving_order
+from multicell.results.observables import viable_volume
+from multicell.scene.checks import circles, followed, solving_order
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from multicell.nutrient.field import NutrientField
     from multicell.nutrient.group import FieldGroup
     from multicell.results.frame import Field, Frame
     from multicell.scene.nutrient import Nutrient
@@ -43,25 +42,21 @@ Respond = Callable[[str, Cells, Mapping[str, FloatArray]], FloatArray | None]
 """Returns the factor that responses give a behaviour of each cell, (n,), or None for one."""
 
 
-def _no_response(
-    behaviour: str, cells: Cells, found: Mapping[str, FloatArray]
-) -> FloatArray | None:
-    return None
-
-
 @final
 class FieldSystem:
-    """Owner of the fields of a simulation.
+    """Owner of the fields of a simulation; one without any loads nothing that it does not need.
 
-    - ``scene``: with at least one nutrient
     - ``reactions``: between its fields, of the user's own (:func:`multicell.reaction`)
     - ``threads``: how many may share the loops over many nodes; it changes no result
+    - ``respond``: absent: cells do not respond
 
     - ``fields``, name -> NutrientField
     - ``groups``, list of FieldGroup: the same in the groups that are solved for together, in the
       order of solving
     - ``ledger``, name -> Ledger
     - ``concentrations``, name -> (n,) float64, mM: at the cells of the last call
+
+    Raises SceneError for reactions that do not fit the fields.
     """
 
     def __init__(
@@ -69,16 +64,40 @@ class FieldSystem:
         scene: Scene,
         reactions: Mapping[str, Any] | None = None,
         threads: int = 1,
-        respond: Respond = _no_response,
+        respond: Respond | None = None,
     ) -> None:
         known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
-        self._respond = respond
-        self._nutrients = scene.nutrients
+        self._scene, self._nutrients, self._respond = scene, scene.nutrients, respond
+        self._followed = followed(scene)
+        self.order: list[str] = []
+        self.fields: dict[str, NutrientField] = {}
+        self.groups: list[FieldGroup] = []
+        if scene.nutrients:
+            self._lay_out(scene, reactions, known, threads)
+        elif reactions:
+            raise SceneError("reactions", "are given, but the scene has no fields that could react")
         self._factors = {
             (what, name): factors(scene, what, name)
-            for name in scene.nutrients
+            for name in self.order
             for what in ("uptake", "secretion")
         }
+        self._resting = {name for name in self.order if self._rests(name)}
+        around = circles(scene.nutrients, known, scene.responses)
+        self._circles = {x[-1]: x for x in map(tuple, around.values()) if len(x) > 1}
+        self._changes: dict[str, Mapping[str, float]] = {}  # of geometry, as frames store them
+        self.ledger = {name: Ledger() for name in scene.nutrients}
+        self.concentrations: dict[str, FloatArray] = {}
+        self.reports: dict[str, Exchange] = {}
+        self._uptake: dict[str, FloatArray] = {}
+
+    def _lay_out(
+        self, scene: Scene, reactions: Mapping[str, Any] | None, known: Mapping[str, Any],
+        threads: int,
+    ) -> None:  # fmt: skip
+        """Make the fields, and the groups that are solved for together."""
+        from multicell.nutrient.field import NutrientField
+        from multicell.nutrient.parameters import FieldParameters
+
         self.order = solving_order(scene.nutrients, known, scene.responses)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
@@ -88,21 +107,12 @@ class FieldSystem:
         self.fields = {
             name: NutrientField(name, parameters[name], threads) for name in scene.nutrients
         }
-        self.groups: list[FieldGroup] = []
         if known:
             from multicell.nutrient.group import together
 
             self.groups = together(self.fields, self.order, known)
         else:
             self.groups = [self.fields[name].group for name in self.order]
-        self._resting = {name for name in self.order if self._rests(name)}
-        around = circles(scene.nutrients, known, scene.responses)
-        self._circles = {x[-1]: x for x in map(tuple, around.values()) if len(x) > 1}
-        self._changes: dict[str, tuple[float, float]] = {}  # of geometry: number, time of the last
-        self.ledger = {name: Ledger() for name in scene.nutrients}
-        self.concentrations: dict[str, FloatArray] = {}
-        self.reports: dict[str, Exchange] = {}
-        self._uptake: dict[str, FloatArray] = {}
 
     def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
         """Solve for the fields at the start of a run; ``again`` for other states of its cells."""
@@ -123,7 +133,7 @@ class FieldSystem:
             change = 0.0
             for other in (one for one in self.groups if one.names[0] in names):
                 name = other.names[0]
-                before, demand = self.concentrations[name], self.demand_now(name, cells)
+                before, demand = self.concentrations[name], self.demand(name, cells)
                 self.reports |= other.solve(
                     cells.position, {name: demand}, radius=cells.radius, time=time
                 )
@@ -138,7 +148,7 @@ class FieldSystem:
 
     def _begin(self, group: FieldGroup, cells: Cells, time: float) -> None:
         """Solve for fields at the start of a run."""
-        demand = {name: self.demand_now(name, cells) for name in group.names}
+        demand = {name: self.demand(name, cells) for name in group.names}
         if self._rests_first(group.names[0]):
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=time)
         else:
@@ -184,10 +194,12 @@ class FieldSystem:
         if before is not None and marched:
             if any(self._nutrients[name].secretion_from for name in marched):
                 for name, field in self.fields.items():
-                    self._uptake[name] = field.uptake(before.position, self._capacity(name, before))
+                    self._uptake[name] = field.uptake(
+                        before.position, self._capacity(name, before, self.concentrations)
+                    )
             row, earlier, shares = _shares(before, cells, end - begin)
             for name in marched:
-                one, other = self.demand_now(name, before)
+                one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample(cells.position) for x in names}
@@ -209,7 +221,7 @@ class FieldSystem:
 
         ``began`` is the part of the demand that the beginning sets, ``shares`` that of the end.
         """
-        demand = {name: self.demand_now(name, cells) for name in group.names}
+        demand = {name: self.demand(name, cells) for name in group.names}
         shells = {name: self._on_shells(name) for name in group.names}
         if group.names[0] in self._resting:
             for name in group.names:
@@ -231,7 +243,8 @@ class FieldSystem:
             self.ledger[name].fill(self.fields[name].stored())
         for name in group.names:
             if self._on_shells(name) != shells[name]:
-                self._changes[name] = self._changes.get(name, (0, 0.0))[0] + 1, end
+                number = self._changes.get(name, {"changes": 0})["changes"] + 1
+                self._changes[name] = {"changes": number, "changed_at": end}
             self._sample(name, cells, demand[name][0])
 
     def snapshot(self) -> dict[str, Any]:
@@ -242,7 +255,7 @@ class FieldSystem:
             "concentrations": dict(self.concentrations),
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),
-            "grids": self.grids_snapshot(),
+            "changes": dict(self._changes),
         }
 
     def undo(self, snapshot: Mapping[str, Any]) -> None:
@@ -251,24 +264,16 @@ class FieldSystem:
             field.undo(snapshot["fields"][name])
         self.ledger, self.concentrations = snapshot["ledger"], snapshot["concentrations"]
         self.reports, self._uptake = snapshot["reports"], snapshot["uptake"]
-        self._restore_grids(snapshot["grids"])
-
-    def grids_snapshot(self) -> dict[str, dict[str, float]]:
-        """Return the changes between shells and cubes, as frames store them."""
-        changed = self._changes.items()
-        return {name: {"changes": number, "changed_at": time} for name, (number, time) in changed}
-
-    def _restore_grids(self, changes: Mapping[str, Mapping[str, float]]) -> None:
-        self._changes = {name: (x["changes"], x["changed_at"]) for name, x in changes.items()}
+        self._changes = snapshot["changes"]
 
     def _on_shells(self, name: str) -> bool:
-        return isinstance(self.fields[name].layout, ShellLayout)
+        return self.fields[name].layout.kind == "radial"
 
     def grid_remarks(self, name: str) -> list[str]:
         """Return in words whether a field went over from shells to cubes, or back."""
         if name not in self._changes:
             return []
-        number, time = self._changes[name]
+        number, time = self._changes[name]["changes"], self._changes[name]["changed_at"]
         shells = self._on_shells(name)
         ways = "cubes to shells" if shells else "shells to cubes"
         often = "" if number == 1 else f", the last of {number:g} changes"
@@ -277,14 +282,49 @@ class FieldSystem:
             f"the tissue is {'round' if shells else 'not round'}."
         ]
 
-    def gradients(self, position: FloatArray, names: Iterable[str]) -> dict[str, FloatArray]:
-        """Return the gradients of fields at positions, name -> (n, 3) mM/µm."""
-        return {name: self.fields[name].gradient(position) for name in names}
+    def fitness(self, cells: Cells, time: float) -> tuple[dict[str, dict[str, Any]], list[str]]:
+        """Return how well the grids fit the cells, by field, and remarks."""
+        if not self.fields:
+            return {}, []
+        from multicell.nutrient.fitness import fitness
+
+        return fitness(self, cells, time)
+
+    def gradients(self, cells: Cells) -> dict[str, FloatArray]:
+        """Return the gradients that cells follow, name -> (n, 3) mM/µm."""
+        if not self.concentrations:
+            # contacts are looked for before there is a field, and need no forces
+            return {name: np.zeros((len(cells), 3)) for name in self._followed}
+        return {name: self.fields[name].gradient(cells.position) for name in self._followed}
+
+    def columns(self, cells: Cells) -> dict[str, float]:
+        """Return the columns of the history: shape of tissue on shells, media, and uptake."""
+        found: dict[str, float] = {}
+        solid = self._scene.dimensions == 3
+        if solid and any(part.layout != "box" for part in self._nutrients.values()):
+            from multicell.nutrient.cartesian import departure
+
+            found["departure_from_a_ball"] = departure(cells.position, cells.radius)
+        found |= {f"medium_{name}": level for name, level in self.media.items()}
+        rates = {name: self._uptake_rate(name, cells) for name in self.fields}
+        found |= {f"uptake_{name}": rate for name, rate in rates.items()}
+        if solid and rates:
+            rim = viable_volume(cells)
+            found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
+        return found
+
+    def progress(self) -> dict[str, Any]:
+        """Return what a frame needs so that the fields can be resumed from it."""
+        return {
+            "ledger": {name: account.entries() for name, account in self.ledger.items()},
+            "rates": {name: report.entries() for name, report in self.reports.items()},
+            "grids": dict(self._changes),
+        }
 
     def restore(self, frame: Frame) -> None:
         """Take fields, concentrations and accounts from a frame."""
         assert frame.progress is not None
-        self._restore_grids(frame.progress.grids)
+        self._changes = dict(frame.progress.grids)
         for name, field in self.fields.items():
             self.ledger[name] = ledger = Ledger(**frame.progress.ledger[name])
             if (ledger.made is None) == self.reacts(name):
@@ -309,8 +349,7 @@ class FieldSystem:
     def nodes(self) -> int:
         """Number of nodes of the largest field in a box; zero before there is one."""
         laid = [field.layout for field in self.fields.values() if field.laid]
-        boxes = [layout.box.shape for layout in laid if isinstance(layout, BoxLayout)]
-        return max((math.prod(shape) for shape in boxes), default=0)
+        return max((math.prod(x.shape) for x in laid if x.kind == "box"), default=0)
 
     def solved(self) -> dict[str, Field]:
         """Return the fields as they were last solved."""
@@ -320,38 +359,45 @@ class FieldSystem:
         self,
         name: str,
         cells: Cells,
-        concentrations: Mapping[str, FloatArray],
-        taken: Mapping[str, FloatArray],
+        concentrations: Mapping[str, FloatArray] | None = None,
+        taken: Mapping[str, FloatArray] | None = None,
     ) -> Demand:
-        """Return each cell's largest uptake and its secretion, (n,) amol/s, for other surroundings.
+        """Return each cell's largest uptake and its secretion, (n,) amol/s.
 
         - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: what each cell finds of all
-          fields, and takes up of those that others are made from
+          fields, and takes up of those that others are made from; absent: what they do now
         """
-        kept = self.concentrations, self._uptake
-        self.concentrations, self._uptake = dict(concentrations), dict(taken)
-        try:
-            return self.demand_now(name, cells)
-        finally:
-            self.concentrations, self._uptake = kept
+        found = self.concentrations if concentrations is None else concentrations
+        taken = self._uptake if taken is None else taken
+        nutrient, capacity = self._nutrients[name], self._capacity(name, cells, found)
+        if nutrient.secretion == 0.0 and not nutrient.secretion_from:
+            return capacity, None
+        production = nutrient.secretion * self._active("secretion", name, cells, found)
+        for other, share in (nutrient.secretion_from or {}).items():
+            production = production + share * taken[other]
+        return capacity, production
 
-    def _active(self, what: str, name: str, cells: Cells) -> FloatArray:
+    def _active(
+        self, what: str, name: str, cells: Cells, found: Mapping[str, FloatArray]
+    ) -> FloatArray:
         """Return uptake or secretion of each cell over that of a proliferating one, (n,)."""
         by_state, by_kind = self._factors[what, name]
         active = by_state[cells.state]
         if by_kind is not None:
             active = active * by_kind[cells.kind]
-        response = self._respond(f"{what} of {name}", cells, self.concentrations)
+        if self._respond is None:
+            return active
+        response = self._respond(f"{what} of {name}", cells, found)
         return active if response is None else active * response
 
-    def _capacity(self, name: str, cells: Cells) -> FloatArray:
+    def _capacity(self, name: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray:
         """Return each cell's largest uptake, (n,) amol/s."""
         nutrient = self._nutrients[name]
-        active = self._active("uptake", name, cells)
+        active = self._active("uptake", name, cells, found)
         volume = 0.0 if nutrient.uptake_per_volume is None else cells.volume
         capacity = nutrient.largest_uptake(volume) * active
         if nutrient.uptake_on:
-            capacity *= dependence(nutrient, self.concentrations, len(cells))
+            capacity *= dependence(nutrient, found, len(cells))
         return np.asarray(capacity)
 
     def _note_medium(self, name: str) -> None:
@@ -373,21 +419,10 @@ class FieldSystem:
         if any(name in (n.secretion_from or ()) for n in self._nutrients.values()):
             self._uptake[name] = field.uptake(cells.position, capacity)
 
-    def uptake_rate(self, name: str, cells: Cells) -> float:
+    def _uptake_rate(self, name: str, cells: Cells) -> float:
         """Return what all cells take up of a field now, amol/s."""
-        capacity = self._capacity(name, cells)
+        capacity = self._capacity(name, cells, self.concentrations)
         return float(self.fields[name].uptake(cells.position, capacity).sum())
-
-    def demand_now(self, name: str, cells: Cells) -> Demand:
-        """Return each cell's largest uptake and its secretion, (n,) amol/s."""
-        nutrient = self._nutrients[name]
-        capacity = self._capacity(name, cells)
-        if nutrient.secretion == 0.0 and not nutrient.secretion_from:
-            return capacity, None
-        production = nutrient.secretion * self._active("secretion", name, cells)
-        for other, share in (nutrient.secretion_from or {}).items():
-            production = production + share * self._uptake[other]
-        return capacity, production
 
 
 def _shares(

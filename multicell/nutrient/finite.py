@@ -19,26 +19,20 @@ where the field has the same concentration there.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
-from pde.fields.collection import FieldCollection
-from pde.fields.scalar import ScalarField
-from pde.grids.cartesian import UnitGrid
-from pde.pdes.base import PDEBase
 from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.balance import COLUMNS, SIGNS, Exchange
-from multicell.nutrient.course import Course, Demand
-from multicell.nutrient.medium import WellMixed, beyond
+from multicell.nutrient.balance import COLUMNS, SIGNS, Exchange, WellMixed, beyond
 
 if TYPE_CHECKING:
-    from multicell.nutrient.equations.equation import FieldEquation
-    from multicell.nutrient.group import FieldGroup
+    from multicell.nutrient.group import Demand, FieldGroup
     from multicell.nutrient.steady import SolveReport
 
 _FADED: Final = 1e-3
@@ -80,32 +74,38 @@ def advance(
 
 @final
 class _Exchange:
-    """Fields and their media on the way through one coupling step."""
+    """Fields and their media on the way through one coupling step.
+
+    - ``totals``, name -> amol: of a steady field with its medium
+    - ``guess``, name -> mM: concentration of the medium; of steady fields a first guess
+    """
 
     def __init__(
         self, group: FieldGroup, position: FloatArray, demand: Demand, radius: FloatArray | None,
         begin: float,
     ) -> None:  # fmt: skip
         self.group, self.now = group, begin
+        self.nutrients = {name: f.parameters.nutrient for name, f in group.fields.items()}
         self.steady = group.first.parameters.regime == "steady"
-        self.before = [field.stored() for field in group.fields.values()]
-        self.course = course = Course(group, position, demand, radius, begin, carry=not self.steady)
-        self.relaid = course.masses() - np.array(self.before)
+        self.before = np.array([field.stored() for field in group.fields.values()])
+        group.begin(position, demand, radius, begin, carry=not self.steady)
+        self.relaid = group.masses() - self.before
         self.media: dict[str, WellMixed] = {}
-        for field, gained in zip(group.fields.values(), self.relaid.tolist(), strict=True):
-            if field.well_mixed is not None:
-                volume = beyond(field.name, field.parameters.nutrient, course.layout.whole)
-                lost = 0.0 if self.steady else gained
-                amount = field.well_mixed.amount - lost
-                _refuse_overdrawn(field.name, amount)
-                self.media[field.name] = replace(field.well_mixed, volume=volume, amount=amount)
-        # of a steady field with its medium
-        self.totals = {
-            field.name: old + field.well_mixed.amount
-            for field, old in zip(group.fields.values(), self.before, strict=True)
-            if field.well_mixed is not None
-        }
-        self.guess = {name: medium.concentration for name, medium in self.media.items()}
+        self.totals: dict[str, float] = {}
+        self.guess: dict[str, float] = {}
+        for i, (name, field) in enumerate(group.fields.items()):
+            medium = field.well_mixed
+            if medium is None:
+                continue
+            volume = beyond(name, self.nutrients[name], group.layout.whole)
+            amount = medium.amount - (0.0 if self.steady else float(self.relaid[i]))
+            if not amount >= 0.0:
+                problem = f"the grid of {name} came to enclose more than its finite medium holds"
+                hint = "Give finite_medium a larger volume, or let the field live on a domain"
+                raise NutrientFailed(problem, hint)
+            self.media[name] = replace(medium, volume=volume, amount=amount)
+            self.totals[name] = float(self.before[i]) + medium.amount
+            self.guess[name] = self.media[name].concentration
         self.info = {"steps": 0, "rejections": 0, "first_order": 0, "error": 0.0}
         self.amounts = np.zeros((len(group.names), len(COLUMNS)))
 
@@ -113,55 +113,40 @@ class _Exchange:
         """Return time, field and concentration of what fresh medium comes up to ``end``."""
         found = []
         for name, medium in self.media.items():
-            media = self.group.fields[name].parameters.nutrient.media or ()
-            found += [(t, name, level) for t, level in media[medium.changes :] if t <= end]
+            media = (self.nutrients[name].media or ())[medium.changes :]
+            found += [(t, name, level) for t, level in media if t <= end]
         return sorted(found)
 
     def change(self, name: str, level: float) -> None:
         """Replace medium by fresh one of a concentration in mM."""
-        finite = self.group.fields[name].parameters.nutrient.finite_medium
+        finite = self.nutrients[name].finite_medium
         assert finite is not None
         self.media[name] = self.media[name].changed(level, finite.replaced)
         if self.steady:
             self.totals[name] = self._content(name) + self.media[name].amount
-            self.guess[name] = self.media[name].concentration
+        self.guess[name] = self.media[name].concentration
 
     def _content(self, name: str) -> float:
-        return float(self.course.masses()[self.group.names.index(name)])
+        return float(self.group.masses()[self.group.names.index(name)])
 
     def march(self, end: float) -> None:
         """Bring all to ``end`` (s) by a solver of py-pde's registry; the account goes along."""
         if end > self.now:
-            state, equation = self._problem()
-            nutrients = [f.parameters.nutrient for f in self.group.fields.values()]
+            kind = AtRestWithMedia if self.steady else WithMedia
+            equation = kind(self.group, self.media, self.guess)
+            state: Any = SimpleNamespace(data=equation.data(self.totals))
             solver = SolverBase.from_name(
-                "multicell-march", equation, tolerance=min(n.time_tolerance for n in nutrients)
-            )
+                "multicell-march", equation,  # type: ignore[arg-type]
+                tolerance=min(n.time_tolerance for n in self.nutrients.values()),
+            )  # fmt: skip
             first = end - self.now if self.steady else None
             solver.make_stepper(state, first)(state, self.now, end)
             self.group.info = solver.info
             self._enter(solver.info)
-            self._take(state, equation)
+            self._take(state.data, equation)
             self.now = end
         if self.steady:
             self._settle()
-
-    def _problem(self) -> tuple[Any, WithMedia | AtRestWithMedia]:
-        """Return state and equation of the fields with their media."""
-        course, volumes = self.course, {name: x.volume for name, x in self.media.items()}
-        highest = {f.name: f.parameters.nutrient.highest for f in self.group.fields.values()}
-        if self.steady:
-            slow = AtRestWithMedia(course.equation, course.state, volumes, highest, self.guess)
-            grid = UnitGrid([1])
-            totals = [ScalarField(grid, [total]) for total in self.totals.values()]
-            return FieldCollection(totals, labels=list(self.media)), slow
-        equation, fields = WithMedia(course.equation, volumes, highest), course.state
-        each = [fields] if isinstance(fields, ScalarField) else list(fields)
-        media = [
-            ScalarField(fields.grid, x.concentration, label=f"medium of {name}")
-            for name, x in self.media.items()
-        ]
-        return FieldCollection([*each, *media]), equation
 
     def _enter(self, info: dict[str, Any]) -> None:
         """Enter what a solver has done, and what decayed in the media."""
@@ -171,27 +156,26 @@ class _Exchange:
         self.amounts = self.amounts + info["amounts"]
         for name, medium in self.media.items():
             row = info["amounts"][self.group.names.index(name)]
-            decay = self.group.fields[name].parameters.nutrient.decay
-            decayed = decay * medium.volume * float(row[COLUMNS.index("level")])
+            level = float(row[COLUMNS.index("level")])
+            decayed = self.nutrients[name].decay * medium.volume * level
             self.media[name] = replace(medium, decayed=medium.decayed + decayed)
 
-    def _take(self, state: Any, equation: WithMedia | AtRestWithMedia) -> None:
+    def _take(self, data: FloatArray, equation: WithMedia | AtRestWithMedia) -> None:
         """Take over what a solver has found."""
         if isinstance(equation, AtRestWithMedia):
-            totals = np.ravel(state.data).tolist()
-            self.totals = dict(zip(self.media, totals, strict=True))
+            self.totals = dict(zip(self.media, data.tolist(), strict=True))
             self.guess = dict(zip(self.media, equation.levels.tolist(), strict=True))
             return
-        m, data = len(self.group.names), np.array(state.data)
-        self.course.state.data[...] = data[:m].reshape(self.course.state.data.shape)
+        m, nodes = len(self.group.names), self.group.state.data
+        nodes[...] = data[:m].reshape(nodes.shape)
         for (name, medium), values in zip(self.media.items(), data[m:], strict=True):
-            self.media[name] = replace(medium, amount=medium.volume * float(values.flat[0]))
+            self.media[name] = replace(medium, amount=medium.volume * float(values[0]))
+            self.guess[name] = self.media[name].concentration
 
     def _settle(self) -> None:
         """Bring steady fields to rest with their media: both hold what is there in all."""
-        _, slow = self._problem()
-        assert isinstance(slow, AtRestWithMedia)
-        slow.settle(np.array(list(self.totals.values())), self.now)
+        slow = AtRestWithMedia(self.group, self.media, self.guess)
+        slow.settle(slow.data(self.totals), self.now)
         self.guess = dict(zip(self.media, slow.levels.tolist(), strict=True))
         for name, medium in self.media.items():
             # what the balance says, but for rounding beside an empty medium
@@ -202,56 +186,66 @@ class _Exchange:
         """Give the fields what has been found, and return the account of the step."""
         for name, medium in self.media.items():
             self.group.fields[name].well_mixed = medium
-        self.course.finish(self.now)
-        gained = self.course.masses() - np.array(self.before) if self.steady else self.relaid
-        return self.course.march({**self.info, "amounts": self.amounts}, gained)
+        self.group.finish(self.now)
+        gained = self.group.masses() - self.before if self.steady else self.relaid
+        return self.group.exchanges({**self.info, "amounts": self.amounts}, gained)
 
 
-def _refuse_overdrawn(name: str, amount: float) -> None:
-    if not amount >= 0.0:
-        raise NutrientFailed(
-            f"the grid of {name} came to enclose more than its finite medium holds",
-            "Give finite_medium a larger volume, or let the field live on a domain",
-        )
+class _Media:
+    """Fields and the finite media round them, for steps of backward Euler.
 
-
-@final
-class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
-    """Transient fields and the finite media round them as one equation.
-
-    The state is that of ``equation`` with one more field for each medium, which is uniform.
-
-    - ``equation``: of the fields alone
-    - ``volumes``: of the well-mixed media by name of the field, µm³
-    - ``highest``: largest concentration of all fields, mM
+    - ``group``: the fields' equation and state
+    - ``media``, ``levels``: by name of the field; first guess of the concentrations, mM
     """
 
     def __init__(
-        self, equation: FieldEquation, volumes: dict[str, float], highest: dict[str, float]
+        self, group: FieldGroup, media: Mapping[str, WellMixed], levels: Mapping[str, float]
     ) -> None:
-        super().__init__()
-        self.equation, self.names = equation, equation.names
-        self._media = [self.names.index(name) for name in volumes]
-        self._volumes = np.array(list(volumes.values()))
-        self._placed = [equation.substances[name] for name in volumes]
-        self._highest = np.array([highest[name] for name in self.names])
-        self.decay = np.array([each.substance.decay for each in self._placed])
-        self._root = _Root(list(volumes))
-
-    def _parts(self, data: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the fields' values and the media's concentrations."""
-        m = len(self.names)
-        return data[:m], data[m:].reshape(len(data) - m, -1)[:, 0].copy()
+        self.equation, self.state = group.equation, group.state
+        self.names, self.switches = self.equation.names, self.equation.switches
+        self.levels = np.array(list(levels.values()))
+        self._rows = [self.names.index(name) for name in media]
+        self._volumes = np.array([medium.volume for medium in media.values()])
+        self._placed = [self.equation.substances[name] for name in media]
+        self._decay = np.array([each.substance.decay for each in self._placed])
+        nutrients = [field.parameters.nutrient for field in group.fields.values()]
+        self._faded = np.array([_FADED * nutrient.highest for nutrient in nutrients])
+        self._root = _Root(list(media))
 
     def _at(self, levels: FloatArray) -> None:
         for each, level in zip(self._placed, levels.tolist(), strict=True):
             each.follow(level)
 
+    def _contents(self, nodes: FloatArray) -> FloatArray:
+        """Return what the fields that have a medium hold, (k,) amol."""
+        layout = self.equation.layout
+        nodes = nodes.reshape(-1, *layout.shape)
+        return np.array([float(np.sum(layout.volumes * nodes[i])) for i in self._rows])
+
+
+@final
+class WithMedia(_Media):
+    """Transient fields and the finite media round them as one equation.
+
+    The state is that of the fields with one more field for each medium, which is uniform.
+    """
+
+    def data(self, totals: Mapping[str, float]) -> FloatArray:
+        """Return the state at the beginning, mM."""
+        fields = np.reshape(self.state.data, (len(self.names), -1))
+        media = np.repeat(self.levels[:, None], fields.shape[1], axis=1)
+        return np.concatenate([fields, media])
+
+    def _parts(self, data: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the fields' values and the media's concentrations."""
+        m = len(self.names)
+        return data[:m], data[m:, 0].copy()
+
     def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
         """Take a step of backward Euler of ``dt`` s that ends at ``t``."""
         eq, volume = self.equation, self._volumes
         before, levels = self._parts(data)
-        share = 1.0 + self.decay * dt
+        share = 1.0 + self._decay * dt
         found, taken, rows = before, levels, np.empty(0)
 
         def excess(trial: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -259,59 +253,26 @@ class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
             self._at(trial)
             found, reports = eq.solution(found, t, dt, before)
             rows = dt * eq.exchanges(found, t, reports)
-            taken = rows[self._media, COLUMNS.index("inflow")]
+            taken = rows[self._rows, COLUMNS.index("inflow")]
             return volume * (share * trial - levels) + taken, self._contents(found)
 
         new = self._root.find(excess, levels, volume * share, volume, dt)
         after = (volume * levels - taken) / (volume * share)
         # the balance's own value, unless rounding puts it below zero
         after = np.where(after >= 0.0, after, new)
-        uniform = np.broadcast_to(
-            after.reshape(-1, *[1] * (data.ndim - 1)), data[len(before) :].shape
-        )
+        uniform = np.repeat(after[:, None], data.shape[1], axis=1)
         return np.concatenate([found.reshape(before.shape), uniform]), rows
-
-    def _contents(self, nodes: FloatArray) -> FloatArray:
-        """Return what the fields that have a medium hold, (k,) amol."""
-        nodes = nodes.reshape(-1, *self.equation.layout.shape)
-        volumes = self.equation.layout.volumes
-        return np.array([float(np.sum(volumes * nodes[i])) for i in self._media])
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return the concentration of each field and medium that errors are small beside, mM."""
         before, levels = self._parts(data)
         self._at(levels)
-        found = self.equation.scales(before, begin, end)
-        found = np.maximum(found, _FADED * self._highest)
-        return np.concatenate([found, found[self._media]])
+        found = np.maximum(self.equation.scales(before, begin, end), self._faded)
+        return np.concatenate([found, found[self._rows]])
 
     def growing(self, data: FloatArray) -> str:
         """Return in words which substance grows without bound; empty if none does."""
         return self.equation.growing(data[: len(self.names)])
-
-    def switches(self, begin: float, end: float) -> list[float]:
-        """Return the times strictly between two at which a medium that is not finite jumps, s."""
-        return self.equation.switches(begin, end)
-
-    def evolution_rate(self, state: Any, t: float = 0.0) -> Any:
-        """Return ∂c/∂t of fields and media, mM/s."""
-        result = state.copy()
-        result.data[...], _ = self.rates(np.array(state.data), t)
-        return result
-
-    def rates(self, data: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
-        """Return ∂c/∂t (mM/s) and the derivative of all sinks (1/s)."""
-        eq = self.equation
-        nodes, levels = self._parts(data)
-        self._at(levels)
-        out, slope = (np.zeros_like(data) for _ in range(2))
-        m = len(nodes)
-        out[:m], slope[:m] = eq.rates(nodes, t)
-        taken = eq.exchanges(nodes, t)[self._media, COLUMNS.index("inflow")]
-        for k, level in enumerate(levels.tolist()):
-            out[m + k] = -taken[k] / self._volumes[k] - self.decay[k] * level
-            slope[m + k] = self.decay[k]
-        return out, slope
 
 
 _OTHERS: Final = np.array([
@@ -321,85 +282,59 @@ _OTHERS: Final = np.array([
 
 
 @final
-class AtRestWithMedia(PDEBase):  # type: ignore[no-untyped-call]
+class AtRestWithMedia(_Media):
     """Fields that rest at each moment, and the finite media round them.
 
-    The state is what each field that has a medium and that medium hold together, amol, on one node.
-
-    - ``equation``, ``volumes``, ``highest``: see :class:`WithMedia`
-    - ``state``: of the fields; it is brought to rest along with the media
-    - ``levels``: first guess of the media's concentrations, mM
+    The state is what each field that has a medium and that medium hold together, (k,) amol; the
+    fields are brought to rest along with the media.
     """
 
-    def __init__(
-        self, equation: FieldEquation, state: Any, volumes: dict[str, float],
-        highest: dict[str, float], levels: dict[str, float],
-    ) -> None:  # fmt: skip
-        super().__init__()
-        self.equation, self.state, self.names = equation, state, equation.names
-        self._with = WithMedia(equation, volumes, highest)
-        self._volumes = np.array(list(volumes.values()))
-        self._highest = np.array([highest[name] for name in volumes])
-        self._rows = [self.names.index(name) for name in volumes]
-        self.levels = np.array(list(levels.values()))
+    def data(self, totals: Mapping[str, float]) -> FloatArray:
+        """Return the state at the beginning, amol."""
+        return np.array(list(totals.values()))
 
-    def _solve(self, levels: FloatArray, t: float) -> dict[str, SolveReport]:
-        self._with._at(levels)
-        data = np.array(self.state.data)
-        self.state.data[...], reports = self.equation.steady_state(data, t)
-        return reports
-
-    def _contents(self) -> FloatArray:
-        return self._with._contents(np.array(self.state.data))
+    def _solve(self, levels: FloatArray, t: float) -> tuple[dict[str, SolveReport], FloatArray]:
+        """Bring the fields to rest with media of these concentrations; return what they hold."""
+        self._at(levels)
+        found, reports = self.equation.steady_state(np.array(self.state.data), t)
+        self.state.data[...] = found
+        return reports, self._contents(found)
 
     def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
-        """Take a step of backward Euler of ``dt`` s that ends at ``t``; see :class:`WithMedia`."""
-        before, volume, layout = np.ravel(data), self._volumes, self.equation.layout
-        decay = self._with.decay
-        after, rows = before, np.empty(0)
+        """Take a step of backward Euler of ``dt`` s that ends at ``t``."""
+        volume, decay, after, rows = self._volumes, self._decay, data, np.empty(0)
 
         def excess(trial: FloatArray) -> tuple[FloatArray, FloatArray]:
             nonlocal after, rows
-            reports = self._solve(trial, t)
-            content = self._contents()
+            reports, content = self._solve(trial, t)
             there = content + volume * trial
             rows = self.equation.exchanges(np.array(self.state.data), t, reports)
-            after = before + dt * (rows[self._rows] @ _OTHERS - decay * there)
+            after = data + dt * (rows[self._rows] @ _OTHERS - decay * there)
             return there - after, content
 
-        fixed = (volume + layout.whole) * (1.0 + decay * dt)
-        self.levels = self._with._root.find(excess, self.levels, fixed, volume, dt)
-        after = np.where(after >= 0.0, after, self._contents() + volume * self.levels)
-        return after.reshape(data.shape), dt * rows
+        fixed = (volume + self.equation.layout.whole) * (1.0 + decay * dt)
+        self.levels = self._root.find(excess, self.levels, fixed, volume, dt)
+        there = self._contents(np.array(self.state.data)) + volume * self.levels
+        return np.where(after >= 0.0, after, there), dt * rows
 
     def settle(self, totals: FloatArray, t: float) -> None:
         """Find the concentrations with which fields at rest and media hold so much, amol."""
         volume = self._volumes
 
         def excess(trial: FloatArray) -> tuple[FloatArray, FloatArray]:
-            self._solve(trial, t)
-            content = self._contents()
+            _, content = self._solve(trial, t)
             return content + volume * trial - totals, content
 
         slope = volume + self.equation.layout.whole
-        self.levels = self._with._root.find(excess, self.levels, slope, volume, 0.0)
+        self.levels = self._root.find(excess, self.levels, slope, volume, 0.0)
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return what errors of each total are small beside, amol."""
-        level = np.maximum(self.levels, _FADED * self._highest)
-        return np.asarray(level * self._volumes)
+        return np.asarray(np.maximum(self.levels, self._faded[self._rows]) * self._volumes)
 
     def growing(self, data: FloatArray) -> str:
         """Return in words which substance grows without bound; empty if none does."""
         return self.equation.growing(np.array(self.state.data))
-
-    def switches(self, begin: float, end: float) -> list[float]:
-        """Return the times strictly between two at which a medium that is not finite jumps, s."""
-        return self.equation.switches(begin, end)
-
-    def evolution_rate(self, state: Any, t: float = 0.0) -> Any:
-        """Refuse: what rests has no rate."""
-        raise NotImplementedError("fields at rest with finite media know steps only")
 
 
 Excess = Callable[[FloatArray], tuple[FloatArray, FloatArray]]

@@ -41,7 +41,7 @@ def fitness(
         if parameters.nutrient.layer is not None and isinstance(field.layout, ShellLayout):
             _rate_layer(name, field.layout, parameters.nutrient.layer, cells, fields, notes)
         notes += system.grid_remarks(name)
-        capacity, production = system.demand_now(name, cells)
+        capacity, production = system.demand(name, cells)
         about = field, parameters, cells, capacity, production, time
         try:
             error = None if system.reacts(name) else discretisation_error(*about)

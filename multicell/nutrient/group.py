@@ -1,6 +1,6 @@
 """Fields that share a grid, brought forward together: one that stands alone, or those that react.
 
-The fields are the state of one equation of py-pde's
+The fields are the state of one equation
 (:class:`multicell.nutrient.equations.equation.FieldEquation`), made anew when the grid changes its
 shape, and a solver out of py-pde's registry brings it forward. The account of a step is made of
 the same values as the step, so that what one field loses to a reaction the others gain.
@@ -10,27 +10,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from pde.fields.scalar import ScalarField
+from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.nutrient import finite
 from multicell.nutrient.balance import FADED, Exchange
-from multicell.nutrient.course import Course, Demand, substance
 from multicell.nutrient.equations.equation import FieldEquation
+from multicell.nutrient.equations.substance import LINEAR_TERMS, Substance
 from multicell.nutrient.grid import Layout, tissue_share
+from multicell.nutrient.regions import coefficients, injected
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:
-    from pde.grids.base import GridBase
-
+    from multicell.nutrient.equations.schedule import Schedule
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.parameters import FieldParameters
     from multicell.nutrient.reactions.kinetics import Kinetics
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
+
+Demand = Mapping[str, tuple[FloatArray, FloatArray | None]]
+"""Largest uptake and secretion of each cell by field, (n,) amol/s."""
 
 
 @final
@@ -40,8 +44,13 @@ class FieldGroup:
     - ``fields``: by name, all with the same grid
     - ``kinetics``: reactions between them, in the same order; None where there are none
 
-    - ``info``: what py-pde's solver said of its last solve; see ``pde.SolverBase``
+    - ``layout``, ``equation``: of the last solve
+    - ``state``: its values for py-pde's solvers, which ask for no more than ``data``, (m, ...) mM
+    - ``info``: what py-pde's solver said of it; see ``pde.SolverBase``
     """
+
+    layout: Layout
+    equation: FieldEquation
 
     def __init__(
         self, fields: Mapping[str, NutrientField], kinetics: Kinetics | None = None
@@ -49,22 +58,21 @@ class FieldGroup:
         self.fields, self.kinetics = dict(fields), kinetics
         self.names = list(fields)
         self.first = next(iter(self.fields.values()))
-        self._equation: FieldEquation | None = None
         self._made_for: tuple[FieldParameters, ...] = ()
-        self._may_stay = False
-        self._state: Any = None
+        self._may_stay = self._kept = False
+        self.state: Any = None
         self.info: dict[str, Any] = {}
 
     def solve(
         self, position: FloatArray, demand: Demand, *, radius: FloatArray | None, time: float
     ) -> dict[str, Exchange]:
         """Bring the fields to rest with the cells' uptake and secretion."""
-        course = Course(self, position, demand, radius, time, carry=False)
-        self.info = course.run("multicell-steady", time, time).info
-        course.finish(time)
+        self.begin(position, demand, radius, time, carry=False)
+        self._run("multicell-steady", time, time)
+        self.finish(time)
         found, rows = self.info["reports"], zip(self.names, self.info["rates"], strict=True)
         return {
-            name: course.exchange(
+            name: self._exchange(
                 name, row, newton=found[name].newton, cg=found[name].cg,
                 residual=found[name].residual,
             )
@@ -88,94 +96,161 @@ class FieldGroup:
         if any(field.well_mixed is not None for field in self.fields.values()):
             return finite.advance(self, position, demand, radius, begin, end)
         before = [field.stored() for field in self.fields.values()]
-        course = Course(self, position, demand, radius, begin, carry=True)
-        relaid = course.masses() - np.array(before)
+        self.begin(position, demand, radius, begin, carry=True)
+        relaid = self.masses() - np.array(before)
         nutrients = [field.parameters.nutrient for field in self.fields.values()]
-        self.info = course.run(
-            "multicell-march", begin, end,
-            tolerance=min(n.time_tolerance for n in nutrients),
-            scales=np.array([FADED * n.highest for n in nutrients]),
-        ).info  # fmt: skip
-        course.finish(end)
-        return course.march(self.info, relaid)
+        scales = np.array([FADED * n.highest for n in nutrients])
+        tolerance = min(n.time_tolerance for n in nutrients)
+        self._run("multicell-march", begin, end, tolerance=tolerance, scales=scales)
+        self.finish(end)
+        return self.exchanges(self.info, relaid)
 
     def fill(self, position: FloatArray, *, radius: FloatArray | None, time: float) -> None:
         """Begin with the media's concentrations everywhere."""
         nothing = np.zeros(len(position)), None
-        course = Course(
-            self, position, dict.fromkeys(self.names, nothing), radius, time, carry=False
-        )
-        levels = [field.level(time) for field in self.fields.values()]
-        course.state.data[...] = course.equation.state(
-            dict(zip(self.names, levels, strict=True))
-        ).data
-        course.finish(time)
+        self.begin(position, dict.fromkeys(self.names, nothing), radius, time, carry=False)
+        for nodes, field in zip(self.state.data, self.fields.values(), strict=True):
+            nodes[...] = field.level(time)
+        self.finish(time)
 
-    def equation(
+    def begin(
+        self, position: FloatArray, demand: Demand, radius: FloatArray | None, time: float, *,
+        carry: bool,
+    ) -> None:  # fmt: skip
+        """Lay the grid round the cells, and take over values; amounts stay where they ``carry``."""
+        fields = self.fields.values()
+        for name in self.names:
+            position, radius = checked(position, *demand[name], radius)
+        assert radius is not None
+        # what finds no medium beyond its own sides must have all cells on the grid they share
+        strays = all(f.parameters.open_medium for f in fields)
+        self.layout, self._kept, position = self.first.lay(position, radius, strays=strays)
+        self._set_equation(self.layout, position, radius, demand)
+        first = np.array([self._first(f, time, carry) for f in fields])
+        self.state = SimpleNamespace(data=first, equation=self.equation)
+
+    def _first(self, field: NutrientField, time: float, carry: bool) -> FloatArray:
+        """Return the values that a field begins with on the layout."""
+        level = field.level(time)
+        if not field.laid:
+            return self.layout.filled(level)
+        if self._kept:
+            return field.values
+        take = self.layout.carried if carry else self.layout.guess
+        # on shells what is carried are differences of contents, which rounding may leave below
+        # zero where there is nothing; what that adds is counted as relaid
+        found = take(field.values, field.layout, level)
+        return found if found is field.values else np.maximum(found, 0.0)
+
+    def masses(self) -> FloatArray:
+        """Return what each field holds, (m,) amol."""
+        return np.array([float(np.sum(self.layout.volumes * c)) for c in self.state.data])
+
+    def _run(self, name: str, begin: float, end: float, **options: Any) -> None:
+        """Bring the state to ``end`` (s) by a solver of py-pde's registry."""
+        solver = SolverBase.from_name(name, self.equation, **options)
+        solver.make_stepper(self.state)(self.state, begin, end)
+        self.info = solver.info
+
+    def finish(self, time: float) -> None:
+        """Give the fields what has been found."""
+        for field, values in zip(self.fields.values(), self.state.data, strict=True):
+            conditions = field.parameters.conditions(self.layout, field.level(time))
+            field.take(self.layout, values.copy(), conditions, self._kept)
+
+    def _exchange(self, name: str, row: FloatArray, **more: float) -> Exchange:
+        """Return what a field exchanged, from a row of what solvers say."""
+        field = self.fields[name]
+        absent = [] if field.parameters.nutrient.sources else ["injected"]
+        if self.kinetics is None:
+            absent += ["made", "used"]
+        return Exchange.of(row.tolist(), absent, **more)
+
+    def exchanges(self, info: Mapping[str, Any], relaid: FloatArray) -> dict[str, Exchange]:
+        """Return what the fields exchanged by a march; ``relaid`` (amol) what the grid gained."""
+        counts = {name: info[name] for name in ("steps", "rejections", "first_order", "error")}
+        rows = zip(self.names, info["amounts"], relaid.tolist(), strict=True)
+        return {name: self._exchange(name, row, relaid=more, **counts) for name, row, more in rows}
+
+    def _set_equation(
         self, layout: Layout, position: FloatArray, radius: FloatArray, demand: Demand
-    ) -> FieldEquation:
-        """Return the equation on a layout with cells there; the last one if it still holds.
+    ) -> None:
+        """Make the equation on a layout with cells there; the last one stays if it still holds.
 
         A layout of the same kind that follows the tissue leaves what it is made of as it was.
         """
         fields = self.fields.values()
         tissue = self.kinetics is not None and self.kinetics.needs_tissue
-        last, made_for = self._equation, tuple(f.parameters for f in fields)
-        holds = last is not None and self._may_stay and self._made_for == made_for
-        if last is not None and holds and not tissue and last.layout.kind == layout.kind:
+        made_for = tuple(f.parameters for f in fields)
+        holds = self._may_stay and self._made_for == made_for and not tissue
+        if holds and self.equation.layout.kind == layout.kind:
             for f in fields:
                 if f.well_mixed is not None:
-                    last.substances[f.name].follow(f.well_mixed.concentration)
-            last.place(layout, position, demand)
-            return last
+                    self.equation.substances[f.name].follow(f.well_mixed.concentration)
+            self.equation.place(layout, position, demand)
+            return
         substances = {
             f.name: substance(f.parameters, layout, position, radius, demand[f.name], f.schedule)
             for f in fields
         }
         self._made_for = made_for
         self._may_stay = not any(_stands_still(f.parameters.nutrient) for f in fields)
-        self._equation = FieldEquation(
+        self.equation = FieldEquation(
             None, substances, position, layout=layout, reactions=self.kinetics,
             tissue=tissue_share(layout, position, radius) if tissue else None,
             threads=self.first.threads,
         )  # fmt: skip
-        return self._equation
-
-    def state(self, values: list[FloatArray]) -> Any:
-        """Return a state of the last equation; the last one, with other values, if it still holds.
-
-        - ``values``, mM: at the nodes, for each field
-        """
-        equation, last = self._equation, self._state
-        assert equation is not None
-        if len(values) == 1:
-            (own,) = values
-            if last is None or last.nodes != own.shape:
-                self._state = last = _Following(equation.grid, label=self.names[0])
-                last.nodes = own.shape
-            last.equation = equation
-            last.data[...] = own.reshape(last.data.shape)
-        elif last is not None and last.grid is equation.grid:
-            last.data[...] = np.reshape(values, last.data.shape)
-        else:
-            self._state = equation.state_of(values)
-        return self._state
 
 
-@final
-class _Following(ScalarField):  # type: ignore[no-untyped-call]
-    """A state on the grid that its equation has at the moment, which is made if asked for.
+def substance(
+    parameters: FieldParameters,
+    layout: Layout,
+    position: FloatArray,
+    radius: FloatArray,
+    demand: tuple[FloatArray, FloatArray | None],
+    medium: float | Schedule,
+) -> Substance:
+    """Return what a field of a scene is made of on a grid, with cells of these radii in µm."""
+    nutrient = parameters.nutrient
 
-    - ``nodes``: shape of the equation's layout
-    """
+    def conditions(level: float) -> dict[str, Any]:
+        return parameters.conditions(layout, level)
 
-    equation: FieldEquation | None = None
-    nodes: tuple[int, ...] = ()
+    supply = injected(layout, nutrient.sources) if nutrient.sources else None
+    varied = coefficients(layout, position, radius, nutrient)
+    capacity, production = demand
+    return Substance(
+        nutrient.diffusion, conditions, nutrient.half_saturation, medium=medium,
+        capacity=capacity, production=production, varied=varied, supply=supply,
+        **{name: getattr(nutrient, name) for name in LINEAR_TERMS},
+    )  # fmt: skip
 
-    @property
-    def grid(self) -> GridBase:
-        """py-pde's grid."""
-        return self._grid if self.equation is None else self.equation.grid
+
+def checked(
+    position: FloatArray,
+    capacity: FloatArray,
+    production: FloatArray | None,
+    radius: FloatArray | None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return positions and radii as arrays; refuse what does not fit."""
+    position = np.asarray(position, dtype=np.float64)
+    if position.ndim != 2 or position.shape[1] != 3:
+        raise ValueError(f"position has shape {position.shape}, expected (n, 3)")
+    n = len(position)
+    for name, values in (("capacity", capacity), ("production", production)):
+        if values is None:
+            continue
+        values = np.asarray(values)
+        if values.shape != (n,):
+            raise ValueError(f"{name} has shape {values.shape}, expected ({n},)")
+        # not so of what is no number either
+        if not (values.min(initial=0.0) >= 0.0 and values.max(initial=0.0) < np.inf):
+            what = "capacity of uptake" if name == "capacity" else name
+            raise ValueError(f"a cell's {what} is negative or not finite")
+    radius = np.ones(n) if radius is None else np.asarray(radius, dtype=np.float64)
+    if radius.shape != (n,):
+        raise ValueError(f"radius has shape {radius.shape}, expected ({n},)")
+    return position, radius
 
 
 def _stands_still(nutrient: Nutrient) -> bool:

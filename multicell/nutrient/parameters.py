@@ -70,12 +70,8 @@ class FieldParameters:
 
         return Schedule.of(self.nutrient)
 
-    def sides(self, time: float, medium: float | None = None) -> dict[str, Side]:
-        """Return the condition on every face at a time, with the medium's value filled in.
-
-        That is ``medium`` (mM) where it is given, else what the scene says of the time (s).
-        """
-        medium = self.nutrient.medium(time) if medium is None else medium
+    def sides(self, medium: float) -> dict[str, Side]:
+        """Return the condition on every face, with the medium's value (mM) filled in."""
         return {
             face: side if side.type == "derivative" or side.value is not None else _at(side, medium)
             for face, side in self._faces.items()
@@ -86,7 +82,7 @@ class FieldParameters:
         key = layout.kind, level
         if key not in self._conditions:
             self._conditions.clear()
-            self._conditions[key] = layout.conditions(self.sides(0.0, level))
+            self._conditions[key] = layout.conditions(self.sides(level))
         return self._conditions[key]
 
     @cached_property

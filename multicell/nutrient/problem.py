@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.cells import Cells, FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.course import substance
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.schedule import Schedule
 from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.grid import restored, tissue_share
+from multicell.nutrient.group import substance
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from grids import diffusion
 from pde import CartesianGrid
 from scipy import fft
 from scipy.fft import next_fast_len
@@ -15,24 +16,6 @@ from multicell.nutrient.steady import solve_steady
 
 D = 1000.0
 WALL = {"derivative": 0.0}
-
-
-@pytest.mark.parametrize("values", [True, False])
-@pytest.mark.parametrize("n", [1, 2, 3, 8, 13, 48])
-def test_halves_are_the_transform_of_scipy(n, values):
-    whole = (fft.dst if values else fft.dct)(np.eye(n), type=2, axis=0, norm="ortho")
-    found, of = dense.halves(n, values)
-    half = (n + 1) // 2
-    np.testing.assert_allclose(found[0], whole[0::2, :half], atol=1e-7)
-    odd = found[1][: n // 2, : n // 2]
-    np.testing.assert_allclose(odd, whole[1::2, : n // 2][:, ::-1], atol=1e-7)
-    np.testing.assert_array_equal(found[2], found[0].T)
-    np.testing.assert_array_equal(found[3], found[1].T)
-    # the matrix that is diagonalised: a second difference between two ends
-    matrix = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-    matrix[0, 0] += 1.0 if values else -1.0
-    matrix[-1, -1] += 1.0 if values else -1.0
-    np.testing.assert_allclose(np.sort(of), np.linalg.eigvalsh(matrix), atol=1e-13)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (2, 3, 1), (5, 4, 7), (9, 9, 9), (48, 3, 11)])
@@ -54,10 +37,10 @@ def test_the_inverse_is_that_of_scipy(shape, values):
     assert product == pytest.approx(float(np.sum(y * spectrum)), rel=1e-5)
 
 
-def test_conditions_may_differ_all_over_a_face_on_a_grid_of_pde():
+def test_conditions_may_differ_all_over_a_face():
     grid = CartesianGrid([(0, 20.0), (0, 30.0), (0, 40.0)], (2, 3, 4))
     over = np.random.default_rng(3).random((3, 4))
-    operator = Diffusion(grid, D, {"x-": {"value": over}, "x+": WALL, "y": WALL, "z": WALL})
+    operator = diffusion(grid, D, {"x-": {"value": over}, "x+": WALL, "y": WALL, "z": WALL})
     c = np.random.default_rng(4).random((2, 3, 4))
     # two differences to a value half a spacing away, through faces of 10 by 10
     flow = D * 2.0 * (over - c[0]) / 10.0 * 100.0

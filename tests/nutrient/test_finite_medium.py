@@ -76,7 +76,8 @@ def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
     field.group.fill(place, radius=np.ones(1), time=0.0)
     field.attach_medium()
     assert field.well_mixed.volume == pytest.approx(ratio * sphere)
-    field.advance(place, nothing, radius=np.ones(1), begin=0.0, end=1.0)
+    still = place, {"a": (nothing, None)}
+    field.group.advance(*still, radius=np.ones(1), begin=0.0, end=1.0)
     assert field.well_mixed.concentration == 2.0
     roots = [
         brentq(lambda q: (3 + ratio * q * q) * np.sin(q) - 3 * q * np.cos(q), low, low + np.pi)
@@ -85,7 +86,7 @@ def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
     q, now = np.array(roots), 1.0
     final = 2.0 * ratio * sphere / (1.0 + ratio)
     for time in (0.5, 2.0, 6.0):
-        field.advance(place, nothing, radius=np.ones(1), begin=now, end=1.0 + time)
+        field.group.advance(*still, radius=np.ones(1), begin=now, end=1.0 + time)
         now = 1.0 + time
         terms = 6 * ratio * (ratio + 1) * np.exp(-diffusion * q**2 * time / a**2)
         exact = 1.0 - np.sum(terms / (9 + 9 * ratio + q**2 * ratio**2))
@@ -145,7 +146,7 @@ def test_resistances_of_a_membrane_and_a_layer_add_up():
         sides={"*": {"type": "mixed", "rate": 0.05}},
         finite_medium={"volume": 1e9, "unstirred": 30.0},
     )
-    side = FieldParameters(mixed, 10.0, 10.0, "steady", dimensions=3).sides(0.0, 3.0)["x-"]
+    side = FieldParameters(mixed, 10.0, 10.0, "steady", dimensions=3).sides(3.0)["x-"]
     assert (side.type, side.value) == ("mixed", 3.0)
     assert side.rate == pytest.approx(1.0 / 50.0)
 
@@ -321,3 +322,37 @@ def test_a_medium_far_larger_than_its_field_leaves_no_rounding_in_the_account(re
     assert ledger.relative_remainder <= 1e-8
     assert ledger.washed > 0.0
     assert ledger.decayed > 0.0
+
+
+@pytest.mark.parametrize("regime", ["transient", "steady"])
+def test_fields_in_finite_media_react_and_no_molecule_is_lost(regime):
+    """Each of two drugs has a medium of its own; they bind, and what they make leaves."""
+    fields = {
+        "a": {"boundary": 0.1, "uptake": 1.0, "finite_medium": {"volume": 2e7}},
+        "b": {"boundary": 0.05, "uptake": 0.0, "decay": 1e-5, "finite_medium": {"volume": 3e7},
+              "media": [[900.0, 0.08]]},
+        "c": {"boundary": 0.0, "uptake": 0.0},
+    }  # fmt: skip
+    common = {"diffusion": 500.0, "spacing": 20.0, "regime": regime}
+    run = finished(
+        Scene.from_dict({
+            "duration": 1800.0, "coupling_step": 600.0, "initial": {"count": 5},
+            "nutrients": {name: {**common, **entries} for name, entries in fields.items()},
+            "reactions": {"bind": {
+                "rate": "0.05 1/(mM s)", "consumes": {"a": 1, "b": 1}, "produces": {"c": 1},
+            }},
+        })
+    )  # fmt: skip
+    ledger = run.ledger
+    for name in fields:
+        assert ledger[name].relative_remainder < 1e-6
+    used = [ledger["a"].used, ledger["b"].used, ledger["c"].made]
+    np.testing.assert_allclose(used, used[0], rtol=1e-6)
+    for name in "ab":
+        account = ledger[name]
+        whole = {"a": 2e7, "b": 3e7}[name]
+        assert account.fresh > 0.0
+        assert account.level * whole < account.fresh + 0.1 * whole
+    assert ledger["a"].level < 0.1
+    assert ledger["a"].uptake > 0.0
+    assert ledger["a"].used > 0.0

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from grids import diffusion
 from pde import CartesianGrid
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
@@ -12,8 +13,7 @@ import multicell as mc
 from multicell.compiling.threads import Team
 from multicell.nutrient import steady, stencil
 from multicell.nutrient.cartesian import Box, gather, mesh, moved
-from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.multigrid import Hierarchy, MultigridSolver
+from multicell.nutrient.multigrid import MultigridSolver
 from multicell.nutrient.steady import solve_steady
 
 D = 2000.0
@@ -28,7 +28,7 @@ def operator(shape, sides=VALUE, varied=None, h=10.0):
     names = FACES[: 2 * len(shape)]
     named = {face: sides.get(face, VALUE) if "x-" in sides else sides for face in names}
     height = 20.0 if len(shape) == 2 else None
-    return Diffusion(grid, D, named, height=height, varied=varied)
+    return diffusion(grid, D, named, height=height, varied=varied)
 
 
 def ball(op, most=0.02):
@@ -138,59 +138,6 @@ def test_the_same_bits_for_any_number_of_threads(shape, monkeypatch):
     for one, other in zip(found[:2] * 2, found[2:], strict=True):
         np.testing.assert_array_equal(one[0], other[0])
         assert one[1] == other[1]
-
-
-def test_one_node_is_solved_exactly():
-    hierarchy = Hierarchy((1, 1, 1), np.array([-1.0, 1.0, 0.5, 1.0, 1.0, 1.0]), Team())
-    level = hierarchy.levels[0]
-    level.rate[:], level.b[:] = 0.5, 3.0
-    assert hierarchy.cycle()[0, 0, 0] == pytest.approx(3.0 / (2.0 + 0.5 + 0.5))
-
-
-def test_the_imbalance_by_planes_is_that_of_all_nodes():
-    op = operator((6, 7, 9), MIXED)
-    rng = np.random.default_rng(3)
-    c, sink, source = (rng.random(op.shape) for _ in range(3))
-    found = []
-    with Team(2) as team:
-        for share in (None, team):
-            residual, rate = np.empty(op.shape), np.empty(op.shape)
-            sums = stencil.imbalance(
-                c, sink, source, 0.1, op.stiffness, 0.2, op.ghost, None, residual, rate, share
-            )
-            found.append((sums, residual, rate))
-    (whole, *arrays), (planes, *others) = found
-    np.testing.assert_allclose(whole, planes, rtol=1e-13)
-    for one, other in zip(arrays, others, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize("threads", [1, 2, 5])
-@pytest.mark.parametrize("count", [0, 1, 3, 17])
-def test_a_team_does_every_plane_once(threads, count):
-    done = np.zeros(count, dtype=int)
-
-    def note(begin, end, by):
-        done[begin:end] += by
-
-    with Team(threads) as team:
-        team.share(note, count, 1)
-        team.share(note, count, 2)
-    assert (done == 3).all()
-
-
-def test_a_team_may_be_asked_for_fewer():
-    parts = []
-
-    def note(begin, end):
-        parts.append((begin, end))
-
-    with Team(3) as team:
-        for most in (0, 1, 2, 9):
-            team.at_most(most).share(note, 6)
-    assert sorted(parts[:2]) == [(0, 6), (0, 6)]
-    assert sorted(parts[2:4]) == [(0, 3), (3, 6)]
-    assert sorted(parts[4:]) == [(0, 2), (2, 4), (4, 6)]
 
 
 def test_a_failure_in_a_thread_is_the_caller_s():

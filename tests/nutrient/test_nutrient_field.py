@@ -8,6 +8,7 @@ from pde import ScalarField
 
 from multicell.errors import MulticellError, NutrientFailed
 from multicell.nutrient.cartesian import extent, lay
+from multicell.nutrient.equations.grid import grid_on
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.nutrient import Nutrient, Side
@@ -61,17 +62,6 @@ def test_a_box_covers_all_cells_and_the_margin_and_is_exact_along_its_longest_ax
     assert box.nodes == np.prod(box.shape)
 
 
-@given(st.integers(1, 1000))
-def test_the_number_of_nodes_suits_the_sine_transform(cells):
-    box = lay(np.zeros(3), np.array([10.0 * cells, 10.0, 10.0]), 10.0)
-    n = box.shape[0]
-    assert cells <= n <= 1.15 * cells + 2
-    for factor in (2, 3, 5, 7, 11):
-        while n % factor == 0:
-            n //= factor
-    assert n == 1
-
-
 def test_supply_does_not_jump_while_a_spheroid_grows():
     """The layer of medium stays as thick as the margin, though the nodes become more."""
     field, scale = oxygen(), np.linspace(1.0, 1.3, 61)
@@ -94,8 +84,7 @@ def test_the_uptake_of_the_cells_adds_up_to_the_uptake_of_the_field():
     report = field.solve(position, capacity)
     values = field.field().values
     ratio = values / (0.005 + values)
-    grid = field.box.to_pde()
-    of_cells = capacity * ScalarField(grid, ratio).interpolate(position)
+    of_cells = capacity * ScalarField(grid_on(field.layout), ratio).interpolate(position)
     assert of_cells.sum() == pytest.approx(report.uptake, rel=1e-12)
 
 
@@ -108,30 +97,6 @@ def test_far_from_one_cell_the_field_is_that_of_a_point_sink():
     near, far = (field.sample(directions * r + [1.0, 2.0, 3.0]).mean() for r in (a, b))
     exact = 20.0 / (4 * np.pi * 2000.0) * (1 / a - 1 / b)
     assert far - near == pytest.approx(exact, rel=0.02)
-
-
-def test_the_field_object_holds_the_last_solution():
-    field = oxygen()
-    position, capacity = ball(60.0)
-    field.solve(position, capacity)
-    kept = field.field()
-    assert (kept.name, kept.unit, kept.spacing) == ("oxygen", "mM", field.box.spacing)
-    theirs = ScalarField(field.box.to_pde(), kept.values).interpolate(position)
-    np.testing.assert_allclose(field.sample(position), theirs, rtol=1e-13)
-    before = kept.values.copy()
-    field.solve(position, 3.0 * capacity)
-    np.testing.assert_array_equal(kept.values, before)
-    assert not kept.values.flags.writeable
-
-
-def test_cells_that_do_not_move_keep_their_grid():
-    field = oxygen()
-    position, capacity = ball(60.0)
-    field.solve(position, capacity)
-    field.solve(position, 0.5 * capacity)
-    assert field.layings == 1
-    field.solve(1.01 * position, capacity)
-    assert field.layings == 2
 
 
 def test_the_grid_follows_cells_that_move_away_and_shrinks_again():

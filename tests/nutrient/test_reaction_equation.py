@@ -8,9 +8,8 @@ from scipy.integrate import solve_bvp
 import multicell as mc
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.operators import linearised
-from multicell.nutrient.reactions.inverse import inverse_of_blocks
+from multicell.nutrient.reactions.inverse import gmres, inverse_of_blocks
 from multicell.nutrient.reactions.kinetics import FixedForms, kinetics_of
-from multicell.nutrient.reactions.krylov import gmres
 
 WALL = {"derivative": 0.0}
 BINDING = {

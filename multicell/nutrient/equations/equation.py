@@ -10,7 +10,6 @@ solver's error can bring c, uptake and reactions go on along their tangent.
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, final
@@ -24,20 +23,21 @@ from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.equations.grid import grid_on, layout_on
-from multicell.nutrient.equations.implicit_solver import ImplicitFieldSolver
-from multicell.nutrient.equations.march_solver import MarchFieldSolver
 from multicell.nutrient.equations.placed import PlacedSubstance
-from multicell.nutrient.equations.steady_solver import SteadyFieldSolver
+from multicell.nutrient.equations.solvers import (
+    ImplicitFieldSolver,
+    MarchFieldSolver,
+    SteadyFieldSolver,
+)
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout
 from multicell.nutrient.uptake import uptake_and_slope
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from pde.grids.base import GridBase
 
-    from multicell.nutrient.equations.placed import Flows
     from multicell.nutrient.reactions.kinetics import Kinetics
     from multicell.nutrient.steady import SolveReport
 
@@ -133,15 +133,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         self.position = np.zeros((0, 3)) if position is None else np.asarray(position, dtype=float)
         if self.position.ndim != 2 or self.position.shape[1] != 3:
             raise SceneError("position", f"has the shape {self.position.shape}, expected (n, 3)")
-        owner = weakref.ref(self)  # a circle would keep the arrays of all cells for many steps
-
-        def owners_grid() -> GridBase:
-            equation = owner()
-            assert equation is not None
-            return equation.grid
-
         self.substances = {
-            name: PlacedSubstance(name, substance, layout, owners_grid, self.position, threads)
+            name: PlacedSubstance(name, substance, layout, self.position, threads)
             for name, substance in substances.items()
         }
         self.reactions = None
@@ -181,22 +174,16 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
                 problem = f"has the shape {array.shape}, the grid has {shape}"
                 raise SceneError(f"values.{name}", problem)
             arrays.append(array if array.ndim else np.broadcast_to(array, shape))
-        return self.state_of(arrays)
-
-    def state_of(self, nodes: Iterable[FloatArray]) -> State:
-        """Return a state of the values (mM) at the nodes, of each substance in their order."""
-        grid = self.grid
         fields = [
-            ScalarField(grid, array.reshape(grid.shape), label=name)
-            for name, array in zip(self.substances, nodes, strict=True)
+            ScalarField(self.grid, array.reshape(shape), label=name)
+            for name, array in zip(self.substances, arrays, strict=True)
         ]
         return fields[0] if len(fields) == 1 else FieldCollection(fields, labels=[*self.substances])
 
     def evolution_rate(self, state: State, t: float = 0.0) -> State:  # type: ignore[override]
-        """Return ∂c/∂t of all substances at a time in s, mM/s, by py-pde's own Laplacian.
+        """Return ∂c/∂t of all substances at a time in s, mM/s.
 
-        On shells, and where the coefficient of diffusion differs, by finite volumes of ours: the
-        flow between two nodes has the harmonic mean of their coefficients.
+        By finite volumes: the flow between two nodes has the harmonic mean of their coefficients.
 
         Raises
         ------
@@ -204,31 +191,18 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             If the state has other fields or another grid.
         """
         self.check(state)
-        data = self.nodes(state.data)
-        demands = self.demands(data, t)
-        rates = np.array([
-            each.reference_rate(data[name], t, *demands[name])
-            for name, each in self.substances.items()
-        ])  # fmt: skip
-        if self.reactions is not None:
-            rates += self.reactions.made(data)
         result = state.copy(label="evolution rate")
-        result.data = rates.reshape(state.data.shape)
+        result.data, _ = self.rates(np.asarray(state.data, dtype=np.float64), t)
         return result
 
     def rates(self, data: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
-        """Return ∂c/∂t (mM/s) and the derivative of all sinks (1/s), by the solvers' kernels.
+        """Return ∂c/∂t (mM/s) and the derivative of all sinks (1/s).
 
         ``data`` are a state's, in mM; the results have its shape.
         """
         nodes = self.nodes(data)
-        if self.coupling is None:
-            found = [each.rate(nodes[name], t) for name, each in self.substances.items()]
-        else:
-            demands = self.demands(nodes, t)
-            found = [
-                each.rate(nodes[name], t, *demands[name]) for name, each in self.substances.items()
-            ]
+        self._follow(nodes, t)
+        found = [each.rate(nodes[name], t) for name, each in self.substances.items()]
         out, slope = (np.array(x) for x in zip(*found, strict=True))
         if self.reactions is not None:
             out += self.reactions.made(nodes)
@@ -311,12 +285,10 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             return found.reshape(-1, *self.layout.shape), reports
         reports = {}
         for name in self.names if self.coupling is None else self.coupling.order:
-            each = self.substances[name]
-            nodes[name], reports[name] = each.solve(
-                nodes[name], each.schedule.at(t), dt=dt,
-                before=None if earlier is None else earlier[name],
-                demand=None if self.coupling is None else self.demands(nodes, t)[name],
-            )  # fmt: skip
+            self._follow(nodes, t)
+            each, last = self.substances[name], None if earlier is None else earlier[name]
+            level = each.schedule.at(t)
+            nodes[name], reports[name] = each.solve(nodes[name], level, dt=dt, before=last)
         states = [nodes[name] for name in self.names]
         return states[0][None] if len(states) == 1 else np.array(states), reports
 
@@ -354,16 +326,14 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         solvers know of this state; absent: it is found here.
         """
         nodes, rows = self.nodes(data), []
-        demands = self.demands(nodes, t)
+        self._follow(nodes, t)
         made: dict[str, FloatArray] = {}
         if reports is None and self.reactions is not None:
             made = dict(zip(self.substances, self.reactions.made(nodes), strict=True))
         for name, each in self.substances.items():
-            c, level, (sink, secreted) = nodes[name], each.schedule.at(t), demands[name]
-            flows: Flows | SolveReport | None = None if reports is None else reports[name]
-            if flows is None:
-                flows = each.flows(c, level, sink, made.get(name))
-            rows.append(each.account(c, level, flows, secreted if self.coupling else None))
+            c, level = nodes[name], each.schedule.at(t)
+            flows = each.flows(c, level, made.get(name)) if reports is None else reports[name]
+            rows.append(each.account(c, level, flows))
         return np.array(rows)
 
     def balance(self, state: State, t: float = 0.0) -> dict[str, dict[str, float]]:
@@ -409,27 +379,20 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         if not state.grid.compatible_with(self.grid):
             raise SceneError("state", f"lives on {state.grid}, the equation on {self.grid}")
 
-    def demands(
-        self, nodes: Mapping[str, FloatArray], t: float
-    ) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Return largest uptake and secretion at the nodes for each substance, mM/s."""
+    def _follow(self, nodes: Mapping[str, FloatArray], t: float) -> None:
+        """Let uptake and secretion follow what cells find and take up of other substances."""
         if self.coupling is None:
-            return {name: (each.sink, each.secreted) for name, each in self.substances.items()}
+            return
         found: dict[str, FloatArray] = {}
         taken: dict[str, FloatArray] = {}
-        demands = {}
         for name in self.coupling.order:
             each, c = self.substances[name], nodes[name]
             capacity, production = self.coupling.demand(name, found, taken)
-            secreted = np.zeros(each.shape)
-            if production is not None:
-                secreted = each.spread(self.position, production)
-            demands[name] = each.spread(self.position, capacity), secreted
+            each.place(self.layout, self.position, capacity, production)
             sides = each.conditions_at(each.schedule.at(t))
             found[name] = self.layout.read(self.position, c, sides)
             share, _ = uptake_and_slope(1.0, c, each.substance.half_saturation)
             taken[name] = capacity * self.layout.gather(self.position, share)
-        return demands
 
     def nodes(self, data: Any) -> dict[str, FloatArray]:
         """Return the values of each substance as solvers have them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -21,12 +22,11 @@ _KINDS = ({"value"}, {"derivative"}, {"type", "value", "const"})
 """Keys of the conditions that the solvers' kernels know."""
 
 
-def layout_on(grid: GridBase, *, height: float | None = None) -> Layout:
-    """Return where nodes of a grid of py-pde's lie for cells.
+def layout_on(grid: GridBase) -> Layout:
+    """Return where nodes of a grid of py-pde's lie for cells; a plane is one spacing high.
 
     - ``grid``: ``CartesianGrid`` in two or three dimensions, or ``SphericalSymGrid`` round the
       origin
-    - ``height``, float, µm, optional: of the layer that a plane stands for; absent: one spacing
     """
     hint = "Cubes, squares and balls of shells are what fields of cells live on."
     steps = grid.discretization
@@ -45,7 +45,7 @@ def layout_on(grid: GridBase, *, height: float | None = None) -> Layout:
     low = [float(bounds[0]) for bounds in grid.axes_bounds]
     if grid.num_axes == 2:
         nx, ny = grid.shape
-        return BoxLayout(Box((low[0], low[1], -0.5 * h), (nx, ny, 1), h, height or h))
+        return BoxLayout(Box((low[0], low[1], -0.5 * h), (nx, ny, 1), h, h))
     nx, ny, nz = grid.shape
     return BoxLayout(Box((low[0], low[1], low[2]), (nx, ny, nz), h))
 
@@ -59,56 +59,56 @@ def grid_on(layout: Layout) -> GridBase:
     return box_grid(box.origin, box.shape, box.spacing, flat=box.height is not None)
 
 
-def numbers_only(conditions: Mapping[str, Any]) -> bool:
-    """Return whether conditions are values, slopes or mixed ones made of numbers alone."""
-    if conditions.keys() & {"value", "derivative", "type"}:
-        conditions = {"r+": conditions}
-    for condition in conditions.values():
-        if not isinstance(condition, Mapping) or set(condition) not in _KINDS:
-            return False
-        given = [x for key, x in condition.items() if key != "type"]
-        if condition.get("type", "mixed") != "mixed" or not all(_is_number(x) for x in given):
-            return False
-    return True
-
-
-def _is_number(given: Any) -> bool:
-    return isinstance(given, int | float) and bool(np.isfinite(given))
-
-
 def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
     """Return a condition for every side of a box, or the one on the surface of a ball.
 
     - ``given``: a concentration, one condition in py-pde's terms, or a mapping of sides to
-      conditions, with ``"x"`` for both sides of an axis and ``"*"`` for all others
+      conditions, with ``"x"`` for both sides of an axis and ``"*"`` for all others; arrays of a
+      side's nodes where it differs over a side of a box
     """
     if not isinstance(given, Mapping):
-        given = {"value": _number(given)}
+        given = {"value": given}
     if given.keys() & {"value", "derivative", "type"}:
         given = {"*": given}
     if isinstance(layout, ShellLayout):
-        condition = _side(given, "r+")
-        if not isinstance(condition, Mapping) or set(condition) not in _KINDS:
-            hint = "Take a value, a derivative, or a mixed condition, of numbers."
-            raise SceneError("conditions", f"have {condition!r} on the surface of a ball", hint)
-        return {key: x if key == "type" else _number(x) for key, x in condition.items()}
+        return _side(given, "r+", ())
     assert isinstance(layout, BoxLayout)
-    axes = "xyz" if layout.box.height is None else "xy"
-    return {axis + end: _side(given, axis + end) for axis in axes for end in "-+"}
+    x, y, z = layout.shape
+    axes = {"x": (y, z), "y": (x, z), "z": (x, y)}
+    if layout.box.height is not None:
+        del axes["z"]
+    return {
+        axis + end: _side(given, axis + end, shape) for axis, shape in axes.items() for end in "-+"
+    }
 
 
-def _side(given: Mapping[str, Any], face: str) -> Any:
-    for key in (face, face[0], "*"):
-        if key in given:
-            return given[key]
-    raise SceneError("conditions", f"say nothing of the side {face!r}", "'*' stands for all others")
+def _side(given: Mapping[str, Any], face: str, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Return the condition on a side with nodes of a shape."""
+    keys = [key for key in (face, face[0], "*") if key in given]
+    if not keys:
+        problem = f"say nothing of the side {face!r}"
+        raise SceneError("conditions", problem, "'*' stands for all others")
+    condition = given[keys[0]]
+    known = isinstance(condition, Mapping) and set(condition) in _KINDS
+    if not known or condition.get("type", "mixed") != "mixed":
+        hint = "Take a value, a derivative, or a mixed condition, of numbers or arrays of them."
+        raise SceneError("conditions", f"have {condition!r} on the side {face!r}", hint)
+    varies = {"const"} if "type" in condition else {"value", "derivative"}
+    return {
+        key: x if key == "type" else _numbers(x, shape if key in varies else ())
+        for key, x in condition.items()
+    }
 
 
-def _number(given: Any) -> float:
+def _numbers(given: Any, shape: tuple[int, ...]) -> Any:
+    """Return a float, or an array of as many as a side has nodes."""
+    if isinstance(given, float) and math.isfinite(given):
+        return given
     try:
-        value = float(given)
+        value = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
-        value = np.nan
-    if not np.isfinite(value):
-        raise SceneError("conditions", f"have {given!r}, expected a finite number")
-    return value
+        value = np.array(np.nan)
+    if not np.isfinite(value).all() or (value.ndim and value.size != math.prod(shape)):
+        expected = f"or {math.prod(shape)} of them" if shape else "the same all over the side"
+        raise SceneError("conditions", f"have {given!r}, expected a finite number, {expected}")
+    return value.reshape(shape) if value.ndim else float(value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -94,7 +95,8 @@ class Reactions:
         self, start: Nodes, t: float, dt: float, before: Nodes | None
     ) -> tuple[FloatArray, dict[str, SolveReport]]:
         """Return the state of rest with what holds at ``t``, or that ``dt`` s after ``before``."""
-        coupled, first = self._coupled(t), self._flat(start)
+        coupled = Coupled(self.substances, self.kinetics, self.tissue, t)
+        first = self._flat(start)
         if before is None:
             c = settle(coupled, np.maximum(first, 0.0))
         else:
@@ -107,15 +109,14 @@ class Reactions:
         volumes = coupled.volumes
         for i, each in enumerate(self.substances):
             nodes, own = (x[i].reshape(each.shape) for x in (c, made))
-            a = each.flows(nodes, each.schedule.at(t), each.sink, own)
+            a = each.flows(nodes, each.schedule.at(t), own)
             spent = each.linear * float(np.sum(volumes * c[i]))
             supplied = float(np.sum(volumes * coupled.supplies[i]))
             left = abs(a.inflow + supplied + a.made - a.used - a.uptake - spent)
-            newton, linear = (coupled.newton, coupled.linear_steps) if i == 0 else (0, 0)
-            reports[each.name] = SolveReport(
-                newton, linear, left, a.inflow, a.uptake, spent, supplied, a.outflow, a.made,
-                a.used,
-            )  # fmt: skip
+            newton, cg = (coupled.newton, coupled.linear_steps) if i == 0 else (0, 0)
+            reports[each.name] = replace(
+                a, newton=newton, cg=cg, residual=left, spent=spent, supplied=supplied
+            )
         return c, reports
 
     def ahead(self, nodes: Nodes, begin: float, end: float) -> FloatArray:
@@ -126,22 +127,9 @@ class Reactions:
         """
         c = self._flat(nodes)
         with contextlib.suppress(StepRefused):
-            c = self._coupled(begin).step(c, c, end - begin)
+            coupled = Coupled(self.substances, self.kinetics, self.tissue, begin)
+            c = coupled.step(c, c, end - begin)
         return np.asarray(c.max(axis=1))
-
-    def _coupled(self, t: float) -> Coupled:
-        """Return the equations with what holds at a time in s."""
-        levels = [each.schedule.at(t) for each in self.substances]
-        pairs = list(zip(self.substances, levels, strict=True))
-        return Coupled(
-            [each.at(level) for each, level in pairs],
-            np.array([each.sink.ravel() for each in self.substances]),
-            np.array([each.supply(level).ravel() for each, level in pairs]),
-            np.array([each.substance.half_saturation for each in self.substances]),
-            np.array([each.linear for each in self.substances]),
-            self.kinetics,
-            self.tissue,
-        )
 
     def growing(self, nodes: Nodes) -> str:
         """Return which substance grows without bound and how fast, in words; empty if none does."""

@@ -87,8 +87,8 @@ class Substance:
         On the sides of the grid, in py-pde's terms (``{"x-": {"value": 0.1}, "*":
         {"derivative": 0}}``; of shells ``"r+"`` or one condition), a concentration in mM on all
         sides, or a function of the medium's concentration (mM) that returns them. Values, slopes
-        and mixed conditions are known; what one brings must be linear in that concentration.
-        Never pass text from users: py-pde executes it.
+        and mixed conditions are known, of numbers; a value, slope or ``const`` may be an array of
+        the nodes of a side.
     half_saturation : float, mM
     decay, perfusion : float, 1/s
         Rates of the linear terms: see :data:`LINEAR_TERMS`.

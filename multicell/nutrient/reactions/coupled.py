@@ -24,9 +24,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.operators import (
-    AnyOperator,
     brought,
     fastest,
     imbalance,
@@ -34,11 +32,11 @@ from multicell.nutrient.operators import (
     linearised,
     node_volumes,
 )
-from multicell.nutrient.reactions.inverse import apply_blocks, inverse_of_blocks
-from multicell.nutrient.reactions.krylov import gmres
+from multicell.nutrient.reactions.inverse import apply_blocks, gmres, inverse_of_blocks
 from multicell.nutrient.steady import StepRefused
 
 if TYPE_CHECKING:
+    from multicell.nutrient.equations.placed import PlacedSubstance
     from multicell.nutrient.reactions.kinetics import Kinetics
 
 TOLERANCE = 1e-12
@@ -55,41 +53,40 @@ _LARGEST = 1e12  # mM, beyond anything: where an iterate is lost
 
 @final
 class Coupled:
-    """Fields on one grid with the reactions between them.
+    """Fields on one grid with the reactions between them, as they are at a time in s.
+
+    - ``kinetics``: the reactions
+    - ``tissue``, (nodes,), optional: part of each place that is tissue
 
     - ``operators``: diffusion of each field, with its conditions
     - ``sinks``, ``supplies``, (m, nodes), mM/s: largest uptake, and what nodes gain besides, not
       negative
-    - ``half``, (m,), mM
-    - ``linear``, (m,), 1/s: decay and perfusion
-    - ``kinetics``: the reactions
-    - ``tissue``, (nodes,), optional: part of each place that is tissue
     """
 
     def __init__(
         self,
-        operators: list[AnyOperator],
-        sinks: FloatArray,
-        supplies: FloatArray,
-        half: FloatArray,
-        linear: FloatArray,
+        substances: list[PlacedSubstance],
         kinetics: Kinetics,
-        tissue: FloatArray | None = None,
+        tissue: FloatArray | None,
+        t: float,
     ) -> None:
-        self.operators, self.kinetics, self.tissue = operators, kinetics, tissue
-        self.sinks, self.supplies, self.half, self.linear = sinks, supplies, half, linear
-        self.m, self.nodes = sinks.shape
-        first = operators[0]
-        self.shape: tuple[int, ...] = (
-            first.shape if isinstance(first, Diffusion) else (first.count,)
-        )
-        self.volumes = np.broadcast_to(np.ravel(node_volumes(first)), (self.nodes,))
+        self.kinetics, self.tissue = kinetics, tissue
+        levels = [each.schedule.at(t) for each in substances]
+        pairs = list(zip(substances, levels, strict=True))
+        self.operators = [each.at(level) for each, level in pairs]
+        self.sinks = np.array([each.sink.ravel() for each in substances])
+        self.supplies = np.array([each.supply(level).ravel() for each, level in pairs])
+        self.half = np.array([each.substance.half_saturation for each in substances])
+        self.linear = np.array([each.linear for each in substances])
+        self.m, self.nodes = self.sinks.shape
+        self.shape = substances[0].shape
+        self.volumes = np.broadcast_to(np.ravel(node_volumes(self.operators[0])), (self.nodes,))
         self.newton = self.linear_steps = 0
 
     def sources(self) -> FloatArray:
         """Return what nodes gain by supply and over the sides, (m, nodes) mM/s."""
         faces = np.array([brought(op).ravel() for op in self.operators])
-        return faces + self.supplies
+        return np.asarray(faces + self.supplies)
 
     def step(self, before: FloatArray, start: FloatArray, dt: float) -> FloatArray:
         """Return the state a step of ``dt`` s later, or the steady state where that is infinite.
