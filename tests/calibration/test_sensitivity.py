@@ -353,3 +353,15 @@ def test_the_plane_of_morris_has_a_point_for_each_parameter():
     points = np.concatenate([line.get_xydata() for line in plane.lines if line.get_marker() == "o"])
     wanted = np.stack([column(result, "mu_star"), column(result, "sigma")], axis=1)
     np.testing.assert_allclose(np.sort(points, axis=0), np.sort(wanted, axis=0))
+
+
+def test_salib_is_loaded_for_analyses_only():
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, multicell as mc, multicell.cli.main; mc.load_scene('settle'); mc.sensitivity; "
+        "print(*(name in sys.modules for name in ('SALib', 'pandas', 'xarray', 'distributed')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == {"False"}
