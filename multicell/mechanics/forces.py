@@ -203,6 +203,41 @@ class _Quads:
         """Write four numbers to an array."""
         self.builder.store(value, self._pointer(array, place), align=8)
 
+    def triple(self, array: Any, cell: Any) -> Any:
+        """Return a row of an array of three columns and, once more, its last number."""
+        at = self.builder.mul(cell, ir.IntType(64)(3))
+        pair = ir.VectorType(ir.DoubleType(), 2)
+        where = self.builder.bitcast(self.builder.gep(array, [at]), pair.as_pointer())
+        last = self.number(array, self.place(at, 2))
+        last = self.builder.insert_element(pair(ir.Undefined), last, ir.IntType(32)(0))
+        return self._chosen(self.builder.load(where, align=8), last, 0, 1, 2, 2)
+
+    def triples(self, array: Any, row: Any) -> list[Any]:
+        """Return the columns of four rows of an array of three columns."""
+        at = self.builder.mul(row, ir.IntType(64)(3))
+        a, b, c = (self.load(array, self.place(at, k)) for k in (0, 4, 8))
+        return [
+            self._chosen(self._chosen(a, b, *one), c, *other)
+            for one, other in (
+                ((0, 3, 6, 6), (0, 1, 2, 5)), ((1, 4, 7, 7), (0, 1, 2, 6)),
+                ((2, 5, 5, 5), (0, 1, 4, 7)),
+            )
+        ]  # fmt: skip
+
+    def add(self, parts: list[Any], ends: Any, low: Any, inner: Any, out: Any) -> None:
+        """Add the columns of what acts on the second cells, and take it from the first ones.
+
+        Of inner pairs alone the second cells are in ``out``, rows of four from cell ``low`` on.
+        """
+        builder = self.builder
+        rows = self.transposed([*parts, self.KIND([0.0] * 4)])
+        for one, other, part in zip(*ends, rows, strict=True):
+            at = builder.mul(builder.sub(one, low), ir.IntType(64)(4))
+            self.store(builder.fsub(self.load(out, at), part), out, at)
+            with builder.if_then(inner):
+                at = builder.mul(builder.sub(other, low), ir.IntType(64)(4))
+                self.store(builder.fadd(self.load(out, at), part), out, at)
+
     def _chosen(self, one: Any, other: Any, *places: int) -> Any:
         mask = ir.Constant(ir.VectorType(ir.IntType(32), len(places)), places)
         return self.builder.shuffle_vector(one, other, mask)
@@ -257,15 +292,7 @@ def _scatter_four(context: Any, first, second, begin, low, inner, block, p, out)
             builder.fmul(force, code.load(block, code.place(p, row * BLOCK)))
             for row in (_DX, _DY, _DZ)
         ]
-        parts = code.transposed([*columns, _Quads.KIND([0.0] * 4)])
-        for one, other, part in zip(
-            code.cells(first, begin), code.cells(second, begin), parts, strict=True
-        ):
-            at = builder.mul(builder.sub(one, low), ir.IntType(64)(4))
-            code.store(builder.fsub(code.load(out, at), part), out, at)
-            with builder.if_then(inner):
-                at = builder.mul(builder.sub(other, low), ir.IntType(64)(4))
-                code.store(builder.fadd(code.load(out, at), part), out, at)
+        code.add(columns, (code.cells(first, begin), code.cells(second, begin)), low, inner, out)
         return context.get_dummy_value()
 
     return types.void(first, second, begin, low, inner, block, p, out), generate
@@ -626,31 +653,60 @@ def _linearise(rows, pairs, law, elapsed, normal, along, across):
 linearise, linearise_parallel = two_drivers(_linearise)
 
 
+@intrinsic
+def _pull_four(context: Any, first, second, p, low, inner, normal, along, across, v, out):
+    """Do what :func:`_product_chunk` does for four pairs."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        code = _Quads(context, builder, signature, values)
+        first, second, p, low, inner, normal, along, across, v, out = code.given
+        ends = code.cells(first, p), code.cells(second, p)
+        apart = [
+            builder.fsub(code.triple(v, one), code.triple(v, other))
+            for one, other in zip(*ends, strict=True)
+        ]
+        apart, ways = code.transposed(apart)[:3], code.triples(normal, p)
+        x, y, z = (builder.fmul(*pair) for pair in zip(ways, apart, strict=True))
+        stretch = builder.fmul(code.load(along, p), builder.fadd(builder.fadd(x, y), z))
+        turn = code.load(across, p)
+        pulls = [
+            builder.fsub(builder.fmul(stretch, way), builder.fmul(turn, part))
+            for way, part in zip(ways, apart, strict=True)
+        ]
+        code.add(pulls, ends, low, inner, out)
+        return context.get_dummy_value()
+
+    arguments = (first, second, p, low, inner, normal, along, across, v, out)
+    return types.void(*arguments), generate
+
+
 @njit(**INNER)
 def _product_chunk(c, chunk, rows, pairs, normal, along, across, drag, v, out):
     """Write (J v) for the cells of one chunk; forces instead of velocities if drag is zero."""
     low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])
-    out[low:high] = 0.0
-    for p in range(pairs.start[c], pairs.outer_end[c]):
-        i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
-        vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
-        nx, ny, nz = normal[p, 0], normal[p, 1], normal[p, 2]
-        stretch = along[p] * (nx * vx + ny * vy + nz * vz)
-        fx = stretch * nx - across[p] * vx
-        fy = stretch * ny - across[p] * vy
-        fz = stretch * nz - across[p] * vz
-        out[i, 0] += fx
-        out[i, 1] += fy
-        out[i, 2] += fz
-        if p < pairs.inner_end[c]:
-            out[j, 0] -= fx
-            out[j, 1] -= fy
-            out[j, 2] -= fz
-    if drag > 0.0:
-        for i in range(low, high):
-            mobility = 1.0 / (drag * rows[i, 3])
+    sums = np.zeros((high - low, 4))  # of four numbers each, of which three count
+    for side in range(2):
+        begin = pairs.start[c] if side == 0 else pairs.inner_end[c]
+        end = pairs.inner_end[c] if side == 0 else pairs.outer_end[c]
+        for p in range(begin, end - 3, 4):
+            _pull_four(
+                pairs.first, pairs.second, p, low, side == 0, normal, along, across, v, sums
+            )  # fmt: skip
+        for p in range(end - (end - begin) % 4, end):
+            i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+            stretch = 0.0
             for axis in range(3):
-                out[i, axis] *= mobility
+                stretch += normal[p, axis] * (v[i, axis] - v[j, axis])
+            for axis in range(3):
+                pull = along[p] * stretch * normal[p, axis]
+                pull -= across[p] * (v[i, axis] - v[j, axis])
+                sums[i - low, axis] -= pull
+                if side == 0:
+                    sums[j - low, axis] += pull
+    for i in range(low, high):
+        mobility = 1.0 / (drag * rows[i, 3]) if drag > 0.0 else 1.0
+        for axis in range(3):
+            out[i, axis] = sums[i - low, axis] * mobility
 
 
 def _products(chunk, rows, pairs, normal, along, across, drag, v, out):
