@@ -36,7 +36,8 @@ WHAT = {
     "schema": "declarations", "units": "at the door", "random": "streams",
     "compiling": "by numba, threads", "precompile": "compiling ahead",
     "importing": "models of PhysiCell",
-    "philox": "random words", "cells": "the state", "errors": "what users meet",
+    "philox": "random words", "vectors": "sums by column",
+    "cells": "the state", "errors": "what users meet",
 }  # fmt: skip
 
 

@@ -52,3 +52,10 @@ def test_pictures_have_a_text_for_those_who_do_not_see_them():
         source = page.read_text("utf-8")
         for figure in FIGURE.finditer(source):
             assert ":alt:" in figure[0], f"{page.name}: {figure[0][:60]}"
+
+
+def test_the_picture_of_the_rooms_knows_each_room(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import rooms
+
+    assert sorted(rooms.WHAT) == sorted(room for floor in rooms.floors() for room in floor)
