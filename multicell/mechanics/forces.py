@@ -172,6 +172,9 @@ class _Quads:
 
     def __init__(self, context: Any, builder: Any, signature: Any, values: Any) -> None:
         self.builder = builder
+        for kind in signature.args:
+            if isinstance(kind, types.Array) and kind.layout != "C":
+                raise TypeError(f"{kind} does not hold its numbers row by row")
         self.given = [
             context.make_array(kind)(context, builder, value).data
             if isinstance(kind, types.Array)

@@ -609,7 +609,10 @@ class Mechanics:
 
 
 def _frozen(array: FloatArray) -> FloatArray:
-    """Return a read-only view: solvers hand out read-only memory, and one type compiles once."""
-    view = array.view()
+    """Return a read-only view: solvers hand out read-only memory, and one type compiles once.
+
+    What is not float64 row by row is copied.
+    """
+    view = np.ascontiguousarray(array, dtype=np.float64).view()
     view.flags.writeable = False
     return view

@@ -94,3 +94,23 @@ def test_products_need_a_linearisation():
     position, radius, young = cluster(5, 0)
     with pytest.raises(RuntimeError, match="linearise"):
         mechanics(radius, young).jacobian_product(position, np.empty_like(position))
+
+
+@pytest.mark.parametrize("kind", ["every second column", "column by column", "whole numbers"])
+def test_arrays_of_any_kind_are_taken_as_their_numbers(kind):
+    position, radius, young = cluster(60, 7)
+    system = mechanics(radius, young)
+    vector = np.round(np.random.default_rng(7).normal(0.0, 50.0, position.shape))
+
+    def handed(values):
+        if kind == "every second column":
+            return np.repeat(values, 2, axis=1)[:, ::2]
+        return np.asfortranarray(values) if kind == "column by column" else values.astype(int)
+
+    if kind != "whole numbers":
+        found = velocity_of(system)(position)
+        np.testing.assert_array_equal(velocity_of(system)(handed(position)), found)
+    system.linearise(0.0, position)
+    found = np.empty_like(position)
+    system.jacobian_product(handed(vector), found)
+    np.testing.assert_array_equal(found, product_of(system, vector))
