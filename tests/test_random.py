@@ -138,3 +138,11 @@ def test_purposes_keep_their_numbers() -> None:
         "REST": 16, "CHANGE": 17, "MUTATION": 18, "RADIATION": 19, "DRIFT": 20,
         "TOLERANCE": 21,
     }  # fmt: skip
+
+
+def test_philox_known_answers_of_the_authors() -> None:
+    # kat_vectors of the Random123 distribution, philox4x64-10
+    zeros = streams.philox(np.zeros(4, dtype=np.uint64), (0, 0))
+    assert [f"{word:016x}" for word in zeros.tolist()] == [
+        "16554d9eca36314c", "db20fe9d672d0fdc", "d7e772cee186176b", "7e68b68aec7ba23b",
+    ]  # fmt: skip

@@ -126,3 +126,16 @@ def test_json_is_one_document_beside_the_files(command, tmp_path):
     done = multicell(command, *SMALL, *more, "-o", tmp_path / "o", check=0)
     assert right(json.loads(done.stdout))
     assert (tmp_path / "o" / file).stat().st_size > 0
+
+
+def test_existing_folder_is_refused_and_overwritten_on_request(folder, tmp_path):
+    out = tmp_path / "o"
+    arguments = ["run", "settle", "-o", out, "--no-report", "--set", "duration=1 min",
+                 "--set", "initial.count=5"]  # fmt: skip
+    multicell(*arguments, check=0)
+    (out / "mine.txt").write_text("keep")
+    refused = multicell(*arguments, check=2)
+    assert "not empty" in refused.stderr
+    assert "--overwrite" in refused.stderr
+    multicell(*arguments, "--overwrite", check=0)
+    assert (out / "mine.txt").read_text() == "keep"

@@ -156,3 +156,21 @@ def test_public_names():
     assert all(hasattr(mc, name) for name in mc.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = mc.nothing
+
+
+def test_another_seed_differs():
+    one, other = (finished(small(seed=seed, duration="1 h")) for seed in (1, 2))
+    assert sorted(other.cells.radius.tolist()) != sorted(one.cells.radius.tolist())
+
+
+def test_a_step_that_cannot_be_solved_names_cell_time_and_remedy():
+    scene = mc.load_scene("settle").with_changes(
+        {"integrator": "euler", "integrator.step": "1 h", "coupling_step": "1 h"}
+    )
+    simulation = Simulation(scene)
+    before = simulation.cells
+    with pytest.raises(mc.StepFailed, match=r"cell \d+, t = 0 s.*Choose a shorter") as caught:
+        simulation.step()
+    assert caught.value.cell in before.id
+    assert simulation.cells is before
+    assert simulation.step_index == 0

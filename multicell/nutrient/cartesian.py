@@ -395,6 +395,8 @@ def gathered(
     That is looked at along the first two or three ``axes``.
     """
     points = _points(position)
+    if values.ndim != 3:
+        raise ValueError(f"values has shape {values.shape}, expected (nx, ny, nz)")
     out = np.empty(len(points))
     outside, flat_near, near = _gather(points, values, origin, spacing, out)
     _refuse_outside(outside, points)

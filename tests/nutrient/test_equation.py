@@ -13,6 +13,7 @@ from pde import (
     SphericalSymGrid,
     VectorField,
 )
+from scipy.integrate import solve_bvp
 
 import multicell as mc
 from multicell.errors import NutrientFailed
@@ -260,7 +261,7 @@ def test_what_cannot_be_solved_is_said():
 
 # --- against closed forms -----------------------------------------------------------
 
-LEVEL = 0.07
+LEVEL, HALF, DEMAND = 0.07, 0.005, 0.03
 SIZE = {"cubes": 160.0, "squares": 180.0, "shells": 120.0}
 NODES = {"cubes": 16, "squares": 24, "shells": 40}
 
@@ -405,3 +406,96 @@ def test_states_of_something_else_are_refused():
             equation.evolution_rate(wrong)
         with pytest.raises(mc.SceneError, match=words):
             equation.solve(wrong, 1.0, solver="multicell-implicit", tracker=None)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_amounts_add_up(kind):
+    equation = equation_of(kind, perfusion=0.01, medium=0.05)
+    balance = equation.balance(random_state(equation))["oxygen"]
+    gained = balance["inflow"] + balance["secreted"]
+    lost = balance["uptake"] + balance["decayed"]
+    assert balance["secreted"] == pytest.approx(90.0, rel=1e-12)
+    size = max(abs(x) for x in balance.values())
+    assert balance["stored"] == pytest.approx(gained - lost, abs=1e-11 * size)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pdes_explicit_solver_takes_the_same_course(kind):
+    equation = equation_of(kind)
+    rng = np.random.default_rng(8)
+    state = equation.state({"oxygen": 0.05 + 0.04 * rng.random(equation.grid.shape)})
+    explicit = {"solver": "runge-kutta", "backend": "numpy", "adaptive": True, "tolerance": 1e-9}
+    for time in (0.05, 0.6):
+        theirs = equation.solve(state, time, dt=1e-4, tracker=None, **explicit)
+        errors = []
+        for rtol in (1e-4, 1e-7):
+            ours = equation.solve(state, time, solver="multicell-implicit", rtol=rtol, tracker=None)
+            errors.append(np.abs(ours.data - theirs.data).max())
+        assert errors[0] < 3e-3 * 0.09
+        assert errors[1] < 3e-6 * 0.09
+
+
+def test_a_closed_box_keeps_what_it_holds_and_follows_its_ode():
+    """Without sides the content falls by decay and rises by secretion, wherever the cells are."""
+    equation = equation_of("cubes", decay=0.3, capacity=None)
+    closed = Substance(
+        D, {"*": WALL}, decay=0.3, production=equation.substances["oxygen"].substance.production
+    )
+    equation = FieldEquation(equation.grid, {"oxygen": closed}, cells_of("cubes"))
+    state = random_state(equation)
+    volume = 160.0**3
+    start, gained = state.data.mean(), 90.0 / volume
+    end = equation.solve(state, 4.0, solver="multicell-implicit", rtol=1e-8, tracker=None)
+    expected = gained / 0.3 + (start - gained / 0.3) * np.exp(-0.3 * 4.0)
+    assert end.data.mean() == pytest.approx(expected, rel=1e-6)
+    still = FieldEquation(equation.grid, {"oxygen": Substance(D, {"*": WALL})})
+    end = still.solve(state, 5.0, solver="multicell-implicit", tracker=None)
+    assert end.data.mean() == pytest.approx(start, rel=1e-9)
+
+
+def feeding_everywhere(kind, grid):
+    """Return positions at the nodes of a grid, and uptake for one density everywhere."""
+    if kind == "shells":
+        position = np.zeros((grid.shape[0], 3))
+        position[:, 0] = grid.axes_coords[0]
+        return position, DEMAND * grid.cell_volumes
+    nodes = grid.cell_coords.reshape(-1, grid.num_axes)
+    position = np.zeros((len(nodes), 3))
+    position[:, : grid.num_axes] = nodes
+    h = grid.discretization[0]
+    return position, np.full(len(nodes), DEMAND * h**3)
+
+
+def by_solve_bvp(kind, where):
+    """D c'' (+ 2 D c'/r) = q c / (K + c) between two values, or in a ball."""
+    x = np.linspace(0.0, SIZE[kind], 400)
+
+    def slopes(x, y):
+        return np.array([y[1], DEMAND / D * y[0] / (HALF + y[0])])
+
+    def ends(a, b):
+        inner = a[1] if kind == "shells" else a[0] - LEVEL
+        return np.array([inner, b[0] - LEVEL])
+
+    start = np.vstack([np.full(400, LEVEL), np.zeros(400)])
+    curved = np.array([[0.0, 0.0], [0.0, -2.0]]) if kind == "shells" else None
+    found = solve_bvp(slopes, ends, x, start, S=curved, tol=1e-9, max_nodes=50_000)
+    assert found.success
+    return found.sol(where)[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_steady_states_are_those_of_solve_bvp(kind):
+    errors = []
+    for times in (1, 2):
+        grid = layers_of(kind, times)
+        position, capacity = feeding_everywhere(kind, grid)
+        oxygen = Substance(D, ends_of(kind), HALF, capacity=capacity)
+        equation = FieldEquation(grid, {"oxygen": oxygen}, position)
+        state = equation.state({"oxygen": LEVEL})
+        exact = by_solve_bvp(kind, grid.axes_coords[0])
+        assert exact.min() < 0.9 * LEVEL
+        ours = equation.solve(state, 1.0, solver="multicell-steady", tracker=None)
+        errors.append(np.abs(along(kind, ours.data) - exact).max())
+    assert 1e-6 * LEVEL < errors[0] < 5e-3 * LEVEL
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15)

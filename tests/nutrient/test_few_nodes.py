@@ -85,3 +85,21 @@ def test_a_steady_field_of_few_nodes_is_that_of_a_direct_solver(half):
 def test_numbers_of_nodes_are_those_that_scipy_transforms_fast():
     for needed in range(1, 2500):
         assert _fast(float(needed)) == next_fast_len(max(2, needed), real=False)
+
+
+@pytest.mark.parametrize("values", [True, False])
+@pytest.mark.parametrize("n", [1, 2, 3, 8, 13, 48])
+def test_halves_are_the_transform_of_scipy(n, values):
+    whole = (fft.dst if values else fft.dct)(np.eye(n), type=2, axis=0, norm="ortho")
+    found, of = dense.halves(n, values)
+    half = (n + 1) // 2
+    np.testing.assert_allclose(found[0], whole[0::2, :half], atol=1e-7)
+    odd = found[1][: n // 2, : n // 2]
+    np.testing.assert_allclose(odd, whole[1::2, : n // 2][:, ::-1], atol=1e-7)
+    np.testing.assert_array_equal(found[2], found[0].T)
+    np.testing.assert_array_equal(found[3], found[1].T)
+    # the matrix that is diagonalised: a second difference between two ends
+    matrix = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    matrix[0, 0] += 1.0 if values else -1.0
+    matrix[-1, -1] += 1.0 if values else -1.0
+    np.testing.assert_allclose(np.sort(of), np.linalg.eigvalsh(matrix), atol=1e-13)

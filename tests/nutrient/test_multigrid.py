@@ -13,7 +13,7 @@ import multicell as mc
 from multicell.compiling.threads import Team
 from multicell.nutrient import steady, stencil
 from multicell.nutrient.cartesian import Box, gather, mesh, moved
-from multicell.nutrient.multigrid import MultigridSolver
+from multicell.nutrient.multigrid import Hierarchy, MultigridSolver
 from multicell.nutrient.steady import solve_steady
 
 D = 2000.0
@@ -167,3 +167,28 @@ def test_a_simulation_hands_its_threads_to_its_fields():
     scene = mc.load_scene("growth").with_changes({"nutrients.oxygen.boundary": "0.07 mM"})
     simulation = mc.Simulation(scene, threads=1)
     assert [field.threads for field in simulation.field_system.fields.values()] == [1]
+
+
+def test_one_node_is_solved_exactly():
+    hierarchy = Hierarchy((1, 1, 1), np.array([-1.0, 1.0, 0.5, 1.0, 1.0, 1.0]), Team())
+    level = hierarchy.levels[0]
+    level.rate[:], level.b[:] = 0.5, 3.0
+    assert hierarchy.cycle()[0, 0, 0] == pytest.approx(3.0 / (2.0 + 0.5 + 0.5))
+
+
+def test_the_imbalance_by_planes_is_that_of_all_nodes():
+    op = operator((6, 7, 9), MIXED)
+    rng = np.random.default_rng(3)
+    c, sink, source = (rng.random(op.shape) for _ in range(3))
+    found = []
+    with Team(2) as team:
+        for share in (None, team):
+            residual, rate = np.empty(op.shape), np.empty(op.shape)
+            sums = stencil.imbalance(
+                c, sink, source, 0.1, op.stiffness, 0.2, op.ghost, None, residual, rate, share
+            )
+            found.append((sums, residual, rate))
+    (whole, *arrays), (planes, *others) = found
+    np.testing.assert_allclose(whole, planes, rtol=1e-13)
+    for one, other in zip(arrays, others, strict=True):
+        np.testing.assert_array_equal(one, other)

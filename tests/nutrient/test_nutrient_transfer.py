@@ -79,3 +79,20 @@ def test_read_only_arrays_and_no_cells_are_fine():
 def test_as_many_amounts_as_positions_are_asked_for():
     with pytest.raises(ValueError, match="amount has shape"):
         scatter(points(4), np.ones(3), ORIGIN, SPACING, SHAPE)
+
+
+@given(inside, st.integers(0, 99))
+def test_scatter_conserves_the_amount_and_keeps_its_sign(position, seed):
+    amount = np.random.default_rng(seed).random(len(position))
+    density = scatter(position, amount, ORIGIN, SPACING, SHAPE)
+    assert density.min() >= 0.0
+    assert density.sum() * SPACING**3 == pytest.approx(amount.sum(), rel=1e-13)
+
+
+def test_wrong_shapes_are_refused():
+    with pytest.raises(ValueError, match="amount has shape"):
+        scatter(points(4), np.ones(3), ORIGIN, SPACING, SHAPE)
+    with pytest.raises(ValueError, match="position has shape"):
+        gather(np.zeros((2, 2)), np.ones(SHAPE), ORIGIN, SPACING)
+    with pytest.raises(ValueError, match="values has shape"):
+        gather(points(4), np.ones(3), ORIGIN, SPACING)

@@ -271,3 +271,9 @@ def test_report_of_the_mixture_has_the_fraction_first_and_last(mixture):
     assert (mixture.folder / "contacts.png").is_file()
     summary = json.loads((mixture.folder / "summary.json").read_text())
     assert summary["heterotypic_fraction"] == mixture.history["heterotypic_fraction"][-1]
+
+
+def test_each_pair_of_types_has_its_own_surface_energy():
+    found = {name: pair.deepest()[0] for name, pair in pairs(mc.load_scene("sorting"), 4.0)}
+    energies = {"cohesive-cohesive": 0.2, "cohesive-loose": 0.1, "loose-loose": 0.1}
+    assert found == pytest.approx({name: 3.0 * np.pi * x for name, x in energies.items()})

@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 from matplotlib.collections import PolyCollection
 from picture_texts import check_texts
-from study_tables import UNITS, grid, sampled, with_states
+from study_tables import AXES, UNITS, grid, sampled, with_states
 
 from multicell.errors import SceneError
 from multicell.studies.picture_data import (
@@ -200,3 +200,18 @@ def test_what_is_misspelt_is_told_the_nearest(two):
         plots(two).heatmap("diameter", x="oxygen.bundary")
     with pytest.raises(SceneError, match="no course"):
         plots(two.assign(wall=two["cells"].isel(time=0, drop=True))).curves("wall")
+
+
+PICTURES = {
+    "heatmap": lambda p: p.heatmap("viable_rim"),
+    "curves": lambda p: p.curves("diameter"),
+    "response": lambda p: p.response("cells"),
+}
+
+
+@pytest.mark.parametrize("names", [(OXYGEN,), tuple(AXES)], ids=["one axis", "four"])
+@pytest.mark.parametrize("kind", PICTURES)
+def test_no_text_leaves_the_picture_or_covers_another(kind, names):
+    before = dict(mpl.rcParams)
+    check_texts(PICTURES[kind](plots(grid(*names, seeds=2))))
+    assert dict(mpl.rcParams) == before
