@@ -161,7 +161,7 @@ def _formats(_: click.Context) -> list[str]:
     metavar="NAME",
     default="csv",
     help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
-    "netcdf, simularium for its viewer, openvt, ro-crate for repositories.",
+    "netcdf, openvt, ro-crate for repositories.",
 )
 @click.option(
     "--tables",

@@ -1,4 +1,4 @@
-"""Runs as files for others: tables, ParaView, AnnData, netCDF, Simularium, OpenVT, RO-Crate."""
+"""Runs as files for others: tables, ParaView, AnnData, netCDF, OpenVT, RO-Crate."""
 
 from multicell.report.exports.files import FORMATS, export
 from multicell.report.tables import TABLES

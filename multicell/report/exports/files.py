@@ -53,7 +53,6 @@ FORMATS: Final = {
     "vtk": Format("exports.arrays.write_vtk", ["run.pvd"], ["pyvista"]),
     "anndata": Format("exports.annotated.write", ["cells.h5ad"], ["anndata"]),
     "netcdf": Format("exports.arrays.write_netcdf", ["history.nc"], ["xarray", "h5netcdf"]),
-    "simularium": Format("exports.simularium.write", ["run.simularium"]),
     "openvt": Format("exports.openvt.write", ["openvt.csv"]),
     "page": Format("viewer.embed.write", ["view.html"]),
     "ro-crate": Format("exports.ro_crate.write", ["ro-crate-metadata.json"]),
@@ -87,9 +86,6 @@ def export(
 
     ``"netcdf"`` has the history in ``history.nc`` and each frame, cells and fields, in
     ``frame-0000.nc``.
-
-    ``"simularium"`` is for the viewer at https://simularium.allencell.org: the cells of all frames
-    as spheres in ``run.simularium``, named and coloured by type and state.
 
     ``"openvt"`` has the tables that OpenVT's frameworks exchange: ``openvt.csv`` with a row for
     each cell in each frame, lengths in diameters of a newborn cell and time in h; and where cells
