@@ -235,7 +235,7 @@ def _simulate(
     if as_json:
         print_json(result.summary())
     elif not quiet:
-        _print_summary(shared.console(), result.summary(), result.scene, output)
+        _print_summary(shared.console(), result.summary(), output)
 
 
 def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: bool) -> None:
@@ -278,10 +278,10 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
         console.print(plain(f"\nNote: {note}"), style="yellow")
 
 
-def _print_summary(console: Console, summary: dict[str, Any], scene: Scene, output: Path) -> None:
+def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
     from multicell.report.wording import diagnostics, measures
 
-    rows = [*measures(summary), *diagnostics(summary, scene)]
+    rows = [*measures(summary), *diagnostics(summary)]
     counts = summary.get("states", {}).items()
     rows.append(("states", ", ".join(f"{n:,} {name}" for name, n in counts if n)))
     work = summary.get("integrator", {})

@@ -196,11 +196,11 @@ class Plots:
         return profiles(self.frames[frame], self.scene)
 
     @_picture(
-        "Contacts between cells of different types, and where each type is.",
+        "Contacts between cells of different types, and all contacts.",
         on_page=lambda run: run._crowd(0) and run._has("heterotypic_fraction"),
     )
     def contacts(self) -> Figure:
-        """Draw the contacts between unlike cells against time, and where each type is."""
+        """Draw the contacts between unlike cells, and all, against time."""
         from multicell.report.plots.contacts import contacts
 
         return contacts(self.frames, self.history, self.scene)
