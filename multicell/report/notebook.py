@@ -81,7 +81,7 @@ def shown(result: Result) -> str:
     context: dict[str, Any] = {"caption": "", "picture": None, "view": None}
     if len(result.frames) and len(result.frames[-1].cells):
         from multicell.report.plots.run import PICTURES
-        from multicell.report.viewer.embed import view_page
+        from multicell.report.viewer.pack import view_page
 
         kind = PICTURES["section"]
         flat = result.scene.dimensions == 2

@@ -28,7 +28,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
     place = result.folder if folder is None else Path(folder)
     if place is None:
         raise OutputError("the run has no output folder: say where the report shall go")
-    from multicell.report.viewer.embed import view
+    from multicell.report.viewer.pack import view
 
     summary = result.summary()
     phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}

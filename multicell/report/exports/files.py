@@ -50,12 +50,12 @@ class Format:
 FORMATS: Final = {
     "csv": Format("tables.write_csv", ["{table}.csv"], tables=True),
     "parquet": Format("tables.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
-    "vtk": Format("exports.arrays.write_vtk", ["run.pvd"], ["pyvista"]),
-    "anndata": Format("exports.annotated.write", ["cells.h5ad"], ["anndata"]),
-    "netcdf": Format("exports.arrays.write_netcdf", ["history.nc"], ["xarray", "h5netcdf"]),
-    "openvt": Format("exports.openvt.write", ["openvt.csv"]),
-    "page": Format("viewer.embed.write", ["view.html"]),
-    "ro-crate": Format("exports.ro_crate.write", ["ro-crate-metadata.json"]),
+    "vtk": Format("exports.formats.write_vtk", ["run.pvd"], ["pyvista"]),
+    "anndata": Format("exports.formats.write_anndata", ["cells.h5ad"], ["anndata"]),
+    "netcdf": Format("exports.formats.write_netcdf", ["history.nc"], ["xarray", "h5netcdf"]),
+    "openvt": Format("exports.formats.write_openvt", ["openvt.csv"]),
+    "page": Format("viewer.pack.write", ["view.html"]),
+    "ro-crate": Format("exports.formats.write_crate", ["ro-crate-metadata.json"]),
 }
 """Formats by name."""
 

@@ -18,8 +18,7 @@ from multicell.host.extras import needs
 from multicell.report.plots.colouring import GROUPS, colouring, limits_of, quantity
 from multicell.report.plots.plane import Plane
 from multicell.report.plots.section import section, window
-from multicell.report.plots.space import FILM_DPI, film_picture, room
-from multicell.report.plots.spheres import View
+from multicell.report.plots.space import FILM_DPI, View, film_picture, room
 from multicell.results.folder import file_errors, write_bytes
 
 if TYPE_CHECKING:

@@ -147,8 +147,7 @@ class Plots:
         OutputError
             If the cells lie in a plane, and for a cut or a colour that is none.
         """
-        from multicell.report.plots.space import space
-        from multicell.report.plots.spheres import View
+        from multicell.report.plots.space import View, space
 
         return space(*self._shaded(frame, colour), View(turn, cut))
 
