@@ -147,7 +147,7 @@ def resume(
 
 
 def _formats(_: click.Context) -> list[str]:
-    from multicell.report.exports import FORMATS
+    from multicell.report.exports.files import FORMATS
 
     return list(FORMATS)
 
@@ -175,7 +175,7 @@ def _formats(_: click.Context) -> list[str]:
 @shared.as_json_option
 def export(folder: Path, output: Path, tables: str | None, as_json: bool, **options: Any) -> None:
     """Write the results in FOLDER as files for other programs, with units in their names."""
-    from multicell.report.exports import export as write
+    from multicell.report.exports.files import export as write
 
     chosen = None if tables is None else [name.strip() for name in tables.split(",")]
     paths = write(folder, output, tables=chosen, **options)

@@ -50,11 +50,10 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
 
 
 def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure], str]]]:
-    plots, flat = result.plot, result.scene.dimensions == 2
+    plots = result.plot
     for name, kind in PICTURES.items():
         if kind.on_page(plots):
-            caption = kind.flat_caption if flat else kind.caption
-            yield f"{name}.png", (getattr(plots, name), caption)
+            yield f"{name}.png", (getattr(plots, name), kind.caption)
 
 
 def _subtitle(result: Result, summary: Mapping[str, Any]) -> str:

@@ -184,14 +184,11 @@ def test_explicit_step_limit_is_where_euler_on_two_daughters_turns_unstable():
         ({"growth.cycle_time": "15 h", "coupling_step": "2 h"}, "coupling step"),
         ({"nutrients.oxygen": {"boundary": 0.01, "quiescence": 0.02}}, "quiescent"),
         ({"nutrients.oxygen": {}}, "no effect on the cells"),
-        ({"nutrients.oxygen": {"media": [["20 d", 0.1]], "quiescence": 0.01}}, "after the end"),
         (
             {"nutrients.oxygen": {"diffusion": 1.0, "regime": "steady", "quiescence": 0.01}},
             "solved as steady",
         ),
         ({"motility.force": "3 nN"}, "stronger than the weakest contact"),
-        ({"motility.persistence": "10 s"}, "ends of coupling steps"),
-        ({"pull.force": "0.1 nN"}, "too little"),
     ],
 )
 def test_explain_notes_what_does_not_fit(changes, words):

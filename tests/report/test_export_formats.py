@@ -15,7 +15,8 @@ from scipy.spatial.distance import pdist, squareform
 import multicell as mc
 from multicell.cells import Cells, State
 from multicell.cli.main import main
-from multicell.report.exports import FORMATS, TABLES
+from multicell.report.exports.files import FORMATS
+from multicell.report.tables import TABLES
 from multicell.results.frame import Field
 from multicell.results.quantities import unit_of
 from multicell.results.tables import field_grid

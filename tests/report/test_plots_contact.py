@@ -16,7 +16,7 @@ from multicell.report.plots import contacts as contact_plots
 from multicell.report.plots import style as drawing
 from multicell.report.plots.run import Plots
 from multicell.results.frame import Frame
-from multicell.results.observables import Extent, heterotypic_fraction
+from multicell.results.observables import heterotypic_fraction
 from multicell.scene.pairs import pair_of, pairs
 from multicell.scene.scene import Scene
 
@@ -163,13 +163,6 @@ def test_a_scene_without_them_has_nothing_to_draw(name):
 # --- pull --------------------------------------------------------------------------------------
 
 
-def test_distance_of_two_follows_from_their_diameter():
-    for one, other, gap in ((10.0, 10.0, 17.0), (4.0, 9.0, 11.0)):
-        cells = cells_at([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0 + gap]], radius=[one, other])
-        found = contact_plots.distance_of_two(np.array([Extent(cells, 3).diameter()]), cells, 3)
-        assert found[0] == pytest.approx(gap, rel=1e-12)
-
-
 def test_pull_chart_follows_the_law_up_to_the_separation(doublet):
     figure = doublet.plot.pull()
     rendered(figure)
@@ -259,9 +252,3 @@ def test_report_of_the_mixture_has_the_fraction_at_last(mixture):
     assert (mixture.folder / "contacts.png").is_file()
     summary = json.loads((mixture.folder / "summary.json").read_text())
     assert summary["heterotypic_fraction"] == mixture.history["heterotypic_fraction"][-1]
-
-
-def test_each_pair_of_types_has_its_own_surface_energy():
-    found = {name: pair.deepest()[0] for name, pair in pairs(mc.load_scene("sorting"), 4.0)}
-    energies = {"cohesive-cohesive": 0.2, "cohesive-loose": 0.1, "loose-loose": 0.1}
-    assert found == pytest.approx({name: 3.0 * np.pi * x for name, x in energies.items()})

@@ -98,18 +98,6 @@ def contact_notes(scene: Scene) -> Iterator[str]:
                 f"Motility of {active.force:g} nN is stronger than the weakest contact "
                 f"({weakest:.3g} nN): cells leave the tissue."
             )
-        if active.persistence < scene.coupling_step:
-            yield (
-                "The directions of motility change at the ends of coupling steps only: take a "
-                "coupling_step below motility.persistence."
-            )
-    if scene.pull is not None:
-        most = scene.pull.load(scene.duration)
-        load = min(load for _, load in _loads(scene))
-        if load == 0.0:
-            yield "Nothing sticks: the pull meets no resistance but drag."
-        elif most < load:
-            yield f"The pull ends at {most:.3g} nN: too little for one contact, {load:.3g} nN."
 
 
 def _adhesion(scene: Scene) -> str:
@@ -177,17 +165,13 @@ def _motility(scene: Scene) -> list[Number]:
     return [*numbers, Number("diffusion by motility", spread, "um^2/s", meaning)]
 
 
-def _loads(scene: Scene) -> list[tuple[str, float]]:
-    """Return the load that separates two cells as they are at the start, for every two types."""
-    newborn = scene.initial.stage == "birth" and scene.initial.cells is None
-    radius = birth_radius(scene) if newborn else typical_radius(scene)
-    return [(label, pair.deepest()[0]) for label, pair in pairs(scene, radius)]
-
-
 def _pull(scene: Scene) -> list[Number]:
     if scene.pull is None:
         return []
+    newborn = scene.initial.stage == "birth" and scene.initial.cells is None
+    radius = birth_radius(scene) if newborn else typical_radius(scene)
+    meaning = "that separates two cells as they are at the start"
     return [
-        Number(pair_label("critical load", label), load, "nN", "that separates two cells")
-        for label, load in _loads(scene)
+        Number(pair_label("critical load", label), pair.deepest()[0], "nN", meaning)
+        for label, pair in pairs(scene, radius)
     ]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
@@ -34,17 +34,6 @@ class Format:
     files: Sequence[str]  # that are written in any case, "{table}" stands for each table
     packages: Sequence[str] = ()  # that write it, beside those of every installation
     tables: bool = False  # whether there is one file for each table, out of which a user may choose
-
-    def names(self, tables: Iterable[str]) -> list[str]:
-        """Return the names of the files that are written in any case."""
-        return [name.format(table=table) for table in tables for name in self.files]
-
-    def writer(self) -> Callable[..., Any]:
-        """Load what writes it; raises MissingPackage if a package is not installed."""
-        needs(*self.packages)
-        module, _, name = self.function.rpartition(".")
-        loaded = import_module(f"multicell.report.{module}")
-        return getattr(loaded, name)  # type: ignore[no-any-return]
 
 
 FORMATS: Final = {
@@ -137,8 +126,10 @@ def export(
     folder = Path(output)
     with file_errors("use the output folder", folder):
         if not overwrite:
-            _refuse_old(folder, chosen.names(names))
-        write = chosen.writer()
+            _refuse_old(folder, [file.format(table=x) for x in names for file in chosen.files])
+        needs(*chosen.packages)
+        module, _, function = chosen.function.rpartition(".")
+        write = getattr(import_module(f"multicell.report.{module}"), function)
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".export-", dir=folder) as place:
             staged = Path(place)
