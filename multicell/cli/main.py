@@ -147,7 +147,7 @@ def resume(
 
 
 def _formats(_: click.Context) -> list[str]:
-    from multicell.report.exports import FORMATS
+    from multicell.report.exports.files import FORMATS
 
     return list(FORMATS)
 
@@ -161,7 +161,7 @@ def _formats(_: click.Context) -> list[str]:
     metavar="NAME",
     default="csv",
     help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
-    "netcdf, simularium for its viewer, openvt, ro-crate for repositories.",
+    "netcdf, openvt, ro-crate for repositories.",
 )
 @click.option(
     "--tables",
@@ -175,7 +175,7 @@ def _formats(_: click.Context) -> list[str]:
 @shared.as_json_option
 def export(folder: Path, output: Path, tables: str | None, as_json: bool, **options: Any) -> None:
     """Write the results in FOLDER as files for other programs, with units in their names."""
-    from multicell.report.exports import export as write
+    from multicell.report.exports.files import export as write
 
     chosen = None if tables is None else [name.strip() for name in tables.split(",")]
     paths = write(folder, output, tables=chosen, **options)
@@ -235,7 +235,7 @@ def _simulate(
     if as_json:
         print_json(result.summary())
     elif not quiet:
-        _print_summary(shared.console(), result.summary(), result.scene, output)
+        _print_summary(shared.console(), result.summary(), output)
 
 
 def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: bool) -> None:
@@ -278,10 +278,10 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
         console.print(plain(f"\nNote: {note}"), style="yellow")
 
 
-def _print_summary(console: Console, summary: dict[str, Any], scene: Scene, output: Path) -> None:
+def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
     from multicell.report.wording import diagnostics, measures
 
-    rows = [*measures(summary), *diagnostics(summary, scene)]
+    rows = [*measures(summary), *diagnostics(summary)]
     counts = summary.get("states", {}).items()
     rows.append(("states", ", ".join(f"{n:,} {name}" for name, n in counts if n)))
     work = summary.get("integrator", {})

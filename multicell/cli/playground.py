@@ -206,7 +206,7 @@ class Playground:
 
     def view(self) -> str:
         """Return the view of the newest run."""
-        from multicell.report.viewer.embed import view
+        from multicell.report.viewer.pack import view
 
         result = self.result()
         viewer = None if result is None else view(result)

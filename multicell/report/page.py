@@ -11,8 +11,7 @@ import numpy as np
 from multicell.errors import OutputError
 from multicell.report.html import write_page
 from multicell.report.plots.run import PICTURES
-from multicell.report.wording import cell_count, diagnostics, measures, percent
-from multicell.results.quantities import title_of
+from multicell.report.wording import cell_count, diagnostics, measures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +28,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
     place = result.folder if folder is None else Path(folder)
     if place is None:
         raise OutputError("the run has no output folder: say where the report shall go")
-    from multicell.report.viewer.embed import view
+    from multicell.report.viewer.pack import view
 
     summary = result.summary()
     phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}
@@ -39,41 +38,22 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         scene=result.scene,
         title=result.scene.title or "Untitled run",
         subtitle=_subtitle(result, summary),
-        tiles=dict(measures(summary)) | dict(_contact_measures(result)),
+        tiles=dict(measures(summary)),
         pictures=dict(_drawings(result)),
         viewer=view(result),
         summary=summary,
-        diagnostics=dict(diagnostics(summary, result.scene)),
+        diagnostics=dict(diagnostics(summary)),
         phases=phases,
         longest=max(phases.values(), default=0.0) or 1.0,
         **_accounts(summary),
     )
 
 
-def _contact_measures(result: Result) -> Iterator[tuple[str, str]]:
-    """Yield the key figures of contact that a summary alone does not tell."""
-    from multicell.report.plots.contacts import separation_theory
-
-    separation = result.summary().get("separation")
-    if separation:
-        theory = separation_theory(result.frames, result.scene, separation["time"])
-        if theory is not None:
-            yield (
-                title_of("separation.force"),
-                f"{separation['force']:.4g} nN (theory {theory:.4g})",
-            )
-    mixed = result.history.get("heterotypic_fraction", ())
-    known = [float(part) for part in mixed if part == part]
-    if known:
-        yield title_of("heterotypic_fraction"), f"{percent(known[0])} → {percent(known[-1])}"
-
-
 def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure], str]]]:
-    plots, flat = result.plot, result.scene.dimensions == 2
+    plots = result.plot
     for name, kind in PICTURES.items():
         if kind.on_page(plots):
-            caption = kind.flat_caption if flat else kind.caption
-            yield f"{name}.png", (getattr(plots, name), caption)
+            yield f"{name}.png", (getattr(plots, name), kind.caption)
 
 
 def _subtitle(result: Result, summary: Mapping[str, Any]) -> str:

@@ -4,26 +4,70 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.report.notebook import DrawnFrames, line, shown
-from multicell.report.wording import time_unit
+from multicell.report.wording import cell_count, measures, time_unit
 from multicell.results.frame import Frame, Named
 from multicell.units import to_base
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
     from xarray import Dataset
 
+    from multicell.cells import FloatArray
     from multicell.report.plots.run import Plots
     from multicell.results.reader import Contents
     from multicell.scene.scene import Scene
+
+_MOST_VIEW: Final = 8_000_000
+"""Characters above which the view is left to the report: notebooks keep all that they show."""
+
+
+@final
+class DrawnFrames(Sequence["Frame"]):
+    """The frames of a result, each with :meth:`~multicell.results.frame.Frame.plot`."""
+
+    def __init__(
+        self, frames: Sequence[Frame], scene: Scene, lineage: Mapping[str, NDArray[Any]]
+    ) -> None:
+        self._frames, self._scene, self._lineage = frames, scene, lineage
+
+    @property
+    def times(self) -> FloatArray:
+        """Simulated time of every frame: (k,), s; frames on disk are not read for it."""
+        known = getattr(self._frames, "times", None)
+        return np.array([f.time for f in self._frames] if known is None else known, dtype=float)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @overload
+    def __getitem__(self, place: int) -> Frame: ...
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[Frame]: ...
+    def __getitem__(self, place: int | slice) -> Frame | Sequence[Frame]:
+        if isinstance(place, slice):
+            return DrawnFrames(self._frames[place], self._scene, self._lineage)
+        return replace(self._frames[place], draw=partial(_draw, self._scene, self._lineage))
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} frames>"
+
+
+def _draw(
+    scene: Scene, lineage: Mapping[str, NDArray[Any]], frame: Frame, **options: Any
+) -> Figure:
+    from multicell.report.plots.run import Plots
+
+    return Plots([frame], {}, scene, lineage).section(**options)
 
 
 @final
@@ -60,11 +104,31 @@ class Result:
         object.__setattr__(self, "frames", DrawnFrames(self.frames, self.scene, self.lineage))
 
     def __repr__(self) -> str:
-        return line(self)
+        words = [repr(self.scene.title or "untitled"), f"{len(self.frames)} frames"]
+        if len(self.frames):
+            last = self.frames[-1]
+            words += [time_unit(last.time).text(last.time), cell_count(len(last.cells))]
+        place = "in memory" if self.folder is None else f"in '{self.folder}'"
+        return f"<Result {', '.join(words)}, {place}>"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: key figures, a section, and the view."""
-        return shown(self)
+        """Return what a notebook shows: key figures, a section, and the view in space and time."""
+        from multicell.report.html import rendered
+        from multicell.report.plots.style import inline_picture
+
+        context: dict[str, Any] = {"caption": "", "picture": None, "view": None}
+        if len(self.frames) and len(self.frames[-1].cells):
+            from multicell.report.plots.run import PICTURES
+            from multicell.report.viewer.pack import view_page
+
+            context["caption"] = PICTURES["section"].caption
+            context["picture"] = inline_picture(self.plot.section())
+            page = view_page(self)
+            context["view"] = None if page is None or len(page) > _MOST_VIEW else page
+        title = self.scene.title or "Untitled run"
+        return rendered(
+            "notebook.html", title=title, tiles=dict(measures(self.summary())), **context
+        )
 
     def at(self, time: float | str) -> Frame:
         """Return the frame nearest to a time.

@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from multicell.results.measures import OBSERVABLES
 from multicell.results.quantities import entry, title_of, unit_of
 from multicell.scene.parts import own_names
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
-
-_COMPILED = 1.0  # s of compilation from which on it counts for the peak of memory
 
 
 class TimeUnit(NamedTuple):
@@ -67,7 +60,7 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield title_of(name), f"{summary[name]:.4g} {written(unit_of(name))}".strip()
 
 
-def diagnostics(summary: Mapping[str, Any], scene: Scene) -> Iterator[tuple[str, str]]:
+def diagnostics(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield name and value in words of what a summary has on accuracy and cost."""
     amiss = (summary.get("splitting") or {}).get("relative_volume_error")
     if amiss is not None:
@@ -79,17 +72,7 @@ def diagnostics(summary: Mapping[str, Any], scene: Scene) -> Iterator[tuple[str,
     if total is not None:
         yield "wall time", clock(total)
     if summary.get("peak_memory") is not None:
-        from multicell.report.explain.cost import COMPILING, predict
-        from multicell.report.explain.course import Course
-
-        # of the population that there is: to predict one takes longer than a short run
-        cells, radius = summary["cells"], 0.5 * (summary.get("diameter") or 0.0)
-        reached = Course(np.array([0.0, 1.0]), np.full(2, float(cells)), np.full(2, radius))
-        expected = predict(scene, reached).memory / 1e6
-        words = f"{summary['peak_memory']:,.0f} MB (expected {expected:,.0f} MB"
-        if (summary.get("wall") or {}).get("compile", 0.0) > _COMPILED:
-            words += f", and up to {COMPILING / 1e6:.0f} MB for compiling"
-        yield "peak memory", f"{words})"
+        yield "peak memory", f"{summary['peak_memory']:,.0f} MB"
     balance = (summary.get("ledger") or {}).get("relative_remainder")
     if balance is not None:
         yield "nutrient unaccounted for", f"{balance:.1e}"

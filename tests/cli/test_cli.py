@@ -123,7 +123,6 @@ def test_doublet_is_explained_with_its_critical_load():
     radius = 12.6 / 2 ** (1 / 3)
     load = 1.5 * np.pi * 0.1 * radius / 2
     assert known["critical load"] == pytest.approx(load, rel=1e-9)
-    assert known["time to the critical load"] == pytest.approx(load / 0.0005, rel=1e-9)
     assert known["equilibrium distance"] == pytest.approx(17.18, abs=5e-3)
 
 
@@ -145,28 +144,14 @@ def test_sorting_is_explained_by_pairs_of_types():
     assert known["diffusion by motility"] == pytest.approx(speed**2 * 600.0 / 6)
 
 
-def test_friction_is_compared_with_drag_for_one_contact():
+def test_friction_slows_two_cells_down():
     known = numbers(BARE, friction__normal=0.2, friction__tangential=0.05)
     radius = known["typical radius"]
     overlap = 2 * radius - known["equilibrium distance"]
     area = np.pi * radius / 2 * overlap
-    assert known["normal friction / drag"] == pytest.approx(0.2 * area / known["drag"])
-    assert known["tangential friction / drag"] == pytest.approx(0.05 * area / known["drag"])
-    # friction slows the pair down: Γ + 2 γ A in place of Γ
+    # Γ + 2 γ A in place of Γ
     bare = numbers(BARE)["relaxation time"]
-    slower = 1 + 2 * known["normal friction / drag"]
-    assert known["relaxation time"] == pytest.approx(bare * slower)
-
-
-def test_smoothing_is_explained_with_its_model_error():
-    known = numbers(BARE, contact__smoothing=0.3)
-    radius = known["typical radius"]
-    modulus = 1.0 / (2 * 0.75 * (1 - 0.25) / 1.0)
-    smooth = BARE.with_changes({"contact.smoothing": 0.3}).contact
-    rest = 2 * radius - known["equilibrium distance"]
-    deep, less = (float(law.energy(rest, modulus, radius / 2)) for law in (BARE.contact, smooth))
-    assert known["smoothing / equilibrium overlap"] == pytest.approx(0.3 / rest)
-    assert known["binding energy lost"] == pytest.approx(100 * (1 - less / deep), rel=1e-9)
+    assert known["relaxation time"] == pytest.approx(bare * (1 + 0.4 * area / known["drag"]))
 
 
 @pytest.mark.parametrize("law", ["hertz", "exact-jkr", "linear", "cubic", "generalised-linear"])
@@ -178,7 +163,6 @@ def test_each_contact_law_is_explained(law):
     if law == "exact-jkr":  # a third of the overlap of the approximate law
         approximate = 2 * radius - numbers(BARE)["equilibrium distance"]
         assert overlap == pytest.approx(approximate / 3, rel=1e-9)
-        assert known["breaking distance"] > 2 * radius
     else:
         assert overlap == pytest.approx(0.0, abs=1e-12)
 
@@ -200,16 +184,11 @@ def test_explicit_step_limit_is_where_euler_on_two_daughters_turns_unstable():
         ({"growth.cycle_time": "15 h", "coupling_step": "2 h"}, "coupling step"),
         ({"nutrients.oxygen": {"boundary": 0.01, "quiescence": 0.02}}, "quiescent"),
         ({"nutrients.oxygen": {}}, "no effect on the cells"),
-        ({"nutrients.oxygen": {"media": [["20 d", 0.1]], "quiescence": 0.01}}, "after the end"),
         (
             {"nutrients.oxygen": {"diffusion": 1.0, "regime": "steady", "quiescence": 0.01}},
             "solved as steady",
         ),
         ({"motility.force": "3 nN"}, "stronger than the weakest contact"),
-        ({"motility.persistence": "10 s"}, "ends of coupling steps"),
-        ({"pull.force": "0.1 nN"}, "too little"),
-        ({"friction.normal": 0, "friction.tangential": 0}, "no effect"),
-        ({"contact.smoothing": "3 um"}, "longer than the equilibrium overlap"),
     ],
 )
 def test_explain_notes_what_does_not_fit(changes, words):

@@ -17,8 +17,7 @@ from multicell.calibration.indices import sample
 from multicell.calibration.sensitivity import result_of as indices_of
 from multicell.report.plots.colouring import colouring
 from multicell.report.plots.run import Plots
-from multicell.report.plots.space import film_picture, room
-from multicell.report.plots.spheres import View
+from multicell.report.plots.space import View, film_picture, room
 from multicell.report.result import history_arrays
 from multicell.studies.axes import parse_ranges
 from multicell.studies.plots import StudyPlots

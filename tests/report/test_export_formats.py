@@ -1,9 +1,7 @@
 """Exports read back by the programs that they are for, and held against the store bit by bit."""
 
 import hashlib
-import json
 import sys
-import weakref
 
 import anndata
 import numpy as np
@@ -17,7 +15,8 @@ from scipy.spatial.distance import pdist, squareform
 import multicell as mc
 from multicell.cells import Cells, State
 from multicell.cli.main import main
-from multicell.report.exports import FORMATS, TABLES, simularium
+from multicell.report.exports.files import FORMATS
+from multicell.report.tables import TABLES
 from multicell.results.frame import Field
 from multicell.results.quantities import unit_of
 from multicell.results.tables import field_grid
@@ -136,71 +135,6 @@ def test_netcdf_history_and_frames(run, tmp_path):
                 np.testing.assert_array_equal(data[name], np.squeeze(field.values))
             oxygen = frame.fields["oxygen"]
             np.testing.assert_array_equal(data["x_oxygen"], oxygen.axis(0))
-
-
-def test_simularium_file_has_every_sphere(run, tmp_path):
-    (path,) = mc.export(run, tmp_path, format="simularium")
-    read = json.loads(path.read_text())
-    info, spatial = read["trajectoryInfo"], read["spatialData"]
-    assert (info["version"], info["totalSteps"], spatial["bundleSize"]) == (3, 3, 3)
-    assert (spatial["version"], spatial["msgType"], spatial["bundleStart"]) == (1, 1, 0)
-    units = {"timeUnits": "s", "spatialUnits": "um"}
-    assert {key: info[key] for key in units} == {
-        key: {"magnitude": 1.0, "name": name} for key, name in units.items()
-    }
-    assert info["timeStepSize"] == 6 * 3600
-    names = {int(number): kind["name"] for number, kind in info["typeMapping"].items()}
-    assert {name.partition("#")[0] for name in names.values()} == {"soft", "hard"}
-    size = np.array([info["size"][axis] for axis in "xyz"])
-    for k, (frame, one) in enumerate(zip(run.frames, spatial["bundleData"], strict=True)):
-        cells = frame.cells
-        assert (one["frameNumber"], one["time"]) == (k, frame.time)
-        agents = np.array(one["data"]).reshape(len(cells), 11)
-        np.testing.assert_array_equal(agents[:, 0], 1000.0)
-        np.testing.assert_array_equal(agents[:, 1], cells.id)
-        np.testing.assert_array_equal(agents[:, 3:6], cells.position)
-        np.testing.assert_array_equal(agents[:, [6, 7, 8, 10]], 0.0)
-        np.testing.assert_array_equal(agents[:, 9], cells.radius)
-        assert [names[int(sort)] for sort in agents[:, 2]] == [
-            f"{('soft', 'hard')[kind]}#{State(state).name.lower()}"
-            for kind, state in zip(cells.kind, cells.state, strict=True)
-        ]
-        assert np.all(np.abs(cells.position) + cells.radius[:, None] <= 0.5 * size)
-
-
-def test_simularium_reads_the_file_itself(run, tmp_path):
-    theirs = pytest.importorskip("simulariumio")
-    (path,) = mc.export(run, tmp_path, format="simularium")
-    read = theirs.FileConverter(theirs.InputFileData(str(path)))._data
-    agents = read.agent_data
-    np.testing.assert_array_equal(agents.times, [frame.time for frame in run.frames])
-    for k, frame in enumerate(run.frames):
-        n = len(frame.cells)
-        assert agents.n_agents[k] == n
-        np.testing.assert_array_equal(agents.unique_ids[k, :n], frame.cells.id)
-        np.testing.assert_array_equal(agents.positions[k, :n], frame.cells.position)
-        np.testing.assert_array_equal(agents.radii[k, :n], frame.cells.radius)
-    assert (read.spatial_units.name, read.time_units.name) == ("µm", "s")
-
-
-def test_simularium_holds_one_frame_at_a_time(run, tmp_path, monkeypatch):
-    alive, most = weakref.WeakSet(), []
-
-    def frames():
-        for k in range(6):
-            frame = mc.load_result(run.folder).frames[k % len(run.frames)]
-            alive.add(frame)
-            most.append(len(alive))
-            yield k, frame
-            del frame
-
-    monkeypatch.setattr(simularium, "_ROWS", 7)  # rows in parts are the rows of the whole
-    simularium.write(run, frames, tmp_path, [])
-    read = json.loads((tmp_path / "run.simularium").read_text())["spatialData"]["bundleData"]
-    assert len(read) == 6
-    assert max(most) <= 2
-    again = np.array(read[4]["data"]).reshape(-1, 11)
-    np.testing.assert_array_equal(again[:, 3:6], run.frames[1].cells.position)
 
 
 def test_openvt_tables_have_columns_and_units_of_its_frameworks(run, tmp_path):

@@ -12,9 +12,8 @@ import multicell as mc
 from multicell.cells import Cells, State
 from multicell.cli.main import main
 from multicell.report.plots.colouring import colouring, colourings, founder
-from multicell.report.plots.plane import Plane, turn_frame
 from multicell.report.plots.run import Plots
-from multicell.report.plots.section import slice_at
+from multicell.report.plots.section import Plane, slice_at, turn_frame
 from multicell.report.plots.style import save
 from multicell.results.frame import Field, Frame
 

@@ -10,7 +10,6 @@ import multicell as mc
 from multicell.report.explain.cost import predict
 from multicell.report.explain.course import Profile, course
 from multicell.report.explain.scene import explain
-from multicell.report.wording import diagnostics
 
 DAY = 86400.0
 MANY = {"initial.stage": "asynchronous", "nutrients.oxygen.boundary": 5.0, "duration": "20 min"}
@@ -113,11 +112,3 @@ def test_all_that_starve_are_gone_in_the_end():
     found = course(mc.load_scene("spheroid").with_changes(changes))
     assert found.cells[1] == pytest.approx(500.0, rel=0.01)  # they die and lie there
     assert found.cells[-1] < 0.01
-
-
-@pytest.mark.parametrize("seconds", [0.0, 20.0])
-def test_that_a_run_compiled_is_part_of_what_was_expected_of_its_memory(seconds: float) -> None:
-    summary = {"cells": 60, "diameter": 50.0, "peak_memory": 300.0, "wall": {"compile": seconds}}
-    words = dict(diagnostics(summary, mc.load_scene("spheroid")))["peak memory"]
-    assert words.startswith("300 MB (expected ")
-    assert ("compiling" in words) == (seconds > 0.0)

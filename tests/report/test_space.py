@@ -15,8 +15,7 @@ from multicell.errors import OutputError
 from multicell.report.plots.colouring import colouring
 from multicell.report.plots.movie import movie
 from multicell.report.plots.run import Plots
-from multicell.report.plots.space import film_picture, room
-from multicell.report.plots.spheres import View, spheres
+from multicell.report.plots.space import View, film_picture, room, spheres
 
 RED, GREEN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 

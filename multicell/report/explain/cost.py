@@ -28,7 +28,7 @@ from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
 
 _PROCESS: Final = 190e6  # bytes that Python, its packages and compiled code take
-COMPILING: Final = 140e6  # and what numba and LLVM take at most in a run that compiles
+_COMPILING: Final = 140e6  # and what numba and LLVM take at most in a run that compiles
 _FIELD_PACKAGES: Final = 40e6  # and more where there are fields
 _CELL: Final = 850.0  # bytes of a cell: state, lists, vectors, lineage, and gaps between them
 _NODE: Final = 100.0  # bytes of a node of a field on cubes
@@ -63,12 +63,9 @@ class Prediction:
     file: float  # bytes of frames.h5
 
 
-def predict(scene: Scene, found: Course | None = None) -> Prediction:
-    """Return what a run of a scene with an output folder is expected to take.
-
-    - ``found``: how the population grows; by default as it is expected to
-    """
-    found = found or course(scene)
+def predict(scene: Scene) -> Prediction:
+    """Return what a run of a scene with an output folder is expected to take."""
+    found = course(scene)
     end = float(found.times[-1])
     steps = max(1.0, end / scene.coupling_step)
     frames = min(math.ceil(end / scene.output.every), steps) + 1.0
@@ -169,7 +166,7 @@ def cost_numbers(scene: Scene, expected: Prediction) -> list[Number]:
                f"of the whole run on one core of 2.5 GHz, without compilation: "
                f"{hours(expected.seconds)}"),
         Number("expected memory", expected.memory / 1e6, "MB",
-               f"of the process at its largest; {COMPILING / 1e6:.0f} MB more while it compiles"),
+               f"of the process at its largest; {_COMPILING / 1e6:.0f} MB more while it compiles"),
         Number("expected file", expected.file / 1e6, "MB", "all frames and the history"),
     ]  # fmt: skip
 

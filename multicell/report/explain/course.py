@@ -4,8 +4,8 @@ Cells fill a ball (in a plane a disc). Every field that holds back growth or kil
 solved along the radius, steady, with the uptake of living cells; living cells grow where they are
 fed, the starved die, and dead ones take room in the middle until they are removed. Where pressure
 holds back growth it is the one that drives the tissue outwards against the drag of its cells. Left
-out are walls, motion, whatever is not round, irradiation, and responses of single types or to what
-cells themselves are.
+out are walls, motion, whatever is not round, irradiation, repair of damage, and responses of single
+types or to what cells themselves are.
 """
 
 from __future__ import annotations
@@ -184,13 +184,6 @@ class _Tissue:
         hazard = np.zeros(SHELLS)
         for behaviour in ("necrosis rate", "damage rate"):
             rate = rate_of_harm(self._plan, behaviour, levels, None)
-            if rate is not None and behaviour == "damage rate":
-                death = self._scene.death
-                repair = None if death is None else death.damage_repair_time
-                if repair is not None:
-                    over = np.maximum(rate * repair, 1.0)
-                    with np.errstate(divide="ignore"):
-                        rate = -1.0 / (repair * np.log1p(-1.0 / over))
             hazard += 0.0 if rate is None else rate
         return hazard
 

@@ -4,26 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, final
+from typing import final
 
 from multicell.units import time_text
-
-_ABSENT: Final = {
-    "types": "all cells are alike",
-    "adhesion": "no receptors",
-    "friction": "only the medium resists",
-    "compression": "contacts of pairs alone resist compression",
-    "motility": "no active motion",
-    "pull": "no external force",
-    "forces": "nothing pushes single cells from outside",
-    "motions": "no cell is held or moved from outside",
-    "growth": "the number of cells stays, no growth and no division is computed",
-    "radiation": "no cell is irradiated",
-    "death": "dead cells keep their place and volume",
-    "energy": "every field acts by itself, none makes up for another",
-    "nutrients": "no field is solved, no cell starves",
-}
-"""What the absence of a part means."""
 
 
 @final
@@ -49,7 +32,7 @@ class Number:
 
 def part(name: str, what: object) -> Part:
     """Return a part that is used if there is anything to say of it, and absent if not."""
-    return Part(name, bool(what), str(what or "") or f"absent: {_ABSENT[name]}")
+    return Part(name, bool(what), str(what or "absent"))
 
 
 def pair_label(text: str, label: str) -> str:

@@ -105,17 +105,14 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
         )
     if scene.dimensions == 2:
         return f"squares of {spacing:g} um that follow the cells, since the scene is flat"
-    if nutrient.layout == "radial":
-        layer = nutrient.layer
-        words = f"spherical shells of {spacing:g} um that follow the cells, as the scene says"
-        return words if layer is None else f"{words}, in a layer of {layer:g} um round the tissue"
+    if nutrient.layout == "box":
+        return f"a grid of cubes of {spacing:g} um that follows the cells"
+    words = f"spherical shells of {spacing:g} um that follow the cells"
     if nutrient.layout == "auto":
         limit = nutrient.roundness_limit
-        return (
-            f"spherical shells of {spacing:g} um that follow the cells while the tissue is round "
-            f"within {limit:g}, else a grid of cubes"
-        )
-    return f"a grid of cubes of {spacing:g} um that follows the cells"
+        return f"{words} while the tissue is round within {limit:g}, else a grid of cubes"
+    layer = nutrient.layer
+    return words if layer is None else f"{words}, in a layer of {layer:g} um round the tissue"
 
 
 def _medium(nutrient: Nutrient) -> str:
@@ -126,8 +123,7 @@ def _medium(nutrient: Nutrient) -> str:
         if finite.unstirred is not None:
             words += f" behind an unstirred layer of {finite.unstirred:g} um"
         changes = sum(time > 0.0 for time, _ in nutrient.media or ())
-        part = "" if finite.replaced == 1.0 else f" by {100.0 * finite.replaced:g} %"
-        return f"{words}, replaced{part} {changes} time(s)" if changes else words
+        return f"{words}, replaced {changes} time(s)" if changes else words
     if nutrient.media is None:
         return f"{nutrient.boundary:g} mM in the medium"
     values = [nutrient.boundary, *(value for _, value in nutrient.media)]
@@ -200,11 +196,6 @@ def nutrient_notes(scene: Scene) -> list[str]:
             notes.append(
                 f"The medium has {nutrient.highest:.3g} mM of oxygen, but {most:.2g} mM under pure "
                 "oxygen. Percentages and pressures are written with their unit: '21 %'."
-            )
-        late = [t for t, _ in nutrient.media or () if t >= scene.duration]
-        if late:
-            notes.append(
-                f"Changes of the medium of {name} from {hours(late[0])} on come after the end."
             )
         if nutrient.regime == "steady" and scales.scales(scene, name).time > scene.coupling_step:
             notes.append(

@@ -11,7 +11,6 @@ from typing import Any
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
 from multicell.behaviours.laws import Constant, Hill, Linear, Monod, Table, Threshold
 from multicell.biology.draws import malthusian_rate
-from multicell.biology.plan import founders
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
@@ -20,7 +19,7 @@ from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
-from multicell.scene.parts import PHASES, Death
+from multicell.scene.parts import PHASES
 from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
@@ -82,21 +81,13 @@ def _start_words(scene: Scene) -> str:
 
 
 def _stage(scene: Scene) -> str:
-    growth, stage, table = scene.growth, scene.initial.stage, scene.initial.cells
-    behaviours = ("rest", "necrosis rate", "damage rate")
-    lacking = {x for e in effects(scene) if e.behaviour in behaviours for x in e.signals}
-    found = ""
-    if table is None and lacking - {"pressure"}:
-        found = "; resting and dead ones are found with the fields"
+    growth, stage = scene.growth, scene.initial.stage
     if growth is None or stage == "birth":
-        return found
+        return ""
     if stage == "uniform":
-        return f"; spread evenly over their cycle{found}"
+        return "; spread evenly over their cycle"
     rate = 3600.0 * malthusian_rate(growth)
-    words = f"{found}; ages of a population that has long grown without limits, by {rate:.4g} 1/h"
-    if founders(scene):
-        words += ", with the longer cycles that its cells have"
-    return words
+    return f"; ages of a population that has long grown without limits, by {rate:.4g} 1/h"
 
 
 def _growth_words(scene: Scene) -> str:
@@ -126,7 +117,8 @@ def _death_words(scene: Scene) -> str:
     if death.damage_time is not None:
         words = f"cells beyond a threshold of necrosis die after {hours(death.damage_time)} of it; "
     if any(effect.behaviour == "damage rate" for effect in effects(scene)):
-        words += f"{_damage_words(death)}; "
+        repair = death.damage_repair_time
+        words += f"damage {f'falls to 1/e in {hours(repair)}' if repair else 'stays'}; "
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
@@ -139,17 +131,6 @@ def _death_words(scene: Scene) -> str:
     if death.apoptosis_rate > 0.0:
         life = hours(1.0 / death.apoptosis_rate)
         words += f"; cells live {life} on average until they die by themselves"
-    return words
-
-
-def _damage_words(death: Death) -> str:
-    words, repair = "damage stays", death.damage_repair_time
-    if repair is not None:
-        words = f"damage falls to 1/e in {hours(repair)}"
-        if death.damage_time is not None and repair <= death.damage_time:
-            words += ", as fast as it comes: a mean cell bears it for ever"
-    if death.damage_variation > 0.0:
-        words += f", tolerance varies by {100.0 * death.damage_variation:g} %"
     return words
 
 

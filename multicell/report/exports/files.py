@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
@@ -35,28 +35,16 @@ class Format:
     packages: Sequence[str] = ()  # that write it, beside those of every installation
     tables: bool = False  # whether there is one file for each table, out of which a user may choose
 
-    def names(self, tables: Iterable[str]) -> list[str]:
-        """Return the names of the files that are written in any case."""
-        return [name.format(table=table) for table in tables for name in self.files]
-
-    def writer(self) -> Callable[..., Any]:
-        """Load what writes it; raises MissingPackage if a package is not installed."""
-        needs(*self.packages)
-        module, _, name = self.function.rpartition(".")
-        loaded = import_module(f"multicell.report.{module}")
-        return getattr(loaded, name)  # type: ignore[no-any-return]
-
 
 FORMATS: Final = {
     "csv": Format("tables.write_csv", ["{table}.csv"], tables=True),
     "parquet": Format("tables.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
-    "vtk": Format("exports.arrays.write_vtk", ["run.pvd"], ["pyvista"]),
-    "anndata": Format("exports.annotated.write", ["cells.h5ad"], ["anndata"]),
-    "netcdf": Format("exports.arrays.write_netcdf", ["history.nc"], ["xarray", "h5netcdf"]),
-    "simularium": Format("exports.simularium.write", ["run.simularium"]),
-    "openvt": Format("exports.openvt.write", ["openvt.csv"]),
-    "page": Format("viewer.embed.write", ["view.html"]),
-    "ro-crate": Format("exports.ro_crate.write", ["ro-crate-metadata.json"]),
+    "vtk": Format("exports.formats.write_vtk", ["run.pvd"], ["pyvista"]),
+    "anndata": Format("exports.formats.write_anndata", ["cells.h5ad"], ["anndata"]),
+    "netcdf": Format("exports.formats.write_netcdf", ["history.nc"], ["xarray", "h5netcdf"]),
+    "openvt": Format("exports.formats.write_openvt", ["openvt.csv"]),
+    "page": Format("viewer.pack.write", ["view.html"]),
+    "ro-crate": Format("exports.formats.write_crate", ["ro-crate-metadata.json"]),
 }
 """Formats by name."""
 
@@ -87,9 +75,6 @@ def export(
 
     ``"netcdf"`` has the history in ``history.nc`` and each frame, cells and fields, in
     ``frame-0000.nc``.
-
-    ``"simularium"`` is for the viewer at https://simularium.allencell.org: the cells of all frames
-    as spheres in ``run.simularium``, named and coloured by type and state.
 
     ``"openvt"`` has the tables that OpenVT's frameworks exchange: ``openvt.csv`` with a row for
     each cell in each frame, lengths in diameters of a newborn cell and time in h; and where cells
@@ -141,8 +126,10 @@ def export(
     folder = Path(output)
     with file_errors("use the output folder", folder):
         if not overwrite:
-            _refuse_old(folder, chosen.names(names))
-        write = chosen.writer()
+            _refuse_old(folder, [file.format(table=x) for x in names for file in chosen.files])
+        needs(*chosen.packages)
+        module, _, function = chosen.function.rpartition(".")
+        write = getattr(import_module(f"multicell.report.{module}"), function)
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".export-", dir=folder) as place:
             staged = Path(place)

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
 from multicell.cells import Cells, FloatArray
 from multicell.contact.pair import Pair
 from multicell.report.plots import style
 from multicell.report.wording import TimeUnit, percent, time_unit
 from multicell.results.frame import Frame
-from multicell.results.observables import centre, distances, means, sizes
+from multicell.results.observables import sizes
 from multicell.scene.pairs import pair_of
 from multicell.scene.scene import Scene
 
@@ -31,20 +31,9 @@ def random_mixing(cells: Cells) -> float:
     return float(1.0 - (numbers * (numbers - 1.0)).sum() / (count * (count - 1.0)))
 
 
-def mean_distances(cells: Cells, types: int, dimensions: int) -> FloatArray:
-    """Return the mean distance of each type's cells from the centre: (types,), µm.
-
-    NaN for a type without cells.
-    """
-    if len(cells) == 0:
-        return np.full(types, np.nan)
-    distance = distances(cells, centre(cells, dimensions))
-    return means(cells.kind, np.arange(-0.5, types), distance)
-
-
 @style.styled
 def contacts(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figure:
-    """Draw heterotypic contacts, all contacts, and the distance of each type from the centre."""
+    """Draw heterotypic contacts, and all contacts."""
     if len(history.get("heterotypic_fraction", ())) == 0:
         raise ValueError("the history has no contacts of different types: nothing to draw")
     end = float(history["time"][-1])
@@ -52,19 +41,15 @@ def contacts(frames: Sequence[Frame], history: style.History, scene: Scene) -> F
     mixed = history["heterotypic_fraction"]
     change = f"heterotypic contacts {percent(mixed[0])} at first, {percent(mixed[-1])} at last"
     figure = style.headed(scene, f"After {unit.text(end)}: {change}")
-    place = {"left": 0.09, "right": 0.97, "top": 0.82, "bottom": 0.11}
-    place |= {"wspace": 0.26, "hspace": 0.34}
-    upper, right, lower = figure.subplot_mosaic("ab;cb", gridspec_kw=place).values()
+    place = {"left": 0.09, "right": 0.97, "top": 0.82, "bottom": 0.11, "hspace": 0.34}
+    upper, lower = figure.subplots(2, gridspec_kw=place)
     _draw_fraction(upper, frames, 100.0 * mixed, time, unit)
     style.draw_line(lower, time, history["contacts"], style.INK)
     lower.set_ylim(0.0, 1.12 * max(float(history["contacts"].max()), 1.0))
     lower.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
     style.counts(lower.yaxis)
     lower.set(title="Contacts", ylabel="number of pairs")
-    _draw_distances(right, frames, scene, unit)
     style.time_axes(figure.axes, time, unit)
-    for axes in figure.axes:
-        axes.set_xlim((0.0, float(time[-1])) if end > 0.0 else (-0.5, 0.5))
     upper.set_xlabel("")
     return figure
 
@@ -86,23 +71,6 @@ def _draw_fraction(
     axes.legend(loc="upper right", fontsize=11)
 
 
-def _draw_distances(axes: Axes, frames: Sequence[Frame], scene: Scene, unit: TimeUnit) -> None:
-    names = list(scene.types)
-    time = np.array([frame.time for frame in frames]) / unit.seconds
-    mean = np.array([mean_distances(f.cells, len(names), scene.dimensions) for f in frames])
-    axes.set_title("Distance from the centre")
-    handles = []
-    for k, colour in enumerate(style.type_colours(names).values()):
-        marker = "osD^vPX"[k % 7]
-        if len(frames):
-            handles += axes.plot(time, mean[:, k], f"{marker}-", color=colour, lw=2, clip_on=False)
-    axes.set_ylabel("mean over the cells of a type (µm)")
-    low, high = (np.nanmin(mean), np.nanmax(mean)) if np.isfinite(mean).any() else (0.0, 1.0)
-    room = max(high - low, 0.1 * high, 1e-6)
-    axes.set_ylim(max(low - 0.3 * room, 0.0), high + 0.4 * room)
-    axes.legend(handles, [style.type_label(name) for name in names], loc="upper left")
-
-
 def distance_of_two(diameter: FloatArray, cells: Cells, dimensions: int) -> FloatArray:
     """Return the distance of two cells of constant radii from their common diameter, µm.
 
@@ -115,17 +83,6 @@ def distance_of_two(diameter: FloatArray, cells: Cells, dimensions: int) -> Floa
     share = dimensions / (dimensions + 2)
     square = share * (0.25 * np.square(diameter) - own) / float(np.prod(part))
     return np.sqrt(np.maximum(square, 0.0))
-
-
-def separation_theory(frames: Sequence[Frame], scene: Scene, time: float) -> float | None:
-    """Return the load in nN that separates two cells of a scene, receptors as at a time in s.
-
-    None where there are more than two cells, or nothing sticks.
-    """
-    if len(frames) == 0 or len(frames[0].cells) != 2:
-        return None
-    load = _pair(frames[0].cells, scene, time).deepest()[0]
-    return load if load > 0.0 else None
 
 
 def _pair(cells: Cells, scene: Scene, time: float) -> Pair:
@@ -158,14 +115,6 @@ def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figur
     when = float(time[max(last, 0)])
     if two:
         _draw_law(axes, _pair(frames[0].cells, scene, when), x[kept])
-    elif len(frames[0].cells) > 1 and len(scene.types) < 2:
-        load, _ = _pair(frames[0].cells, scene, when).deepest()
-        _draw_load(axes, load, "theory for one contact")
-    if not two and x[kept].max() > 5.0 * x[kept].min() > 0.0:
-        axes.set_xscale("log")
-        style.counts(axes.xaxis)
-        axes.xaxis.set_minor_formatter(axes.xaxis.get_major_formatter())
-        axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
     top = float(force[min(last + 1, len(force) - 1)])
     if broken:
         label = f"last contact broken at {top:.4g} nN"
@@ -184,11 +133,9 @@ def _draw_law(axes: Axes, pair: Pair, x: FloatArray) -> None:
     shown = attraction > 0.0
     axes.plot(d[shown], attraction[shown], color=style.QUIET, lw=1.2, label="attraction of the law")
     simple = getattr(pair.law, "surface_energy", 0.0) > 0.0 and pair.bonds == 0.0
-    _draw_load(axes, load, "theory: (3/2) π σ r_ij" if simple else "theory: largest attraction")
+    label = "theory: (3/2) π σ r_ij" if simple else "theory: largest attraction"
+    if load > 0.0:
+        label = f"{label} = {load:.4g} nN"
+        axes.axhline(load, color=style.INK, lw=1.6, ls="--", label=label)
     margin = 0.03 * (furthest - nearest)
     axes.set_xlim(nearest - margin, furthest + margin)
-
-
-def _draw_load(axes: Axes, load: float, label: str) -> None:
-    if load > 0.0:
-        axes.axhline(load, color=style.INK, lw=1.6, ls="--", label=f"{label} = {load:.4g} nN")

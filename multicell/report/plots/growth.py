@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,11 +13,13 @@ from matplotlib.ticker import MaxNLocator, NullFormatter
 from multicell.cells import FloatArray
 from multicell.errors import OutputError
 from multicell.report.plots import style
-from multicell.report.plots.fields import draw_hypoxic, mark_media
 from multicell.report.wording import TimeUnit, cell_count, time_unit, written
 from multicell.results.quantities import known_unit, title_of
+from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
+
+_MAX_MARKED: Final = 12  # switches of the medium, above which lines would hide the curves
 
 
 @style.styled
@@ -34,7 +37,7 @@ def growth(history: style.History, scene: Scene) -> Figure:
         _draw_rim(figure.add_subplot(grid[2, 0]), time, history)
     _draw_states(figure.add_subplot(grid[:, 1]), time, history)
     style.time_axes(figure.axes, time, unit)
-    mark_media(figure.axes[0], scene.nutrients, style.span(time), unit)
+    _mark_media(figure.axes[0], scene.nutrients, style.span(time), unit)
     for axes in figure.axes[: rows - 1]:
         axes.set_xlabel("")
         if rows == 3:  # little room between three
@@ -77,9 +80,8 @@ def overlay(runs: Mapping[str, style.History], quantity: str) -> Figure:
             raise OutputError(f"the history of '{label}' has no {quantity!r}. {hint}")
     unit = time_unit(max(float(history["time"][-1]) for history in runs.values()))
     title = title_of(quantity).capitalize()
-    count = "one run" if len(runs) == 1 else f"{len(runs)} runs"
-    figure = style.blank(title, count)
-    axes = figure.add_axes((0.1, 0.11, 0.86 if len(runs) == 1 else 0.6, 0.72))
+    figure = style.blank(title, "one run" if len(runs) == 1 else f"{len(runs)} runs")
+    axes = figure.add_axes((0.1, 0.11, 0.6, 0.72))
     colours = style.type_colours(runs)
     for k, (label, history) in enumerate(runs.items()):
         time = history["time"] / unit.seconds
@@ -92,8 +94,7 @@ def overlay(runs: Mapping[str, style.History], quantity: str) -> Figure:
     axes.set_ylabel(f"{title.lower()} ({written(dimension)})" if dimension else title.lower())
     times = np.concatenate([history["time"] for history in runs.values()])
     axes.set_xlim(*style.span(np.sort(times) / unit.seconds))
-    if len(runs) > 1:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02))
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02))
     return figure
 
 
@@ -135,11 +136,9 @@ def _draw_size(axes: Axes, time: FloatArray, history: style.History) -> None:
         axes.plot(
             time, shown, color=style.COLOURS["necrotic"], lw=2, ls="--", label="necrotic core"
         )
-    parts = draw_hypoxic(axes, time, history) > 0 or core.max() > 0
-    if parts:
         axes.legend(loc="upper left", fontsize=9, ncols=2)
     # room for the legend above the line
-    axes.set_ylim(0.0, (1.7 if parts else 1.1) * max(float(whole.max()), 1.0))
+    axes.set_ylim(0.0, (1.5 if core.max() > 0 else 1.1) * max(float(whole.max()), 1.0))
     axes.set(title="Diameter", ylabel="diameter (µm)")
 
 
@@ -174,3 +173,18 @@ def _draw_states(axes: Axes, time: FloatArray, history: style.History) -> None:
     _count_axis(axes, (1.25 if held.max() == 0 else 1.35) * float(history["cells"].max()))
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles[::-1], labels[::-1], loc="upper left", handlelength=1.0)
+
+
+def _mark_media(
+    axes: Axes, nutrients: Mapping[str, Nutrient], span: tuple[float, float], unit: TimeUnit
+) -> None:
+    """Mark when the medium of a field is switched, with its new value where there is room."""
+    begin, end = span[0] * unit.seconds, span[1] * unit.seconds
+    found = sorted((time, name) for name, n in nutrients.items() for time in n.switches(begin, end))
+    for time, name in found[:_MAX_MARKED]:
+        axes.axvline(time / unit.seconds, color=style.INK, lw=1.0, ls=":", zorder=1)
+        text = f" {style.type_label(name)} {nutrients[name].medium(time):.3g} mM"
+        axes.text(
+            time / unit.seconds, 0.03, text, rotation=90, ha="right", va="bottom",
+            fontsize=9, color=style.INK, transform=axes.get_xaxis_transform(),
+        )  # fmt: skip

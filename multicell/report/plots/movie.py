@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Iterator
 from itertools import chain
@@ -11,15 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.report.plots.colouring import GROUPS, colouring, limits_of, quantity
-from multicell.report.plots.plane import Plane
-from multicell.report.plots.section import section, window
-from multicell.report.plots.space import FILM_DPI, film_picture, room
-from multicell.report.plots.spheres import View
+from multicell.report.plots.section import Plane, section, window
+from multicell.report.plots.space import FILM_DPI, View, film_picture, room
 from multicell.results.folder import file_errors, write_bytes
 
 if TYPE_CHECKING:
@@ -88,7 +84,8 @@ def movie(
     figures: Iterator[Figure]
     if space:  # the eye turns on while the last frame stays
         numbers += hold * numbers[-1:]
-        views = [View(float(angle), cut) for angle in _angles(turn, len(numbers))]
+        swing = View(turn, cut).turn * np.sin(np.linspace(0.0, 2.0 * np.pi, len(numbers)))
+        views = [View(0.5 * float(angle), cut) for angle in swing]
         half = max(room(frames[k]) for k in dict.fromkeys(numbers))
         figures = (
             film_picture(frames[k], scene, shades(k), view, half, transparent)
@@ -111,13 +108,6 @@ def movie(
                 progress(done, len(numbers))
         write_bytes(path, film.read_bytes())
     return path
-
-
-def _angles(turn: float, count: int) -> NDArray[np.float64]:
-    """Return where the eye stands in each picture: it swings to one side, to the other and back."""
-    if not math.isfinite(turn):
-        raise OutputError(f"turn must be finite, got {turn}")
-    return 0.5 * turn * np.sin(np.linspace(0.0, 2.0 * np.pi, count))
 
 
 def _shades(result: Result, numbers: list[int], colour: str | None) -> Callable[[int], Colouring]:

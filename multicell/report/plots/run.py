@@ -34,8 +34,7 @@ class PictureKind:
     """A picture of a run."""
 
     options: Sequence[str]  # what its method takes, such as "frame" or "colour"
-    caption: str  # on the page of a run in space
-    flat_caption: str  # and of one in a plane
+    caption: str  # on the page of a run
     on_page: Callable[[Plots], bool]  # whether the page of a run shows it: has enough to draw
 
 
@@ -44,13 +43,13 @@ PICTURES: Final[dict[str, PictureKind]] = {}
 
 
 def _picture(
-    caption: str = "", flat: str = "", *, on_page: Callable[[Plots], bool] = lambda _: False
+    caption: str = "", *, on_page: Callable[[Plots], bool] = lambda _: False
 ) -> Callable[[_Method], _Method]:
     """Enter a method of :class:`Plots` into :data:`PICTURES`."""
 
     def enter(method: _Method) -> _Method:
         options = list(signature(method).parameters)[1:]
-        PICTURES[method.__name__] = PictureKind(options, caption, flat or caption, on_page)
+        PICTURES[method.__name__] = PictureKind(options, caption, on_page)
         return method
 
     return enter
@@ -94,8 +93,7 @@ class Plots:
         return (growth if alive else motion)(self.history, self.scene)
 
     @_picture(
-        "Cells that a plane through the centre cuts, each drawn with the radius of its cut.",
-        "The cells, all in one plane.",
+        "Cells in the plane through the centre, each drawn with the radius of its cut.",
         on_page=lambda run: run._crowd(1),
     )
     def section(
@@ -119,8 +117,7 @@ class Plots:
         OutputError
             For a plane that cuts no cell, and a colour that is none.
         """
-        from multicell.report.plots.plane import Plane
-        from multicell.report.plots.section import section
+        from multicell.report.plots.section import Plane, section
 
         where = None if plane is None else Plane.parse(plane)
         return section(*self._shaded(frame, colour), where)
@@ -147,8 +144,7 @@ class Plots:
         OutputError
             If the cells lie in a plane, and for a cut or a colour that is none.
         """
-        from multicell.report.plots.space import space
-        from multicell.report.plots.spheres import View
+        from multicell.report.plots.space import View, space
 
         return space(*self._shaded(frame, colour), View(turn, cut))
 
@@ -174,19 +170,17 @@ class Plots:
         return overlay(runs, name)
 
     @_picture(
-        "A map of every field in the plane of the section, each over its own range.",
-        "A map of every field in the plane of the cells, each over its own range.",
+        "A map of every field in the plane through the centre, each over its own range.",
         on_page=lambda run: run._crowd(1) and len(run.frames[-1].fields) > 1,
     )
     def fields(self, frame: int = -1) -> Figure:
         """Show a map of every field in the plane z = centre, at frame number ``frame``."""
-        from multicell.report.plots.fields import field_maps
+        from multicell.report.plots.section import field_maps
 
         return field_maps(self.frames[frame], self.scene)
 
     @_picture(
-        "Averages over spherical shells about the centre.",
-        "Averages over rings about the centre.",
+        "Averages over shells, in a plane over rings, about the centre.",
         on_page=lambda run: run._crowd(_MIN_CROWD),
     )
     def profiles(self, frame: int = -1) -> Figure:
@@ -196,11 +190,11 @@ class Plots:
         return profiles(self.frames[frame], self.scene)
 
     @_picture(
-        "Contacts between cells of different types, and where each type is.",
+        "Contacts between cells of different types, and all contacts.",
         on_page=lambda run: run._crowd(0) and run._has("heterotypic_fraction"),
     )
     def contacts(self) -> Figure:
-        """Draw the contacts between unlike cells against time, and where each type is."""
+        """Draw the contacts between unlike cells, and all, against time."""
         from multicell.report.plots.contacts import contacts
 
         return contacts(self.frames, self.history, self.scene)

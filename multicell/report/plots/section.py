@@ -1,10 +1,14 @@
-"""A section through the middle of a population, with the nutrient around it."""
+"""Sections through a population: its cells with the nutrient around them, and every field."""
 
 from __future__ import annotations
 
+import re
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, final
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -14,17 +18,18 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from multicell.cells import Cells, FloatArray, State
-from multicell.errors import OutputError
+from multicell.errors import OutputError, SceneError
 from multicell.report.plots import style
 from multicell.report.plots.colouring import SCALE, Colouring
-from multicell.report.plots.plane import Plane, height, turn_frame
 from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
 from multicell.results.observables import centre, uniform_radius
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
+from multicell.units import to_base
 
 _MIN_LEVEL = 1e-9  # part of the highest concentration of a field below which it is not drawn
 _LEAST_RANGE: Final = 1e-3  # of the shades of a field, as a part of its highest concentration
@@ -36,6 +41,67 @@ _MIN_DENSITY: Final = 1e-9  # of the largest density, below which there is no ti
 LABEL: Final = "most cells are necrotic"
 _WATER: Final = LinearSegmentedColormap.from_list("water", ["#ffffff", "#8fbce0"])
 """Shades of a field behind cells: white to a light blue, against which cells stand out."""
+_TEXT: Final = re.compile(r"([xyz])(?:=(.+))?")
+_ORDERS: Final = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
+
+
+@final
+@dataclass(frozen=True)
+class Plane:
+    """A plane across an axis.
+
+    - ``axis``: ``"x"``, ``"y"`` or ``"z"``
+    - ``at``, float or None, µm: where on it; None for the centre of the cells
+    """
+
+    axis: str = "z"
+    at: float | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Plane:
+        """Return the plane that a text such as ``"x"``, ``"x=0"`` or ``"z=12 um"`` names."""
+        match = _TEXT.fullmatch(text.strip())
+        if match is None:
+            raise OutputError(f"{text!r} is no plane: write x, y or z, or for example z='12 um'")
+        if match[2] is None:
+            return cls(match[1])
+        with suppress(ValueError):
+            return cls(match[1], float(match[2]))
+        try:
+            return cls(match[1], to_base(match[2], "um", text))
+        except SceneError as error:
+            raise OutputError(f"{text!r} is no plane: {error.problem}") from None
+
+
+def turn_frame(frame: Frame, plane: Plane) -> Frame:
+    """Return a frame with its axes in another order, so that the plane lies across the third.
+
+    The order is cyclic: nothing is mirrored.
+    """
+    if plane.axis == "z":
+        return frame
+    order = list(_ORDERS[plane.axis])
+    cells = frame.cells.shared()
+    cells.position = np.ascontiguousarray(frame.cells.position[:, order])
+    fields = {}
+    for name, field in frame.fields.items():
+        values = field.values if field.kind == "radial" else field.values.transpose(order)
+        fields[name] = replace(field, origin=field.origin[order], values=values)
+    return replace(frame, cells=cells, fields=fields)
+
+
+def height(frame: Frame, plane: Plane, middle: FloatArray) -> float:
+    """Return where the plane cuts a frame that was turned, µm on its third axis."""
+    if plane.at is None:
+        return float(middle[2])
+    place, radius = frame.cells.position[:, 2], frame.cells.radius
+    low, high = float((place - radius).min()), float((place + radius).max())
+    if not (np.abs(place - plane.at) < radius).any():
+        raise OutputError(
+            f"the plane {plane.axis} = {plane.at:g} um cuts no cell: they lie between "
+            f"{low:.4g} and {high:.4g} um"
+        )
+    return plane.at
 
 
 @style.styled
@@ -84,9 +150,49 @@ def section(
         dead = draw_necrotic(axes, frame.cells, place, level) if fields else False
         _draw_behind(figure, axes, fields.get(name), level, scene.nutrients.get(name), dead)
     scale_bar(axes, middle, half)
-    if dimensions == 3 and plane is not None:
-        _name_axes(axes, plane, middle, half)
     explain_colours(figure, shade, "Cells in this section" if dimensions == 3 else "Cells", inside)
+    return figure
+
+
+@style.styled
+def field_maps(frame: Frame, scene: Scene) -> Figure:
+    """Draw a map of every field in the plane z = centre.
+
+    A line shows where cells begin to rest, a dashed one where most are necrotic.
+    """
+    shown = [name for name in scene.nutrients if name in frame.fields]
+    if not shown:
+        raise ValueError("the frame has no fields: there is nothing to map")
+    cells, middle = frame.cells, centre(frame.cells, scene.dimensions)
+    half = window(frame, scene)
+    figure = style.headed(
+        scene, f"{style.moment(frame)}: section through the centre, {2 * half:.0f} µm wide"
+    )
+    columns = max((len(shown) + 1) // 2, min(len(shown), 2))
+    grid = figure.add_gridspec(
+        -(-len(shown) // columns), columns,
+        left=0.04, right=0.93, top=0.81, bottom=0.06, wspace=0.34, hspace=0.26,
+    )  # fmt: skip
+    words = [style.type_label(name.replace("_", " "), 15).capitalize() for name in shown]
+    for k, name in enumerate(shown):
+        axes = figure.add_subplot(grid[k])
+        axes.set_title(f"{words[k]} (mM)")
+        frame_window(axes, middle, half)
+        axes.grid(False)
+        nutrient, field = scene.nutrients[name], frame.fields[name]
+        # of a finite medium what was left
+        ledger = {} if frame.progress is None else frame.progress.ledger.get(name, {})
+        medium = float(ledger.get("level", nutrient.medium(frame.time)))
+        viridis = mpl.colormaps["viridis"]
+        shades, _ = draw_field(axes, field, float(middle[2]), nutrient, medium, None, viridis)
+        if nutrient.necrosis is not None:
+            draw_necrotic(axes, cells, cells.position, float(middle[2]))
+        bar = figure.colorbar(shades, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)))
+        bar.outline.set_visible(False)
+        bar.locator = MaxNLocator(5, prune="both")  # two bars may stand one above the other
+        bar.formatter = ScalarFormatter(useOffset=False)
+        bar.ax.tick_params(labelsize=9)
+        bar.ax.grid(False)
     return figure
 
 
@@ -110,20 +216,6 @@ def _draw_deep(
     paler = (0.45 + 0.45 * depth[order] / reach)[:, None]
     pale = rgb[order] * (1.0 - paler) + paler
     draw_discs(axes, place[order, :2], radius[order], pale, edge=0.0)
-
-
-def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> None:
-    right, up = plane.shown
-    long = 0.16 * half
-    x = axes.get_xlim()[1] - 0.34 * half
-    y = middle[1] - 0.92 * half
-    for name, (dx, dy) in ((right, (long, 0.0)), (up, (0.0, long))):
-        axes.annotate(
-            "", (x + dx, y + dy), (x, y), zorder=5,
-            arrowprops={"arrowstyle": "-|>", "color": style.INK, "lw": 1.5, "shrinkA": 0,
-                        "shrinkB": 0},
-        )  # fmt: skip
-        axes.text(x + 1.35 * dx, y + 1.35 * dy, name, ha="center", va="center", zorder=5)
 
 
 def frame_window(axes: Axes, middle: FloatArray, half: float, width: float | None = None) -> None:

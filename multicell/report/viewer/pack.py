@@ -1,4 +1,4 @@
-"""Frames packed for the view in space and time: columns of small integers, compressed.
+"""The view in space and time, as parts of a page: frames as columns of small integers, compressed.
 
 A column is scaled over its range in the whole run; what is shown under the pointer is therefore
 rounded: places to a 16,383rd of the extent of the run, quantities to a 255th of their range. Each
@@ -10,19 +10,25 @@ from __future__ import annotations
 
 import base64
 import gzip
+import hashlib
+import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 import matplotlib as mpl
 import numpy as np
+from markupsafe import Markup
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from multicell import random
 from multicell.cells import FloatArray, IntArray
+from multicell.errors import OutputError
 from multicell.random import Purpose
 from multicell.report.plots.colouring import SCALE, clone_colours, founder, limits_of
 from multicell.report.plots.style import COLOURS, type_colours
@@ -34,6 +40,7 @@ from multicell.results.tables import NAMED
 
 if TYPE_CHECKING:
     from multicell.report.result import Result
+    from multicell.report.tables import Frames
 
 MAX_FRAMES: Final = 50  # frames that are shown at most
 MAX_CELLS: Final = 10_000  # cells of a frame that are shown at most
@@ -47,6 +54,10 @@ _CURVES: Final = ("cells", "diameter", "viable_rim", "largest_pressure")
 _SHADES: Final = 64
 _EFFORT: Final = 6  # of the compression: 9 takes four times as long for one per cent less
 _MAX_CLONES: Final = 250
+_SCRIPTS: Final = ("three.min.js", "viewer.js")
+_PAGE_CELLS: Final = 100_000
+_PAGE_BYTES: Final = 17_500_000
+"""Limits of :func:`pack_frames` for a page of its own, which then has less than 25 MB."""
 
 
 @final
@@ -371,3 +382,52 @@ def _note(result: Result, contents: Sequence[Mapping[str, Any]]) -> str:
             "there are gaps between them that the tissue does not have."
         )
     return " ".join(said)
+
+
+def view(
+    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_BYTES
+) -> dict[str, Any] | None:
+    """Return what ``viewer.html`` shows of a run, or None where there is nothing to see.
+
+    ``about`` is the table of contents as JSON, ``data`` the columns of all frames as text,
+    ``scripts`` are texts, ``policy`` their hashes as sources for the page's
+    Content-Security-Policy, and ``note`` says what is left out.
+    """
+    contents = pack_frames(result, max_cells=max_cells, max_bytes=max_bytes)
+    if contents is None:
+        return None
+    # within a script "<" must not begin a tag; in JSON it can be written otherwise
+    about = json.dumps(contents.about, allow_nan=False).replace("<", "\\u003c")
+    folder = files("multicell.report.viewer")
+    scripts = [(folder / name).read_text(encoding="utf-8") for name in _SCRIPTS]
+    hashes = (hashlib.sha256(text.encode()).digest() for text in scripts)
+    return {
+        "about": Markup(about),
+        "data": contents.data,
+        "scripts": [Markup(script) for script in scripts],
+        "policy": " ".join(f"'sha256-{base64.b64encode(one).decode('ascii')}'" for one in hashes),
+        "note": contents.note,
+    }
+
+
+def view_page(result: Result, **limits: int) -> str | None:
+    """Return a page of its own with the view, or None where there is nothing to see.
+
+    - ``limits``: as for :func:`view`
+    """
+    from multicell.report.html import rendered
+
+    found = view(result, **limits)
+    if found is None:
+        return None
+    title = result.scene.title or "Untitled run"
+    return rendered("view.html", title=title, subtitle="", tiles={}, scene="", viewer=found)
+
+
+def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+    """Write the view of all frames as one page and return its name."""
+    page = view_page(run, max_cells=_PAGE_CELLS, max_bytes=_PAGE_BYTES)
+    if page is None:
+        raise OutputError("no frame of the run has cells: there is nothing to show")
+    (folder / "view.html").write_text(page, encoding="utf-8")
+    return ["view.html"]
