@@ -21,15 +21,14 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("name", required=False, type=shared.SCENE)
-@click.option("--show", is_flag=True, help="Print the scene NAME as TOML, with units and remarks.")
 @click.option("--full", is_flag=True, help="Print it with every key that it could have left out.")
 @shared.as_json_option
-def scenes(name: str | None, show: bool, full: bool, as_json: bool) -> None:
-    """List the built-in scenes, or print the one called NAME."""
+def scenes(name: str | None, full: bool, as_json: bool) -> None:
+    """List the built-in scenes, or print the one called NAME as TOML, with units and remarks."""
     from multicell.scene.scene import load_scene, scene_names
 
-    if name is None and (show or full):
-        raise click.UsageError("--show and --full need the NAME of a scene")
+    if name is None and full:
+        raise click.UsageError("--full needs the NAME of a scene")
     if name is not None:
         _print_scene(name, full, as_json)
         return
@@ -58,20 +57,19 @@ def _print_scene(name: str, full: bool, as_json: bool) -> None:
 @click.command()
 @click.argument("name", type=shared.SCENE)
 @shared.output_option("File to write, by default NAME.toml here.", required=False)
-@click.option("--full", is_flag=True, help="Write every key, also those that could be left out.")
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
-def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: bool) -> None:
+def init(name: str, output: Path | None, overwrite: bool, as_json: bool) -> None:
     """Write a copy of the built-in scene NAME, to edit and run as a scene of your own."""
     from multicell.results.folder import write_text
-    from multicell.scene.scene import load_scene, scene_names, scene_text
+    from multicell.scene.scene import scene_names, scene_text
     from multicell.schema import near_miss
 
     if name not in scene_names():
         raise OutputError(f"there is no built-in scene {name!r}. {near_miss(name, scene_names())}")
     path = output or Path(f"{name}.toml")
     shared.refuse_existing(path, overwrite=overwrite)
-    write_text(path, load_scene(name).to_toml() if full else scene_text(name))
+    write_text(path, scene_text(name))
     if as_json:
         print_json({"file": str(path)})
         return

@@ -126,23 +126,19 @@ def _refuse_mixed(
     frame: int | None,
     quantity: str | None,
 ) -> None:
-    if quantity is not None:
-        of_frame = {"--time": moment, "--frame": frame, "--picture": picture}
-        for option in [
-            *(_OPTIONS[name] for name in given),
-            *(option for option, value in of_frame.items() if value is not None),
-        ]:
-            raise click.UsageError(f"{option} has no meaning with --quantity")
-        return
-    if len(folders) > 1:
+    """Refuse options that the picture does not take."""
+    if len(folders) > 1 and quantity is None:
         raise click.UsageError("several runs go into one picture with --quantity only")
-    taken = PICTURES[picture or "section"].options
-    for name in given:
+    if picture is not None and quantity is not None:
+        raise click.UsageError("--picture has no meaning with --quantity")
+    what = "--quantity" if quantity is not None else f"--picture {picture or 'section'}"
+    taken = () if quantity is not None else PICTURES[picture or "section"].options
+    frames = {"--time": moment, "--frame": frame}
+    options = {_OPTIONS[name]: name for name in given}
+    options |= {name: "frame" for name, value in frames.items() if value is not None}
+    for option, name in options.items():
         if name not in taken:
-            able = [f"--picture {key}" for key, kind in PICTURES.items() if name in kind.options]
-            raise click.UsageError(f"{_OPTIONS[name]} has a meaning for {' or '.join(able)} only")
-    if "frame" not in taken and (moment is not None or frame is not None):
-        raise click.UsageError(f"--picture {picture} shows all times: leave --time and --frame out")
+            raise click.UsageError(f"{option} has no meaning with {what}")
     if moment is not None and frame is not None:
         raise click.UsageError("--time and --frame both name the frame: give one of them")
 

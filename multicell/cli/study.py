@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import sys
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -15,14 +15,12 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json, words_after
-from multicell.errors import MissingPackage
 from multicell.units import time_text
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.studies.cost import StudyCost
     from multicell.studies.engine import Outcome
-    from multicell.studies.status import RunStatus
     from multicell.studies.study import Study
 
 _ASKED: Final = 3600.0  # expected time in s above which a study is asked for
@@ -46,10 +44,7 @@ yes_option = click.option(
     "--yes", "-y", is_flag=True, help="Do not ask before what is expected to take over an hour."
 )
 retry_option = click.option("--retry", is_flag=True, help="Try again what has failed.")
-_recorded = shared.grouped(
-    shared.observable_option, shared.integrator_option, shared.as_json_option
-)
-_studied = shared.grouped(shared.law_option, _recorded)
+_studied = shared.grouped(shared.loaded_law_option, shared.observable_option, shared.as_json_option)
 analysis_options = shared.grouped(
     cores_option,
     scheduler_option,
@@ -79,12 +74,6 @@ def study() -> None:
     "of them) or contact.law=jkr,hertz; with lhs and sobol a range, '8:25 h' or "
     "'log 1e-3:1 1/s'. May be given several times.",
 )
-@click.option(
-    "--points",
-    metavar="FILE",
-    help="List of points, such as those of keys that vary together: a CSV file with keys and units "
-    "in its header, as 'cells.young [kPa]'.",
-)
 @shared.valued(
     "--design",
     default="grid",
@@ -99,15 +88,14 @@ def study() -> None:
     default=1,
     help="Runs of each point, with the same seeds at all points.",
 )
-@click.option("--every", metavar="TIME", help="Between rows of the table of results, as '6 h'.")
-@_recorded
+@shared.observable_option
+@shared.as_json_option
 @shared.overwrite_option("Replace the plan of another study; its runs stay.")
 @shared.quiet_option
 def new(
     scene: Scene,
     output: Path,
     vary: Sequence[str],
-    integrator: str | None,
     quiet: bool,
     as_json: bool,
     **options: Any,
@@ -119,9 +107,7 @@ def new(
     from multicell.studies.study import study as planned
 
     with planning():
-        made = planned(
-            scene, key_values(vary, "--vary"), output=output, integrator=integrator or "", **options
-        )
+        made = planned(scene, key_values(vary, "--vary"), output=output, **options)
         made.expected(1)
     _print_plan(made, quiet, as_json)
 
@@ -146,7 +132,8 @@ def key_values(items: Sequence[str], option: str) -> dict[str, str]:
 
 
 def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
-    cores = _known_cores()
+    cores = cores_wanted(None, None)
+    assert cores is not None
     cost, states = made.expected(cores), made.status()
     done = sum(state.state == "done" for state in states)
     if as_json:
@@ -160,9 +147,11 @@ def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
         return
     if quiet:
         return
+    from multicell.studies.plan import axis_line
+
     plan = made.plan
     for axis in plan.design.axes:
-        say(f"{axis.key}: {_values(axis)}")
+        say(textwrap.shorten(axis_line(axis), 200, placeholder=" ..."))
     points, seeds = _count(len(plan.points), "point"), _count(plan.seeds, "seed")
     known = f", {done:,} of them done" if done else ""
     say(f"{points} x {seeds} = {_count(len(states), 'run')}{known}")
@@ -175,15 +164,6 @@ def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
 
 def _count(number: int, what: str) -> str:
     return f"{number:,} {what}{'' if number == 1 else 's'}"
-
-
-def _values(axis: Any) -> str:
-    unit = f" {axis.unit}" if axis.unit else ""
-    if hasattr(axis, "low"):
-        return f"{axis.low:g} to {axis.high:g}{unit}{', by ratio' if axis.log else ''}"
-    bare = [isinstance(x, int | float) and not isinstance(x, bool) for x in axis.values]
-    shown = [f"{x}{unit * b}" for x, b in zip(axis.values[:12], bare, strict=False)]
-    return ", ".join(shown) + (f", ... ({len(axis.values)})" if len(axis.values) > 12 else "")
 
 
 def _cost_words(cost: StudyCost, cores: int | None) -> str:
@@ -221,8 +201,6 @@ def run(
     scheduler: str | None,
     yes: bool,
     retry: bool,
-    law: str | None,
-    integrator: str | None,
     no_report: bool,
     quiet: bool,
     as_json: bool,
@@ -233,7 +211,7 @@ def run(
     and runs that were begun continue from their last frame. A run that fails is reported with its
     reason, and the others continue.
     """
-    made = _open_study(folder, law, integrator)
+    made = _open_study(folder)
     from multicell.host.extras import needs
 
     needs("dask", "distributed", *(() if no_report else ("xarray", "h5netcdf", "pandas")))
@@ -256,40 +234,22 @@ def run(
     _print_outcomes(made, outcomes, None if no_report else page, quiet, as_json)
 
 
-def _open_study(folder: Path, law: str | None, integrator: str | None) -> Study:
-    """Return the study in a folder; a law of the user's own is loaded first."""
-    if law is not None:
-        shared.name_law(law)
+def _open_study(folder: Path) -> Study:
     from multicell.studies.study import load_study
 
     with planning():
-        return load_study(folder, integrator=integrator or "")
+        return load_study(folder)
 
 
 def cores_wanted(cores: int | None, scheduler: str | None) -> int | None:
     """Return on how many cores runs go; None if a cluster decides."""
-    from multicell.studies.limits import check_cores
+    from multicell.studies.workers import own_cores
 
-    if scheduler is not None:
-        if cores is not None:
-            raise click.UsageError("--cores has no meaning with --scheduler: it has its workers.")
-        return None
+    if scheduler is None:
+        return cores or own_cores()
     if cores is not None:
-        check_cores(cores)
-        return cores
-    from multicell.studies.workers import own_cores
-
-    return own_cores()
-
-
-def _known_cores() -> int:
-    """Return on how many cores runs would use on this machine, also where Dask is not installed."""
-    from multicell.studies.workers import own_cores
-
-    try:
-        return own_cores()
-    except MissingPackage:
-        return os.cpu_count() or 1
+        raise click.UsageError("--cores has no meaning with --scheduler: it has its workers.")
+    return None
 
 
 def confirm(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None:
@@ -413,12 +373,12 @@ def _where(coordinates: Any, units: Any) -> str:
 @study.command()
 @folder_argument
 @_studied
-def status(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
+def status(folder: Path, as_json: bool) -> None:
     """Report the state of all runs of the study in FOLDER, why runs failed, and the time left."""
-    made = _open_study(folder, law, integrator)
+    made = _open_study(folder)
     states = made.status()
     counts = Counter(state.state for state in states)
-    left = _time_left(made, states)
+    left = made.expected().core_seconds
     if as_json:
         runs = [
             {**asdict(state), "coordinates": dict(run.coordinates), "expected": run.expected}
@@ -452,31 +412,16 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
     _list_failed(failed, made)
 
 
-def _time_left(made: Study, states: Sequence[RunStatus]) -> float:
-    """Return the time on one core that is left, s: as expected, by what was measured so far."""
-    measured = foreseen = left = 0.0
-    seen: set[str] = set()
-    for run, state in zip(made.runs, states, strict=True):
-        if run.name in seen:
-            continue
-        seen.add(run.name)
-        if state.state == "done":
-            measured, foreseen = measured + state.wall, foreseen + run.expected
-        elif state.state != "failed":
-            left += run.expected * max(0.0, 1.0 - state.time / run.scene.duration)
-    return left * (measured / foreseen if foreseen > 0.0 else 1.0)
-
-
 @study.command()
 @folder_argument
 @_studied
-def report(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
+def report(folder: Path, as_json: bool) -> None:
     """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
 
     That is report.html, study.nc (netCDF, for xarray) and study.csv. What has not run yet or has
     failed is marked as such.
     """
-    made = _open_study(folder, law, integrator)
+    made = _open_study(folder)
     page = made.report()
     files = [str(page), str(folder / "study.nc"), str(folder / "study.csv")]
     if as_json:

@@ -9,25 +9,21 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final, final
 
-from multicell.errors import DataError, SceneError
+from multicell.errors import SceneError
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
 from multicell.studies import axes as of
-from multicell.studies.axes import Axis, Range, bare, is_numeric, parse_axis, parse_range
+from multicell.studies.axes import Axis, Range, is_numeric, parse_axis, parse_range
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_runs
-from multicell.tables.columns import Table, read_table
-from multicell.tables.titles import split_title
 from multicell.units import shown
 
 DESIGNS: Final = ("grid", "list", "lhs", "sobol")
 SAMPLED: Final = ("lhs", "sobol")  # designs that draw a number of points from ranges
-_MAX_BYTES: Final = 20_000_000  # of a table of points: 1,000 for each of as many as there may be
 
 
 @final
@@ -170,53 +166,9 @@ def parse_axis_or_range(key: str, given: Any, scene: Scene, sampled: bool = Fals
     A text is a range where it has one colon (``"8:25 h"``), else it lists values; a tuple is one
     where points are sampled.
     """
-    if isinstance(given, Axis | Range):
-        return given
     if sampled and isinstance(given, tuple):
         return parse_range(key, given, scene)
     colon = isinstance(given, str) and given.count(":") == 1
     if colon and not given.lstrip().startswith("[") and is_numeric(key_of(scene, key)):
         return parse_range(key, given, scene)
     return parse_axis(key, given, scene)
-
-
-def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
-    """Return the columns of a table of points, a CSV file.
-
-    The header has the keys, each with the unit of its column, as ``nutrients.oxygen.boundary
-    [mM]`` or ``nutrients.oxygen.boundary / mM``; where there is none the values have units of their
-    own, or are numbers without. Lines that begin with ``#`` are remarks.
-    """
-    try:
-        table = read_table(path, _MAX_BYTES)
-    except DataError as error:
-        raise SceneError("points", f"cannot be read: {error}") from None
-    columns = zip(*table.rows, strict=True)
-    return tuple(
-        _column(table, title, column, scene)
-        for title, column in zip(table.titles, columns, strict=True)
-    )
-
-
-def _column(table: Table, title: str, cells: Sequence[str], scene: Scene) -> Axis:
-    name, unit = split_title(title)
-    if not name:
-        raise SceneError("points", f"'{table.name}' has a column without a key in its header")
-    key = key_of(scene, name)
-    values: list[Any] = []
-    for place, cell in zip(table.places, cells, strict=True):
-        where = f"'{table.name}', {place}"
-        if not cell:
-            raise SceneError(name, f"is empty in {where}")
-        value = bare(cell)
-        if isinstance(value, int | float) and not isinstance(value, bool) and unit:
-            value = f"{cell} {unit}"
-        if isinstance(value, int | float) and key.unit and is_numeric(key):
-            hint = f"Write '{name} [{key.unit}]', or a unit behind every value."
-            raise SceneError(name, f"has no unit in the header of '{table.name}'", hint)
-        try:
-            key.plain(value)
-        except SceneError as error:
-            raise SceneError(name, f"{error.problem} ({where})", error.hint) from None
-        values.append(value)
-    return parse_axis(name, values, scene)

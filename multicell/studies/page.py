@@ -12,7 +12,7 @@ import numpy as np
 from multicell.report.html import Drawing, write_page
 from multicell.report.wording import clock, time_unit
 from multicell.studies import picture_data as of
-from multicell.studies.plots import StudyPlots
+from multicell.studies.pictures import StudyPlots
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -8,7 +8,7 @@ sampled design ``point``, ``seed`` and ``time``, with the value of each axis as 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -93,18 +93,10 @@ def observables(table: xr.Dataset) -> list[str]:
 
 def observable(table: xr.Dataset, name: str) -> xr.DataArray:
     """Return a variable of the table; raises SceneError if there is none of this name."""
-    return table[_known(name, observables(table), "observable")].astype(float)
-
-
-def axis_named(table: xr.Dataset, name: str) -> str:
-    """Return the name of an axis; raises SceneError if there is none."""
-    return _known(name, axes_of(table), "axis")
-
-
-def _known(name: str, known: Sequence[str], what: str) -> str:
+    known = observables(table)
     if name not in known:
-        raise SceneError("", f"the study has no {what} {name!r}", near_miss(name, known))
-    return name
+        raise SceneError("", f"the study has no observable {name!r}", near_miss(name, known))
+    return table[name].astype(float)
 
 
 def at_end(table: xr.Dataset, name: str) -> xr.DataArray:
@@ -190,20 +182,11 @@ def number_text(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}"
 
 
-def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> tuple[xr.Dataset, str]:
-    """Return the part of a grid at given values of some axes, the nearest there are; in words."""
+def at_middle(table: xr.Dataset, names: Sequence[str]) -> tuple[xr.Dataset, str]:
+    """Return the part of a grid at the middle values of some axes, and these in words."""
     parts = []
-    for name, wanted in fixed.items():
-        shown = scale(table, axis_named(table, name))
-        if shown.numbers is None:
-            place = shown.values.index(_known(str(wanted), shown.values, f"'{name}'"))
-        else:
-            place = int(np.abs(np.subtract(shown.values, float(wanted))).argmin())
+    for name in names:
+        shown, place = scale(table, name), (table.sizes[name] - 1) // 2
         table = table.isel({name: place})
         parts.append(f"{shown.words} {shown.texts[place]} {shown.unit}".strip())
     return table, ", ".join(parts)
-
-
-def middle(table: xr.Dataset, names: Sequence[str]) -> dict[str, Any]:
-    """Return the middle value of each of some axes."""
-    return {name: table[name].values[(table.sizes[name] - 1) // 2] for name in names}

@@ -309,8 +309,9 @@ def _end_with_parent() -> None:
 
 
 def own_cores() -> int:
-    """Return how many cores this process may use, as its group of processes is limited to."""
-    needs("dask", "distributed")
-    from dask.system import CPU_COUNT
-
+    """Return how many cores this process may use; its group's limit is known where Dask is."""
+    try:
+        from dask.system import CPU_COUNT
+    except ImportError:
+        return os.cpu_count() or 1
     return int(CPU_COUNT)

@@ -52,7 +52,7 @@ def test_an_entry_of_a_table_of_numbers_is_an_axis():
     assert (axis.numbers, axis.unit) == ((0.1, 0.2), "nN/um")
     with pytest.raises(SceneError, match="name one of its keys"):
         parse_axis(f"types.{kind}.surface_energy", "0.1", scene)
-    with pytest.raises(SceneError, match="surface_energy' has no 'x'"):
+    with pytest.raises(SceneError, match="is not a key of this scene"):
         parse_axis(f"types.{kind}.surface_energy.x", "0.1", scene)
 
 

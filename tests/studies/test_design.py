@@ -12,7 +12,7 @@ from scipy.stats import qmc
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import parse_axis, parse_range
-from multicell.studies.design import Design, parse_axis_or_range, read_points
+from multicell.studies.design import Design, parse_axis_or_range
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
 LENGTH = "growth.phases.G1.duration"
@@ -105,48 +105,6 @@ def test_what_is_no_design_is_told(make, said):
     with pytest.raises(SceneError) as error:
         make()
     assert said in str(error.value)
-
-
-def test_points_are_read_from_a_table(tmp_path):
-    file = tmp_path / "points.csv"
-    file.write_text(
-        "# of a measurement\n"
-        f"{OXYGEN} [mM], cells.young,contact.law, initial.count\n"
-        "0.07, 1000 Pa,jkr, 5\n\n0.28,2 kPa,hertz,6\n",
-        encoding="utf-8-sig",
-    )
-    design = Design("list", read_points(file, EMT6))
-    assert changes(design) == [
-        {OXYGEN: "0.07 mM", "cells.young": "1000 Pa", "contact.law": "jkr", "initial.count": 5},
-        {OXYGEN: "0.28 mM", "cells.young": "2 kPa", "contact.law": "hertz", "initial.count": 6},
-    ]
-    assert [p.coordinates["young"] for p in design.points] == [1.0, 2.0]
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("cells.young\n1\n", "has no unit in the header"),
-        ("cells.young [s]\n1\n", "line 2"),
-        ("cells.young [kPa],contact.law\n1\n", "line 2: has 1 fields, the header has 2"),
-        ("cells.young [kPa],contact.law\n1,\n", "is empty in"),
-        ("cells.young [kPa],\n1,2\n", "a column without a key"),
-    ],
-)
-def test_tables_of_points_that_are_none_are_told(tmp_path, text, said):
-    file = tmp_path / "points.csv"
-    file.write_text(text)
-    with pytest.raises(SceneError) as error:
-        Design("list", read_points(file, EMT6))
-    assert said in str(error.value)
-
-
-def test_a_table_of_points_that_cannot_be_read_is_told(tmp_path):
-    with pytest.raises(SceneError, match="cannot be read"):
-        read_points(tmp_path / "absent.csv", EMT6)
-    (tmp_path / "long.csv").write_text(f'cells.young [kPa]\n"{"1" * 200_000}"\n')
-    with pytest.raises(SceneError, match="line 2: field larger than"):
-        read_points(tmp_path / "long.csv", EMT6)
 
 
 def test_one_colon_is_a_range_two_are_values():

@@ -9,25 +9,11 @@ from multicell.studies.axes import check_ranges, parse_ranges
 from multicell.studies.keys import _RULES, all_keys, no_effect
 from multicell.studies.plan import make_plan
 
-RAYS = {"radiation": {"rays": {"dose": 2.0, "start": "1 d", "alpha": 0.3}}}
-
 NONE = [
     (RICH, {}, "growth.cycle_time", "phases of the cycle"),
-    ("spheroid", {}, "growth.restriction", "has no phases"),
     (RICH, {}, "integrator.step", "chooses its steps"),
-    (RICH, {"death.apoptosis_rate": 0}, "death.apoptosis_time", "apoptosis_rate is 0"),
-    (RICH, {}, "death.damage_variation", "damage_time is absent"),
-    (RICH, {}, "nutrients.oxygen.temperature", "only converts pressures"),
     (RICH, {"nutrients.oxygen.media": [[0, 0.1]]}, "nutrients.oxygen.boundary", "'media'"),
-    (RICH, {"nutrients.oxygen.regime": "steady"}, "nutrients.oxygen.time_tolerance", "steady"),
-    ("growth", RAYS, "radiation.rays.oer", "no field of oxygen"),
     ("sorting", {}, "contact.surface_energy", "surface energy of its own"),
-    (
-        "emt6",
-        {"energy.necrosis": None, "nutrients.lactate": None},
-        "death.lysis_time",
-        "nor ATP has a threshold",
-    ),
 ]
 
 
@@ -42,11 +28,7 @@ def test_keys_without_effect(name, changes, key, said):
     [
         (RICH, {}, "growth.phases.G1.variation"),
         (RICH, {"integrator": "euler"}, "integrator.step"),
-        ("spheroid", {"death.damage_time": "9 h"}, "death.damage_repair_time"),
         (RICH, {"nutrients.oxygen.media": [["1 d", 0.1]]}, "nutrients.oxygen.boundary"),
-        ("emt6", {**RAYS, "radiation.rays.oxygen": "oxygen"}, "radiation.rays.oer"),
-        ("growth", {**RAYS, "death": {}}, "death.apoptosis_time"),
-        ("emt6", {}, "death.lysis_time"),
     ],
 )
 def test_keys_with_an_effect(name, changes, key):
@@ -55,7 +37,7 @@ def test_keys_with_an_effect(name, changes, key):
 
 def test_rules_name_keys_that_there_are():
     """Each rule is of a key that some scene has, so that renamed keys do not leave rules behind."""
-    changes = {"types": {"a": {}, "b": {}}, **RAYS}
+    changes = {"types": {"a": {}, "b": {}}}
     keys = set(all_keys(mc.load_scene(RICH).with_changes(changes)))
     missing = [
         rule
