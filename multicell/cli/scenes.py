@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("name", required=False, type=shared.SCENE)
+@click.argument("name", required=False)
 @click.option("--full", is_flag=True, help="Print it with every key that it could have left out.")
 @shared.as_json_option
 def scenes(name: str | None, full: bool, as_json: bool) -> None:
@@ -55,7 +55,7 @@ def _print_scene(name: str, full: bool, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("name", type=shared.SCENE)
+@click.argument("name")
 @shared.output_option("File to write, by default NAME.toml here.", required=False)
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
@@ -77,7 +77,7 @@ def init(name: str, output: Path | None, overwrite: bool, as_json: bool) -> None
 
 
 @click.command()
-@click.argument("scene", type=shared.SCENE)
+@click.argument("scene")
 @shared.output_option("File to write.")
 @shared.valued("--factor", default=2.0, help="Of the cells' widths.")
 @shared.changes_option

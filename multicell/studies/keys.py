@@ -98,11 +98,6 @@ def _spelled_out(part: Any, name: str) -> str:
     return f"{name}.{spec.shorthand}" if spec is not None and spec.shorthand else name
 
 
-def all_keys(scene: Scene) -> list[str]:
-    """Return the dotted keys of all values of a scene, also of those that are absent."""
-    return [key.name for key in _keys_of(scene, scene, "", [])]
-
-
 def _keys_of(scene: Scene, part: Any, path: str, absent: list[str]) -> Iterator[Key]:
     """Yield the keys of a part and of all in it; note the tables that it does not have."""
     for name, spec in specs(part).items():
