@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,25 +76,17 @@ def init(name: str, output: Path | None, overwrite: bool, as_json: bool) -> None
 
 
 @click.command()
-@click.argument("scene")
+@shared.of_scene
 @shared.output_option("File to write.")
 @shared.valued("--factor", default=2.0, help="Of the cells' widths.")
-@shared.changes_option
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
-def coarsen(
-    scene: str,
-    output: Path,
-    factor: float,
-    changes: Sequence[str],
-    overwrite: bool,
-    as_json: bool,
-) -> None:
+def coarsen(scene: Scene, output: Path, factor: float, overwrite: bool, as_json: bool) -> None:
     """Write SCENE with fewer, larger cells and the same tissue, for any other command."""
     from multicell.results.folder import write_text
     from multicell.scene.coarsening import coarsen as coarse_scene
 
-    made = coarse_scene(shared.scene_of(scene, changes), factor)
+    made = coarse_scene(scene, factor)
     shared.refuse_existing(output, overwrite=overwrite)
     write_text(output, made.to_toml())
     if as_json:

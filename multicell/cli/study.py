@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -44,16 +45,18 @@ yes_option = click.option(
     "--yes", "-y", is_flag=True, help="Do not ask before what is expected to take over an hour."
 )
 retry_option = click.option("--retry", is_flag=True, help="Try again what has failed.")
-_studied = shared.grouped(shared.loaded_law_option, shared.observable_option, shared.as_json_option)
-analysis_options = shared.grouped(
+_studied = shared.grouped(shared.loaded_law_option, shared.observable_option)
+_carrying_out = shared.grouped(
     cores_option,
     scheduler_option,
     yes_option,
     retry_option,
-    shared.overwrite_option("Replace another study in the folder; its runs stay."),
     shared.no_report_option,
     shared.quiet_option,
     shared.as_json_option,
+)
+analysis_options = shared.grouped(
+    shared.overwrite_option("Replace another study in the folder; its runs stay."), _carrying_out
 )
 """What the commands take that carry out a study and report what follows from it."""
 
@@ -71,18 +74,8 @@ def study() -> None:
     "vary",
     "KEY=VALUES",
     "Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "
-    "of them) or contact.law=jkr,hertz; with lhs and sobol a range, '8:25 h' or "
-    "'log 1e-3:1 1/s'. May be given several times.",
+    "of them) or contact.law=jkr,hertz; all combinations run. May be given several times.",
 )
-@shared.valued(
-    "--design",
-    default="grid",
-    metavar="KIND",
-    help="grid: all combinations; lhs, sobol: points of ranges, a Latin hypercube or a Sobol' "
-    "sequence.",
-)
-@click.option("--size", type=int, help="Number of points of lhs or sobol.")
-@click.option("--sample-seed", default=0, help="Of the random numbers of lhs and sobol.")
 @shared.valued(
     "--seeds",
     default=1,
@@ -188,23 +181,9 @@ def _bytes(number: float) -> str:
 
 @study.command()
 @folder_argument
-@cores_option
-@scheduler_option
-@yes_option
-@retry_option
 @_studied
-@click.option("--no-report", is_flag=True, help="Write no report and no table.")
-@shared.quiet_option
-def run(
-    folder: Path,
-    cores: int | None,
-    scheduler: str | None,
-    yes: bool,
-    retry: bool,
-    no_report: bool,
-    quiet: bool,
-    as_json: bool,
-) -> None:
+@_carrying_out
+def run(folder: Path, **how: Any) -> None:
     """Compute all runs of the study in FOLDER that are not done.
 
     It may be stopped by anything, Ctrl-C or a kill, and started again: nothing is computed twice,
@@ -214,24 +193,13 @@ def run(
     made = _open_study(folder)
     from multicell.host.extras import needs
 
-    needs("dask", "distributed", *(() if no_report else ("xarray", "h5netcdf", "pandas")))
-    count = None
-    if any(state.state != "done" for state in made.status()):
-        count = cores_wanted(cores, scheduler)
-        confirm(made.expected(count or 1), count, yes, quiet or as_json)
-    from multicell.cli.progress import study_reporter
-
-    try:
-        with study_reporter(made, count, show=not quiet) as progress:
-            outcomes = made.run(cores, scheduler, progress, retry=retry)
-    except KeyboardInterrupt:
-        _print_stop(made)
-        raise
-    computed = [outcome for outcome in outcomes if not outcome.reused]
+    reported = not how["no_report"]
+    needs("dask", "distributed", *(("xarray", "h5netcdf", "pandas") if reported else ()))
+    outcomes = _carry_out(made, made.run, how)
     page = made.folder / "report.html"
-    if not no_report and (computed or not page.exists()):
+    if reported and not (page.exists() and all(outcome.reused for outcome in outcomes)):
         made.report()
-    _print_outcomes(made, outcomes, None if no_report else page, quiet, as_json)
+    _print_outcomes(made, outcomes, page if reported else None, how["quiet"], how["as_json"])
 
 
 def _open_study(folder: Path) -> Study:
@@ -280,16 +248,22 @@ def carry_out_study(
     - ``carry_out``: called with it, the folder, what says where runs go, and ``progress``
     - ``how``: the values of ``analysis_options``
     """
-    from multicell.cli.progress import study_reporter
     from multicell.studies.study import write_study
+
+    study = write_study(plan.study, output, overwrite=how["overwrite"])
+    return _carry_out(study, partial(carry_out, plan, output), how)
+
+
+def _carry_out(study: Study, carry_out: Callable[..., Any], how: Mapping[str, Any]) -> Any:
+    """Do what runs of a study are left, after a question where they take long."""
+    from multicell.cli.progress import study_reporter
 
     workers = {name: how[name] for name in ("cores", "scheduler", "retry")}
     count = cores_wanted(how["cores"], how["scheduler"])
-    study = write_study(plan.study, output, overwrite=how["overwrite"])
     confirm(study.expected(count or 1), count, how["yes"], how["quiet"] or how["as_json"])
     try:
         with study_reporter(study, count, show=not how["quiet"]) as progress:
-            return carry_out(plan, output, progress=progress, **workers)
+            return carry_out(progress=progress, **workers)
     except KeyboardInterrupt:
         complain("Stopped: the same command continues with what is there.")
         raise
@@ -315,15 +289,6 @@ def say(text: str) -> None:
 def _print_page(page: Path | None) -> None:
     if page is not None:
         say(f"The report is '{page}'.")
-
-
-def _print_stop(made: Study) -> None:
-    states = Counter(state.state for state in made.status())
-    done, begun = states["done"], states["partial"] + states["running"]
-    complain(
-        f"{done:,} of {_count(sum(states.values()), 'run')} are done and {begun:,} begun; "
-        f"'multicell study run {made.folder}' continues with them."
-    )
 
 
 def _print_outcomes(
@@ -373,8 +338,11 @@ def _where(coordinates: Any, units: Any) -> str:
 @study.command()
 @folder_argument
 @_studied
+@shared.as_json_option
 def status(folder: Path, as_json: bool) -> None:
     """Report the state of all runs of the study in FOLDER, why runs failed, and the time left."""
+    from multicell.studies.status import STATES
+
     made = _open_study(folder)
     states = made.status()
     counts = Counter(state.state for state in states)
@@ -389,11 +357,7 @@ def status(folder: Path, as_json: bool) -> None:
         )
         return
     words = {"partial": "begun"}
-    shown = [
-        f"{counts[name]:,} {words.get(name, name)}"
-        for name in ("done", "running", "partial", "waiting", "failed")
-        if counts[name]
-    ]
+    shown = [f"{counts[name]:,} {words.get(name, name)}" for name in STATES if counts[name]]
     say(f"{_count(len(states), 'run')}: {', '.join(shown)}")
     units = {axis.name: axis.unit for axis in made.plan.design.axes}
     for run, state in zip(made.runs, states, strict=True):
@@ -402,11 +366,7 @@ def status(folder: Path, as_json: bool) -> None:
             where, cells = _where(run.coordinates, units), _count(state.cells, "cell")
             say(f"  running at {where}: {share:.0f} % of the time, {cells}")
     if left > 0.0:
-        cores = max(counts["running"], 1)
-        now = (
-            f", about {time_text(left / cores, 2)} on {_count(cores, 'core')}" if cores > 1 else ""
-        )
-        say(f"About {time_text(left, 2)} of one core left{now}.")
+        say(f"About {time_text(left, 2)} of one core left.")
     failed = [(r.coordinates, s.reason) for r, s in zip(made.runs, states, strict=True)
               if s.state == "failed"]  # fmt: skip
     _list_failed(failed, made)
@@ -415,6 +375,7 @@ def status(folder: Path, as_json: bool) -> None:
 @study.command()
 @folder_argument
 @_studied
+@shared.as_json_option
 def report(folder: Path, as_json: bool) -> None:
     """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
 

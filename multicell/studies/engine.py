@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import time as clock
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.errors import ClusterError, MulticellError, OutputError
 from multicell.host.interrupts import STEP
@@ -92,34 +92,32 @@ def carry_out(
             left.append((run.expected * part, run))
         else:
             report(known)
-    if left:
-        ordered = [run for _, run in sorted(left, key=lambda entry: -entry[0])]
-        tasks = [Task(run.name, str(folder), PlainScene.of(run.scene), retry) for run in ordered]
-        short = not any(run.expected > _SHORT for run in ordered)
-        _carry_out(tasks, folder, cores, scheduler, report, short)
+    ordered = [run for _, run in sorted(left, key=lambda entry: -entry[0])]
+    tasks = [Task(run.name, str(folder), PlainScene.of(run.scene), retry) for run in ordered]
+    short = not any(run.expected > _SHORT for run in ordered)
+    if tasks:
+        check_cores(cores)
+        wanted = own_cores() if scheduler is None and cores is None else cores
+        most = None if wanted is None else min(wanted, len(tasks))
+        if scheduler is None and most == 1 and short:
+            _do_here(tasks, report)
+        else:
+            _do_there(tasks, folder, most, scheduler, report)
     return [outcomes[run.name] for run in runs]
 
 
-def _carry_out(
-    tasks: list[Task],
+def _do_there(
+    tasks: Sequence[Task],
     folder: Path,
     cores: int | None,
     scheduler: str | None,
     report: Callable[[Outcome], None],
-    short: bool,
 ) -> None:
-    """Have workers do tasks, in their order; ``short`` ones need none on one core."""
-    check_cores(cores)
-    if scheduler is None and cores is None:
-        cores = own_cores()
-    most = None if cores is None else min(cores, len(tasks))
-    if scheduler is None and most == 1 and short:
-        _do_here(tasks, report)
-        return
-    with STEP, workers(most, scheduler) as client:
+    """Have workers do tasks, in their order."""
+    with STEP, workers(cores, scheduler) as client:
         if scheduler is not None:
             check_folder(client, folder)
-        work = _Work(client, tasks, report)
+        work = _Work(client, deque(tasks), report)
         try:
             while work.left:
                 STEP.deliver()
@@ -146,15 +144,12 @@ def _do_here(tasks: Sequence[Task], report: Callable[[Outcome], None]) -> None:
                 clock.sleep(_RECHECK)
 
 
-@final
-@dataclass
-class _UnderWay:
-    """A task that a worker has."""
+class _UnderWay(NamedTuple):
+    """A task that a worker has, and how many frames its run had when the worker got it."""
 
     work: Task
     future: Any
     frames: int
-    """How many frames the run had when the worker got it."""
 
 
 @final
@@ -163,14 +158,12 @@ class _Work:
     """The tasks of a study, on their way from one place to the next."""
 
     client: Any
-    tasks: Iterable[Task]
+    waiting: deque[Task]
     report: Callable[[Outcome], None]
-    waiting: deque[Task] = field(init=False)
     under_way: dict[str, _UnderWay] = field(default_factory=dict)
     held: list[Task] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.waiting = deque(self.tasks)
         self._ended: SimpleQueue[str] = SimpleQueue()
         self._threads = 0
         self._counted = self._checked = -1e9

@@ -35,9 +35,9 @@ def check_seeds(seeds: Any, first: int) -> int:
 
 def check_runs(points: int, seeds: int, name: str = "seeds") -> None:
     """Refuse too many points, or too many runs of them."""
-    hint = "Vary less, or sample it (--design lhs or sobol)."
     if points > MAX_POINTS:
-        raise SceneError(name, f"makes {points:,} points, must be at most {MAX_POINTS:,}", hint)
+        problem = f"makes {points:,} points, must be at most {MAX_POINTS:,}"
+        raise SceneError(name, problem, "Vary less.")
     if points * seeds > MAX_RUNS:
         problem = f"makes {points * seeds:,} runs, must be at most {MAX_RUNS:,}"
         raise SceneError(name, problem, "Take fewer points or seeds.")

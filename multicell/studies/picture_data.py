@@ -1,7 +1,7 @@
 """What the pictures of a study read from its table: axes, final values, scatter, labels.
 
 The table is an ``xarray.Dataset`` with the dimensions of the axes, ``seed`` and ``time``; of a
-sampled design ``point``, ``seed`` and ``time``, with the value of each axis as a coordinate along
+list of points ``point``, ``seed`` and ``time``, with the value of each axis as a coordinate along
 ``point``. Its variable ``state`` says how each run stands, over axes and seeds.
 """
 
@@ -35,8 +35,7 @@ class Scale(NamedTuple):
 
     - ``name``: of the dimension or coordinate
     - ``words``, ``unit``: how it is read, and the unit that is shown
-    - ``values``: in the order of the table, numbers or words; once each, sorted, of a sampled
-      design
+    - ``values``: in the order of the table, numbers or words; once each, sorted, of a list
     - ``numbers``, (n,) or None: the same in the shown unit; None for words
     - ``texts``: how the values are written
     - ``factor``: base units in the shown unit
@@ -64,15 +63,15 @@ class Scale(NamedTuple):
         return low > 0.0 and high >= _LOG_RATIO * low
 
 
-def is_sampled(table: xr.Dataset) -> bool:
-    """Return whether the points are a sample and not a grid."""
+def is_list(table: xr.Dataset) -> bool:
+    """Return whether the points are a list and not a grid."""
     return POINT in table.dims
 
 
 def axes_of(table: xr.Dataset) -> list[str]:
     """Return the names of the axes that have more than one value."""
     names = [str(name) for name in table[STATE].dims if name != SEED]
-    if is_sampled(table):
+    if is_list(table):
         names = [str(n) for n, entry in table.coords.items() if entry.dims == (POINT,)]
     return [n for n in names if n != POINT and len(distinct(table[n].values)) > 1]
 
@@ -149,7 +148,7 @@ def words(name: str) -> str:
 def scale(table: xr.Dataset, name: str) -> Scale:
     """Return how to show an axis; long times are told in minutes, hours or days."""
     found = table[name].values
-    if is_sampled(table):
+    if is_list(table):
         found = distinct(found)
     long = key_words(str(table[name].attrs.get("key", name)), name)
     if found.dtype.kind not in "fiu":

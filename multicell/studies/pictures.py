@@ -42,7 +42,7 @@ _COLOURS: Final = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.88,
 _MIN_FONT: Final = 6.5  # points; smaller numbers cannot be read
 _EMPTY, _FAILED = "#eceff2", "#f6dfd9"
 _MAX_NAMED: Final = 8  # curves with a name each; more share a scale of colours
-_MAX_CURVES: Final = 200  # of a sample; more would hide each other, and take a minute
+_MAX_CURVES: Final = 200  # of a list; more would hide each other, and take a minute
 _LOG_RATIO: Final = 20.0  # of largest to smallest value from which curves are on a logarithmic axis
 
 
@@ -125,11 +125,11 @@ class StudyPlots:
 
         - ``observable``: its values at the end of each run are shown
 
-        Raises SceneError for an unknown observable; ValueError if the design is sampled or varies
+        Raises SceneError for an unknown observable; ValueError if the design is a list or varies
         nothing: there are no tiles.
         """
-        if of.is_sampled(self._table):
-            raise ValueError("a sampled design has no tiles: draw the response over each axis")
+        if of.is_list(self._table):
+            raise ValueError("a list of points has no tiles: draw the response over each axis")
         across, *others = _varied(self._table)
         up = others[:1]
         part, fixed = of.at_middle(self._table, others[1:])
@@ -200,7 +200,7 @@ class StudyPlots:
             axes.set_xlabel(f"time ({unit.name})" if place >= len(grid) - columns else "")
             axes.set_ylabel("" if place % columns else of.label(table, observable))
         for axes, axis in zip(grid, names, strict=False):
-            others = [] if of.is_sampled(table) else [name for name in names if name != axis]
+            others = [] if of.is_list(table) else [name for name in names if name != axis]
             part, words = of.at_middle(table, others)
             _draw_curves(figure, axes, time, part, observable, axis)
             axes.set_title(textwrap.fill(words, 110 // columns), fontsize=9.5, weight="normal")
@@ -213,7 +213,7 @@ class StudyPlots:
     def response(self, observable: str) -> Figure:
         """Draw an observable at the end of each run over every axis, one panel for each.
 
-        Dots are single runs. Each point of a sample, and each value of a single axis, has a bar of
+        Dots are single runs. Each point of a list, and each value of a single axis, has a bar of
         one standard deviation over its seeds; of several axes the line is the mean over all runs of
         a value. Runs that failed are crosses at the foot.
 
@@ -225,7 +225,7 @@ class StudyPlots:
         columns = -(-len(names) // rows)  # rows of one length have no holes
         height = SIZE[1] if rows == 1 else 0.9 + 3.6 * rows
         bars = "bars: ± one standard deviation"
-        if len(names) > 1 and not of.is_sampled(table):
+        if len(names) > 1 and not of.is_list(table):
             bars = "line: mean over the other axes and"
         subtitle = _subtitle(observable, "at the end of each run", table.sizes[of.SEED], bars)
         figure, grid = panels(self._title, subtitle, len(names), columns, height, sharey=True)
@@ -293,8 +293,8 @@ def _name_tiles(axis: Any, side: of.Scale) -> None:
 def _draw_curves(
     figure: Figure, axes: Axes, time: FloatArray, table: xr.Dataset, name: str, axis: str
 ) -> None:
-    """Draw one panel: a curve for each value of the axis (each point of a sample)."""
-    shown, sampled = of.scale(table, axis), of.is_sampled(table)
+    """Draw one panel: a curve for each value of the axis (each point of a list)."""
+    shown, sampled = of.scale(table, axis), of.is_list(table)
     side = of.POINT if sampled else axis
     values = table[name].astype(float).transpose(side, of.SEED, of.TIME).values
     states = table[of.STATE].transpose(side, of.SEED).values

@@ -19,10 +19,10 @@ from multicell.errors import SceneError
 from multicell.host.files import parse_toml, read_regular
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
-from multicell.studies.axes import Axis, Range, change, parse_axis
-from multicell.studies.design import SAMPLED, Design, Point, parse_axis_or_range
+from multicell.studies.axes import Axis, change, parse_axis
+from multicell.studies.design import Design, Point
 from multicell.studies.keys import refuse_ineffective
-from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole
+from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown
 
@@ -31,7 +31,7 @@ SCENE: Final = "scene.toml"
 _LARGEST: Final = 20_000_000
 """Bytes of study.toml: 1,000 for each of as many points as there may be."""
 _KEYS: Final = (
-    "scene", "seeds", "design", "size", "sample_seed", "vary", "points",
+    "scene", "seeds", "design", "vary", "points",
 )  # fmt: skip
 
 
@@ -61,8 +61,7 @@ class Plan:
         object.__setattr__(self, "scenes", scenes)
         cases = zip((point.changes for point in self.design.points), scenes, strict=True)
         refuse_ineffective(cases, [axis.key for axis in self.design.axes])
-        if self.design.kind in ("grid", "list"):
-            self._refuse_equal_points()
+        self._refuse_equal_points()
 
     @property
     def points(self) -> tuple[Point, ...]:
@@ -91,7 +90,7 @@ class Plan:
                 yield k, replace(scene, seed=scene.seed + j) if j else scene
 
     def _refuse_equal_points(self) -> None:
-        """Refuse two points of a grid or a list whose runs would be the same."""
+        """Refuse two points whose runs would be the same."""
         seen: dict[str, Point] = {}
         for point, scene in zip(self.points, self.scenes, strict=True):
             name = digest(scene)
@@ -113,42 +112,24 @@ def make_plan(
     points: Any = None,
     seeds: int = 1,
     design: str = "grid",
-    size: int | None = None,
-    sample_seed: int = 0,
 ) -> Plan:
     """Return a plan of what is given in Python, on the command line or in ``study.toml``.
 
-    Parameters are those of :func:`multicell.studies.study.study`.
+    Parameters are those of :func:`multicell.studies.study.study`; ``design`` is ``"grid"``, or
+    ``"list"`` where there are ``points``.
     """
     if points is not None:
         if vary:
             hint = "Give them as further columns, or take another design."
             raise SceneError("points", "cannot stand beside keys that are varied one by one", hint)
-        if design not in ("grid", "list"):
-            raise SceneError("points", f"has no meaning in a design of kind '{design}'")
-        axes: tuple[Axis | Range, ...] = _columns(points, scene)
-        design = "list"
+        axes, design = _columns(points, scene), "list"
     elif design == "list":
         raise SceneError("points", "is missing: a list needs its points")
     elif vary is None or isinstance(vary, Mapping):
-        entries = _flat(vary or {}).items()
-        sampled = design in SAMPLED
-        axes = tuple(parse_axis_or_range(key, given, scene, sampled) for key, given in entries)
+        axes = tuple(parse_axis(key, given, scene) for key, given in _flat(vary or {}).items())
     else:
         raise SceneError("vary", f"is {shown(vary)}, must be a table of keys and values")
-    first = whole("sample_seed", sample_seed, 0, 2**63 - 1)
-    made = Design(design, axes, _size(size, design), first)
-    return Plan(scene, made, check_seeds(seeds, scene.seed))
-
-
-def _size(size: int | None, design: str) -> int:
-    """Return the number of points of a sample; 0 for other designs."""
-    if size is not None:
-        return whole("size", size, 1, MAX_POINTS, "It is the number of points of a sample.")
-    if design in SAMPLED:
-        problem = f"is missing: a design of kind '{design}' draws as many points"
-        raise SceneError("size", problem, "Give --size, or size in study.toml.")
-    return 0
+    return Plan(scene, Design(design, axes), check_seeds(seeds, scene.seed))
 
 
 def _columns(points: Any, scene: Scene) -> tuple[Axis, ...]:
@@ -227,12 +208,9 @@ def _lines(plan: Plan) -> Iterator[str]:
     yield f'scene = "{SCENE}"  # what is varied, in this folder'
     yield f"seeds = {plan.seeds}  # runs of each point; seed {seed}{last}, the same at all points"
     yield f'design = "{design.kind}"  # {_WORDS[design.kind]}'
-    if design.size:
-        yield f"size = {design.size}  # points"
-        yield f"sample_seed = {design.sample_seed}  # of the random numbers of the sample"
     table = "points" if design.kind == "list" else "vary"
     yield ""
-    yield f"[{table}]" + ("  # key = values, or 'low:high unit' to sample" * (table == "vary"))
+    yield f"[{table}]  # key = values"
     for axis in design.axes:
         yield axis_line(axis)
 
@@ -240,18 +218,12 @@ def _lines(plan: Plan) -> Iterator[str]:
 _WORDS: Final = {
     "grid": "all combinations",
     "list": "the points below, one a place in the lists",
-    "lhs": "a Latin hypercube of ranges",
-    "sobol": "a Sobol' sequence in ranges; twice the size continues it",
 }
 
 
-def axis_line(axis: Axis | Range) -> str:
-    """Return what stands for an axis or a range in ``study.toml``."""
+def axis_line(axis: Axis) -> str:
+    """Return what stands for an axis in ``study.toml``."""
     unit = f"  # {axis.unit}" if axis.unit else ""
-    if isinstance(axis, Range):
-        low, high = (int(x) if axis.whole else x for x in (axis.low, axis.high))
-        text = f"{'log ' if axis.log else ''}{low!r}:{high!r} {axis.unit}".strip()
-        return f'{_dotted(axis.key)} = "{text}"'
     return f"{_dotted(axis.key)} = [{', '.join(map(_toml, axis.values))}]{unit}"
 
 

@@ -32,6 +32,8 @@ from multicell.studies.runs import digest
 
 NOTE: Final = "failure.json"  # file in the folder of a run that failed: ``reason`` and ``kind``
 
+STATES: Final = ("done", "running", "partial", "waiting", "failed")
+
 Kind = Literal["", "run", "machine", "damage"]
 """What a run failed for: nothing yet; its scene, which fails again; what is no matter of its scene,
 such as a full disk; a folder that holds something else than what was written to it."""

@@ -166,9 +166,6 @@ def study(
     output: str | Path,
     points: Any = None,
     seeds: int = 1,
-    design: str = "grid",
-    size: int | None = None,
-    sample_seed: int = 0,
     overwrite: bool = False,
 ) -> Study:
     """Plan a study of a scene in a folder; nothing runs until :meth:`Study.run` is called.
@@ -181,8 +178,7 @@ def study(
     scene
         A scene, the name of a built-in one, or the path of a file.
     vary
-        Dotted key -> values, as ``"0.07,0.14,0.28 mM"`` or a list; for a sample its range, as
-        ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or a tuple of both ends.
+        Dotted key -> values, as ``"0.07,0.14,0.28 mM"`` or a list; all combinations run.
     output
         Folder of the study.
     points
@@ -190,11 +186,6 @@ def study(
         rows. The values of keys that vary together stand in one row.
     seeds
         Runs of each point, with the scene's seed and those that follow it; the same at all points.
-    design
-        ``"grid"``: all combinations; ``"lhs"``, ``"sobol"``: ``size`` points of a Latin hypercube
-        or a Sobol' sequence.
-    size, sample_seed
-        Number of points of a sample, and the seed of its random numbers.
     overwrite
         Whether the plan of another study in the folder may be replaced. Its runs stay: they are
         named by what they are of, and never mistaken for others.
@@ -212,10 +203,7 @@ def study(
         If the folder holds another study, or something else, or cannot be written to.
     """
     base = scene if isinstance(scene, Scene) else load_scene(scene)
-    plan = make_plan(
-        base, vary, points=points, seeds=seeds, design=design, size=size,
-        sample_seed=sample_seed,
-    )  # fmt: skip
+    plan = make_plan(base, vary, points=points, seeds=seeds)
     return write_study(plan, output, overwrite=overwrite)
 
 
@@ -258,7 +246,7 @@ def _refuse_other(plan: Plan, there: Plan, folder: Path) -> None:
     )
     if digest(there.scene) != digest(plan.scene):
         old, new = canonical(there.scene), canonical(plan.scene)
-        keys = ", ".join(_different(old, new)[:4])
+        keys = ", ".join(key for key in {**old, **new} if old.get(key) != new.get(key))
         raise OutputError(
             f"'{folder}' holds a study of another scene: it differs in {keys}. {way_out}"
         )
@@ -268,13 +256,3 @@ def _refuse_other(plan: Plan, there: Plan, folder: Path) -> None:
             f"'{folder}' holds a study of {len(set(there.names))} runs, of which {len(missing)} "
             f"are not in this one: it would not be widened, but changed. {way_out}"
         )
-
-
-def _different(one: Any, other: Any, path: str = "") -> list[str]:
-    """Return the dotted keys in which two tables differ."""
-    if not (isinstance(one, dict) and isinstance(other, dict)):
-        return [path] if one != other else []
-    found: list[str] = []
-    for key in dict.fromkeys([*one, *other]):
-        found += _different(one.get(key), other.get(key), f"{path}.{key}" if path else key)
-    return found

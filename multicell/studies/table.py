@@ -1,6 +1,6 @@
 """One table of all that the runs of a study have found: an ``xarray.Dataset`` with units.
 
-Dimensions are those of the design (the axes of a grid; ``point`` for a list or a sample),
+Dimensions are those of the design (the axes of a grid; ``point`` for a list),
 ``seed`` and ``time``. Variables are the columns of the histories, at common times, and the numbers
 of the summaries that histories do not have, under their names with ``_`` for dots. A run that is
 not done, has failed, or has ended before a time has NaN there; ``state`` and ``reason`` say which.
@@ -25,7 +25,6 @@ from multicell.host.extras import needs
 from multicell.results.documents import read_table
 from multicell.results.folder import file_errors, put_in_place, replace_file, sync_file, versions
 from multicell.results.quantities import known_unit
-from multicell.studies.axes import Axis, Range
 from multicell.studies.runs import MODEL_VERSION, digest
 from multicell.tables.titles import titled
 
@@ -98,23 +97,16 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
 def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]]:
     """Return shape, names and coordinates of the dimensions of points and seeds."""
     coordinates: dict[str, Any] = {}
-    found: list[tuple[str, Axis | Range, tuple[float | str, ...]]]
-    if plan.design.kind == "grid":
-        axes = [axis for axis in plan.design.axes if isinstance(axis, Axis)]
+    axes, grid = plan.design.axes, plan.design.kind == "grid"
+    if grid:
         shape, dims = tuple(len(axis.values) for axis in axes), tuple(axis.name for axis in axes)
-        found = [(axis.name, axis, axis.coordinates) for axis in axes]
     else:
         shape, dims = (len(plan.points),), ("point",)
         coordinates["point"] = ("point", np.arange(len(plan.points)))
-        found = [
-            ("point", axis, tuple(point.coordinates[axis.name] for point in plan.points))
-            for axis in plan.design.axes
-        ]
-    for dimension, axis, values in found:
-        words = any(isinstance(value, str) for value in values)
+    for axis in axes:
         about = {"units": axis.unit, "key": axis.key}
-        entry = np.array(values, dtype=object if words else float)
-        coordinates[axis.name] = (dimension, entry, about)
+        entry = np.array(axis.coordinates, dtype=object if axis.numbers is None else float)
+        coordinates[axis.name] = (axis.name if grid else "point", entry, about)
     seeds = plan.scene.seed + np.arange(plan.seeds, dtype=np.int64)
     coordinates["seed"] = ("seed", seeds)
     return (*shape, plan.seeds), (*dims, "seed"), coordinates

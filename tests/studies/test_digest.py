@@ -118,5 +118,5 @@ def test_an_own_law_counts_by_all_that_it_computes(text, name, key, tmp_path):
     one, same, other = map(digest, found)
     assert one == same
     assert one != other
-    assert runs.own_laws(found[2]) == (f"{tmp_path / 'c' / 'mine.py'}:{name}",)
+    assert runs.PlainScene.of(found[2]).laws == (f"{tmp_path / 'c' / 'mine.py'}:{name}",)
     assert runs.own_laws(mc.load_scene("growth")) == ()

@@ -54,12 +54,9 @@ def test_rules_name_keys_that_there_are():
 
 
 def planned(scene, **given):
-    """Plan what is given: ranges of free parameters, values of a grid, or both of a sample."""
-    ranged = [":" in text for text in given.values()]
-    if all(ranged):
+    """Plan what is given: ranges of free parameters, or values of a grid."""
+    if all(":" in text for text in given.values()):
         check_ranges(scene, parse_ranges(given, scene))
-    elif any(ranged):
-        make_plan(scene, given, design="lhs", size=8)
     else:
         make_plan(scene, given)
 
@@ -76,7 +73,7 @@ def planned(scene, **given):
             "integrator.step: has no effect where integrator.method = 'cvode'",
         ),
         (
-            {"growth.phases.S.distribution": "fixed,gamma", "growth.phases.S.variation": "0.1:0.3"},
+            {"growth.phases.S.distribution": "fixed,gamma", "growth.phases.S.variation": "0.1,0.3"},
             "growth.phases.S.variation: has no effect where growth.phases.S.distribution = 'fixed'",
         ),
         ({"growth.cycle_time": "8:25 h"}, "growth.cycle_time: has no effect: the phases"),

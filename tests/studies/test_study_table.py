@@ -160,12 +160,12 @@ def test_a_study_of_which_nothing_has_run_has_a_table(tmp_path):
     assert (tmp_path / "study.csv").read_text().count("\n") == 1 + 2 * 6
 
 
-def test_samples_have_points_with_axes_as_coordinates(tmp_path):
+def test_lists_have_points_with_axes_as_coordinates(tmp_path):
     study = compute(
         mc.study(
             BASE.with_changes({"output.every": "10 h"}),
-            {"cells.young": "1:2 kPa", "contact.law": "jkr,hertz"},
-            design="lhs", size=2, seeds=2, output=tmp_path / "study",
+            points={"cells.young": "1,2 kPa", "contact.law": "jkr,hertz"}, seeds=2,
+            output=tmp_path / "study",
         )
     )  # fmt: skip
     found = study.to_xarray()
