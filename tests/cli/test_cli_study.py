@@ -53,7 +53,7 @@ def test_a_new_study_is_written_and_told(folder):
     answer = call("new", RICH, "-o", folder, *vary, "--seeds", 5)
     assert answer.exit_code == 0
     for words in (
-        f"{OXYGEN}: 0.07 mM, 0.14 mM, 0.28 mM", "6 points x 5 seeds = 30 runs",
+        f'{OXYGEN} = ["0.07 mM", "0.14 mM", "0.28 mM"]', "6 points x 5 seeds = 30 runs",
         "30 runs left, expected to take about", "of memory", f"multicell study run {folder}",
     ):  # fmt: skip
         assert words in answer.output

@@ -119,4 +119,4 @@ def test_an_own_law_counts_by_all_that_it_computes(text, name, key, tmp_path):
     assert one == same
     assert one != other
     assert runs.PlainScene.of(found[2]).laws == (f"{tmp_path / 'c' / 'mine.py'}:{name}",)
-    assert runs.own_laws(mc.load_scene("growth")) == ()
+    assert runs.PlainScene.of(mc.load_scene("growth")).laws == ()

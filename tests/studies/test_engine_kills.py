@@ -165,7 +165,8 @@ def test_a_run_that_kills_its_worker_again_and_again_is_a_row(tmp_path):
     from dataclasses import replace
 
     law = mc.load_law(f"{file}:deadly").scene_name()
-    bad = replace(other, name="0" * 24, scene=other.scene.with_changes({"contact.law": law}))
+    scene = other.scene.with_changes({"contact.law": law})
+    bad = replace(other, name="0" * 24, scene=scene, expected=60.0)  # a worker does what is long
     outcomes = carry_out([bad, good], tmp_path / "study", cores=1)
     assert [outcome.state for outcome in outcomes] == ["failed", "done"]
     assert "its worker process died" in outcomes[0].reason
