@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
+def _positive(context: click.Context, option: click.Parameter, value: float | None) -> float | None:
+    """Refuse a time that is none; infinity is one."""
+    if value is not None and not value > 0.0:
+        raise click.BadParameter(f"{value:g} is not above 0 s.", context, option)
+    return value
+
+
 def _names(context: click.Context, option: click.Parameter, text: str | None) -> list[str] | None:
     names = None if text is None else list(separated(text))
     if names == []:
@@ -61,9 +68,7 @@ _comparing = shared.grouped(
 )
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
 @click.option(
-    "--budget",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="Time for all methods together in s.",
+    "--budget", type=float, callback=_positive, help="Time for all methods together in s."
 )
 def compare(scene: Scene, stepwise: int | None, quiet: bool, as_json: bool, **options: Any) -> None:
     """Chart error against cost of integration methods on a SCENE.

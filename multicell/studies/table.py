@@ -88,8 +88,8 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
         "reason": [state.reason for state in states],
         "run": [state.name for state in states],
     }
-    for name, column in texts.items():
-        variables[name] = (dims, np.array(column, dtype=object).reshape(shape))
+    for name, words in texts.items():
+        variables[name] = (dims, np.array(words, dtype=object).reshape(shape))
     coordinates["time"] = ("time", times, {"units": "s"})
     return xarray.Dataset(variables, coordinates, provenance(plan))
 
