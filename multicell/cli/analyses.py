@@ -85,7 +85,7 @@ def sensitivity(
 
 
 @click.command(name="dose-response")
-@click.argument("scene", required=False, type=shared.SCENE)
+@click.argument("scene", required=False)
 @shared.output_option("Folder of the analysis; its runs are kept there.")
 @shared.keyed(
     "--dose",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,10 +29,6 @@ def _names(context: click.Context, option: click.Parameter, text: str | None) ->
     if names == []:
         raise click.BadParameter("no method is named", param_hint="'--methods'")
     return names
-
-
-def _seconds(name: str, help: str, default: float | None = None) -> Callable[[Any], Any]:
-    return click.option(name, type=float, default=default, callback=_positive, help=help)
 
 
 _comparing = shared.grouped(
@@ -66,21 +61,15 @@ _comparing = shared.grouped(
     "recorded state: for scenes whose trajectories diverge.",
 )
 @shared.valued(
-    "--shift",
-    type=click.FloatRange(min=0.0),
-    default=0.01,
-    help="Random shift of all positions in um that shows how far a single step changes it, with "
-    "--stepwise; 0 to leave it out.",
-)
-@shared.valued(
     "--clock",
     type=click.Choice(["cpu", "wall"]),
     default="cpu",
     help="The time that judges: of the processors, or on the wall.",
 )
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
-@_seconds("--patience", "Longest solve in s.", default=10.0)
-@_seconds("--budget", "Time for all methods together in s.")
+@click.option(
+    "--budget", type=float, callback=_positive, help="Time for all methods together in s."
+)
 def compare(scene: Scene, stepwise: int | None, quiet: bool, as_json: bool, **options: Any) -> None:
     """Chart error against cost of integration methods on a SCENE.
 

@@ -81,7 +81,7 @@ _run_options = shared.grouped(
 
 
 @main.command()
-@click.argument("scene", type=shared.SCENE)
+@click.argument("scene")
 @shared.output_option("Folder for the results; it must be empty or new.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of the random numbers.")
 @click.option(
@@ -146,18 +146,11 @@ def resume(
     _simulate(go_on, scene, output or folder, **options)
 
 
-def _formats(_: click.Context) -> list[str]:
-    from multicell.report.exports.files import FORMATS
-
-    return list(FORMATS)
-
-
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.output_option("Folder for the files.")
 @shared.valued(
     "--format",
-    type=shared.Names("format", _formats, strict=True),
     metavar="NAME",
     default="csv",
     help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
 import click
-from click.shell_completion import CompletionItem
 
-from multicell.errors import MulticellError, OutputError, SceneError
+from multicell.errors import OutputError, SceneError
 from multicell.host.files import parse_toml
 from multicell.units import shown
 
@@ -35,58 +34,6 @@ def grouped(*options: Option) -> Option:
     return add
 
 
-@final
-class Names(click.ParamType):  # type: ignore[type-arg]
-    """Words that a shell completes; they are looked up when they are needed.
-
-    - ``names``: returns them, given the context of the command
-    - ``strict``: whether other words are refused; else files are completed where no word fits
-    """
-
-    def __init__(
-        self, name: str, names: Callable[[click.Context], Iterable[str]], *, strict: bool = False
-    ) -> None:
-        self.name, self._names, self._strict = name, names, strict
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the value; refuse one that is none of the words, if ``strict``."""
-        if self._strict and ctx is not None and value not in (known := list(self._names(ctx))):
-            from multicell.schema import near_miss
-
-            self.fail(f"{value!r} is no {self.name}. {near_miss(value, known)}", param, ctx)
-        return value
-
-    def shell_complete(
-        self, ctx: click.Context, _: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Return the words that begin so."""
-        try:
-            fitting = [name for name in self._names(ctx) if name.startswith(incomplete)]
-        except MulticellError:  # there is no such scene: a shell has no place for errors
-            fitting = []
-        if fitting or self._strict:
-            return [CompletionItem(name) for name in fitting]
-        return [CompletionItem(incomplete, type="file")]
-
-
-def _scenes(_: click.Context) -> list[str]:
-    from multicell.scene.scene import scene_names
-
-    return scene_names()
-
-
-def _keys(context: click.Context) -> list[str]:
-    """Return the keys of the scene that the command names, each with its equals sign."""
-    from multicell.scene.scene import load_scene
-    from multicell.studies.keys import all_keys
-
-    # arguments are not named yet where an option still lacks its value
-    scene = context.params.get("scene") or next(iter(context.args), "spheroid")
-    return [f"{key}=" for key in all_keys(load_scene(scene))]
-
-
-SCENE = Names("scene", _scenes)
-KEYS = Names("text", _keys)
 _SHORT = 500.0  # s; a time of a scene that is shorter is likely meant in hours
 
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
@@ -107,8 +54,7 @@ def with_values(
 def keyed(option: str, name: str, metavar: str, help: str, **more: Any) -> Option:
     """Return an option for keys with values, which may be given several times."""
     return click.option(
-        option, name, multiple=True, type=KEYS, callback=with_values, metavar=metavar, help=help,
-        **more,
+        option, name, multiple=True, callback=with_values, metavar=metavar, help=help, **more
     )  # fmt: skip
 
 
@@ -223,7 +169,7 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
 def of_scene(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the scene that SCENE, ``--law`` and ``--set`` describe."""
 
-    @click.argument("scene", type=SCENE)
+    @click.argument("scene")
     @law_option
     @changes_option
     @wraps(command)

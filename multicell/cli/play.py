@@ -34,16 +34,12 @@ if TYPE_CHECKING:
     metavar="FACTOR",
     help="Run with cells so many times as wide; 1: as they are.  [default: 2 where possible]",
 )
-@click.option(
-    "--quantity", default="diameter", show_default=True, help="Column of the history to draw."
-)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="By default a free one.")
 @click.option("--no-browser", is_flag=True, help="Print the address, and do not open it.")
 def play(
     scene: Scene,
     keys: Sequence[str],
     coarse: float | None,
-    quantity: str,
     port: int,
     no_browser: bool,
 ) -> None:
@@ -59,7 +55,7 @@ def play(
     ranges = parse_ranges(key_values(keys, "--key"), scene)
     factor, note = _factor(scene, coarse)
     law = click.get_current_context().params["law"]
-    with Playground(scene, ranges, factor, note, quantity, law) as playground:
+    with Playground(scene, ranges, factor, note, law) as playground:
 
         def ready(address: str) -> None:
             click.echo(f"{address}\nCtrl-C ends it.")

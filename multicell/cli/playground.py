@@ -33,9 +33,7 @@ from multicell.report.html import rendered
 from multicell.report.result import Result, load_result
 from multicell.report.wording import cell_count, time_unit
 from multicell.scene.coarsening import coarsen
-from multicell.scene.oxygen import NAME as OXYGEN
 from multicell.schema import leaves
-from multicell.units import COMMON, oxygen_solubility
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -51,7 +49,6 @@ class Playground:
     """The runs of a page, one at a time, in a folder that goes with it.
 
     - ``factor``: by which cells are wider than those of the scene; ``note`` is on that
-    - ``quantity``: column of the history whose curves are compared
     - ``law``: FILE:NAME of a law of the user's own that the scene needs
     """
 
@@ -61,11 +58,10 @@ class Playground:
         ranges: Sequence[Range],
         factor: float,
         note: str,
-        quantity: str,
         law: str | None = None,
     ) -> None:
         self.scene, self.ranges, self.factor, self.note = scene, ranges, factor, note
-        self._quantity, self._law = quantity, [] if law is None else ["--law", law]
+        self._law = [] if law is None else ["--law", law]
         self._folder = Path(tempfile.mkdtemp(prefix="multicell-play-"))
         self._worker: subprocess.Popen[bytes] | None = None
         self._labels: dict[int, str] = {}
@@ -88,16 +84,11 @@ class Playground:
             place = 500
             if isinstance(value, int | float) and item.low <= value <= item.high:
                 place = round(1000.0 * item.share(value))
-            other = ""
-            if item.key == f"nutrients.{OXYGEN}.boundary":
-                kpa = 1.0 / oxygen_solubility(self.scene.nutrients[OXYGEN].temperature)
-                other = f"{kpa / COMMON['kPa']['mmHg']:.6g}"
             unit, factor = (item.unit, 1.0) if item.unit != "s" else ("h", 3600.0)
             found.append(
                 {
                     "key": item.key, "low": item.low / factor, "high": item.high / factor,
                     "log": item.log, "whole": item.whole, "unit": unit, "place": place,
-                    "mmHg": other,
                 }
             )  # fmt: skip
         return found
@@ -188,7 +179,7 @@ class Playground:
         if not shown:
             raise OutputError("there is no run yet")
         picture = io.BytesIO()
-        overlay(shown, self._quantity).savefig(picture, dpi=130)
+        overlay(shown, "diameter").savefig(picture, dpi=130)
         return picture.getvalue()
 
     def page(self) -> str:

@@ -7,7 +7,6 @@ reads any more. Only ``MULTICELL_DEBUG=1`` shows tracebacks.
 
 from __future__ import annotations
 
-import errno
 import io
 import json
 import os
@@ -16,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from threading import Timer
-from typing import Any, NoReturn, final
+from typing import IO, Any, NoReturn, final
 
 import click
 
@@ -199,46 +198,28 @@ def leave(code: int) -> NoReturn:
 
 
 @final
-class Faltering(io.TextIOBase):
-    """A stream that goes quiet, and says nothing more, when it cannot be written to.
+class Faltering:
+    """A stream that says nothing where it cannot be written to.
 
     Progress must not end a run because the terminal has gone or a log's disk is full.
     """
 
-    def __init__(self, stream: Any) -> None:
-        self.stream, self.lost = stream, stream is None
+    def __init__(self, stream: IO[str] | None) -> None:
+        self._stream = io.StringIO() if stream is None else stream
 
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        """That of the stream."""
-        return getattr(self.stream, "encoding", None) or "utf-8"
-
-    def isatty(self) -> bool:
-        """Return whether it is a terminal."""
-        return not self.lost and bool(self.stream.isatty())
-
-    def fileno(self) -> int:
-        """Return the number of the stream, for its width."""
-        if self.lost:
-            raise OSError(errno.EBADF, "the stream is closed")
-        return int(self.stream.fileno())
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
         """Write, or not."""
-        self._try(lambda: self.stream.write(text))
+        with quietly():
+            self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
         """Flush, or not."""
-        self._try(lambda: self.stream.flush())
-
-    def _try(self, action: Callable[[], object]) -> None:
-        if self.lost:
-            return
-        try:
-            action()
-        except (OSError, ValueError):
-            self.lost = True
+        with quietly():
+            self._stream.flush()
 
 
 @contextmanager

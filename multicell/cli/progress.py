@@ -48,7 +48,7 @@ def display(
     """Yield what is called with whatever ``share`` takes, or None if nothing shall be shown.
 
     - ``words``: returns what stands beside the bar, or in a line: what matters most comes first,
-      and what finds no room in a line of the terminal is left out
+      and what finds no room in a line of the terminal is cut off
     - ``share``: returns the part that is done; None where that has not changed
     - ``refresh``: how often a terminal is drawn anew, 1/s
     - ``lines``: how many lines are printed in all where there is no terminal
@@ -56,44 +56,26 @@ def display(
     if not show:
         yield None
         return
-    with _meter(words, refresh, lines) as update:
-
-        def note(*event: Any) -> None:
-            done = share(*event)
-            if done is not None:
-                update(done)
-
-        yield note
-
-
-@contextmanager
-def _meter(
-    words: Callable[[], Sequence[str]], refresh: float, lines: int
-) -> Iterator[Callable[[float], None]]:
-    """Yield what is called with the part that is done."""
     console = on_stderr()
     if not console.is_terminal:
         printed = 0
 
-        def show(done: float) -> None:
+        def report(*event: Any) -> None:
             nonlocal printed
-            part = int(lines * done * (1.0 + 1e-12))
+            done = share(*event)
+            part = printed if done is None else int(lines * done * (1.0 + 1e-12))
             if part != printed:  # it falls where another stage begins
                 printed = part
                 text = f"{100 * part // lines:3d} %  {' · '.join(words())}"
                 console.print(text, markup=False, soft_wrap=True)
 
-        yield show
+        yield report
         return
     from rich import progress as rich_progress
+    from rich.table import Column
     from rich.text import Text
 
     begin, width = time.perf_counter(), 24 if console.width >= 80 else 8
-
-    @final
-    class Percent(rich_progress.ProgressColumn):
-        def render(self, task: Any) -> Text:
-            return Text("" if task.total is None else f"{100.0 * task.completed:3.0f} %")
 
     @final
     class Words(rich_progress.ProgressColumn):
@@ -101,23 +83,22 @@ def _meter(
             parts = words()
             if task.total is None:  # nothing is done yet
                 parts = ["preparing", time_text(time.perf_counter() - begin, 2)]
-            return Text(fitting(parts, console.width - width - len("100 %") - 2))
+            return Text(" · ".join(parts), no_wrap=True, overflow="ellipsis")
 
-    columns = Percent(), rich_progress.BarColumn(bar_width=width), Words()
+    columns = (
+        rich_progress.TaskProgressColumn("{task.percentage:3.0f} %"),
+        rich_progress.BarColumn(width, table_column=Column(no_wrap=True)),
+        Words(),
+    )
     with rich_progress.Progress(*columns, console=console, refresh_per_second=refresh) as bar:
         task = bar.add_task("", total=None)
-        yield lambda done: bar.update(task, completed=done, total=1.0)
 
+        def advance(*event: Any) -> None:
+            done = share(*event)
+            if done is not None:
+                bar.update(task, completed=done, total=1.0)
 
-def fitting(parts: Sequence[str], width: int) -> str:
-    """Return as many parts as have room in a width, joined."""
-    shown = ""
-    for part in parts:
-        longer = f"{shown} · {part}" if shown else part
-        if len(longer) > width:
-            break
-        shown = longer
-    return shown
+        yield advance
 
 
 def on_stderr() -> Console:
@@ -233,7 +214,7 @@ class Pace:
         self.expected = {run.name: run.expected for run in runs}
         self.left = dict(self.expected)
         self.total = len(self.expected)
-        self.failed = self.computed = 0
+        self.failed = 0
         self._cores = cores
         self._usual = sum(self.expected.values()) / max(self.total, 1)
         self._took = self._foreseen = 0.0
@@ -255,8 +236,6 @@ class Pace:
         foreseen = self.left.pop(outcome.name, 0.0)
         self.failed += outcome.state != "done"
         self._last = now
-        if not outcome.reused:
-            self.computed += 1
         if not outcome.reused and outcome.state == "done":
             self._took, self._foreseen = self._took + outcome.wall, self._foreseen + foreseen
 

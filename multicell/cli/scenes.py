@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,16 +19,15 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("name", required=False, type=shared.SCENE)
-@click.option("--show", is_flag=True, help="Print the scene NAME as TOML, with units and remarks.")
+@click.argument("name", required=False)
 @click.option("--full", is_flag=True, help="Print it with every key that it could have left out.")
 @shared.as_json_option
-def scenes(name: str | None, show: bool, full: bool, as_json: bool) -> None:
-    """List the built-in scenes, or print the one called NAME."""
+def scenes(name: str | None, full: bool, as_json: bool) -> None:
+    """List the built-in scenes, or print the one called NAME as TOML, with units and remarks."""
     from multicell.scene.scene import load_scene, scene_names
 
-    if name is None and (show or full):
-        raise click.UsageError("--show and --full need the NAME of a scene")
+    if name is None and full:
+        raise click.UsageError("--full needs the NAME of a scene")
     if name is not None:
         _print_scene(name, full, as_json)
         return
@@ -56,22 +54,21 @@ def _print_scene(name: str, full: bool, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("name", type=shared.SCENE)
+@click.argument("name")
 @shared.output_option("File to write, by default NAME.toml here.", required=False)
-@click.option("--full", is_flag=True, help="Write every key, also those that could be left out.")
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
-def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: bool) -> None:
+def init(name: str, output: Path | None, overwrite: bool, as_json: bool) -> None:
     """Write a copy of the built-in scene NAME, to edit and run as a scene of your own."""
     from multicell.results.folder import write_text
-    from multicell.scene.scene import load_scene, scene_names, scene_text
+    from multicell.scene.scene import scene_names, scene_text
     from multicell.schema import near_miss
 
     if name not in scene_names():
         raise OutputError(f"there is no built-in scene {name!r}. {near_miss(name, scene_names())}")
     path = output or Path(f"{name}.toml")
     shared.refuse_existing(path, overwrite=overwrite)
-    write_text(path, load_scene(name).to_toml() if full else scene_text(name))
+    write_text(path, scene_text(name))
     if as_json:
         print_json({"file": str(path)})
         return
@@ -79,25 +76,17 @@ def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: b
 
 
 @click.command()
-@click.argument("scene", type=shared.SCENE)
+@shared.of_scene
 @shared.output_option("File to write.")
 @shared.valued("--factor", default=2.0, help="Of the cells' widths.")
-@shared.changes_option
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
-def coarsen(
-    scene: str,
-    output: Path,
-    factor: float,
-    changes: Sequence[str],
-    overwrite: bool,
-    as_json: bool,
-) -> None:
+def coarsen(scene: Scene, output: Path, factor: float, overwrite: bool, as_json: bool) -> None:
     """Write SCENE with fewer, larger cells and the same tissue, for any other command."""
     from multicell.results.folder import write_text
     from multicell.scene.coarsening import coarsen as coarse_scene
 
-    made = coarse_scene(shared.scene_of(scene, changes), factor)
+    made = coarse_scene(scene, factor)
     shared.refuse_existing(output, overwrite=overwrite)
     write_text(output, made.to_toml())
     if as_json:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
     from multicell.report.result import Result
 
-_OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": "--turn"}
+_OPTIONS = {
+    "plane": "--section", "colour": "--colour", "cut": "--cut", "turn": "--turn", "frame": "--time",
+}  # fmt: skip
 """Options of pictures by the names that their methods have for them."""
 
 
@@ -75,8 +77,12 @@ def _up_to_date(page: Path, folder: Path) -> bool:
 @click.option(
     "--turn", type=float, metavar="DEGREES", help="Where the eye stands round the cells in space."
 )
-@click.option("--time", "moment", metavar="TIME", help="The frame nearest to it, as '6 d'.")
-@click.option("--frame", type=int, help="Number of the frame; -1 is the last.  [default: -1]")
+@click.option(
+    "--time",
+    "frame",
+    metavar="TIME",
+    help="The frame nearest to it, as '6 d'; by default the last.",
+)
 @click.option(
     "--quantity",
     metavar="NAME",
@@ -89,8 +95,6 @@ def plot(
     folders: Sequence[Path],
     output: Path,
     picture: str | None,
-    moment: str | None,
-    frame: int | None,
     quantity: str | None,
     overwrite: bool,
     as_json: bool,
@@ -98,7 +102,7 @@ def plot(
 ) -> None:
     """Draw a picture of the run in FOLDERS, or a quantity of the runs in several of them."""
     given = {name: value for name, value in options.items() if value is not None}
-    _refuse_mixed(folders, picture, given, moment, frame, quantity)
+    _refuse_mixed(folders, picture, quantity, given)
     from multicell.report.plots.style import save
     from multicell.report.result import load_result
 
@@ -107,11 +111,10 @@ def plot(
     if quantity is not None:
         figure = _quantity(folders, runs, quantity)
     else:
-        name = picture or "section"
-        if "frame" in PICTURES[name].options:
-            given["frame"] = _number(runs[0], moment, frame)
+        if "frame" in given:
+            given["frame"] = runs[0].number_at(given["frame"], "--time")
         try:
-            figure = getattr(runs[0].plot, name)(**given)
+            figure = getattr(runs[0].plot, picture or "section")(**given)
         except ValueError as error:  # there is nothing to draw
             raise OutputError(f"no picture of '{runs[0].folder}': {error}") from error
     save(figure, output)
@@ -119,42 +122,18 @@ def plot(
 
 
 def _refuse_mixed(
-    folders: Sequence[Path],
-    picture: str | None,
-    given: Mapping[str, object],
-    moment: str | None,
-    frame: int | None,
-    quantity: str | None,
+    folders: Sequence[Path], picture: str | None, quantity: str | None, given: Iterable[str]
 ) -> None:
-    if quantity is not None:
-        of_frame = {"--time": moment, "--frame": frame, "--picture": picture}
-        for option in [
-            *(_OPTIONS[name] for name in given),
-            *(option for option, value in of_frame.items() if value is not None),
-        ]:
-            raise click.UsageError(f"{option} has no meaning with --quantity")
-        return
-    if len(folders) > 1:
+    """Refuse options that the picture does not take."""
+    if len(folders) > 1 and quantity is None:
         raise click.UsageError("several runs go into one picture with --quantity only")
-    taken = PICTURES[picture or "section"].options
+    if picture is not None and quantity is not None:
+        raise click.UsageError("--picture has no meaning with --quantity")
+    what = "--quantity" if quantity is not None else f"--picture {picture or 'section'}"
+    taken = () if quantity is not None else PICTURES[picture or "section"].options
     for name in given:
         if name not in taken:
-            able = [f"--picture {key}" for key, kind in PICTURES.items() if name in kind.options]
-            raise click.UsageError(f"{_OPTIONS[name]} has a meaning for {' or '.join(able)} only")
-    if "frame" not in taken and (moment is not None or frame is not None):
-        raise click.UsageError(f"--picture {picture} shows all times: leave --time and --frame out")
-    if moment is not None and frame is not None:
-        raise click.UsageError("--time and --frame both name the frame: give one of them")
-
-
-def _number(run: Result, moment: str | None, frame: int | None) -> int:
-    count = len(run.frames)
-    if moment is not None:
-        return run.number_at(moment, "--time")
-    number = -1 if frame is None else frame
-    if not -count <= number < count:
-        raise OutputError(f"there is no frame {number}: the run has {count}")
-    return number
+            raise click.UsageError(f"{_OPTIONS[name]} has no meaning with {what}")
 
 
 def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) -> Figure:

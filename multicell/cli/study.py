@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import sys
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,14 +16,12 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json, words_after
-from multicell.errors import MissingPackage
 from multicell.units import time_text
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.studies.cost import StudyCost
     from multicell.studies.engine import Outcome
-    from multicell.studies.status import RunStatus
     from multicell.studies.study import Study
 
 _ASKED: Final = 3600.0  # expected time in s above which a study is asked for
@@ -46,19 +45,18 @@ yes_option = click.option(
     "--yes", "-y", is_flag=True, help="Do not ask before what is expected to take over an hour."
 )
 retry_option = click.option("--retry", is_flag=True, help="Try again what has failed.")
-_recorded = shared.grouped(
-    shared.observable_option, shared.integrator_option, shared.as_json_option
-)
-_studied = shared.grouped(shared.law_option, _recorded)
-analysis_options = shared.grouped(
+_studied = shared.grouped(shared.loaded_law_option, shared.observable_option)
+_carrying_out = shared.grouped(
     cores_option,
     scheduler_option,
     yes_option,
     retry_option,
-    shared.overwrite_option("Replace another study in the folder; its runs stay."),
     shared.no_report_option,
     shared.quiet_option,
     shared.as_json_option,
+)
+analysis_options = shared.grouped(
+    shared.overwrite_option("Replace another study in the folder; its runs stay."), _carrying_out
 )
 """What the commands take that carry out a study and report what follows from it."""
 
@@ -76,38 +74,21 @@ def study() -> None:
     "vary",
     "KEY=VALUES",
     "Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "
-    "of them) or contact.law=jkr,hertz; with lhs and sobol a range, '8:25 h' or "
-    "'log 1e-3:1 1/s'. May be given several times.",
+    "of them) or contact.law=jkr,hertz; all combinations run. May be given several times.",
 )
-@click.option(
-    "--points",
-    metavar="FILE",
-    help="List of points, such as those of keys that vary together: a CSV file with keys and units "
-    "in its header, as 'cells.young [kPa]'.",
-)
-@shared.valued(
-    "--design",
-    default="grid",
-    metavar="KIND",
-    help="grid: all combinations; lhs, sobol: points of ranges, a Latin hypercube or a Sobol' "
-    "sequence.",
-)
-@click.option("--size", type=int, help="Number of points of lhs or sobol.")
-@click.option("--sample-seed", default=0, help="Of the random numbers of lhs and sobol.")
 @shared.valued(
     "--seeds",
     default=1,
     help="Runs of each point, with the same seeds at all points.",
 )
-@click.option("--every", metavar="TIME", help="Between rows of the table of results, as '6 h'.")
-@_recorded
+@shared.observable_option
+@shared.as_json_option
 @shared.overwrite_option("Replace the plan of another study; its runs stay.")
 @shared.quiet_option
 def new(
     scene: Scene,
     output: Path,
     vary: Sequence[str],
-    integrator: str | None,
     quiet: bool,
     as_json: bool,
     **options: Any,
@@ -119,9 +100,7 @@ def new(
     from multicell.studies.study import study as planned
 
     with planning():
-        made = planned(
-            scene, key_values(vary, "--vary"), output=output, integrator=integrator or "", **options
-        )
+        made = planned(scene, key_values(vary, "--vary"), output=output, **options)
         made.expected(1)
     _print_plan(made, quiet, as_json)
 
@@ -146,7 +125,8 @@ def key_values(items: Sequence[str], option: str) -> dict[str, str]:
 
 
 def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
-    cores = _known_cores()
+    cores = cores_wanted(None, None)
+    assert cores is not None
     cost, states = made.expected(cores), made.status()
     done = sum(state.state == "done" for state in states)
     if as_json:
@@ -160,9 +140,11 @@ def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
         return
     if quiet:
         return
+    from multicell.studies.plan import axis_line
+
     plan = made.plan
     for axis in plan.design.axes:
-        say(f"{axis.key}: {_values(axis)}")
+        say(textwrap.shorten(axis_line(axis), 200, placeholder=" ..."))
     points, seeds = _count(len(plan.points), "point"), _count(plan.seeds, "seed")
     known = f", {done:,} of them done" if done else ""
     say(f"{points} x {seeds} = {_count(len(states), 'run')}{known}")
@@ -175,15 +157,6 @@ def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
 
 def _count(number: int, what: str) -> str:
     return f"{number:,} {what}{'' if number == 1 else 's'}"
-
-
-def _values(axis: Any) -> str:
-    unit = f" {axis.unit}" if axis.unit else ""
-    if hasattr(axis, "low"):
-        return f"{axis.low:g} to {axis.high:g}{unit}{', by ratio' if axis.log else ''}"
-    bare = [isinstance(x, int | float) and not isinstance(x, bool) for x in axis.values]
-    shown = [f"{x}{unit * b}" for x, b in zip(axis.values[:12], bare, strict=False)]
-    return ", ".join(shown) + (f", ... ({len(axis.values)})" if len(axis.values) > 12 else "")
 
 
 def _cost_words(cost: StudyCost, cores: int | None) -> str:
@@ -208,88 +181,43 @@ def _bytes(number: float) -> str:
 
 @study.command()
 @folder_argument
-@cores_option
-@scheduler_option
-@yes_option
-@retry_option
 @_studied
-@click.option("--no-report", is_flag=True, help="Write no report and no table.")
-@shared.quiet_option
-def run(
-    folder: Path,
-    cores: int | None,
-    scheduler: str | None,
-    yes: bool,
-    retry: bool,
-    law: str | None,
-    integrator: str | None,
-    no_report: bool,
-    quiet: bool,
-    as_json: bool,
-) -> None:
+@_carrying_out
+def run(folder: Path, **how: Any) -> None:
     """Compute all runs of the study in FOLDER that are not done.
 
     It may be stopped by anything, Ctrl-C or a kill, and started again: nothing is computed twice,
     and runs that were begun continue from their last frame. A run that fails is reported with its
     reason, and the others continue.
     """
-    made = _open_study(folder, law, integrator)
+    made = _open_study(folder)
     from multicell.host.extras import needs
 
-    needs("dask", "distributed", *(() if no_report else ("xarray", "h5netcdf", "pandas")))
-    count = None
-    if any(state.state != "done" for state in made.status()):
-        count = cores_wanted(cores, scheduler)
-        confirm(made.expected(count or 1), count, yes, quiet or as_json)
-    from multicell.cli.progress import study_reporter
-
-    try:
-        with study_reporter(made, count, show=not quiet) as progress:
-            outcomes = made.run(cores, scheduler, progress, retry=retry)
-    except KeyboardInterrupt:
-        _print_stop(made)
-        raise
-    computed = [outcome for outcome in outcomes if not outcome.reused]
+    reported = not how["no_report"]
+    needs("dask", "distributed", *(("xarray", "h5netcdf", "pandas") if reported else ()))
+    outcomes = _carry_out(made, made.run, how)
     page = made.folder / "report.html"
-    if not no_report and (computed or not page.exists()):
+    if reported and not (page.exists() and all(outcome.reused for outcome in outcomes)):
         made.report()
-    _print_outcomes(made, outcomes, None if no_report else page, quiet, as_json)
+    _print_outcomes(made, outcomes, page if reported else None, how["quiet"], how["as_json"])
 
 
-def _open_study(folder: Path, law: str | None, integrator: str | None) -> Study:
-    """Return the study in a folder; a law of the user's own is loaded first."""
-    if law is not None:
-        shared.name_law(law)
+def _open_study(folder: Path) -> Study:
     from multicell.studies.study import load_study
 
     with planning():
-        return load_study(folder, integrator=integrator or "")
+        return load_study(folder)
 
 
 def cores_wanted(cores: int | None, scheduler: str | None) -> int | None:
     """Return on how many cores runs go; None if a cluster decides."""
-    from multicell.studies.limits import check_cores
+    from multicell.studies.workers import own_cores
 
-    if scheduler is not None:
-        if cores is not None:
-            raise click.UsageError("--cores has no meaning with --scheduler: it has its workers.")
-        return None
+    if scheduler is None:
+        return cores or own_cores()
     if cores is not None:
-        check_cores(cores)
-        return cores
-    from multicell.studies.workers import own_cores
-
-    return own_cores()
-
-
-def _known_cores() -> int:
-    """Return on how many cores runs would use on this machine, also where Dask is not installed."""
-    from multicell.studies.workers import own_cores
-
-    try:
-        return own_cores()
-    except MissingPackage:
-        return os.cpu_count() or 1
+        raise click.UsageError("--cores has no meaning with --scheduler: it has its workers.")
+    return None
 
 
 def confirm(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None:
@@ -320,16 +248,22 @@ def carry_out_study(
     - ``carry_out``: called with it, the folder, what says where runs go, and ``progress``
     - ``how``: the values of ``analysis_options``
     """
-    from multicell.cli.progress import study_reporter
     from multicell.studies.study import write_study
+
+    study = write_study(plan.study, output, overwrite=how["overwrite"])
+    return _carry_out(study, partial(carry_out, plan, output), how)
+
+
+def _carry_out(study: Study, carry_out: Callable[..., Any], how: Mapping[str, Any]) -> Any:
+    """Do what runs of a study are left, after a question where they take long."""
+    from multicell.cli.progress import study_reporter
 
     workers = {name: how[name] for name in ("cores", "scheduler", "retry")}
     count = cores_wanted(how["cores"], how["scheduler"])
-    study = write_study(plan.study, output, overwrite=how["overwrite"])
     confirm(study.expected(count or 1), count, how["yes"], how["quiet"] or how["as_json"])
     try:
         with study_reporter(study, count, show=not how["quiet"]) as progress:
-            return carry_out(plan, output, progress=progress, **workers)
+            return carry_out(progress=progress, **workers)
     except KeyboardInterrupt:
         complain("Stopped: the same command continues with what is there.")
         raise
@@ -355,15 +289,6 @@ def say(text: str) -> None:
 def _print_page(page: Path | None) -> None:
     if page is not None:
         say(f"The report is '{page}'.")
-
-
-def _print_stop(made: Study) -> None:
-    states = Counter(state.state for state in made.status())
-    done, begun = states["done"], states["partial"] + states["running"]
-    complain(
-        f"{done:,} of {_count(sum(states.values()), 'run')} are done and {begun:,} begun; "
-        f"'multicell study run {made.folder}' continues with them."
-    )
 
 
 def _print_outcomes(
@@ -413,12 +338,15 @@ def _where(coordinates: Any, units: Any) -> str:
 @study.command()
 @folder_argument
 @_studied
-def status(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
+@shared.as_json_option
+def status(folder: Path, as_json: bool) -> None:
     """Report the state of all runs of the study in FOLDER, why runs failed, and the time left."""
-    made = _open_study(folder, law, integrator)
+    from multicell.studies.status import STATES
+
+    made = _open_study(folder)
     states = made.status()
     counts = Counter(state.state for state in states)
-    left = _time_left(made, states)
+    left = made.expected().core_seconds
     if as_json:
         runs = [
             {**asdict(state), "coordinates": dict(run.coordinates), "expected": run.expected}
@@ -429,11 +357,7 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
         )
         return
     words = {"partial": "begun"}
-    shown = [
-        f"{counts[name]:,} {words.get(name, name)}"
-        for name in ("done", "running", "partial", "waiting", "failed")
-        if counts[name]
-    ]
+    shown = [f"{counts[name]:,} {words.get(name, name)}" for name in STATES if counts[name]]
     say(f"{_count(len(states), 'run')}: {', '.join(shown)}")
     units = {axis.name: axis.unit for axis in made.plan.design.axes}
     for run, state in zip(made.runs, states, strict=True):
@@ -442,41 +366,23 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
             where, cells = _where(run.coordinates, units), _count(state.cells, "cell")
             say(f"  running at {where}: {share:.0f} % of the time, {cells}")
     if left > 0.0:
-        cores = max(counts["running"], 1)
-        now = (
-            f", about {time_text(left / cores, 2)} on {_count(cores, 'core')}" if cores > 1 else ""
-        )
-        say(f"About {time_text(left, 2)} of one core left{now}.")
+        say(f"About {time_text(left, 2)} of one core left.")
     failed = [(r.coordinates, s.reason) for r, s in zip(made.runs, states, strict=True)
               if s.state == "failed"]  # fmt: skip
     _list_failed(failed, made)
 
 
-def _time_left(made: Study, states: Sequence[RunStatus]) -> float:
-    """Return the time on one core that is left, s: as expected, by what was measured so far."""
-    measured = foreseen = left = 0.0
-    seen: set[str] = set()
-    for run, state in zip(made.runs, states, strict=True):
-        if run.name in seen:
-            continue
-        seen.add(run.name)
-        if state.state == "done":
-            measured, foreseen = measured + state.wall, foreseen + run.expected
-        elif state.state != "failed":
-            left += run.expected * max(0.0, 1.0 - state.time / run.scene.duration)
-    return left * (measured / foreseen if foreseen > 0.0 else 1.0)
-
-
 @study.command()
 @folder_argument
 @_studied
-def report(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
+@shared.as_json_option
+def report(folder: Path, as_json: bool) -> None:
     """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
 
     That is report.html, study.nc (netCDF, for xarray) and study.csv. What has not run yet or has
     failed is marked as such.
     """
-    made = _open_study(folder, law, integrator)
+    made = _open_study(folder)
     page = made.report()
     files = [str(page), str(folder / "study.nc"), str(folder / "study.csv")]
     if as_json:

@@ -315,12 +315,6 @@ def check_whole(path: Path) -> None:
             raise OutputError(f"'{path}' is no result file that this multicell reads")
 
 
-def check_contained(path: Path) -> None:
-    """Refuse any HDF5 file that leads out of itself, or claims to hold far more than it."""
-    with _open_file(path) as file:
-        _check_claim(path, sum(map(_bytes, _contained(path, file, 0).values())))
-
-
 def _contained(path: Path, group: Any, depth: int) -> dict[str, Any]:
     """Return the data sets of a group, and of those in it down to a depth, by their paths.
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import OutputError
 from multicell.results.documents import read_table, write_table
-from multicell.studies.limits import forecast_step
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
 
 NAME: Final = "expected.json"
 """File in the folder of a study: what its runs are expected to take, by their names."""
+_MAX_PREDICTED: Final = 300  # points of a study; a prediction takes 15 to 400 ms
 
 
 @final
@@ -74,7 +74,7 @@ def total_cost(costs: Iterable[Cost], cores: int) -> StudyCost:
     )
 
 
-def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
+def costs_of(plan: Plan, folder: Path) -> list[Cost]:
     """Return what a run of each point of a plan is expected to take.
 
     It is predicted for some hundred points at most; others are expected to take what one beside
@@ -82,16 +82,16 @@ def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
 
     - ``folder``: of the study; what is found is kept there for the next time
     """
-    known = {} if folder is None else _read_known(folder / NAME)
+    known = _read_known(folder / NAME)
     names = plan.names[:: plan.seeds]
     costs = [known.get(name) for name in names]
-    step = forecast_step(len(costs))
+    step = -(-len(costs) // _MAX_PREDICTED)
     found: list[Cost] = []
     for number, (cost, scene) in enumerate(zip(costs, plan.scenes, strict=True)):
         if cost is None:
             cost = found[-1] if number % step else cost_of(scene)
         found.append(cost)
-    if folder is not None and None in costs and folder.is_dir():
+    if None in costs and folder.is_dir():
         _store(folder / NAME, names, found)
     return found
 

@@ -1,33 +1,23 @@
 """Designs: which points of the space of parameters a study runs.
 
-A grid runs all combinations of its axes; a list runs the rows of a table; Latin hypercube and
-Sobol' sequence (Sobol' 1967, scrambled after Owen 1995, both by :mod:`scipy.stats.qmc`) spread a
-number of points evenly over ranges.
+A grid runs all combinations of its axes; a list runs the rows of a table.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final, final
 
-from multicell.errors import DataError, SceneError
-from multicell.scene.scene import Scene
+from multicell.errors import SceneError
 from multicell.schema import near_miss
-from multicell.studies import axes as of
-from multicell.studies.axes import Axis, Range, bare, is_numeric, parse_axis, parse_range
-from multicell.studies.keys import key_of
+from multicell.studies.axes import Axis, with_unique_names
 from multicell.studies.limits import check_runs
-from multicell.tables.columns import Table, read_table
-from multicell.tables.titles import split_title
 from multicell.units import shown
 
-DESIGNS: Final = ("grid", "list", "lhs", "sobol")
-SAMPLED: Final = ("lhs", "sobol")  # designs that draw a number of points from ranges
-_MAX_BYTES: Final = 20_000_000  # of a table of points: 1,000 for each of as many as there may be
+DESIGNS: Final = ("grid", "list")
 
 
 @final
@@ -52,21 +42,16 @@ class Design:
     """What is varied, and how.
 
     - ``kind``: one of :data:`DESIGNS`
-    - ``axes``: of a grid, the last one running fastest; axes and ranges of samples; of a list its
-      columns, all of one length
-    - ``size``: number of points of a sample, else 0
-    - ``sample_seed``: of a sample's random numbers
+    - ``axes``: of a grid, the last one running fastest; of a list its columns, all of one length
     """
 
     kind: str = "grid"
-    axes: tuple[Axis | Range, ...] = ()
-    size: int = 0
-    sample_seed: int = 0
+    axes: tuple[Axis, ...] = ()
     points: tuple[Point, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_form(self)
-        object.__setattr__(self, "axes", tuple(of.with_unique_names(self.axes)))
+        object.__setattr__(self, "axes", tuple(with_unique_names(self.axes)))
         object.__setattr__(self, "points", tuple(_points(self)))
 
 
@@ -75,148 +60,30 @@ def check_form(design: Design) -> None:
     if design.kind not in DESIGNS:
         problem = f"is {shown(design.kind)}, must be one of {', '.join(DESIGNS)}"
         raise SceneError("design", problem, near_miss(design.kind, DESIGNS, listed=False))
-    if design.kind in SAMPLED:
-        _check_sample(design)
-    else:
-        _check_lists(design)
     keys = [axis.key for axis in design.axes]
     for key in keys:
         if keys.count(key) > 1:
             raise SceneError(key, "is varied twice", "Give all its values at once.")
-
-
-def _check_sample(design: Design) -> None:
-    """Refuse a sample of nothing, and a size that is none."""
-    if not design.axes:
-        hint = "Give ranges, such as nutrients.oxygen.boundary = '0.05:0.3 mM'."
-        raise SceneError("vary", f"is empty: a design of kind '{design.kind}' draws points", hint)
-    size = design.size
-    if design.kind == "sobol" and size & (size - 1):
-        low = 1 << (size.bit_length() - 1)
-        hint = f"Its points fill the space evenly then: take {low} or {2 * low}."
-        raise SceneError("size", f"is {size}, must be a power of two in a Sobol' sequence", hint)
-
-
-def _check_lists(design: Design) -> None:
-    """Refuse ranges where values are needed, lists of unequal lengths, and too many points."""
-    for axis in design.axes:
-        if isinstance(axis, Range):
-            ends = f"{axis.low:g}:{axis.high:g}"
-            unit = f" {axis.unit}" if axis.unit else ""
-            problem = (
-                f"has a range, {ends}{unit}, but a design of kind '{design.kind}' needs values"
-            )
-            hint = f"'{ends}:5{unit}' are five of them; or sample it (--design lhs or sobol)."
-            raise SceneError(axis.key, problem, hint)
-    if design.size:
-        problem = f"has no meaning in a design of kind '{design.kind}'"
-        raise SceneError("size", problem, "It is the number of points of a sample.")
-    columns = [axis for axis in design.axes if isinstance(axis, Axis)]
+    lengths = [len(axis.values) for axis in design.axes]
     if design.kind == "grid":
-        check_runs(math.prod(len(axis.values) for axis in columns), 1, "vary")
+        check_runs(math.prod(lengths), 1, "vary")
         return
-    if not columns:
+    if not keys:
         raise SceneError("points", "is empty", "A list needs a column for each key.")
-    if len({len(axis.values) for axis in columns}) > 1:
-        words = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in columns)
+    if len(set(lengths)) > 1:
+        words = ", ".join(f"{key} has {n}" for key, n in zip(keys, lengths, strict=True))
         hint = "The values of a point stand at the same places of their lists."
-        raise SceneError(columns[0].key, f"goes with lists of other lengths: {words}", hint)
-    check_runs(len(columns[0].values), 1, "points")
+        raise SceneError(keys[0], f"goes with lists of other lengths: {words}", hint)
+    check_runs(lengths[0], 1, "points")
 
 
 def _points(design: Design) -> Iterator[Point]:
     """Yield all points, the last axis running fastest."""
-    if design.kind in SAMPLED:
-        yield from _sample_points(design)
-        return
-    axes = [axis for axis in design.axes if isinstance(axis, Axis)]
-    sides = [range(len(axis.values)) for axis in axes]
+    sides = [range(len(axis.values)) for axis in design.axes]
     places = zip(*sides, strict=True) if design.kind == "list" else itertools.product(*sides)
     for row in places:
-        chosen = list(zip(axes, row, strict=True))
+        chosen = list(zip(design.axes, row, strict=True))
         yield Point(
             {axis.key: axis.values[place] for axis, place in chosen},
             {axis.name: axis.coordinates[place] for axis, place in chosen},
         )
-
-
-def _sample_points(design: Design) -> Iterator[Point]:
-    """Yield points that fill ranges, and the values of axes, evenly."""
-    from scipy.stats import qmc
-
-    width = len(design.axes)
-    if design.kind == "lhs":
-        shares = qmc.LatinHypercube(width, rng=design.sample_seed).random(design.size)
-    else:
-        sampler = qmc.Sobol(width, scramble=True, rng=design.sample_seed)
-        shares = sampler.random_base2(design.size.bit_length() - 1)
-    for row in shares.tolist():
-        values: dict[str, Any] = {}
-        coordinates: dict[str, Any] = {}
-        for axis, share in zip(design.axes, row, strict=True):
-            if isinstance(axis, Range):
-                number = axis.value(share)
-                values[axis.key], coordinates[axis.name] = axis.setting(number), number
-            else:
-                place = min(int(share * len(axis.values)), len(axis.values) - 1)
-                values[axis.key] = axis.values[place]
-                coordinates[axis.name] = axis.coordinates[place]
-        yield Point(values, coordinates)
-
-
-def parse_axis_or_range(key: str, given: Any, scene: Scene, sampled: bool = False) -> Axis | Range:
-    """Return the axis or the range that a text or a list describes.
-
-    A text is a range where it has one colon (``"8:25 h"``), else it lists values; a tuple is one
-    where points are sampled.
-    """
-    if isinstance(given, Axis | Range):
-        return given
-    if sampled and isinstance(given, tuple):
-        return parse_range(key, given, scene)
-    colon = isinstance(given, str) and given.count(":") == 1
-    if colon and not given.lstrip().startswith("[") and is_numeric(key_of(scene, key)):
-        return parse_range(key, given, scene)
-    return parse_axis(key, given, scene)
-
-
-def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
-    """Return the columns of a table of points, a CSV file.
-
-    The header has the keys, each with the unit of its column, as ``nutrients.oxygen.boundary
-    [mM]`` or ``nutrients.oxygen.boundary / mM``; where there is none the values have units of their
-    own, or are numbers without. Lines that begin with ``#`` are remarks.
-    """
-    try:
-        table = read_table(path, _MAX_BYTES)
-    except DataError as error:
-        raise SceneError("points", f"cannot be read: {error}") from None
-    columns = zip(*table.rows, strict=True)
-    return tuple(
-        _column(table, title, column, scene)
-        for title, column in zip(table.titles, columns, strict=True)
-    )
-
-
-def _column(table: Table, title: str, cells: Sequence[str], scene: Scene) -> Axis:
-    name, unit = split_title(title)
-    if not name:
-        raise SceneError("points", f"'{table.name}' has a column without a key in its header")
-    key = key_of(scene, name)
-    values: list[Any] = []
-    for place, cell in zip(table.places, cells, strict=True):
-        where = f"'{table.name}', {place}"
-        if not cell:
-            raise SceneError(name, f"is empty in {where}")
-        value = bare(cell)
-        if isinstance(value, int | float) and not isinstance(value, bool) and unit:
-            value = f"{cell} {unit}"
-        if isinstance(value, int | float) and key.unit and is_numeric(key):
-            hint = f"Write '{name} [{key.unit}]', or a unit behind every value."
-            raise SceneError(name, f"has no unit in the header of '{table.name}'", hint)
-        try:
-            key.plain(value)
-        except SceneError as error:
-            raise SceneError(name, f"{error.problem} ({where})", error.hint) from None
-        values.append(value)
-    return parse_axis(name, values, scene)

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import time as clock
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.errors import ClusterError, MulticellError, OutputError
 from multicell.host.interrupts import STEP
@@ -85,41 +85,39 @@ def carry_out(
 
     left: list[tuple[float, Run]] = []
     for run in {run.name: run for run in runs}.values():
-        found = status(run.name, folder, run.integrator)
+        found = status(run.name, folder)
         known = known_outcome(found, retry)
         if known is None:
             part = max(0.0, 1.0 - found.time / run.scene.duration)
             left.append((run.expected * part, run))
         else:
             report(known)
-    if left:
-        ordered = [run for _, run in sorted(left, key=lambda entry: -entry[0])]
-        tasks = [task(run, folder, retry) for run in ordered]
-        short = not any(run.expected > _SHORT or run.integrator for run in ordered)
-        _carry_out(tasks, folder, cores, scheduler, report, short)
+    ordered = [run for _, run in sorted(left, key=lambda entry: -entry[0])]
+    tasks = [Task(run.name, str(folder), PlainScene.of(run.scene), retry) for run in ordered]
+    short = not any(run.expected > _SHORT for run in ordered)
+    if tasks:
+        check_cores(cores)
+        wanted = own_cores() if scheduler is None and cores is None else cores
+        most = None if wanted is None else min(wanted, len(tasks))
+        if scheduler is None and most == 1 and short:
+            _do_here(tasks, report)
+        else:
+            _do_there(tasks, folder, most, scheduler, report)
     return [outcomes[run.name] for run in runs]
 
 
-def _carry_out(
-    tasks: list[Task],
+def _do_there(
+    tasks: Sequence[Task],
     folder: Path,
     cores: int | None,
     scheduler: str | None,
     report: Callable[[Outcome], None],
-    short: bool,
 ) -> None:
-    """Have workers do tasks, in their order; ``short`` ones need none on one core."""
-    check_cores(cores)
-    if scheduler is None and cores is None:
-        cores = own_cores()
-    most = None if cores is None else min(cores, len(tasks))
-    if scheduler is None and most == 1 and short:
-        _do_here(tasks, report)
-        return
-    with STEP, workers(most, scheduler) as client:
+    """Have workers do tasks, in their order."""
+    with STEP, workers(cores, scheduler) as client:
         if scheduler is not None:
             check_folder(client, folder)
-        work = _Work(client, tasks, report)
+        work = _Work(client, deque(tasks), report)
         try:
             while work.left:
                 STEP.deliver()
@@ -146,15 +144,12 @@ def _do_here(tasks: Sequence[Task], report: Callable[[Outcome], None]) -> None:
                 clock.sleep(_RECHECK)
 
 
-@final
-@dataclass
-class _UnderWay:
-    """A task that a worker has."""
+class _UnderWay(NamedTuple):
+    """A task that a worker has, and how many frames its run had when the worker got it."""
 
     work: Task
     future: Any
     frames: int
-    """How many frames the run had when the worker got it."""
 
 
 @final
@@ -163,14 +158,12 @@ class _Work:
     """The tasks of a study, on their way from one place to the next."""
 
     client: Any
-    tasks: Iterable[Task]
+    waiting: deque[Task]
     report: Callable[[Outcome], None]
-    waiting: deque[Task] = field(init=False)
     under_way: dict[str, _UnderWay] = field(default_factory=dict)
     held: list[Task] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.waiting = deque(self.tasks)
         self._ended: SimpleQueue[str] = SimpleQueue()
         self._threads = 0
         self._counted = self._checked = -1e9
@@ -225,7 +218,7 @@ class _Work:
         self.waiting.extend(free)
 
     def _submit(self, work: Task) -> None:
-        found = status(work.name, Path(work.folder), work.integrator)
+        found = status(work.name, Path(work.folder))
         future = self.client.submit(_on_worker, work, pure=False, retries=0)
         self.under_way[future.key] = _UnderWay(work, future, found.frames)
         future.add_done_callback(lambda ended: self._ended.put(ended.key))
@@ -263,7 +256,7 @@ class _Work:
 
         work, folder = entry.work, Path(entry.work.folder)
         if isinstance(error, KilledWorker):
-            if status(work.name, folder, work.integrator).frames > entry.frames:
+            if status(work.name, folder).frames > entry.frames:
                 self.waiting.appendleft(work)
                 return None
             reason = (
@@ -317,7 +310,7 @@ class Outcome:
 
     - ``state``: ``"done"``, ``"failed"``, or ``"held"`` where another process works on it
     - ``reason``: why it failed, in words; otherwise an empty string
-    - ``wall``, ``cpu``: wall time and CPU time that it took now, s; none for what was there
+    - ``wall``: wall time that it took now, s; none for what was there
     - ``reused``: whether it had been done, or had failed, before
     """
 
@@ -325,7 +318,6 @@ class Outcome:
     state: str
     reason: str = ""
     wall: float = 0.0
-    cpu: float = 0.0
     reused: bool = False
 
 
@@ -335,20 +327,13 @@ class Task:
     """A run as it travels to a worker: plain values only.
 
     - ``folder``: of the study
-    - ``integrator``: ``file.py:Name`` of the user's own, or empty
     - ``retry``: whether a run that failed, or whose folder is damaged, is tried again
     """
 
     name: str
     folder: str
     scene: PlainScene
-    integrator: str
     retry: bool
-
-
-def task(run: Run, folder: Path, retry: bool) -> Task:
-    """Return what a worker has to know of a run."""
-    return Task(run.name, str(folder), PlainScene.of(run.scene), run.integrator, retry)
 
 
 @final
@@ -361,28 +346,20 @@ def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
 
     - ``wanted``: asked between steps; where it answers no the run ends there, and can be continued
     """
-    begin, cpu = clock.perf_counter(), clock.thread_time()
-    outcome = _do_in_words(work, wanted)
-    if outcome.reused:
-        return outcome
-    spent = clock.perf_counter() - begin, clock.thread_time() - cpu
-    return replace(outcome, wall=spent[0], cpu=spent[1])
-
-
-def _do_in_words(work: Task, wanted: Callable[[], bool]) -> Outcome:
-    """Do a run; put what kept it from its end into words, and into its folder."""
+    begin = clock.perf_counter()
     place = run_folder(Path(work.folder), work.name)
     try:
-        return _attempt(work, place, wanted)
+        outcome = _attempt(work, place, wanted)
     except Stopped:
-        return Outcome(work.name, "held", "stopped")
+        outcome = Outcome(work.name, "held", "stopped")
     except Exception as error:
         if isinstance(error, OutputError) and error.in_use:
             return Outcome(work.name, "held")
         reason, kind = _in_words(error)
-    with suppress(OutputError):  # where the disk is full there is no room for the reason either
-        write_note(place, reason, kind)
-    return Outcome(work.name, "failed", reason)
+        with suppress(OutputError):  # where the disk is full there is no room for the reason either
+            write_note(place, reason, kind)
+        outcome = Outcome(work.name, "failed", reason)
+    return outcome if outcome.reused else replace(outcome, wall=clock.perf_counter() - begin)
 
 
 def _in_words(error: Exception) -> tuple[str, Kind]:
@@ -405,7 +382,7 @@ def _in_words(error: Exception) -> tuple[str, Kind]:
 def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
     """Do a run from wherever it stands; another process may come first at any moment."""
     for left in reversed(range(_ATTEMPTS)):
-        found = status(work.name, Path(work.folder), work.integrator)
+        found = status(work.name, Path(work.folder))
         if found.state == "running":
             return Outcome(work.name, "held")
         known = known_outcome(found, work.retry)
@@ -437,10 +414,10 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
         if not wanted():
             raise Stopped
 
-    scene, integrator = work.scene.load(), work.integrator or None
+    scene = work.scene.load()
     if not wanted():
         raise Stopped
-    options = runner.RunOptions(output=place, integrator=integrator, threads=1, progress=between)
+    options = runner.RunOptions(output=place, threads=1, progress=between)
     if found.frames and found.kind != "damage":
         remove(place, [NOTE])
         runner.record_resumed(place, options, planned=True)
@@ -454,6 +431,6 @@ def _empty(work: Task, place: Path) -> None:
     if not place.is_dir():
         return
     with lock_folder(place):
-        now = status(work.name, Path(work.folder), work.integrator, ours=True)
+        now = status(work.name, Path(work.folder), ours=True)
         if now.kind == "damage" or not (now.frames or now.state == "done"):
             remove(place, (*PASSING, *FILES, NOTE))

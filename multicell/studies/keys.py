@@ -15,7 +15,7 @@ from typing import Any, Final, final
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene.oxygen import in_concentrations
-from multicell.scene.responses import Response, effects, in_base_units, unit_of
+from multicell.scene.responses import Response, in_base_units, unit_of
 from multicell.scene.scene import Scene, check_dotted
 from multicell.schema import SYNONYMS, Parameter, chosen, near_miss, specs
 
@@ -98,11 +98,6 @@ def _spelled_out(part: Any, name: str) -> str:
     return f"{name}.{spec.shorthand}" if spec is not None and spec.shorthand else name
 
 
-def all_keys(scene: Scene) -> list[str]:
-    """Return the dotted keys of all values of a scene, also of those that are absent."""
-    return [key.name for key in _keys_of(scene, scene, "", [])]
-
-
 def _keys_of(scene: Scene, part: Any, path: str, absent: list[str]) -> Iterator[Key]:
     """Yield the keys of a part and of all in it; note the tables that it does not have."""
     for name, spec in specs(part).items():
@@ -134,32 +129,16 @@ def _unit_of_measure(scene: Scene, part: Any, name: str) -> str:
 
 def _refusal(name: str, known: Sequence[str], absent: Sequence[str]) -> SceneError:
     """Return why a name is not that of a value of a scene."""
-    steps = name.split(".")
-    for depth in range(1, len(steps) + 1):
-        here = ".".join(steps[:depth])
-        if here in absent:
+    for table in absent:
+        if f"{name}.".startswith(f"{table}."):
             hint = f"Add it first: --set {name}=..., or with_changes({{'{name}': ...}})."
-            return SceneError(name, f"cannot be varied: the scene has no '{here}'", hint)
-        if here in known:
-            problem = f"is not a key: '{here}' is a value, not a table"
-            return SceneError(name, problem, _near(name, known))
-        if not _below(here, known):
-            break
-    below = _below(here, known)
+            return SceneError(name, f"cannot be varied: the scene has no '{table}'", hint)
+    below = [key.removeprefix(f"{name}.") for key in known if key.startswith(f"{name}.")]
     if below:
-        listed = ", ".join(below[:8]) + (", ..." if len(below) > 8 else "")
+        listed = ", ".join(dict.fromkeys(key.partition(".")[0] for key in below))
         return SceneError(name, f"is a table, not a value: name one of its keys ({listed})")
-    table, _, step = here.rpartition(".")
-    where = f": '{table}' has no '{step}'" if table else ""
-    hint = _near(name, known) or near_miss(step, _below(table, known))
-    return SceneError(name, f"is not a key of this scene{where}", hint)
-
-
-def _below(table: str, known: Sequence[str]) -> list[str]:
-    """Return the keys of a table, or with an empty name those of the scene."""
-    start = f"{table}." if table else ""
-    found = (key.removeprefix(start).split(".")[0] for key in known if key.startswith(start))
-    return list(dict.fromkeys(found))
+    hint = _near(name, known) or near_miss(name, known)
+    return SceneError(name, "is not a key of this scene", hint)
 
 
 def _near(name: str, known: Sequence[str]) -> str:
@@ -225,22 +204,6 @@ def _lacks(scene: Scene, name: str) -> bool:
     return info is not None and name != "method" and name not in info.settings
 
 
-def _responds(scene: Scene, behaviour: str) -> bool:
-    return any(effect.behaviour == behaviour for effect in effects(scene))
-
-
-def _never_starves(scene: Scene) -> bool:
-    """Return whether no cell can become necrotic."""
-    return not (_responds(scene, "necrosis rate") or _responds(scene, "damage rate"))
-
-
-def _never_by_apoptosis(scene: Scene) -> bool:
-    """Return whether no cell dies by apoptosis."""
-    assert scene.death is not None
-    constant = scene.death.apoptosis_rate > 0.0 or bool(scene.radiation)
-    return not (constant or _responds(scene, "apoptosis rate"))
-
-
 def _scheduled(scene: Scene, field: str) -> bool:
     """Return whether the medium of a field is given from the start on."""
     media, finite = scene.nutrients[field].media, scene.nutrients[field].finite_medium
@@ -250,8 +213,6 @@ def _scheduled(scene: Scene, field: str) -> bool:
 _RULES: Final[Sequence[tuple[str, Callable[..., Any], str]]] = (
     ("growth.cycle_time growth.cycle_variation", lambda s: s.growth.phases,
      "the phases of the cycle say how long it lasts"),
-    ("growth.division growth.restriction", lambda s: not s.growth.phases,
-     "the cycle has no phases"),
     ("growth.phases.*.variation", lambda s, name: s.growth.phases[name].distribution == "fixed",
      "the phase has a fixed duration"),
     ("integrator.step", _controlled, "the method {method!r} chooses its steps"),
@@ -260,30 +221,7 @@ _RULES: Final[Sequence[tuple[str, Callable[..., Any], str]]] = (
      "every type of cell has a Young's modulus of its own"),
     ("contact.surface_energy", lambda s: any(k.surface_energy for k in s.types.values()),
      "every pair of types has a surface energy of its own"),
-    ("radiation.*.oer radiation.*.half_oxygen", lambda s, name: not s.radiation[name].oxygen,
-     "radiation.{0} names no field of oxygen"),
-    ("initial.shape initial.spacing initial.jitter", lambda s: s.initial.count == 1,
-     "there is one cell at the start"),
-    ("death.necrosis_rate death.damage_time death.swelling death.core death.lysis_time "
-     "death.swelling_time", _never_starves,
-     "neither a nutrient nor ATP has a threshold of necrosis"),
-    ("death.damage_repair_time death.damage_variation", lambda s: not _responds(s, "damage rate"),
-     "death.damage_time is absent, and nothing responds with a damage rate"),
-    ("death.lysis_time", lambda s: s.death.core == "fluid",
-     "what necrotic cells lose stays as fluid (death.core)"),
-    ("death.swelling_time", lambda s: s.death.swelling == 1.0,
-     "dead cells do not swell (death.swelling = 1)"),
-    ("death.apoptosis_time", _never_by_apoptosis,
-     "death.apoptosis_rate is 0, and no cell is irradiated"),
-    ("death.removal_fraction death.inflow",
-     lambda s: _never_by_apoptosis(s) and _never_starves(s), "no cell ever dies"),
-    ("nutrients.*.temperature", lambda s, field: True,
-     "the concentrations of the scene are in mM already; it only converts pressures"),
     ("nutrients.*.boundary", _scheduled, "'media' says what the medium is from the start on"),
-    ("nutrients.*.time_tolerance nutrients.*.initial",
-     lambda s, field: s.nutrients[field].regime == "steady", "the field is steady"),
-    ("nutrients.*.half_saturation", lambda s, field: not s.nutrients[field].takes_up,
-     "the uptake of {0} is 0"),
 )  # fmt: skip
 """Keys, what holds where they have no effect, and that in words.
 

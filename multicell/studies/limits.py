@@ -13,9 +13,6 @@ MAX_POINTS: Final = 20_000
 """Sets of parameters. The scene of each one is checked beforehand, which takes about 2 ms."""
 MAX_SEEDS: Final = 20_000
 MAX_RUNS: Final = 100_000
-MAX_FORECASTS: Final = 300
-"""Points whose cost is predicted, at 15 to 400 ms each; others are expected to cost as much as one
-of these."""
 
 
 def whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
@@ -38,9 +35,9 @@ def check_seeds(seeds: Any, first: int) -> int:
 
 def check_runs(points: int, seeds: int, name: str = "seeds") -> None:
     """Refuse too many points, or too many runs of them."""
-    hint = "Vary less, or sample it (--design lhs or sobol)."
     if points > MAX_POINTS:
-        raise SceneError(name, f"makes {points:,} points, must be at most {MAX_POINTS:,}", hint)
+        problem = f"makes {points:,} points, must be at most {MAX_POINTS:,}"
+        raise SceneError(name, problem, "Vary less.")
     if points * seeds > MAX_RUNS:
         problem = f"makes {points * seeds:,} runs, must be at most {MAX_RUNS:,}"
         raise SceneError(name, problem, "Take fewer points or seeds.")
@@ -50,8 +47,3 @@ def check_cores(cores: int | None) -> None:
     """Refuse a number of worker processes that this machine cannot be meant to have."""
     if cores is not None:
         whole("cores", cores, 1, max(8, 4 * (os.cpu_count() or 1)))
-
-
-def forecast_step(points: int) -> int:
-    """Return of how many points, one after another, one has its cost predicted."""
-    return -(-points // MAX_FORECASTS)

@@ -12,7 +12,9 @@ import numpy as np
 from multicell.report.html import Drawing, write_page
 from multicell.report.wording import clock, time_unit
 from multicell.studies import picture_data as of
-from multicell.studies.plots import StudyPlots
+from multicell.studies.pictures import StudyPlots
+from multicell.studies.readings import USUAL
+from multicell.studies.status import STATES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,18 +24,11 @@ if TYPE_CHECKING:
     from multicell.studies.runs import Run
     from multicell.studies.status import RunStatus
 
-KEY_OBSERVABLES: Final = (
-    "cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction", "packing_ratio",
-    "pull", "largest_pressure", "contacts",
-)  # fmt: skip
-"""Observables that a page shows, if they are there and change; further ones by wish."""
-
 MAX_ROWS: Final = 4000  # runs that the table of a page lists; a browser takes long over more
 
 _MAPS: Final = 4  # observables that have a map or a response
 _COURSES: Final = 3  # and of which courses
 _COLUMNS: Final = 6  # and columns of the table
-_STATES: Final = ("done", "running", "partial", "waiting", "failed")
 _STATE_WORDS: Final = {"waiting": "not run", "partial": "begun"}
 
 
@@ -51,7 +46,7 @@ def write_report(
     - ``scene``: what is varied
     - ``table``: of the study, as ``study.to_xarray()``
     - ``runs``, ``states``: all runs and how they stand, in the order of the table
-    - ``shown``: observables to show, by default those of :data:`KEY_OBSERVABLES` that change
+    - ``shown``: observables to show, by default the usual ones that change
     """
     names = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"
@@ -72,7 +67,7 @@ def write_report(
 def key_observables(table: xr.Dataset) -> list[str]:
     """Return the observables that a page shows: those that are not the same in all runs."""
     known = of.observables(table)
-    found: list[str] = [name for name in KEY_OBSERVABLES if name in known]
+    found: list[str] = [name for name in USUAL if name in known]
     found += [name for name in known if name.startswith("hypoxic_radius")]
     names: list[str] = []
     for name in found:
@@ -90,7 +85,7 @@ def _drawings(table: xr.Dataset, title: str, names: Sequence[str]) -> dict[str, 
     several = table.sizes[of.SEED] > 1
     draw: Callable[[str], Figure] = plots.response
     kind, caption = "response", "One panel for each axis."
-    if not of.is_sampled(table) and len(axes) > 1:
+    if not of.is_list(table) and len(axes) > 1:
         scatter = "mean ± standard deviation over the seeds" if several else "of the only seed"
         draw, kind = plots.heatmap, "map"
         caption = f"One tile for each pair of values: {scatter}."
@@ -110,15 +105,13 @@ def _subtitle(table: xr.Dataset) -> str:
         for name in of.axes_of(table)
     ]
     seeds = table.sizes[of.SEED]
-    points = (
-        f"{table.sizes['point']} points of a sample" if of.is_sampled(table) else " × ".join(sizes)
-    )
+    points = f"{table.sizes['point']} points" if of.is_list(table) else " × ".join(sizes)
     return f"{points} × {seeds} seed{'' if seeds == 1 else 's'}"
 
 
 def _tiles(table: xr.Dataset, states: Sequence[RunStatus]) -> dict[str, str]:
     """Return the key figures: runs by state, seeds, time that it took."""
-    count = {name: sum(state.state == name for state in states) for name in _STATES}
+    count = {name: sum(state.state == name for state in states) for name in STATES}
     wall = float(sum(state.wall for state in states if np.isfinite(state.wall)))
     tiles = {"runs": f"{len(states):,}"}
     tiles |= {f"runs {_STATE_WORDS.get(name, name)}": f"{n:,}" for name, n in count.items() if n}

@@ -1,14 +1,14 @@
 """What the pictures of a study read from its table: axes, final values, scatter, labels.
 
 The table is an ``xarray.Dataset`` with the dimensions of the axes, ``seed`` and ``time``; of a
-sampled design ``point``, ``seed`` and ``time``, with the value of each axis as a coordinate along
+list of points ``point``, ``seed`` and ``time``, with the value of each axis as a coordinate along
 ``point``. Its variable ``state`` says how each run stands, over axes and seeds.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -35,8 +35,7 @@ class Scale(NamedTuple):
 
     - ``name``: of the dimension or coordinate
     - ``words``, ``unit``: how it is read, and the unit that is shown
-    - ``values``: in the order of the table, numbers or words; once each, sorted, of a sampled
-      design
+    - ``values``: in the order of the table, numbers or words; once each, sorted, of a list
     - ``numbers``, (n,) or None: the same in the shown unit; None for words
     - ``texts``: how the values are written
     - ``factor``: base units in the shown unit
@@ -64,15 +63,15 @@ class Scale(NamedTuple):
         return low > 0.0 and high >= _LOG_RATIO * low
 
 
-def is_sampled(table: xr.Dataset) -> bool:
-    """Return whether the points are a sample and not a grid."""
+def is_list(table: xr.Dataset) -> bool:
+    """Return whether the points are a list and not a grid."""
     return POINT in table.dims
 
 
 def axes_of(table: xr.Dataset) -> list[str]:
     """Return the names of the axes that have more than one value."""
     names = [str(name) for name in table[STATE].dims if name != SEED]
-    if is_sampled(table):
+    if is_list(table):
         names = [str(n) for n, entry in table.coords.items() if entry.dims == (POINT,)]
     return [n for n in names if n != POINT and len(distinct(table[n].values)) > 1]
 
@@ -93,18 +92,10 @@ def observables(table: xr.Dataset) -> list[str]:
 
 def observable(table: xr.Dataset, name: str) -> xr.DataArray:
     """Return a variable of the table; raises SceneError if there is none of this name."""
-    return table[_known(name, observables(table), "observable")].astype(float)
-
-
-def axis_named(table: xr.Dataset, name: str) -> str:
-    """Return the name of an axis; raises SceneError if there is none."""
-    return _known(name, axes_of(table), "axis")
-
-
-def _known(name: str, known: Sequence[str], what: str) -> str:
+    known = observables(table)
     if name not in known:
-        raise SceneError("", f"the study has no {what} {name!r}", near_miss(name, known))
-    return name
+        raise SceneError("", f"the study has no observable {name!r}", near_miss(name, known))
+    return table[name].astype(float)
 
 
 def at_end(table: xr.Dataset, name: str) -> xr.DataArray:
@@ -157,7 +148,7 @@ def words(name: str) -> str:
 def scale(table: xr.Dataset, name: str) -> Scale:
     """Return how to show an axis; long times are told in minutes, hours or days."""
     found = table[name].values
-    if is_sampled(table):
+    if is_list(table):
         found = distinct(found)
     long = key_words(str(table[name].attrs.get("key", name)), name)
     if found.dtype.kind not in "fiu":
@@ -190,20 +181,11 @@ def number_text(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}"
 
 
-def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> tuple[xr.Dataset, str]:
-    """Return the part of a grid at given values of some axes, the nearest there are; in words."""
+def at_middle(table: xr.Dataset, names: Sequence[str]) -> tuple[xr.Dataset, str]:
+    """Return the part of a grid at the middle values of some axes, and these in words."""
     parts = []
-    for name, wanted in fixed.items():
-        shown = scale(table, axis_named(table, name))
-        if shown.numbers is None:
-            place = shown.values.index(_known(str(wanted), shown.values, f"'{name}'"))
-        else:
-            place = int(np.abs(np.subtract(shown.values, float(wanted))).argmin())
+    for name in names:
+        shown, place = scale(table, name), (table.sizes[name] - 1) // 2
         table = table.isel({name: place})
         parts.append(f"{shown.words} {shown.texts[place]} {shown.unit}".strip())
     return table, ", ".join(parts)
-
-
-def middle(table: xr.Dataset, names: Sequence[str]) -> dict[str, Any]:
-    """Return the middle value of each of some axes."""
-    return {name: table[name].values[(table.sizes[name] - 1) // 2] for name in names}

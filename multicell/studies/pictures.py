@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, final
 
 import matplotlib as mpl
 import numpy as np
@@ -39,11 +39,10 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 _COLOURS: Final = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.88, 256)))
-_MAX_PANELS: Final = 6  # maps of a heat map
 _MIN_FONT: Final = 6.5  # points; smaller numbers cannot be read
 _EMPTY, _FAILED = "#eceff2", "#f6dfd9"
 _MAX_NAMED: Final = 8  # curves with a name each; more share a scale of colours
-_MAX_CURVES: Final = 200  # of a sample; more would hide each other, and take a minute
+_MAX_CURVES: Final = 200  # of a list; more would hide each other, and take a minute
 _LOG_RATIO: Final = 20.0  # of largest to smallest value from which curves are on a logarithmic axis
 
 
@@ -88,11 +87,6 @@ def _colour_bar(figure: Figure, mappable: Any, axes: Any, label: str) -> Any:
     return bar.ax.yaxis
 
 
-def _spread(count: int, most: int) -> list[int]:
-    """Return at most so many places of ``count``, evenly, the first and last among them."""
-    return sorted({round(place) for place in np.linspace(0, count - 1, min(count, most))})
-
-
 def _varied(table: xr.Dataset) -> list[str]:
     names = of.axes_of(table)
     if not names:
@@ -105,62 +99,146 @@ def _subtitle(name: str, when: str, seeds: int, scatter: str) -> str:
     return f"{of.sentence(of.words(name))} {when}, {scatter}"
 
 
-@styled
-def heatmap(
-    table: xr.Dataset, title: str, name: str,
-    x: str | None = None, y: str | None = None, at: Mapping[str, Any] | None = None,
-) -> Figure:  # fmt: skip
-    """Draw what :meth:`multicell.studies.plots.StudyPlots.heatmap` describes."""
-    if of.is_sampled(table):
-        raise ValueError("a sampled design has no tiles: draw the response over each axis")
-    free, at = _varied(table), dict(at or {})
-    taken = [of.axis_named(table, name) for name in (x, y, *at) if name is not None]
-    free = [name for name in free if name not in taken]
-    across = x if x is not None else free.pop(0)
-    up = y if y is not None else (free.pop(0) if free else None)
-    third = free.pop(0) if free else None
-    part, fixed = of.at_point(table, of.middle(table, free) | at)
-    shown = of.scale(part, across), None if up is None else of.scale(part, up)
-    order = [n for n in (third, up, across) if n is not None]
-    high, wide, seeds = (
-        len(shown[1].texts) if shown[1] else 1,
-        len(shown[0].texts),
-        table.sizes[of.SEED],
-    )
-    ends, states = (
-        entry.transpose(*order, of.SEED).values.reshape(-1, high, wide, seeds)
-        for entry in (of.at_end(part, name), part[of.STATE])
-    )
-    maps = _spread(len(ends), _MAX_PANELS)
-    columns, rows = min(len(maps), 3), -(-len(maps) // 3)
-    mean, sd = of.statistics(ends)
-    scatter = "mean ± standard deviation"
-    # points: numbers that fit the tiles of maps side by side
-    font = min(12.0, 84.0 / max(wide * columns, high))
-    if font < _MIN_FONT and np.isfinite(sd).any():
-        scatter += f" ({of.number_text(float(np.nanmedian(sd)), 2)} in the median tile)"
-    subtitle = _subtitle(name, "at the end of each run", seeds, scatter)
-    subtitle += f"; {fixed}" if fixed else ""
-    one_row = 3.4 if high == 1 else max(SIZE[1], 1.7 + 0.3 * high)
-    inches = 0.9 + 4.2 * rows if rows > 1 else one_row
-    figure, grid = panels(title, subtitle, len(maps), columns, inches, sharey=True)
-    norm = Normalize(*_range(mean))
-    for number, (axes, k) in enumerate(zip(grid, maps, strict=True)):
-        _draw_map(axes, mean[k], states[k], norm)
-        for place in np.ndindex(*mean[k].shape) if font >= _MIN_FONT else ():
-            _write_tile(axes, place, ends[k][place], states[k][place], norm, font)
-        _name_tiles(axes.xaxis, shown[0])
+@final
+class StudyPlots:
+    """The pictures of one study, drawn from its table; each is a matplotlib ``Figure``.
+
+    Every observable is a name of the table. The scatter over seeds is always part of a picture;
+    where there is one seed it says so, and runs that failed or are missing are shown as such.
+
+    - ``table``: of the study, as ``study.to_xarray()``
+    - ``title``: of the pictures
+    """
+
+    def __init__(self, table: xr.Dataset, title: str) -> None:
+        kept = (of.POINT, of.SEED)
+        single = [n for n in table[of.STATE].dims if table.sizes[n] == 1 and n not in kept]
+        self._table, self._title = table.squeeze(single, drop=True), title
+
+    @styled
+    def heatmap(self, observable: str) -> Figure:
+        """Draw the mean of an observable over the first two axes, a tile for each pair of values.
+
+        Each tile states mean and standard deviation over the seeds, and how many seeds there are
+        where some failed or have not run. Further axes are at their middle value; of a study of
+        one axis the map has one row.
+
+        - ``observable``: its values at the end of each run are shown
+
+        Raises SceneError for an unknown observable; ValueError if the design is a list or varies
+        nothing: there are no tiles.
+        """
+        if of.is_list(self._table):
+            raise ValueError("a list of points has no tiles: draw the response over each axis")
+        across, *others = _varied(self._table)
+        up = others[:1]
+        part, fixed = of.at_middle(self._table, others[1:])
+        sides = [of.scale(part, axis) for axis in (across, *up)]
+        high, wide = len(sides[1].texts) if up else 1, len(sides[0].texts)
+        ends, states = (
+            entry.transpose(*up, across, of.SEED).values.reshape(high, wide, -1)
+            for entry in (of.at_end(part, observable), part[of.STATE])
+        )
+        mean, sd = of.statistics(ends)
+        scatter = "mean ± standard deviation"
+        # points: numbers that fit the tiles
+        font = min(12.0, 84.0 / max(wide, high))
+        if font < _MIN_FONT and np.isfinite(sd).any():
+            scatter += f" ({of.number_text(float(np.nanmedian(sd)), 2)} in the median tile)"
+        subtitle = _subtitle(observable, "at the end of each run", ends.shape[-1], scatter)
+        subtitle += f"; {fixed}" if fixed else ""
+        inches = 3.4 if high == 1 else max(SIZE[1], 1.7 + 0.3 * high)
+        figure = with_heading(self._title, subtitle, (SIZE[0], inches))
+        axes, norm = figure.subplots(), Normalize(*_range(mean))
+        _draw_map(axes, mean, states, norm)
+        for place in np.ndindex(*mean.shape) if font >= _MIN_FONT else ():
+            _write_tile(axes, place, ends[place], states[place], norm, font)
         axes.set_yticks([])
-        if shown[1] is not None:
-            _name_tiles(axes.yaxis, shown[1])
-        if number % columns:
-            axes.set_ylabel("")
-        if third is not None:
-            heading = of.at_point(part, {third: part[third].values[k]})[1]
-            axes.set_title(textwrap.fill(heading, int(84 / columns)), fontsize=10.5)
-    mappable = mpl.cm.ScalarMappable(norm, _COLOURS)
-    _write_plainly(_colour_bar(figure, mappable, grid, of.label(table, name)))
-    return figure
+        for axis, side in zip((axes.xaxis, axes.yaxis), sides, strict=False):
+            _name_tiles(axis, side)
+        mappable = mpl.cm.ScalarMappable(norm, _COLOURS)
+        _write_plainly(_colour_bar(figure, mappable, axes, of.label(part, observable)))
+        return figure
+
+    @styled
+    def curves(self, observable: str) -> Figure:
+        """Draw an observable over time: the mean over the seeds, a band of one deviation each way.
+
+        A panel for each axis, whose values have a colour each while the other axes of a grid are
+        at their middle value. Where a run has no value, because it ended sooner than others of its
+        point or the observable does not exist yet, those that have one are thin lines without mean
+        and band.
+
+        - ``observable``: one with a course
+
+        Raises SceneError for an unknown observable, or one that is a single number of each run.
+        """
+        table = self._table
+        if of.TIME not in of.observable(table, observable).dims:
+            courses = [str(n) for n, entry in table.data_vars.items() if of.TIME in entry.dims]
+            hint = f"Those over time are {', '.join(courses)}."
+            problem = f"'{observable}' is one number of each run and has no course"
+            raise SceneError("", problem, hint)
+        names = of.axes_of(table)
+        columns = 2 if len(names) > 1 else 1
+        rows = -(-len(names) // columns)
+        seeds, height = table.sizes[of.SEED], SIZE[1] if rows < 2 else 0.9 + 3.9 * rows
+        subtitle = _subtitle(observable, "over time", seeds, "mean, band: ± one standard deviation")
+        if table.sizes.get(of.POINT, 0) > _MAX_CURVES:
+            subtitle += f"; {_MAX_CURVES} of {table.sizes[of.POINT]:,} points"
+        figure, grid = panels(self._title, subtitle, max(1, len(names)), columns, height,
+                              sharex=True, sharey=True)  # fmt: skip
+        unit = time_unit(float(table[of.TIME].max()))
+        time = table[of.TIME].values / unit.seconds
+        _set_limits(grid[0], table[observable].values)
+        for place, axes in enumerate(grid):
+            # limits are known: to find them from hundreds of curves takes minutes
+            axes.set_autoscale_on(False)
+            axes.set_xlim(*span(time))
+            axes.xaxis.set_tick_params(labelbottom=True)
+            axes.xaxis.set_major_locator(MaxNLocator(6))
+            axes.set_xlabel(f"time ({unit.name})" if place >= len(grid) - columns else "")
+            axes.set_ylabel("" if place % columns else of.label(table, observable))
+        for axes, axis in zip(grid, names, strict=False):
+            others = [] if of.is_list(table) else [name for name in names if name != axis]
+            part, words = of.at_middle(table, others)
+            _draw_curves(figure, axes, time, part, observable, axis)
+            axes.set_title(textwrap.fill(words, 110 // columns), fontsize=9.5, weight="normal")
+        if not names:
+            alone = table[observable].transpose(of.SEED, of.TIME).values
+            _draw_curve(grid[0], time, alone, BLUE, 2.0)
+        return figure
+
+    @styled
+    def response(self, observable: str) -> Figure:
+        """Draw an observable at the end of each run over every axis, one panel for each.
+
+        Dots are single runs. Each point of a list, and each value of a single axis, has a bar of
+        one standard deviation over its seeds; of several axes the line is the mean over all runs of
+        a value. Runs that failed are crosses at the foot.
+
+        Raises SceneError for an unknown observable; ValueError if nothing is varied.
+        """
+        table = self._table
+        names, values = _varied(table), of.at_end(table, observable)
+        rows = -(-len(names) // 3)
+        columns = -(-len(names) // rows)  # rows of one length have no holes
+        height = SIZE[1] if rows == 1 else 0.9 + 3.6 * rows
+        bars = "bars: ± one standard deviation"
+        if len(names) > 1 and not of.is_list(table):
+            bars = "line: mean over the other axes and"
+        subtitle = _subtitle(observable, "at the end of each run", table.sizes[of.SEED], bars)
+        figure, grid = panels(self._title, subtitle, len(names), columns, height, sharey=True)
+        for place, (axes, axis) in enumerate(zip(grid, names, strict=True)):
+            _draw_response(axes, values, table[of.STATE], of.scale(table, axis), table[axis].values)
+            if place % columns == 0:
+                axes.set_ylabel(of.label(table, observable))
+                _write_plainly(axes.yaxis)
+        failed = int((table[of.STATE].values == "failed").sum())
+        if failed:
+            handle = Line2D([], [], ls="", marker="x", color=RED, label=f"failed ({failed:,})")
+            figure.legend(handles=[handle], loc="upper right", bbox_to_anchor=(0.98, 0.99))
+        return figure
 
 
 def _range(values: FloatArray) -> tuple[float, float]:
@@ -212,55 +290,18 @@ def _name_tiles(axis: Any, side: of.Scale) -> None:
     axis.set_label_text(side.label)
 
 
-@styled
-def curves(table: xr.Dataset, title: str, name: str, at: Mapping[str, Any] | None = None) -> Figure:
-    """Draw what :meth:`multicell.studies.plots.StudyPlots.curves` describes."""
-    if of.TIME not in of.observable(table, name).dims:
-        courses = [str(n) for n, entry in table.data_vars.items() if of.TIME in entry.dims]
-        hint = f"Those over time are {', '.join(courses)}."
-        raise SceneError("", f"'{name}' is one number of each run and has no course", hint)
-    names, sampled = of.axes_of(table), of.is_sampled(table)
-    columns = 2 if len(names) > 1 else 1
-    rows = -(-len(names) // columns)
-    seeds, height = table.sizes[of.SEED], SIZE[1] if rows < 2 else 0.9 + 3.9 * rows
-    subtitle = _subtitle(name, "over time", seeds, "mean, band: ± one standard deviation")
-    if table.sizes.get(of.POINT, 0) > _MAX_CURVES:
-        subtitle += f"; {_MAX_CURVES} of {table.sizes[of.POINT]:,} points"
-    figure, grid = panels(title, subtitle, max(1, len(names)), columns, height,
-                          sharex=True, sharey=True)  # fmt: skip
-    unit = time_unit(float(table[of.TIME].max()))
-    time = table[of.TIME].values / unit.seconds
-    _set_limits(grid[0], table[name].values)
-    for place, axes in enumerate(grid):
-        # limits are known: to find them from hundreds of curves takes minutes
-        axes.set_autoscale_on(False)
-        axes.set_xlim(*span(time))
-        axes.xaxis.set_tick_params(labelbottom=True)
-        axes.xaxis.set_major_locator(MaxNLocator(6))
-        axes.set_xlabel(f"time ({unit.name})" if place >= len(grid) - columns else "")
-        axes.set_ylabel("" if place % columns else of.label(table, name))
-    fixed = {} if sampled else of.middle(table, names) | dict(at or {})
-    for axes, axis in zip(grid, names, strict=False):
-        others = {other: value for other, value in fixed.items() if other != axis}
-        part, words = of.at_point(table, others)
-        _draw_curves(figure, axes, time, part, name, axis)
-        axes.set_title(textwrap.fill(words, 110 // columns), fontsize=9.5, weight="normal")
-    if not names:
-        _draw_curve(grid[0], time, table[name].transpose(of.SEED, of.TIME).values, BLUE, 2.0)
-    return figure
-
-
 def _draw_curves(
     figure: Figure, axes: Axes, time: FloatArray, table: xr.Dataset, name: str, axis: str
 ) -> None:
-    """Draw one panel: a curve for each value of the axis (each point of a sample)."""
-    shown, sampled = of.scale(table, axis), of.is_sampled(table)
+    """Draw one panel: a curve for each value of the axis (each point of a list)."""
+    shown, sampled = of.scale(table, axis), of.is_list(table)
     side = of.POINT if sampled else axis
     values = table[name].astype(float).transpose(side, of.SEED, of.TIME).values
     states = table[of.STATE].transpose(side, of.SEED).values
     own = table[axis].values
     colours, mappable = _colours(shown)
-    chosen = _spread(len(own), _MAX_CURVES)
+    count = min(len(own), _MAX_CURVES)
+    chosen = np.linspace(0, len(own) - 1, count).round().astype(int)
     for order, k in enumerate(chosen):
         # the first ones are the widest: they are seen also where others lie on top of them
         wide = 1.1 if len(chosen) > 2 * _MAX_NAMED else 3.4 - 1.6 * order / max(len(own) - 1, 1)
@@ -322,30 +363,6 @@ def _set_limits(axes: Axes, values: FloatArray) -> None:
         room = 0.06 * (high - low)
         axes.set_ylim(0.0 if 0.0 <= low < 0.6 * high else low - room, high + room)
     _write_plainly(axes.yaxis)
-
-
-@styled
-def response(table: xr.Dataset, title: str, name: str) -> Figure:
-    """Draw what :meth:`multicell.studies.plots.StudyPlots.response` describes."""
-    names, values = _varied(table), of.at_end(table, name)
-    rows = -(-len(names) // 3)
-    columns = -(-len(names) // rows)  # rows of one length have no holes
-    height = SIZE[1] if rows == 1 else 0.9 + 3.6 * rows
-    bars = "bars: ± one standard deviation"
-    if len(names) > 1 and not of.is_sampled(table):
-        bars = "line: mean over the other axes and"
-    subtitle = _subtitle(name, "at the end of each run", table.sizes[of.SEED], bars)
-    figure, grid = panels(title, subtitle, len(names), columns, height, sharey=True)
-    for place, (axes, axis) in enumerate(zip(grid, names, strict=True)):
-        _draw_response(axes, values, table[of.STATE], of.scale(table, axis), table[axis].values)
-        if place % columns == 0:
-            axes.set_ylabel(of.label(table, name))
-            _write_plainly(axes.yaxis)
-    failed = int((table[of.STATE].values == "failed").sum())
-    if failed:
-        handle = Line2D([], [], ls="", marker="x", color=RED, label=f"failed ({failed:,})")
-        figure.legend(handles=[handle], loc="upper right", bbox_to_anchor=(0.98, 0.99))
-    return figure
 
 
 def _draw_response(

@@ -19,19 +19,19 @@ from multicell.errors import SceneError
 from multicell.host.files import parse_toml, read_regular
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
-from multicell.studies.axes import Axis, Range, change, parse_axis
-from multicell.studies.design import SAMPLED, Design, Point, parse_axis_or_range, read_points
+from multicell.studies.axes import Axis, change, parse_axis
+from multicell.studies.design import Design, Point
 from multicell.studies.keys import refuse_ineffective
-from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole
+from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.runs import Run, digest
-from multicell.units import BASE_UNITS, shown, to_base
+from multicell.units import BASE_UNITS, shown
 
 NAME: Final = "study.toml"
 SCENE: Final = "scene.toml"
 _LARGEST: Final = 20_000_000
 """Bytes of study.toml: 1,000 for each of as many points as there may be."""
 _KEYS: Final = (
-    "scene", "seeds", "design", "size", "sample_seed", "every", "integrator", "vary", "points",
+    "scene", "seeds", "design", "vary", "points",
 )  # fmt: skip
 
 
@@ -44,9 +44,6 @@ class Plan:
     - ``design``: how
     - ``seeds``: number of runs of each point, with the scene's seed and those that follow it: the
       same at all points, so that two of them differ by their parameters alone
-    - ``every``: time between the rows of the table of results in s; None for ``output.every`` of
-      the scene
-    - ``integrator``: ``file.py:Name`` of a method of the user's own; empty for the scene's
 
     Raises SceneError if anything of it cannot be: a number of seeds below one, a point that the
     scene refuses (with its values), a key without effect, two points that are one.
@@ -55,26 +52,16 @@ class Plan:
     scene: Scene
     design: Design
     seeds: int = 1
-    every: float | None = None
-    integrator: str = ""
     scenes: tuple[Scene, ...] = field(init=False, repr=False, compare=False)
     """Of every point, with the first seed."""
 
     def __post_init__(self) -> None:
         check_runs(len(self.design.points), check_seeds(self.seeds, self.scene.seed))
-        if self.every is not None and not self.every > 0.0:
-            raise SceneError("every", f"is {self.every:g} s, must be above 0 s")
-        if self.integrator:
-            from multicell.runner import integrated_by
-
-            scene, _ = integrated_by(self.scene, self.integrator)
-            object.__setattr__(self, "scene", scene)
         scenes = tuple(change(self.scene, point.changes) for point in self.design.points)
         object.__setattr__(self, "scenes", scenes)
         cases = zip((point.changes for point in self.design.points), scenes, strict=True)
         refuse_ineffective(cases, [axis.key for axis in self.design.axes])
-        if self.design.kind in ("grid", "list"):
-            self._refuse_equal_points()
+        self._refuse_equal_points()
 
     @property
     def points(self) -> tuple[Point, ...]:
@@ -84,12 +71,7 @@ class Plan:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all runs: those of one point after the other, each with all its seeds."""
-        return tuple(digest(scene, self.integrator) for _, scene in self._each())
-
-    @property
-    def row_every(self) -> float:
-        """Time between the rows of the table of results, s."""
-        return self.scene.output.every if self.every is None else self.every
+        return tuple(digest(scene) for _, scene in self._each())
 
     def runs(self, expected: Sequence[float]) -> list[Run]:
         """Return all runs, in the order of :attr:`names`.
@@ -99,7 +81,7 @@ class Plan:
         made = []
         for name, (k, scene) in zip(self.names, self._each(), strict=True):
             where = {**self.points[k].coordinates, "seed": scene.seed}
-            made.append(Run(name, scene, where, expected[k], self.integrator))
+            made.append(Run(name, scene, where, expected[k]))
         return made
 
     def _each(self) -> Iterator[tuple[int, Scene]]:
@@ -108,7 +90,7 @@ class Plan:
                 yield k, replace(scene, seed=scene.seed + j) if j else scene
 
     def _refuse_equal_points(self) -> None:
-        """Refuse two points of a grid or a list whose runs would be the same."""
+        """Refuse two points whose runs would be the same."""
         seen: dict[str, Point] = {}
         for point, scene in zip(self.points, self.scenes, strict=True):
             name = digest(scene)
@@ -125,72 +107,32 @@ class Plan:
 
 def make_plan(
     scene: Scene,
-    vary: Mapping[str, Any] | Iterable[Axis | Range] | None = None,
+    vary: Mapping[str, Any] | None = None,
     *,
     points: Any = None,
     seeds: int = 1,
     design: str = "grid",
-    size: int | None = None,
-    sample_seed: int = 0,
-    every: str | float | None = None,
-    integrator: str = "",
 ) -> Plan:
     """Return a plan of what is given in Python, on the command line or in ``study.toml``.
 
-    Parameters are those of :func:`multicell.studies.study.study`; ``vary`` may also be axes that
-    were read before.
+    Parameters are those of :func:`multicell.studies.study.study`; ``design`` is ``"grid"``, or
+    ``"list"`` where there are ``points``.
     """
-    if integrator and ":" not in integrator:
-        scene, integrator = scene.with_changes({"integrator": integrator}), ""
-    elif integrator:
-        file, _, name = integrator.rpartition(":")
-        integrator = f"{Path(file).expanduser().resolve()}:{name}"  # workers may be elsewhere
     if points is not None:
         if vary:
             hint = "Give them as further columns, or take another design."
             raise SceneError("points", "cannot stand beside keys that are varied one by one", hint)
-        if design not in ("grid", "list"):
-            raise SceneError("points", f"has no meaning in a design of kind '{design}'")
-        axes: tuple[Axis | Range, ...] = _columns(points, scene)
-        design = "list"
+        axes, design = _columns(points, scene), "list"
     elif design == "list":
         raise SceneError("points", "is missing: a list needs its points")
+    elif vary is None or isinstance(vary, Mapping):
+        axes = tuple(parse_axis(key, given, scene) for key, given in _flat(vary or {}).items())
     else:
-        axes = _parse_vary(vary, scene, design in SAMPLED)
-    first = whole("sample_seed", sample_seed, 0, 2**63 - 1)
-    made = Design(design, axes, _size(size, design), first)
-    rows = None if every is None else to_base(every, "s", "every")
-    seeds = check_seeds(seeds, scene.seed)
-    return Plan(scene, made, seeds, rows, integrator)
-
-
-def _size(size: int | None, design: str) -> int:
-    """Return the number of points of a sample; 0 for other designs."""
-    if size is not None:
-        return whole("size", size, 1, MAX_POINTS, "It is the number of points of a sample.")
-    if design in SAMPLED:
-        problem = f"is missing: a design of kind '{design}' draws as many points"
-        raise SceneError("size", problem, "Give --size, or size in study.toml.")
-    return 0
-
-
-def _parse_vary(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, ...]:
-    """Return axes and ranges, in their order."""
-    if vary is None:
-        return ()
-    if isinstance(vary, Mapping):
-        entries = _flat(vary).items()
-        return tuple(parse_axis_or_range(key, given, scene, sampled) for key, given in entries)
-    axes = tuple(vary) if isinstance(vary, Iterable) and not isinstance(vary, str) else (None,)
-    for axis in axes:
-        if not isinstance(axis, Axis | Range):
-            raise SceneError("vary", f"is {shown(vary)}, must be a table of keys and values")
-    return axes
+        raise SceneError("vary", f"is {shown(vary)}, must be a table of keys and values")
+    return Plan(scene, Design(design, axes), check_seeds(seeds, scene.seed))
 
 
 def _columns(points: Any, scene: Scene) -> tuple[Axis, ...]:
-    if isinstance(points, str | Path):
-        return read_points(points, scene)
     to_dict = getattr(points, "to_dict", None)
     if to_dict is not None:  # a pandas DataFrame
         points = to_dict("list")
@@ -222,12 +164,10 @@ def _flat(entries: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     return result
 
 
-def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
+def read_plan(folder: str | Path) -> Plan:
     """Return the plan in the folder of a study.
 
     - ``folder``: with ``study.toml``, and the scene that it names
-    - ``integrator``: ``file.py:Name`` of a method of the user's own; what files name is never
-      executed
     """
     folder = Path(folder)
     path = folder / NAME
@@ -238,35 +178,8 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
     source = entries.pop("scene", SCENE)
     if not isinstance(source, str):
         raise SceneError("scene", f"is {shown(source)}, must be the path of a scene file")
-    _check_method(entries.pop("integrator", ""), integrator, path)
     scene = load_scene(folder / source)
-    for key, kind in (("vary", dict), ("points", dict | str)):
-        if key in entries and not isinstance(entries[key], kind):
-            raise SceneError(key, f"is {shown(entries[key])}, must be a table")
-        below = entries[key] if isinstance(entries.get(key), dict) else ()
-        for name in (name for name in below if name in _KEYS and name != "integrator"):
-            problem = (
-                f"stands below [{key}] in '{path}', so that it is taken for a key of the scene"
-            )
-            raise SceneError(name, problem, "Put it above the first table.")
-    points = entries.pop("points", None)
-    if isinstance(points, str):
-        points = folder / points
-    return make_plan(
-        scene, entries.pop("vary", None), points=points, integrator=integrator, **entries
-    )
-
-
-def _check_method(named: Any, given: str, path: Path) -> None:
-    """Refuse a method of the user's own that the plan names and nobody hands over, or otherwise."""
-    if named and not given:
-        problem = f"is {shown(named)}, a method of the user's own, which is not loaded by itself"
-        hint = f"Hand it over as integrator=..., or by --integrator '{named}'."
-        raise SceneError("integrator", problem, hint)
-    if given and str(named).rpartition(":")[2] != given.rpartition(":")[2]:
-        problem = f"is {given!r}, but '{path}' has {repr(named) if named else 'none'}"
-        hint = "The method belongs to the plan: 'multicell study new ... --integrator'."
-        raise SceneError("integrator", problem, hint)
+    return make_plan(scene, entries.pop("vary", None), **entries)
 
 
 def _entries(path: Path) -> dict[str, Any]:
@@ -281,9 +194,7 @@ def _entries(path: Path) -> dict[str, Any]:
     try:
         return parse_toml(text)
     except ValueError as error:
-        said = f"'{path}' is not valid TOML: {error}"
-        hint = "A key may stand there once." if "overwrite" in str(error) else ""
-        raise SceneError("", said, hint) from None
+        raise SceneError("", f"'{path}' is not valid TOML: {error}") from None
 
 
 def _lines(plan: Plan) -> Iterator[str]:
@@ -297,19 +208,9 @@ def _lines(plan: Plan) -> Iterator[str]:
     yield f'scene = "{SCENE}"  # what is varied, in this folder'
     yield f"seeds = {plan.seeds}  # runs of each point; seed {seed}{last}, the same at all points"
     yield f'design = "{design.kind}"  # {_WORDS[design.kind]}'
-    if design.size:
-        yield f"size = {design.size}  # points"
-        yield f"sample_seed = {design.sample_seed}  # of the random numbers of the sample"
-    if plan.every is None:
-        every = plan.scene.output.every
-        yield f'# every = "{every:g} s"  # between rows of the table; absent: as frames are'
-    else:
-        yield f"every = {plan.every!r}  # s, between rows of the table"
-    if plan.integrator:
-        yield f"integrator = {json.dumps(plan.integrator)}  # to be given to each command again"
     table = "points" if design.kind == "list" else "vary"
     yield ""
-    yield f"[{table}]" + ("  # key = values, or 'low:high unit' to sample" * (table == "vary"))
+    yield f"[{table}]  # key = values"
     for axis in design.axes:
         yield axis_line(axis)
 
@@ -317,18 +218,12 @@ def _lines(plan: Plan) -> Iterator[str]:
 _WORDS: Final = {
     "grid": "all combinations",
     "list": "the points below, one a place in the lists",
-    "lhs": "a Latin hypercube of ranges",
-    "sobol": "a Sobol' sequence in ranges; twice the size continues it",
 }
 
 
-def axis_line(axis: Axis | Range) -> str:
-    """Return what stands for an axis or a range in ``study.toml``."""
+def axis_line(axis: Axis) -> str:
+    """Return what stands for an axis in ``study.toml``."""
     unit = f"  # {axis.unit}" if axis.unit else ""
-    if isinstance(axis, Range):
-        low, high = (int(x) if axis.whole else x for x in (axis.low, axis.high))
-        text = f"{'log ' if axis.log else ''}{low!r}:{high!r} {axis.unit}".strip()
-        return f'{_dotted(axis.key)} = "{text}"'
     return f"{_dotted(axis.key)} = [{', '.join(map(_toml, axis.values))}]{unit}"
 
 

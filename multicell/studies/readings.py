@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.studies.engine import Outcome
 
-_USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
+USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
                  "pull", "largest_pressure")  # fmt: skip
 _MAX_USUAL: Final = 4
 
@@ -88,10 +88,10 @@ def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
     known = {**history, **at_the_end(scene)}
     if names is None:
         starves = bool(scene.nutrients)
-        usual: list[str] = [n for n in _USUAL if n in history and (starves or n not in _USUAL[2:4])]
+        usual: list[str] = [n for n in USUAL if n in history and (starves or n not in USUAL[2:4])]
         return usual[:_MAX_USUAL]
     if not names:
-        raise SceneError("observables", "names none", f"For example {_USUAL[1]}.")
+        raise SceneError("observables", "names none", f"For example {USUAL[1]}.")
     for name in names:
         if name not in known:
             raise SceneError(

@@ -6,11 +6,8 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, is_dataclass
-from pathlib import Path
 from typing import Any, Final, final
 
-from multicell.errors import SceneError
-from multicell.host.files import read_regular
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import origin
 from multicell.results.observable import OWN, find_own
@@ -24,7 +21,6 @@ Runs that were made with another number are computed again. ``tests/studies/test
 holds observables of short runs beside it.
 """
 
-_LARGEST: Final = 10_000_000  # bytes of the file of a method of the user's own
 _LENGTH: Final = 24  # hexadecimal digits of a name: a clash is expected after 3e14 runs
 _ORDERED: Final = (
     "chemotaxis", "forces", "motions", "nutrients", "reactions", "regions", "sources",
@@ -43,15 +39,12 @@ class Run:
     - ``coordinates``, axis name -> number in base units or word, ``"seed"`` -> int: where the run
       stands in its study
     - ``expected``: wall time on one core that it is expected to take, s
-    - ``integrator``: ``file.py:Name`` of a method of the user's own, which workers load; empty for
-      the scene's
     """
 
     name: str
     scene: Scene
     coordinates: Mapping[str, Any] = field(hash=False)
     expected: float
-    integrator: str = ""
 
 
 @final
@@ -71,9 +64,11 @@ class PlainScene:
     @classmethod
     def of(cls, scene: Scene) -> PlainScene:
         """Return a scene as plain values."""
+        laws = [type(scene.contact), *([] if scene.growth is None else [scene.growth.law_class])]
         own = scene.output.observables.items()
         observables = {stated.function: find_own(name, stated).source for name, stated in own}
-        return cls(scene.to_dict(), own_laws(scene), observables)
+        sources = tuple(origin(law) for law in laws if issubclass(law, OwnLaw))
+        return cls(scene.to_dict(), sources, observables)
 
     def load(self) -> Scene:
         """Return the scene; laws and observables of the user's own are loaded first."""
@@ -89,26 +84,16 @@ class PlainScene:
         return Scene.from_dict(self.values)
 
 
-def own_laws(scene: Scene) -> tuple[str, ...]:
-    """Return where the pair law and the growth law of a scene come from that are the user's own."""
-    laws = [type(scene.contact), *([] if scene.growth is None else [scene.growth.law_class])]
-    return tuple(origin(law) for law in laws if issubclass(law, OwnLaw))
-
-
-def digest(scene: Scene, integrator: str = "") -> str:
+def digest(scene: Scene) -> str:
     """Return the name of a run: a digest of all that decides its results.
 
-    That is the scene in base units without its title, the version of the model, the fingerprint
-    of a law of the user's own (of its function and of all that it reads; it is part of the
-    law's name) and the text of the file of a method of the user's own. Scenes that are written
-    differently, in other units or with their keys in another order, have the same digest; the order
-    of named tables such as types, in which they take their random numbers, counts.
-
-    - ``integrator``: ``file.py:Name`` of a method of the user's own
+    That is the scene in base units without its title, the version of the model, and the
+    fingerprint of a law of the user's own (of its function and of all that it reads; it is part of
+    the law's name). Scenes that are written differently, in other units or with their keys in
+    another order, have the same digest; the order of named tables such as types, in which they take
+    their random numbers, counts.
     """
-    content: dict[str, Any] = {"model": MODEL_VERSION, "scene": canonical(scene)}
-    if integrator:
-        content["scene"]["integrator"]["method"] = _of_file(integrator)
+    content = {"model": MODEL_VERSION, "scene": canonical(scene)}
     text = json.dumps(content, sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:_LENGTH]
 
@@ -134,15 +119,3 @@ def _keep_order(part: Any, entries: dict[str, Any]) -> None:
                 _keep_order(inner, entries[name][key])
         if name in _ORDERED:
             entries[name] = [[key, entries[name][key]] for key in value]
-
-
-def _of_file(spec: str) -> str:
-    """Return a text that changes with the name in a file and with the text of that file."""
-    file, _, name = spec.rpartition(":")
-    try:
-        text = read_regular(Path(file).expanduser(), _LARGEST)
-    except OSError as error:
-        problem = f"'{file}' cannot be read: {error.strerror}"
-        hint = "What is typed in at a prompt has no file that other processes could load."
-        raise SceneError("integrator", problem, hint) from None
-    return f"{name}@{hashlib.sha256(text).hexdigest()}"

@@ -32,6 +32,8 @@ from multicell.studies.runs import digest
 
 NOTE: Final = "failure.json"  # file in the folder of a run that failed: ``reason`` and ``kind``
 
+STATES: Final = ("done", "running", "partial", "waiting", "failed")
+
 Kind = Literal["", "run", "machine", "damage"]
 """What a run failed for: nothing yet; its scene, which fails again; what is no matter of its scene,
 such as a full disk; a folder that holds something else than what was written to it."""
@@ -66,11 +68,10 @@ def run_folder(folder: Path, name: str) -> Path:
     return folder / "runs" / name
 
 
-def status(name: str, folder: Path, integrator: str = "", *, ours: bool = False) -> RunStatus:
+def status(name: str, folder: Path, *, ours: bool = False) -> RunStatus:
     """Return the state of one run.
 
     - ``folder``: of the study
-    - ``integrator``: of the user's own, as in :class:`multicell.studies.runs.Run`
     - ``ours``: whether it is the caller who holds the lock of the run's folder
     """
     place = run_folder(folder, name)
@@ -79,7 +80,7 @@ def status(name: str, folder: Path, integrator: str = "", *, ours: bool = False)
     try:
         if not ours and in_use(place):
             return _unfinished_status(name, place, "running")
-        done = _finished_status(name, place, integrator)
+        done = _finished_status(name, place)
         if done is not None:
             return done
         found, note = _unfinished_status(name, place, "partial"), read_table(place / NOTE)
@@ -93,34 +94,34 @@ def status(name: str, folder: Path, integrator: str = "", *, ours: bool = False)
 
 
 _Stamps = tuple[tuple[int, int, int], ...]
-_KNOWN: Final[dict[tuple[Path, str], tuple[_Stamps, RunStatus]]] = {}
+_KNOWN: Final[dict[Path, tuple[_Stamps, RunStatus]]] = {}
 """Runs that are done, with the stamps of their files: what has not changed is not read again."""
 
 
-def _finished_status(name: str, place: Path, integrator: str) -> RunStatus | None:
+def _finished_status(name: str, place: Path) -> RunStatus | None:
     """Return the state of a run that has come to its end; None before that."""
     try:
         if (place / journal.NAME).exists():
             return None
         files = [(place / file).stat() for file in ("summary.json", hdf5.NAME, "scene.toml")]
     except OSError:  # missing, or worth an error where it is read
-        return _read_finished(name, place, integrator)
+        return _read_finished(name, place)
     stamps = tuple((file.st_ino, file.st_size, file.st_mtime_ns) for file in files)
-    before, found = _KNOWN.get((place, integrator), (None, None))
+    before, found = _KNOWN.get(place, (None, None))
     if before != stamps:
-        found = _read_finished(name, place, integrator)
+        found = _read_finished(name, place)
         if found is not None:
-            _KNOWN[place, integrator] = stamps, found
+            _KNOWN[place] = stamps, found
     return found
 
 
-def _read_finished(name: str, place: Path, integrator: str) -> RunStatus | None:
+def _read_finished(name: str, place: Path) -> RunStatus | None:
     """Return the state of a run that has come to its end, from its files."""
     summary = read_table(place / "summary.json")
     if summary is None or summary.get("interrupted"):
         return None
     hdf5.check_whole(place / hdf5.NAME)
-    if digest(load_scene(place / "scene.toml"), integrator) != name:
+    if digest(load_scene(place / "scene.toml")) != name:
         raise OutputError(f"'{place / 'scene.toml'}' is not the scene that the folder is named by")
     try:
         time, cells = float(summary["time"]), int(summary["cells"])

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import xarray
 
     from multicell.studies.engine import Outcome
-    from multicell.studies.plots import StudyPlots
+    from multicell.studies.pictures import StudyPlots
     from multicell.studies.status import RunStatus
 
 
@@ -45,6 +45,7 @@ class Study:
     def __init__(self, plan: Plan, folder: str | Path) -> None:
         self.plan = plan
         self.folder = Path(folder)
+        self._read: tuple[Sequence[RunStatus], xarray.Dataset] | None = None
 
     def __repr__(self) -> str:
         return f"Study('{self.folder}', {len(self.plan.points)} points, {self.plan.seeds} seeds)"
@@ -54,20 +55,18 @@ class Study:
         """All runs: those of one point after the other, each with all its seeds."""
         return self.plan.runs([cost.seconds for cost in costs_of(self.plan, self.folder)])
 
-    def expected(self, cores: int = 1, *, left: bool = True) -> StudyCost:
-        """Return what the study is expected to take.
+    def expected(self, cores: int = 1) -> StudyCost:
+        """Return what the runs are expected to take that are not done and have not failed.
 
         Parameters
         ----------
         cores
             How many there are.
-        left
-            Whether to leave out the runs that are done.
         """
         points = costs_of(self.plan, self.folder)
         costs = dict(zip(self.plan.names, (c for c in points for _ in range(self.plan.seeds)),
                          strict=True))  # fmt: skip
-        settled = {s.name for s in self.status() if s.state == "done"} if left else set()
+        settled = {s.name for s in self.status() if s.state in ("done", "failed")}
         return total_cost((cost for name, cost in costs.items() if name not in settled), cores)
 
     def run(
@@ -101,13 +100,14 @@ class Study:
         known: dict[str, RunStatus] = {}
         for name in self.plan.names:
             if name not in known:
-                known[name] = status(name, self.folder, self.plan.integrator)
+                known[name] = status(name, self.folder)
         return [known[name] for name in self.plan.names]
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return one table of all that the runs have found; it is kept as ``study.nc``.
+        """Return one table of all that the runs have found; it is written to ``study.nc``, too.
 
-        See :mod:`multicell.studies.table`. Runs are read again only where one of them has changed.
+        See :mod:`multicell.studies.table`. This object reads runs again only where one of them has
+        changed.
 
         Raises
         ------
@@ -121,13 +121,11 @@ class Study:
     def _table(self, states: Sequence[RunStatus]) -> xarray.Dataset:
         from multicell.studies import table
 
-        path = self.folder / table.NAME
-        before = table.load(path)
-        if before is not None and table.is_current(before, self.plan, states):
-            return before
-        made = table.dataset(self.plan, self.folder, states)
-        table.save(made, path)
-        return made
+        if self._read is None or self._read[0] != states:
+            made = table.dataset(self.plan, self.folder, states)
+            table.save(made, self.folder / table.NAME)
+            self._read = states, made
+        return self._read[1].copy()
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the table with one row for each run and time; units are in ``frame.attrs``."""
@@ -136,13 +134,6 @@ class Study:
         frame.attrs = {str(n): v.attrs["units"] for n, v in table.variables.items()
                        if v.attrs.get("units")}  # fmt: skip
         return frame
-
-    def to_csv(self, path: str | Path) -> Path:
-        """Write the table as CSV, one row for each run and time, with units in its header."""
-        from multicell.studies.table import write_csv
-
-        write_csv(self.to_xarray(), Path(path))
-        return Path(path)
 
     def report(self) -> Path:
         """Write ``report.html`` with its pictures, and the table as ``study.nc`` and ``study.csv``.
@@ -163,7 +154,7 @@ class Study:
     @property
     def plot(self) -> StudyPlots:
         """Pictures of the study, such as ``plot.heatmap("viable_rim")``."""
-        from multicell.studies.plots import StudyPlots
+        from multicell.studies.pictures import StudyPlots
 
         return StudyPlots(self.to_xarray(), self.plan.scene.title or "Study")
 
@@ -175,11 +166,6 @@ def study(
     output: str | Path,
     points: Any = None,
     seeds: int = 1,
-    design: str = "grid",
-    size: int | None = None,
-    sample_seed: int = 0,
-    every: str | float | None = None,
-    integrator: str = "",
     overwrite: bool = False,
 ) -> Study:
     """Plan a study of a scene in a folder; nothing runs until :meth:`Study.run` is called.
@@ -192,25 +178,14 @@ def study(
     scene
         A scene, the name of a built-in one, or the path of a file.
     vary
-        Dotted key -> values, as ``"0.07,0.14,0.28 mM"`` or a list; for a sample its range, as
-        ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or a tuple of both ends.
+        Dotted key -> values, as ``"0.07,0.14,0.28 mM"`` or a list; all combinations run.
     output
         Folder of the study.
     points
-        In place of ``vary``: a list of points, as a table of columns, its rows, or a CSV file.
-        The values of keys that vary together stand in one row.
+        In place of ``vary``: a list of points, as a table of columns (a ``DataFrame``, too) or its
+        rows. The values of keys that vary together stand in one row.
     seeds
         Runs of each point, with the scene's seed and those that follow it; the same at all points.
-    design
-        ``"grid"``: all combinations; ``"lhs"``, ``"sobol"``: ``size`` points of a Latin hypercube
-        or a Sobol' sequence.
-    size, sample_seed
-        Number of points of a sample, and the seed of its random numbers.
-    every
-        Time between the rows of the table, in s or with a unit; by default ``output.every`` of the
-        scene.
-    integrator
-        A method of the user's own as ``file.py:Name``.
     overwrite
         Whether the plan of another study in the folder may be replaced. Its runs stay: they are
         named by what they are of, and never mistaken for others.
@@ -228,29 +203,24 @@ def study(
         If the folder holds another study, or something else, or cannot be written to.
     """
     base = scene if isinstance(scene, Scene) else load_scene(scene)
-    plan = make_plan(
-        base, vary, points=points, seeds=seeds, design=design, size=size,
-        sample_seed=sample_seed, every=every, integrator=integrator,
-    )  # fmt: skip
+    plan = make_plan(base, vary, points=points, seeds=seeds)
     return write_study(plan, output, overwrite=overwrite)
 
 
-def load_study(folder: str | Path, *, integrator: str = "") -> Study:
+def load_study(folder: str | Path) -> Study:
     """Open the folder of a study.
 
     Parameters
     ----------
     folder
         With ``study.toml``.
-    integrator
-        ``file.py:Name``, where the study needs a method of the user's own.
 
     Raises
     ------
     SceneError
         If there is no study, or its plan is refused.
     """
-    return Study(read_plan(folder, integrator=integrator), folder)
+    return Study(read_plan(folder), folder)
 
 
 def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
@@ -258,7 +228,7 @@ def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> S
     folder = Path(folder)
     there = (folder / NAME).is_file()
     if there and not overwrite:
-        _refuse_other(plan, read_plan(folder, integrator=plan.integrator), folder)
+        _refuse_other(plan, read_plan(folder), folder)
     elif not there:
         make_folder(folder, overwrite=overwrite)
     if plan.scene.initial.cells is not None:
@@ -274,9 +244,9 @@ def _refuse_other(plan: Plan, there: Plan, folder: Path) -> None:
         "Choose another folder, or allow overwriting (--overwrite, overwrite=True): runs that are "
         "there stay, and are taken where they fit"
     )
-    if digest(there.scene, there.integrator) != digest(plan.scene, plan.integrator):
+    if digest(there.scene) != digest(plan.scene):
         old, new = canonical(there.scene), canonical(plan.scene)
-        keys = ", ".join(_different(old, new)[:4])
+        keys = ", ".join(key for key in {**old, **new} if old.get(key) != new.get(key))
         raise OutputError(
             f"'{folder}' holds a study of another scene: it differs in {keys}. {way_out}"
         )
@@ -286,13 +256,3 @@ def _refuse_other(plan: Plan, there: Plan, folder: Path) -> None:
             f"'{folder}' holds a study of {len(set(there.names))} runs, of which {len(missing)} "
             f"are not in this one: it would not be widened, but changed. {way_out}"
         )
-
-
-def _different(one: Any, other: Any, path: str = "") -> list[str]:
-    """Return the dotted keys in which two tables differ."""
-    if not (isinstance(one, dict) and isinstance(other, dict)):
-        return [path] if one != other else []
-    found: list[str] = []
-    for key in dict.fromkeys([*one, *other]):
-        found += _different(one.get(key), other.get(key), f"{path}.{key}" if path else key)
-    return found

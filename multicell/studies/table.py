@@ -1,6 +1,6 @@
 """One table of all that the runs of a study have found: an ``xarray.Dataset`` with units.
 
-Dimensions are those of the design (the axes of a grid; ``point`` for a list or a sample),
+Dimensions are those of the design (the axes of a grid; ``point`` for a list),
 ``seed`` and ``time``. Variables are the columns of the histories, at common times, and the numbers
 of the summaries that histories do not have, under their names with ``_`` for dots. A run that is
 not done, has failed, or has ended before a time has NaN there; ``state`` and ``reason`` say which.
@@ -12,7 +12,7 @@ import json
 import os
 import shlex
 import sys
-import zlib
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -24,9 +24,7 @@ from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.results.documents import read_table
 from multicell.results.folder import file_errors, put_in_place, replace_file, sync_file, versions
-from multicell.results.hdf5 import check_contained
 from multicell.results.quantities import known_unit
-from multicell.studies.axes import Axis, Range
 from multicell.studies.runs import MODEL_VERSION, digest
 from multicell.tables.titles import titled
 
@@ -38,17 +36,14 @@ if TYPE_CHECKING:
 
 NAME: Final = "study.nc"
 FORMAT: Final = 1
-_LARGEST: Final = 1 << 32  # bytes of a file
-_NOT_CHECKED: Final = ("command", "digest")
-_CHECKED: Final = ("format", "model_version", "scene", "scene_digest", "plan")
 _SKIPPED: Final = ("units", "versions", "title", "notes", "seed")
 _RENAMED: Final = {"time": "end_time"}
 FloatArray = NDArray[np.float64]
 
 
 def common_times(plan: Plan) -> FloatArray:
-    """Return the times of a study's table, s: multiples of ``every`` and the end of the longest."""
-    every, end = plan.row_every, max(scene.duration for scene in plan.scenes)
+    """Return the times of a table, s: multiples of ``output.every``, and the end of the longest."""
+    every, end = plan.scene.output.every, max(scene.duration for scene in plan.scenes)
     count = int(end / every * (1.0 + 1e-12))
     times = every * np.arange(count + 1, dtype=np.float64)
     return times if times[-1] >= end * (1.0 - 1e-12) else np.append(times, end)
@@ -69,73 +64,49 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
     import xarray
 
     times = common_times(plan)
-    columns: dict[str, FloatArray] = {}
-    scalars: dict[str, FloatArray] = {}
-    units: dict[str, str] = {}
-    count = len(states)
+    count, units = len(states), defaultdict[str, str](str)
+    columns = defaultdict[str, FloatArray](lambda: np.full((count, len(times)), np.nan))
+    scalars = defaultdict[str, FloatArray](lambda: np.full(count, np.nan))
     for place, state in enumerate(states):
         if state.state != "done":
             continue
         rows, numbers, own_units = _read(folder, state.name, times)
         units |= own_units
         for name, row in rows.items():
-            _column(columns, name, (count, len(times)))[place] = row
+            columns[name][place] = row
         for name, number in numbers.items():
-            _column(scalars, name, (count,))[place] = number
-    scalars = {name: column for name, column in scalars.items() if name not in columns}
+            scalars[name][place] = number
     shape, dims, coordinates = _space(plan)
     variables: dict[str, Any] = {
-        name: ((*dims, "time"), column.reshape(*shape, len(times)), _units(units, name))
+        name: ((*dims, "time"), column.reshape(*shape, len(times)), {"units": units[name]})
         for name, column in columns.items()
     }
     for name, column in scalars.items():
-        variables[name] = (dims, column.reshape(shape), _units(units, name))
-    for name, texts in _texts(states).items():
-        variables[name] = (dims, texts.reshape(shape))
-    coordinates["time"] = ("time", times, {"units": "s"})
-    return xarray.Dataset(variables, coordinates, provenance(plan))
-
-
-def _units(units: Mapping[str, str], name: str) -> dict[str, str]:
-    return {"units": units.get(name, "")}
-
-
-def _column(table: dict[str, FloatArray], name: str, shape: tuple[int, ...]) -> FloatArray:
-    if name not in table:
-        table[name] = np.full(shape, np.nan)
-    return table[name]
-
-
-def _texts(states: Sequence[RunStatus]) -> dict[str, NDArray[Any]]:
-    """Return the variables that state how each run stands."""
-    entries = {
+        variables.setdefault(name, (dims, column.reshape(shape), {"units": units[name]}))
+    texts = {
         "state": [state.state for state in states],
         "reason": [state.reason for state in states],
         "run": [state.name for state in states],
     }
-    return {name: np.array(texts, dtype=object) for name, texts in entries.items()}
+    for name, words in texts.items():
+        variables[name] = (dims, np.array(words, dtype=object).reshape(shape))
+    coordinates["time"] = ("time", times, {"units": "s"})
+    return xarray.Dataset(variables, coordinates, provenance(plan))
 
 
 def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]]:
     """Return shape, names and coordinates of the dimensions of points and seeds."""
     coordinates: dict[str, Any] = {}
-    found: list[tuple[str, Axis | Range, tuple[float | str, ...]]]
-    if plan.design.kind == "grid":
-        axes = [axis for axis in plan.design.axes if isinstance(axis, Axis)]
+    axes, grid = plan.design.axes, plan.design.kind == "grid"
+    if grid:
         shape, dims = tuple(len(axis.values) for axis in axes), tuple(axis.name for axis in axes)
-        found = [(axis.name, axis, axis.coordinates) for axis in axes]
     else:
         shape, dims = (len(plan.points),), ("point",)
         coordinates["point"] = ("point", np.arange(len(plan.points)))
-        found = [
-            ("point", axis, tuple(point.coordinates[axis.name] for point in plan.points))
-            for axis in plan.design.axes
-        ]
-    for dimension, axis, values in found:
-        words = any(isinstance(value, str) for value in values)
+    for axis in axes:
         about = {"units": axis.unit, "key": axis.key}
-        entry = np.array(values, dtype=object if words else float)
-        coordinates[axis.name] = (dimension, entry, about)
+        entry = np.array(axis.coordinates, dtype=object if axis.numbers is None else float)
+        coordinates[axis.name] = (axis.name if grid else "point", entry, about)
     seeds = plan.scene.seed + np.arange(plan.seeds, dtype=np.int64)
     coordinates["seed"] = ("seed", seeds)
     return (*shape, plan.seeds), (*dims, "seed"), coordinates
@@ -200,22 +171,11 @@ def provenance(plan: Plan) -> dict[str, Any]:
         "model_version": MODEL_VERSION,
         "title": plan.scene.title,
         "scene": plan.scene.to_toml(),
-        "scene_digest": digest(plan.scene, plan.integrator),
+        "scene_digest": digest(plan.scene),
         "plan": plan.to_toml(),
         "versions": json.dumps(versions()),
         "command": shlex.join(sys.argv),
     }
-
-
-def is_current(table: xarray.Dataset, plan: Plan, states: Sequence[RunStatus]) -> bool:
-    """Return whether a table is of this plan and of runs that stand as they do now."""
-    about = provenance(plan)
-    if any(table.attrs.get(key) != about[key] for key in _CHECKED):
-        return False
-    return all(
-        name in table and table[name].values.ravel().tolist() == texts.tolist()
-        for name, texts in _texts(states).items()
-    )
 
 
 def save(table: xarray.Dataset, path: Path) -> None:
@@ -229,44 +189,11 @@ def save(table: xarray.Dataset, path: Path) -> None:
     }
     with file_errors("write", path):
         try:
-            sealed = table.assign_attrs(digest=checksum(table))
-            sealed.to_netcdf(part, engine="h5netcdf", encoding=packed)
+            table.to_netcdf(part, engine="h5netcdf", encoding=packed)
             sync_file(part)
             put_in_place(part, path)
         finally:
             part.unlink(missing_ok=True)
-
-
-def load(path: Path) -> xarray.Dataset | None:
-    """Return a table that was written before; None where there is none that can be read."""
-    needs("xarray", "h5netcdf")
-    import xarray
-
-    if not path.is_file() or path.stat().st_size > _LARGEST:
-        return None
-    try:
-        check_contained(path)
-        with xarray.open_dataset(path, engine="h5netcdf") as stored:
-            table = stored.load()
-        right = table.attrs.pop("digest", None) == checksum(table)
-    except Exception:  # almost any kind, where a file is damaged: it is made again from the runs
-        return None
-    return table if right else None
-
-
-def checksum(table: xarray.Dataset) -> str:
-    """Return a checksum of all that a table holds, but for the command that made it."""
-    value = 0
-    for name in sorted(map(str, table.variables)):
-        variable = table[name]
-        about = {"name": name, "dims": list(map(str, variable.dims)), "units": variable.attrs}
-        value = zlib.crc32(json.dumps(about, sort_keys=True, default=str).encode(), value)
-        values = np.asarray(variable.values)
-        plain = values.dtype.kind in "iuf"
-        data = np.ascontiguousarray(values, dtype="<f8" if values.dtype.kind == "f" else None)
-        value = zlib.crc32(data.tobytes() if plain else json.dumps(values.tolist()).encode(), value)
-    known = {key: str(text) for key, text in table.attrs.items() if key not in _NOT_CHECKED}
-    return f"{zlib.crc32(json.dumps(known, sort_keys=True).encode(), value):08x}"
 
 
 def write_csv(table: xarray.Dataset, path: Path) -> None:

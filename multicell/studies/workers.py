@@ -73,7 +73,6 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
     check_cores(cores)
     needs("dask", "distributed", *(("cryptography",) if scheduler is None else ()))
     import dask
-    from distributed import Client
 
     with ExitStack() as stack:
         if scheduler is None:
@@ -82,7 +81,7 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
         place = stack.enter_context(_local_cluster(cores)) if scheduler is None else scheduler
         address = getattr(scheduler, "scheduler_address", scheduler)
         security = None if scheduler is None else getattr(scheduler, "security", None)
-        client = _client(Client, place if scheduler is None else address, security)
+        client = _client(place if scheduler is None else address, security)
         stack.callback(_close, client)
         if scheduler is not None:
             check_workers(client, address)
@@ -179,8 +178,10 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _client(kind: type[Client], place: Any, security: Any = None) -> Client:
-    client = kind.__new__(kind)
+def _client(place: Any, security: Any) -> Client:
+    from distributed import Client
+
+    client = Client.__new__(Client)
     try:
         client.__init__(  # type: ignore[misc]
             place, timeout=ANSWER, set_as_default=False, security=security
@@ -309,8 +310,9 @@ def _end_with_parent() -> None:
 
 
 def own_cores() -> int:
-    """Return how many cores this process may use, as its group of processes is limited to."""
-    needs("dask", "distributed")
-    from dask.system import CPU_COUNT
-
+    """Return how many cores this process may use; its group's limit is known where Dask is."""
+    try:
+        from dask.system import CPU_COUNT
+    except ImportError:
+        return os.cpu_count() or 1
     return int(CPU_COUNT)

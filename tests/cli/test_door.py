@@ -263,7 +263,7 @@ WRONG = [
     ["compare", "settle", "-o", "o", "--methods", "\udcff"],
     ["stability", "settle", "-o", "o", "--methods", ","],
     ["compare", "settle", "-o", "o", "--stepwise", "0"],
-    ["compare", "settle", "-o", "o", "--patience", "-1"],
+    ["compare", "settle", "-o", "o", "--budget", "-1"],
     ["compare", "settle", "-o", "o", "--budget", "nan"], ["nonsense"], ["run", "--nonsense"],
 ]  # fmt: skip
 

@@ -64,7 +64,7 @@ COMMANDS = {
     "resume nothing": "there are no results in 'nothing'",
     "view spheroid": "there is no such folder",
     "play spheroid --no-browser --key oxygen=1:21": "Did you mean 'nutrients.oxygen.boundary'",
-    "export nothing -o out --format excel": "'excel' is no format. Allowed: csv",
+    "export nothing -o out --format excel": "there is no format 'excel'. Allowed: csv",
     "export nothing -o out": "there is no such folder",
     "study run nothing": "multicell study new SCENE",
     "study new spheroid -o out --vary drag.viscosty=1,2": "Did you mean 'drag.viscosity'",
@@ -152,23 +152,3 @@ def test_other_names_of_keys_take_the_place_of_the_key():
     assert birth + division == pytest.approx(9.0)  # twice the radius half-way between
     assert scene.with_changes({"growth.doubling_time": None}).growth.cycle_time == 54000.0
     assert "doubling_time" not in scene.to_toml()
-
-
-@pytest.mark.parametrize(
-    ("words", "place", "wanted"),
-    [
-        ("run sphe", 2, "plain,spheroid\n"),
-        ("run spheroid --set growth.cycle_t", 4, "plain,growth.cycle_time=\n"),
-        ("study new spheroid --vary drag.", 5, "plain,drag.viscosity=\n"),
-        ("export out --format ro", 4, "plain,ro-crate\n"),
-        ("run none --set growth.", 4, "file,growth.\n"),
-    ],
-)
-def test_shells_complete(words, place, wanted):
-    given = {
-        "_MULTICELL_COMPLETE": "bash_complete",
-        "COMP_WORDS": f"multicell {words}",
-        "COMP_CWORD": str(place),
-    }
-    answer = CliRunner().invoke(main, [], prog_name="multicell", env=given)
-    assert answer.output == wanted

@@ -208,13 +208,13 @@ def test_the_command_compares_step_wise(tmp_path, monkeypatch):
     scene, out = tmp_path / "pair.toml", tmp_path / "out"
     scene.write_text(PAIR.with_changes({"coupling_step": "10 s"}).to_toml())
     arguments = ["compare", str(scene), "--stepwise", "--methods", "euler", "--json"]
-    options = ["--shift", "0.1", "--clock", "cpu", "--repeats", "1", "-o", str(out), "--quiet"]
+    options = ["--clock", "cpu", "--repeats", "1", "-o", str(out), "--quiet"]
     done = CliRunner().invoke(main, [*arguments, *options])
     assert done.exit_code == 0, done.output
     modes = {row["mode"] for row in json.loads(done.stdout)}
     assert modes == {"step-wise, 24 of 30 coupling steps"}
     assert "Judged by processor time" in (out / "report.html").read_text(encoding="utf-8")
     rows = csv.DictReader(io.StringIO((out / "conditioning.csv").read_text()))
-    assert {float(row["shift_um"]) for row in rows} == {0.1}
+    assert {float(row["shift_um"]) for row in rows} == {0.01}
     words = [str(scene), "--stepwise", "3", "-o", str(tmp_path / "other")]
     assert main.commands["compare"].make_context("compare", words).params["stepwise"] == 3

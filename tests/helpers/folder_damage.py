@@ -18,7 +18,7 @@ import multicell as mc
 
 def files_of(folder):
     """Return the files of a folder that are read again, by their paths in it."""
-    own = ("study.toml", "scene.toml", "study.nc", "expected.json", "fit.json", "search.log",
+    own = ("study.toml", "scene.toml", "expected.json", "fit.json", "search.log",
            "result.json")  # fmt: skip
     names = [name for name in own if (folder / name).is_file()]
     runs = sorted((folder / "runs").glob("*/*")) if (folder / "runs").is_dir() else []

@@ -16,8 +16,8 @@ from signals import listening
 import multicell as mc
 from multicell.cli.process import exit_code
 from multicell.studies import engine
-from multicell.studies.engine import carry_out, do_run, task
-from multicell.studies.runs import Run, digest
+from multicell.studies.engine import Task, carry_out, do_run
+from multicell.studies.runs import PlainScene, Run, digest
 from multicell.studies.status import status
 
 HERE = Path(__file__)
@@ -47,7 +47,7 @@ def short_runs(count, **changes):
 
 
 def statuses(runs, folder):
-    return [status(run.name, Path(folder), run.integrator) for run in runs]
+    return [status(run.name, Path(folder)) for run in runs]
 
 
 def started(folder, count, *more, **options):
@@ -68,7 +68,8 @@ def in_this_process(monkeypatch):
     def carried_out(runs, folder, *, progress=None, **options):
         outcomes = []
         for run in runs:
-            outcome = do_run(task(run, folder, False))
+            scene = PlainScene.of(run.scene)
+            outcome = do_run(Task(run.name, str(folder), scene, retry=False))
             if not outcome.reused:
                 ran.append(run.name)
             outcomes.append(outcome)

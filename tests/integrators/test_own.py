@@ -101,7 +101,7 @@ def test_the_command_line_runs_resumes_and_compares(mine, tmp_path, monkeypatch)
     assert "hand it over" in refused.stderr.lower()
     done = command(
         "compare", "settle", *settings, "--methods", "cvode,mine.py:Midpoint", "-o", "chart",
-        "--budget", "2", "--patience", "1", "--repeats", "1", "--json", "--quiet",
+        "--budget", "2", "--repeats", "1", "--json", "--quiet",
     )  # fmt: skip
     rows = json.loads(done.stdout)
     assert {row["method"] for row in rows} == {"cvode", "midpoint"}

@@ -20,7 +20,7 @@ from multicell.report.plots.run import Plots
 from multicell.report.plots.space import View, film_picture, room
 from multicell.report.result import history_arrays
 from multicell.studies.axes import parse_ranges
-from multicell.studies.plots import StudyPlots
+from multicell.studies.pictures import StudyPlots
 
 FIELD = {"geometry": "box", "spacing": "15 um", "boundary": 0.07, "quiescence": 0.06, "uptake": 40}
 
@@ -127,7 +127,7 @@ def drawing_functions():
     found = []
     for path in sorted((Path(mc.__file__).parent).rglob("*.py")):
         text = path.read_text("utf-8")
-        for node in ast.parse(text).body if "styled" in text else ():
+        for node in ast.walk(ast.parse(text)) if "styled" in text else ():
             if isinstance(node, ast.FunctionDef) and any(
                 ast.unparse(mark).rpartition(".")[2] == "styled" for mark in node.decorator_list
             ):

@@ -161,12 +161,11 @@ REFUSED = {
     "colour": (["--colour", "presure"], "Did you mean 'pressure'"),
     "quantity": (["--quantity", "diametr"], "Did you mean 'diameter'"),
     "time": (["--time", "3"], "without a unit"),
-    "mixed": (["--quantity", "diameter", "--frame", "0"], "no meaning with --quantity"),
+    "mixed": (["--quantity", "diameter", "--time", "3 h"], "no meaning with --quantity"),
     "colour of growth": (
         ["--picture", "growth", "--colour", "age"],
-        "--picture section or --picture space only",
+        "no meaning with --picture growth",
     ),
-    "two frames": (["--time", "3 h", "--frame", "0"], "give one of them"),
     "nothing": (["--picture", "pull"], "no picture of"),
 }
 

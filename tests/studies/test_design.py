@@ -1,31 +1,23 @@
-"""Designs: grids, lists, samples, and values that go together."""
+"""Designs: grids, lists, and values that go together."""
 
 import itertools
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich_medium import RICH
-from scipy.stats import qmc
 
 import multicell as mc
 from multicell import SceneError
-from multicell.studies.axes import parse_axis, parse_range
-from multicell.studies.design import Design, parse_axis_or_range, read_points
+from multicell.studies.axes import parse_axis
+from multicell.studies.design import Design
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
-LENGTH = "growth.phases.G1.duration"
 EMT6 = mc.load_scene(RICH)
 AXES = [
     parse_axis(OXYGEN, "0.07,0.14,0.28 mM", EMT6),
     parse_axis(GLUCOSE, "0.8,16.5 mM", EMT6),
     parse_axis("contact.law", "hertz,jkr", EMT6),
-]
-RANGES = [
-    parse_range(LENGTH, "8:25 h", EMT6),
-    parse_range("cells.young", "log 0.1:10 kPa", EMT6),
-    parse_range("initial.count", "1:8", EMT6),
 ]
 
 
@@ -52,46 +44,11 @@ def test_coordinates_are_numbers_in_base_units_or_words():
     assert [axis.name for axis in design.axes] == ["oxygen.boundary", "glucose.boundary", "law"]
 
 
-@pytest.mark.parametrize("kind", ["lhs", "sobol"])
-def test_samples_fill_their_ranges_evenly(kind):
-    design = Design(kind, tuple(RANGES), size=64, sample_seed=3)
-    again = Design(kind, tuple(RANGES), size=64, sample_seed=3)
-    assert again.points == design.points
-    assert Design(kind, tuple(RANGES), size=64, sample_seed=4).points != design.points
-    rows = [[p.coordinates[name] for name in ("duration", "young", "count")] for p in design.points]
-    duration, young, count = np.array(rows).T
-    # one point in each of 64 equal parts, of the logarithm too, and 8 of each whole number
-    parts = np.sort(np.floor((duration / 3600.0 - 8.0) / 17.0 * 64))
-    assert parts.tolist() == list(range(64))
-    assert np.sort(np.floor((np.log10(young) + 1.0) / 2.0 * 64)).tolist() == list(range(64))
-    assert np.bincount(count.astype(int), minlength=9)[1:].tolist() == [8] * 8
-    assert all(type(p.changes["initial.count"]) is int for p in design.points)
-
-
-def test_a_sobol_sequence_is_scipys_and_goes_on_when_it_is_doubled():
-    design = Design("sobol", tuple(RANGES[:2]), size=16, sample_seed=5)
-    shares = qmc.Sobol(2, scramble=True, rng=5).random(16)
-    found = [p.coordinates["duration"] / 3600.0 for p in design.points]
-    assert found == pytest.approx((8.0 + 17.0 * shares[:, 0]).tolist(), rel=1e-12)
-    double = Design("sobol", tuple(RANGES[:2]), size=32, sample_seed=5)
-    assert double.points[:16] == design.points
-
-
-def test_words_are_sampled_equally_often():
-    design = Design("lhs", (RANGES[0], AXES[2]), size=20, sample_seed=1)
-    laws = [p.coordinates["law"] for p in design.points]
-    assert (laws.count("jkr"), laws.count("hertz")) == (10, 10)
-
-
 @pytest.mark.parametrize(
     ("make", "said"),
     [
         (lambda: Design("gird", tuple(AXES)), "Did you mean 'grid'"),
-        (lambda: Design("grid", (RANGES[0],)), "needs values. '28800:90000:5 s' are five"),
         (lambda: Design("grid", (AXES[0], AXES[0])), "is varied twice"),
-        (lambda: Design("grid", (AXES[0],), size=5), "size: has no meaning"),
-        (lambda: Design("sobol", (RANGES[0],), size=12), "take 8 or 16"),
-        (lambda: Design("lhs", (), size=12), "vary: is empty"),
         (lambda: Design("list", ()), "points: is empty"),
         (lambda: Design("list", tuple(AXES[:2])), "lists of other lengths"),
         (
@@ -105,50 +62,3 @@ def test_what_is_no_design_is_told(make, said):
     with pytest.raises(SceneError) as error:
         make()
     assert said in str(error.value)
-
-
-def test_points_are_read_from_a_table(tmp_path):
-    file = tmp_path / "points.csv"
-    file.write_text(
-        "# of a measurement\n"
-        f"{OXYGEN} [mM], cells.young,contact.law, initial.count\n"
-        "0.07, 1000 Pa,jkr, 5\n\n0.28,2 kPa,hertz,6\n",
-        encoding="utf-8-sig",
-    )
-    design = Design("list", read_points(file, EMT6))
-    assert changes(design) == [
-        {OXYGEN: "0.07 mM", "cells.young": "1000 Pa", "contact.law": "jkr", "initial.count": 5},
-        {OXYGEN: "0.28 mM", "cells.young": "2 kPa", "contact.law": "hertz", "initial.count": 6},
-    ]
-    assert [p.coordinates["young"] for p in design.points] == [1.0, 2.0]
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("cells.young\n1\n", "has no unit in the header"),
-        ("cells.young [s]\n1\n", "line 2"),
-        ("cells.young [kPa],contact.law\n1\n", "line 2: has 1 fields, the header has 2"),
-        ("cells.young [kPa],contact.law\n1,\n", "is empty in"),
-        ("cells.young [kPa],\n1,2\n", "a column without a key"),
-    ],
-)
-def test_tables_of_points_that_are_none_are_told(tmp_path, text, said):
-    file = tmp_path / "points.csv"
-    file.write_text(text)
-    with pytest.raises(SceneError) as error:
-        Design("list", read_points(file, EMT6))
-    assert said in str(error.value)
-
-
-def test_a_table_of_points_that_cannot_be_read_is_told(tmp_path):
-    with pytest.raises(SceneError, match="cannot be read"):
-        read_points(tmp_path / "absent.csv", EMT6)
-    (tmp_path / "long.csv").write_text(f'cells.young [kPa]\n"{"1" * 200_000}"\n')
-    with pytest.raises(SceneError, match="line 2: field larger than"):
-        read_points(tmp_path / "long.csv", EMT6)
-
-
-def test_one_colon_is_a_range_two_are_values():
-    assert parse_axis_or_range(LENGTH, "8:25 h", EMT6) == parse_range(LENGTH, "8:25 h", EMT6)
-    assert parse_axis_or_range(LENGTH, "8:25:3 h", EMT6).numbers == (28800.0, 59400.0, 90000.0)

@@ -118,17 +118,5 @@ def test_an_own_law_counts_by_all_that_it_computes(text, name, key, tmp_path):
     one, same, other = map(digest, found)
     assert one == same
     assert one != other
-    assert runs.own_laws(found[2]) == (f"{tmp_path / 'c' / 'mine.py'}:{name}",)
-    assert runs.own_laws(mc.load_scene("growth")) == ()
-
-
-def test_an_own_method_counts_by_the_text_of_its_file(tmp_path):
-    scene = mc.load_scene("growth")
-    file = tmp_path / "mine.py"
-    found = set()
-    for text in ("class A: pass", "class A: x = 1"):
-        file.write_text(text)
-        found.add(digest(scene, f"{file}:A"))
-    assert len(found | {digest(scene)}) == 3
-    with pytest.raises(SceneError, match="cannot be read"):
-        digest(scene, f"{tmp_path / 'absent.py'}:A")
+    assert runs.PlainScene.of(found[2]).laws == (f"{tmp_path / 'c' / 'mine.py'}:{name}",)
+    assert runs.PlainScene.of(mc.load_scene("growth")).laws == ()

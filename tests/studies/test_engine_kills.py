@@ -150,20 +150,23 @@ def test_two_processes_share_a_study_and_both_end_with_all_of_it(undisturbed, tm
 
 @pytest.mark.slow
 def test_a_run_that_kills_its_worker_again_and_again_is_a_row(tmp_path):
-    """A method of the user's own stands for all that ends a process: want of memory, a crash."""
+    """A law of the user's own stands for all that ends a process: want of memory, a crash."""
     file = tmp_path / "deadly.py"
     file.write_text(
-        "import os, signal\n"
+        "import multiprocessing, os, signal\n"
         "import multicell as mc\n"
-        "class Deadly:\n"
-        "    info = mc.MethodInfo(name='deadly', order=1, implicit=False)\n"
-        "    def __init__(self): os.kill(os.getpid(), signal.SIGKILL)\n"
-        "    def integrate(self, system, position): pass\n"
+        "if multiprocessing.parent_process() is not None:\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+        "@mc.pair_law(parameters={})\n"
+        "def deadly(overlap, modulus, radius, p):\n"
+        "    return modulus * overlap\n"
     )
     good, other = short_runs(2)
     from dataclasses import replace
 
-    bad = replace(other, name="0" * 24, integrator=f"{file}:Deadly")
+    law = mc.load_law(f"{file}:deadly").scene_name()
+    scene = other.scene.with_changes({"contact.law": law})
+    bad = replace(other, name="0" * 24, scene=scene, expected=60.0)  # a worker does what is long
     outcomes = carry_out([bad, good], tmp_path / "study", cores=1)
     assert [outcome.state for outcome in outcomes] == ["failed", "done"]
     assert "its worker process died" in outcomes[0].reason

@@ -122,8 +122,8 @@ def test_a_sample_has_a_page_with_points_over_each_axis(tmp_path):
 
 def test_observables_that_stay_the_same_are_left_out():
     table = grid(OXYGEN)
-    table["packing_ratio"] = table["cells"] * 0.0 + 0.7
-    table["contacts"] = table["cells"] * np.nan
+    table["pull"] = table["cells"] * 0.0 + 0.7
+    table["largest_pressure"] = table["cells"] * np.nan
     assert key_observables(table) == ["cells", "diameter", "viable_rim", "necrotic_radius"]
 
 

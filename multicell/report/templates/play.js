@@ -8,11 +8,10 @@ const status = find("#status"), done = find("progress"), stop = find("#stop");
 const say = (text) => { if (status.textContent !== text) status.textContent = text; };
 
 function write(k) {
-  const { low, high, log, whole, unit, mmHg } = sliders[k], share = inputs[k].value / 1000;
+  const { low, high, log, whole, unit } = sliders[k], share = inputs[k].value / 1000;
   let value = log ? low * (high / low) ** share : low + share * (high - low);
   if (whole) value = Math.min(Math.floor(log ? low * ((high + 1) / low) ** share : low + share * (high + 1 - low)), high);
-  const also = mmHg ? ` = ${(value * mmHg).toPrecision(2)} mmHg` : "";
-  const words = `${Number(value.toPrecision(3))} ${unit}${also}`.trim();
+  const words = `${Number(value.toPrecision(3))} ${unit}`.trim();
   inputs[k].previousElementSibling.textContent = words;
   inputs[k].setAttribute("aria-valuetext", words);
 }
