@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, final
 
@@ -125,13 +125,6 @@ class Model:
         """Set a key of a type; in a scene of one type there are no types to set it for."""
         if len(self.kinds) > 1:
             self.part("types", kind.key)[name] = value
-
-    def each(self, path: str) -> Iterator[tuple[Kind, Element]]:
-        """Yield the types that say something themselves, and where they say it."""
-        for kind in self.kinds:
-            found = kind.own(path)
-            if found is not None:
-                yield kind, found
 
 
 def keys_of(names: Iterable[str], prefix: str) -> list[str]:
