@@ -18,13 +18,11 @@ APOPTOSIS, NECROSIS = "100", "101"
 _NAMES = {APOPTOSIS: "apoptosis", NECROSIS: "necrosis"}
 _REMOVED = 0.1
 _USUAL = {
-    APOPTOSIS: {"unlysed_fluid_change_rate": 0.05, "lysed_fluid_change_rate": 0.0,
-                "cytoplasmic_biomass_change_rate": 1.0 / 60.0,
-                "nuclear_biomass_change_rate": 0.35 / 60.0, "relative_rupture_volume": 2.0},
-    NECROSIS: {"unlysed_fluid_change_rate": 0.67 / 60.0, "lysed_fluid_change_rate": 0.05 / 60.0,
-               "cytoplasmic_biomass_change_rate": 0.0032 / 60.0,
-               "nuclear_biomass_change_rate": 0.013 / 60.0, "relative_rupture_volume": 2.0},
+    "unlysed_fluid_change_rate": 0.67 / 60.0, "lysed_fluid_change_rate": 0.05 / 60.0,
+    "cytoplasmic_biomass_change_rate": 0.0032 / 60.0,
+    "nuclear_biomass_change_rate": 0.013 / 60.0, "relative_rupture_volume": 2.0,
 }  # fmt: skip
+"""Of necrosis; those of apoptosis have no counterpart."""
 
 
 @final
@@ -89,15 +87,14 @@ def _code(model: Element) -> str:
 
 
 def _dying(kind: Kind, code: str) -> Dying:
-    usual, last = _USUAL[code], 516.0 if code == APOPTOSIS else 86400.0
+    last = 516.0 if code == APOPTOSIS else 86400.0
     found = next((one for one in kind.listed("death", "model") if _code(one) == code), None)
     if found is None:
-        return Dying(0.0, usual, last)
+        return Dying(0.0, _USUAL, last)
     rate = found.number_at("rate", 0.0, at_least=0.0)
-    parameters = {
-        tag: found.number_at(f"parameters/{tag}", value, at_least=0.0)
-        for tag, value in usual.items()
-    }
+    parameters = dict(_USUAL)
+    for tag, value in _USUAL.items() if code == NECROSIS else ():
+        parameters[tag] = found.number_at(f"parameters/{tag}", value, at_least=0.0)
     # the dead are removed at the end of the only phase of apoptosis, of the second one of necrosis
     for _, phase, stage in stated_phases(found):
         if phase == (code == NECROSIS) and math.isfinite(stage.minutes):
@@ -146,12 +143,12 @@ def _account_for(model: Model, kind: Kind) -> None:
             take_all([one], Fate.OFF, note="no cell dies in this way")
             continue
         lead, own = _dying(leader, code), _dying(kind, code)
-        phases = [part for part in one.children if part.tag.startswith("phase")]
         known = [tag for table in one.all("parameters") for tag in table.children]
-        known = [tag for tag in known if tag.tag in _USUAL[code]]
+        known = [tag for tag in known if tag.tag in _USUAL]
         if code == APOPTOSIS:
             note = "one time constant describes how apoptotic cells shrink"
             take_all(known, Fate.LEFT_OUT, note=note)
         if (lead.parameters, lead.last) != (own.parameters, own.last):
             note = f"as in '{leader.name}': types share it"
+            phases = [part for part in one.children if part.tag.startswith("phase")]
             take_all([*phases, *known], Fate.APPROXIMATED, "death", note)

@@ -167,11 +167,8 @@ def read_kinds(root: Element, account: Account) -> list[Kind]:
 
 
 def _kind(element: Element, key: str, place: int, above: list[Kind]) -> Kind:
-    name, stated = element.attributes["name"], element.attributes.get("ID", str(place))
-    try:
-        number = int(stated)
-    except ValueError:
-        raise element.error(f"has the ID {stated!r}, must be a whole number") from None
+    name = element.attributes["name"]
+    number = element.whole("ID") if "ID" in element.attributes else place
     for other in above:
         if other.name == name or other.number == number:
             problem = f"has the name or ID of '{other.name}' (line {other.element.line})"

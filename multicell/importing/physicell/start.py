@@ -128,7 +128,10 @@ def _from_table(model: Model, path: Path) -> Start:
     if not keep.any():
         raise SceneError(path.name, "has no cell of a type of the model in its box")
     if model.scene["dimensions"] == 2:
-        _flatten(model, path, position)
+        if position[:, 2].any():
+            note = "all are 0: a scene of two dimensions is the plane there"
+            model.account.add(f"{path.name}, z", "", Fate.APPROXIMATED, "initial.cells", note)
+        position[:, 2] = 0.0
     kinds = [cell[1] for cell, kept in zip(cells, keep, strict=True) if kept]
     start = Start(position[keep], kinds, np.array([cell[2] for cell in cells])[keep])
     return _move_apart(model, path.name, start)
@@ -186,11 +189,3 @@ def _move_apart(model: Model, source: str, start: Start) -> Start:
         note = f"{moved} cells at the place of another one are moved by {_AWAY * radius:.2g} um"
         model.account.add(source, "", Fate.APPROXIMATED, "initial.cells", note)
     return start
-
-
-def _flatten(model: Model, path: Path, position: FloatArray) -> None:
-    """Put all cells into the plane z = 0."""
-    if position[:, 2].any():
-        note = "all are 0: a scene of two dimensions is the plane there"
-        model.account.add(f"{path.name}, z", "", Fate.APPROXIMATED, "initial.cells", note)
-    position[:, 2] = 0.0
