@@ -68,7 +68,7 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
     # nothing rests here: uptake is that of living cells, whatever they do
     made |= {"uptake": 0.0, "quiescent_uptake": 1.0, "geometry": "box"}
     # that of the voxels, unless cells are too small for them
-    made["spacing"] = min(run.spacing(model.root), 4.0 * model.part("cells")["division_radius"])
+    made["spacing"] = min(run.spacing(model), 4.0 * model.part("cells")["division_radius"])
     thickness = model.root.find("domain/dz")
     if model.scene["dimensions"] == 2 and thickness is not None:
         made["height"] = thickness.number()

@@ -48,25 +48,19 @@ def _required(above: Element, path: str) -> Element:
     return found
 
 
-def is_flat(root: Element) -> bool:
-    """Return whether the model lies in a plane."""
-    found = root.find("domain/use_2D")
-    return found is not None and found.flag()
-
-
-def spacing(root: Element) -> float:
+def spacing(model: Model) -> float:
     """Return the side of the voxels, µm; of boxes that are no cubes the shortest."""
-    sides = [_required(root, f"domain/d{axis}") for axis in "xyz"[: 2 if is_flat(root) else 3]]
+    axes = "xyz"[: model.scene["dimensions"]]
+    sides = [_required(model.root, f"domain/d{axis}") for axis in axes]
     return min(side.number(at_least=_FINEST, at_most=_FARTHEST) for side in sides)
 
 
 def _read_domain(model: Model) -> None:
-    root, take = model.root, model.account.take
-    flat = is_flat(root)
-    model.scene["dimensions"] = 2 if flat else 3
-    box, step = _required(root, "domain"), spacing(root)
-    ends: dict[str, tuple[float, float]] = {}
-    axes = "xy" if flat else "xyz"
+    box, take, ends = _required(model.root, "domain"), model.account.take, {}
+    plane = box.find("use_2D")
+    flat = plane is not None and plane.flag()
+    model.scene["dimensions"], axes = (2, "xy") if flat else (3, "xyz")
+    step = spacing(model)
     for axis in axes:
         low, high = (_required(box, f"{axis}_{end}") for end in ("min", "max"))
         first, last = (end.number(at_least=-_FARTHEST, at_most=_FARTHEST) for end in (low, high))
