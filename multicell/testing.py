@@ -159,46 +159,38 @@ def _check_rate(law: GrowthLaw) -> None:
     _same(after, law.volume_after(volume, np.full(21, 0.1)), "it depends on the unit of volume")
 
 
-def check_response(law: ResponseLaw, *signals: FloatArray, monotone: bool = False) -> None:
+def check_response(law: ResponseLaw) -> None:
     """Raise ``AssertionError``, with all that is wrong, unless a response keeps its promises.
 
+    For signals that rise from 0 to 10:
+
     - shares are numbers from 0 to 1, one for each cell, in any order of the cells;
-    - they are the same if asked twice, and signals are left as they were;
-    - with ``monotone`` they do not fall where all signals rise.
+    - they are the same if asked twice, and signals are left as they were.
 
     Parameters
     ----------
     law
         A law with its parameters (:func:`multicell.response`).
-    *signals : (n,)
-        Signals that runs may meet, in base units and rising; by default from 0 to 10.
     """
+    _carry_out((_check_shares,), law, type(law).__name__)
+
+
+def _check_shares(law: ResponseLaw) -> None:
+    signal = np.linspace(0.0, 10.0, 201)
     count = getattr(law, "signals", 1)
-    given = signals or (np.linspace(0.0, 10.0, 201),) * count
 
-    def share(*at: FloatArray) -> FloatArray:
-        signal: Any = at if count > 1 else at[0]
-        return np.asarray(law.share(signal, falls=False))
+    def share(values: FloatArray) -> FloatArray:
+        given: Any = (values,) * count if count > 1 else values
+        return np.asarray(law.share(given, falls=False))
 
-    def numbers(law: ResponseLaw) -> None:
-        before = [one.copy() for one in given]
-        found = share(*given)
-        _require(np.shape(found) == given[0].shape, "it does not return one share for each cell")
-        _require(np.isfinite(found).all(), "it returns something that is no number")
-        _require(bool(((found >= 0.0) & (found <= 1.0)).all()), "its shares are not from 0 to 1")
-        _require(np.array_equal(found, share(*given)), "it does not give the same bits again")
-        same = all(map(np.array_equal, before, given))
-        _require(same, "it writes into its signals")
-
-    def order(law: ResponseLaw) -> None:
-        back = share(*(one[::-1].copy() for one in given))[::-1]
-        _require(np.array_equal(back, share(*given)), "a share depends on the other cells")
-
-    def rises(law: ResponseLaw) -> None:
-        steps = np.diff(share(*given))
-        _require(not monotone or bool((steps >= 0.0).all()), "it falls where its signals rise")
-
-    _carry_out((numbers, order, rises), law, type(law).__name__)
+    before, found = signal.copy(), share(signal)
+    _require(np.shape(found) == signal.shape, "it does not return one share for each cell")
+    _require(np.isfinite(found).all(), "it returns something that is no number")
+    _require(bool(((found >= 0.0) & (found <= 1.0)).all()), "its shares are not from 0 to 1")
+    _require(np.array_equal(found, share(signal)), "it does not give the same bits again")
+    _require(np.array_equal(before, signal), "it writes into its signals")
+    back = share(signal[::-1].copy())[::-1]
+    _require(np.array_equal(back, found), "a share depends on the other cells")
 
 
 def check_integrator(method: Any) -> None:

@@ -45,10 +45,10 @@ def test_a_file_may_import_its_neighbours_and_paths_may_be_relative(tmp_path, mo
         ("", "mine.txt:A", "must end in .py"),
         ("class Own: pass", "mine.py:own", "has nothing called 'own'. Did you mean 'Own'"),
         ("class Own: pass", "mine.py:Own.x", "has nothing called 'Own.x'"),
-        ("x = 1\n1 / 0\n", "mine.py:x", "raises ZeroDivisionError in line 2: division by zero"),
-        ("x = (\n", "mine.py:x", "raises SyntaxError in line 1"),
-        ("import nothing_of_this_name\n", "mine.py:x", "raises ModuleNotFoundError in line 1"),
-        ("import sys\nsys.exit(3)\n", "mine.py:x", "raises SystemExit in line 2: 3"),
+        ("x = 1\n1 / 0\n", "mine.py:x", "line 2, raises ZeroDivisionError: division by zero"),
+        ("x = (\n", "mine.py:x", "raises SyntaxError: '(' was never closed (mine.py, line 1)"),
+        ("import nothing_of_this_name\n", "mine.py:x", "line 1, raises ModuleNotFoundError"),
+        ("import sys\nsys.exit(3)\n", "mine.py:x", "line 2, raises SystemExit: 3"),
     ],
 )
 def test_what_cannot_be_loaded_is_said(text, spec, problem, tmp_path, monkeypatch):

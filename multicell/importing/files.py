@@ -64,6 +64,7 @@ class Element:
     path: str  # tags from below the root, with the name of those that have one: a/b[name]/c
     file: str
     line: int
+    above: Element | None
     text: str = ""
     children: list[Element] = field(default_factory=list)
 
@@ -85,6 +86,20 @@ class Element:
         for child in self.children:
             yield from child.leaves()
 
+    @property
+    def tags(self) -> str:
+        """Its path by tags alone, from below the root."""
+        higher = "" if self.above is None or self.above.above is None else f"{self.above.tags}/"
+        return f"{higher}{self.tag}"
+
+    def is_off(self) -> bool:
+        """Return whether it, or what it stands in, is disabled by an attribute or an element."""
+        switches = [one for one in self.children if one.tag in ("enable", "enabled")]
+        if any(not one.flag() for one in switches):
+            return True
+        off = "enabled" in self.attributes and not self.says("enabled")
+        return off or (self.above is not None and self.above.is_off())
+
     def error(self, problem: str, hint: str = "") -> SceneError:
         """Return the error of what stands here."""
         return SceneError(f"{self.file}, line {self.line}, {self.path}", problem, hint)
@@ -93,23 +108,22 @@ class Element:
         """Return its text without blanks and marks of direction at both ends."""
         return self.text.strip().strip("\u200b\u202a\u202c\ufeff")
 
-    def number(
-        self,
-        *,
-        above: float | None = None,
-        at_least: float | None = None,
-        at_most: float | None = None,
-    ) -> float:
-        """Return its text as a finite number within bounds; SceneError otherwise."""
+    def number_at(self, path: str, usual: float, **bounds: float) -> float:
+        """Return a number below this element; ``usual`` where there is none."""
+        found = self.find(path)
+        return usual if found is None or not found.word() else found.number(**bounds)
+
+    def number(self, **bounds: float) -> float:
+        """Return its text as a finite number within :class:`Bounds`; SceneError otherwise."""
         try:
             value = float(self.word())
         except ValueError:
             raise self.error(f"is {self.word()[:60]!r}, must be a number") from None
         if not math.isfinite(value):
             raise self.error(f"is {self.word()[:60]!r}, must be a finite number")
-        bounds = Bounds(above, at_least, at_most)
-        if not bounds.contain(value):
-            raise self.error(f"is {self.word()}, must be {bounds.words()}")
+        wanted = Bounds(**bounds)
+        if not wanted.contain(value):
+            raise self.error(f"is {self.word()}, must be {wanted.words()}")
         return value
 
     def whole(self, attribute: str) -> int:
@@ -141,7 +155,8 @@ def read_xml(path: Path) -> Element:
         name = attributes.get("name", attributes.get("ID", attributes.get("index", "")))
         higher = f"{above[-1].path}/" if len(above) > 1 else ""
         place = f"{higher}{tag}[{name}]" if name else f"{higher}{tag}"
-        made = Element(tag, attributes, place, path.name, parser.CurrentLineNumber)
+        made = Element(tag, attributes, place, path.name, parser.CurrentLineNumber,
+                       above[-1] if above else None)  # fmt: skip
         elements.append(made)
         if above:
             above[-1].children.append(made)
@@ -185,34 +200,20 @@ def found_file(element: Element, home: Path) -> Path:
     under = Path("." if folder is None else folder.word() or ".") / name.word()
     home = home.resolve()
     project = home.parent if home.name == _CONFIG else home
-    moved = [project.joinpath(*under.parts[k:]) for k in range(1, len(under.parts))]
-    for place in moved if under.is_absolute() and ".." not in under.parts else ():
-        if _is_below(place, project) and _is_file(place):
+    places = [home.parent / under, home / under, home / name.word()]
+    if under.is_absolute():
+        places = [project.joinpath(*under.parts[k:]) for k in range(1, len(under.parts))]
+    for place in places:
+        if _is_file_below(place, project):
             return place
-    if under.is_absolute() or ".." in under.parts:
-        problem = f"is '{under}', which is not below the folder of the model, '{project}'"
-        raise name.error(problem, "Copy the file there, and name it from there.")
-    places = dict.fromkeys([home.parent / under, home / under, home / name.word()])
-    within = [place for place in places if _is_below(place, project)]
-    for place in within:
-        if _is_file(place):
-            return place
-    looked = " and ".join(f"'{place.parent}'" for place in within) or "no place"
-    hint = f"Looked for in {looked}; what lies outside of '{project}' is not opened."
-    raise name.error(f"is '{name.word()}', but there is no such file", hint)
+    hint = f"Looked for in '{project}', links followed; what lies outside of it is not opened."
+    raise name.error(f"is '{under}', but there is no such file", hint)
 
 
-def _is_below(path: Path, folder: Path) -> bool:
-    """Return whether a path leads to below a folder, links followed."""
+def _is_file_below(path: Path, folder: Path) -> bool:
+    """Return whether a path leads to a regular file below a folder, links followed."""
     try:
-        return path.resolve().is_relative_to(folder)
-    except (OSError, RuntimeError):  # a circle of links
-        return False
-
-
-def _is_file(path: Path) -> bool:
-    """Return whether there is a regular file."""
-    try:
-        return path.is_file()
-    except OSError:  # a name that the system cannot have, or a folder that may not be read
+        found = path.resolve(strict=True)
+        return found.is_relative_to(folder) and found.is_file()
+    except (OSError, RuntimeError):  # no file, a circle of links, or a name that none can have
         return False

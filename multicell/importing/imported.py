@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -81,30 +81,18 @@ class Account:
         """Account for all leaves of elements in one way, those aside that have an entry."""
         for element in elements:
             for leaf in element.leaves():
-                if leaf not in self._taken:
+                if leaf not in self:
                     self.take(leaf, fate, key, note)
 
-    def leave_out(
-        self, elements: Iterable[Element], note: str, *,
-        acts: bool | Callable[[Element], bool] = True,
-    ) -> None:  # fmt: skip
-        """Account for what has no counterpart; without effect in the model it is off."""
-        for element in elements:
-            acting = acts(element) if callable(acts) else acts
-            fate = Fate.LEFT_OUT if acting else Fate.OFF
-            self.take_all([element], fate, note=note if acting else "")
+    def __contains__(self, element: Element) -> bool:
+        return element in self._taken
 
     def add(self, path: str, value: str, fate: Fate, key: str = "", note: str = "") -> None:
         """Account for what is no element: a column or a line of another file."""
         self.entries.append(Entry(path, None, value, fate, key, note))
 
-    def close(self, root: Element) -> tuple[Entry, ...]:
-        """Return all entries in the order of the file; what has none yet is left out."""
-        for leaf in root.leaves():
-            if leaf not in self._taken:
-                empty = not (leaf.word() or leaf.attributes)
-                note = "" if empty else "not known to this import"
-                self.take(leaf, Fate.OFF if empty else Fate.LEFT_OUT, note=note)
+    def in_order(self) -> tuple[Entry, ...]:
+        """Return all entries in the order of the file, those of other files behind."""
         last = max((entry.line or 0 for entry in self.entries), default=0) + 1
         return tuple(sorted(self.entries, key=lambda e: last if e.line is None else e.line))
 

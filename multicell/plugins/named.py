@@ -98,35 +98,18 @@ def _module(file: Path, what: str) -> ModuleType:
     module.__dict__["_multicell_source"] = source
     # dataclasses and numba look their module up by its name
     sys.modules[name] = module
-    try:
-        _execute(module, source, path)
-    except (Exception, SystemExit) as error:
-        sys.modules.pop(name, None)
-        problem = f"'{file}' raises {type(error).__name__}{_line(error, path)}: {error}"
-        raise SceneError(what, problem) from error
-    return module
-
-
-def _execute(module: ModuleType, source: bytes, path: Path) -> None:
-    """Run a file, which may import the files beside it."""
     folder = str(path.parent)
-    sys.path.insert(0, folder)
+    sys.path.insert(0, folder)  # the file may import those beside it
     try:
         exec(compile(source, str(path), "exec"), module.__dict__)
+    except (Exception, SystemExit) as error:
+        sys.modules.pop(name, None)
+        fault = own_fault(error, lambda seen: seen == str(path))
+        problem = f"'{file}' raises {type(error).__name__}: {error}"
+        raise SceneError(what, fault or problem) from error
     finally:
         sys.path.remove(folder)
-
-
-def _line(error: BaseException, path: Path) -> str:
-    """Return the line of a file where an exception came from, in words."""
-    if isinstance(error, SyntaxError):
-        return f" in line {error.lineno}"
-    line, trace = None, error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path):
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return "" if line is None else f" in line {line}"
+    return module
 
 
 def own_fault(

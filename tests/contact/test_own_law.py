@@ -268,18 +268,3 @@ def test_a_law_goes_through_the_commands(tmp_path, monkeypatch):
     invoked("compare", *scene, *stiff, "--methods", "cvode", "--budget", "2", "-o", "chart")
     (tmp_path / "mine.py").write_text(LAW.format(factor=2.0))
     assert "has changed since" in command(tmp_path, *longer, *own, code=2)
-
-
-@pytest.mark.parametrize(
-    ("law", "words"),
-    [
-        ("mine.py:Nothing", "has nothing called 'Nothing'"),
-        ("mine.py:helper", "is neither a pair law nor a growth law"),
-        ("other.py:Square", "there is no file 'other.py'"),
-        ("Square", "must be the form 'file.py:Name'"),
-    ],
-)
-def test_what_is_no_law_is_refused_by_the_command(tmp_path, law, words, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.py").write_text(LAW.format(factor=1.0))
-    assert words in invoked("explain", "doublet-settle", "--law", law, code=2)

@@ -115,7 +115,7 @@ WRONG = {
     "mine.py:Midpont": "has nothing called 'Midpont'. Did you mean 'Midpoint'",
     "mine.py:math": "'math' is no integrator: it has no method integrate(system, position)",
     "mine.py:": "must be the form 'file.py:Name'",
-    "raises.py:Midpoint": "raises ZeroDivisionError in line 1",
+    "raises.py:Midpoint": "line 1, raises ZeroDivisionError",
     "wants.py:Wants": "'Wants' cannot be made: ",
     "euIer": "must be one of",
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.cells import SPHERE
 from multicell.importing.imported import Fate
@@ -23,12 +23,9 @@ _RATE = "cytoplasmic_biomass_change_rate"
 _SLOWEST, _FASTEST = 0.7, 12.0
 """Bounds of rate times growing time: beyond, cells become ever smaller, or grow at once."""
 _NAMES = ("G1", "S", "G2", "M")
-_HALVED = "each of two daughters has half the chance; in PhysiCell one of them has all of it"
 
 
-@final
-@dataclass(frozen=True)
-class Stage:
+class Stage(NamedTuple):
     """A phase of PhysiCell: minutes (infinite: never left), and whether all take that long."""
 
     minutes: float
@@ -41,36 +38,27 @@ class CycleModel:
     """A model of the cycle."""
 
     name: str
-    usual: tuple[Stage, ...]  # its phases with what PhysiCell has for them
+    usual: tuple[tuple[float, bool], ...]  # its phases with what PhysiCell has for them
     homes: tuple[str, ...]  # the phase of ours in which each of them is
     doubles_before: bool = True  # whether volume doubles before division, not after it
 
 
-def _stages(*phases: tuple[float, bool]) -> tuple[Stage, ...]:
-    return tuple(Stage(*phase) for phase in phases)
-
-
-_LIVE = CycleModel("live", _stages((60.0 / 0.0432, False)), ("G1",), doubles_before=False)
+_SHORT = ((4.59 * 60, False), (15.5 * 60, True))
+_LIVE = CycleModel("live", ((60.0 / 0.0432, False),), ("G1",), doubles_before=False)
 MODELS: Final[Mapping[int, CycleModel]] = {
-    0: CycleModel(
-        "Ki67 (advanced)", _stages((3.62 * 60, False), (13.0 * 60, True), (2.5 * 60, True)),
-        ("G1", "S", "G1"),
-    ),
-    1: CycleModel("Ki67 (basic)", _stages((4.59 * 60, False), (15.5 * 60, True)), ("G1", "S")),
-    2: CycleModel(
-        "flow cytometry (basic)", _stages((1 / 0.00324, False), (1 / 0.00208, False),
-                                          (1 / 0.00333, False)), ("G1", "S", "M"),
-    ),
+    0: CycleModel("Ki67 (advanced)", ((3.62 * 60, False), (13.0 * 60, True), (2.5 * 60, True)),
+                  ("G1", "S", "G1")),
+    1: CycleModel("Ki67 (basic)", _SHORT, ("G1", "S")),
+    2: CycleModel("flow cytometry (basic)",
+                  ((1 / 0.00324, False), (1 / 0.00208, False), (1 / 0.00333, False)),
+                  ("G1", "S", "M")),
     3: _LIVE,
     4: _LIVE,
     5: _LIVE,
-    6: CycleModel(
-        "flow cytometry (separated)",
-        _stages((1 / 0.00335, False), (1 / 0.00208, False), (1 / 0.00417, False),
-                (1 / 0.0167, False)), _NAMES,
-    ),
-    7: CycleModel("cycling-quiescent", _stages((4.59 * 60, False), (15.5 * 60, True)),
-                  ("G1", "S")),
+    6: CycleModel("flow cytometry (separated)",
+                  ((1 / 0.00335, False), (1 / 0.00208, False), (1 / 0.00417, False),
+                   (1 / 0.0167, False)), _NAMES),
+    7: CycleModel("cycling-quiescent", _SHORT, ("G1", "S")),
 }  # fmt: skip
 """By their codes."""
 
@@ -135,18 +123,16 @@ def read_cycle(model: Model) -> None:
         for kind, cycle in known.items():
             model.of_type(kind, "cycle_scale", _scale(model, cycle, known[lead]))
         _set_paces(model, known, lead)
-        _set_daughters(model)
         quickest = min(cycle.minutes for cycle in known.values()) * MINUTE
         model.scene["coupling_step"] = min(model.scene["coupling_step"], quickest)
     # with phases cells divide by their clock, at up to twice the volume of division
     assert model.cells is not None
-    most = float(model.cells.volumes().max()) * (1.0 if lead is None else 0.5)
+    most = float(model.cells.volume.max()) * (1.0 if lead is None else 0.5)
     model.part("cells")["division_radius"] = math.cbrt(max(sizes[0], most) / SPHERE)
     if lead is not None:
         model.part("growth")["target"] = sizes[1]
     for kind in model.kinds:
-        _account_for_cycle(model, kind, known, lead)
-        _account_for_volume(model, kind, known[kind], lead)
+        _account_for(model, kind, known, lead)
 
 
 def _sizes(model: Model, lead: Kind, cycle: Cycle) -> tuple[float, float]:
@@ -185,21 +171,20 @@ def _code(element: Element) -> int:
 def _cycle(kind: Kind) -> Cycle:
     """Return the cycle of a type: its own phases, its parent's of this model, or usual ones."""
     own = kind.own("cycle")
+    if own is not None and "code" not in own.attributes:
+        own = None
     above = None if kind.parent is None else _cycle(kind.parent)
-    if own is None or "code" not in own.attributes:
-        return above or _cycle_of(MODELS[0], MODELS[0].usual)
-    found = MODELS[_code(own)]
-    stages = list(above.stages if above is not None and above.model is found else found.usual)
-    for one, start, stage in _stated(own):
+    if above is not None and own is None:
+        return above
+    found = MODELS[0 if own is None else _code(own)]
+    usual = [Stage(*phase) for phase in found.usual]
+    stages = list(above.stages) if above is not None and above.model is found else usual
+    for one, start, stage in () if own is None else stated_phases(own):
         if not 0 <= start < len(stages):
             raise one.error(f"is of phase {start}, but '{found.name}' has {len(stages)}")
         stages[start] = stage
-    return _cycle_of(found, tuple(stages))
-
-
-def _cycle_of(model: CycleModel, stages: tuple[Stage, ...]) -> Cycle:
-    rates = (math.inf if s.minutes == 0.0 else 1.0 / s.minutes for s in stages)
-    return Cycle(model, stages, tuple(rates))
+    rates = (math.inf if stage.minutes == 0.0 else 1.0 / stage.minutes for stage in stages)
+    return Cycle(found, tuple(stages), tuple(rates))
 
 
 def _exits(model: Model, kind: Kind, place: int) -> list[Rule]:
@@ -233,7 +218,7 @@ def _set_paces(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
         }
 
         def pace(
-            kind: Kind, rule: Rule | None, phase: str = phase, length: float = length,
+            kind: Kind, rule: Rule | None = None, phase: str = phase, length: float = length,
             exits: Mapping[Rule, int] = exits,
         ) -> float:  # fmt: skip
             cycle, minutes = cycling[kind], 0.0
@@ -249,21 +234,18 @@ def _set_paces(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
             return length * own / max(minutes * MINUTE, _INSTANT)
 
         note = ""
-        if any(_is_shared(cycling[r.kind], p) for r, p in exits.items() if r.kind):
-            note = "its phase has two stages, or lasts equally long for all cells"
-        set_behaviour(model, f"entry into {after}", 1.0, pace, cycling, exits, note)
+        for rule, place in exits.items():
+            cycle = cycling[rule.kind]
+            if cycle.stages[place].fixed or cycle.model.homes.count(phase) > 1:
+                note = "its phase has two stages, or lasts equally long for all cells"
+        own, end = {kind: pace(kind) for kind in cycling}, lambda rule: pace(rule.kind, rule)
+        set_behaviour(model, f"entry into {after}", 1.0, own, exits, end, note)
 
 
-def _is_shared(cycle: Cycle, place: int) -> bool:
-    home = cycle.model.homes[place]
-    return cycle.stages[place].fixed or cycle.model.homes.count(home) > 1
-
-
-def _stated(cycle: Element) -> list[tuple[Element, int, Stage]]:
+def stated_phases(cycle: Element) -> list[tuple[Element, int, Stage]]:
     """Return the phases that an element states, by rate or duration, and where."""
     made = []
-    rates = cycle.all("phase_transition_rates/rate") + cycle.all("transition_rates/rate")
-    for one in rates:
+    for one in cycle.all("phase_transition_rates/rate") + cycle.all("transition_rates/rate"):
         rate = one.number(at_least=0.0)
         minutes = 1.0 / rate if rate > 1e-15 else math.inf
         made.append((one, one.whole("start_index"), Stage(minutes, one.says("fixed_duration"))))
@@ -274,98 +256,24 @@ def _stated(cycle: Element) -> list[tuple[Element, int, Stage]]:
     return made
 
 
-def _account_for_cycle(
-    model: Model, kind: Kind, known: Mapping[Kind, Cycle], lead: Kind | None
-) -> None:
-    element, account = kind.own("cycle"), model.account
-    if element is None:
-        return
-    cycle = known[kind]
-    if lead is None or not math.isfinite(cycle.minutes):
-        key, note = "types.*.cycle_scale" if lead else "growth", "these cells do not divide"
-        account.take(element, Fate.MAPPED, key, note, cycle.model.name)
-        for one, _, _ in _stated(element):
-            account.take(one, Fate.MAPPED, note=note)
-    else:
-        homes = ", ".join(f"{n} {home}" for n, home in enumerate(cycle.model.homes))
-        note = f"volume doubles in the time in which it grows; its phases here: {homes}"
-        account.take(element, Fate.APPROXIMATED, "growth.phases", note, cycle.model.name)
-        alike = _alike(cycle, known[lead])
-        scale = cycle.minutes / known[lead].minutes
-        pairs = zip(cycle.stages, known[lead].stages, strict=False)
-        same = all(math.isclose(a.minutes, scale * b.minutes, abs_tol=1e-9) for a, b in pairs)
-        for one, _, _ in _stated(element):
-            own = f"responses.entry_into_*_of_{kind.key}"
-            if alike and same:
-                account.take(one, Fate.MAPPED, "growth.phases")
-            elif alike:
-                account.take(one, Fate.MAPPED, own)
-            else:
-                note = f"its mean; whether all cells take that long is as in '{lead.name}'"
-                account.take(one, Fate.APPROXIMATED, own, note)
-    for one in element.all("standard_asymmetric_division"):
-        _account_for_daughters(model, kind, one, grows=lead is not None)
-
-
-def _daughters(kind: Kind) -> dict[str, float]:
-    """Return the chances that a division gives a daughter of another type, by its name."""
-    found = kind.given("cycle/standard_asymmetric_division")
-    if found is None or not found.says("enabled"):
-        return {}
-    return {
-        one.attributes.get("name", ""): max(one.number(at_most=1.0), 0.0)
-        for one in found.all("asymmetric_division_probability")
-    }
-
-
-def _set_daughters(model: Model) -> None:
-    """Read chances of asymmetric division: here each of two daughters has half of it."""
-    for to in model.kinds:
-        known = {kind: _daughters(kind).get(to.name, 0.0) for kind in model.kinds if kind is not to}
-
-        def value(kind: Kind, rule: Rule | None, known: dict[Kind, float] = known) -> float:
-            return 0.5 * (known[kind] if rule is None else rule.end)
-
-        rules = rules_of(model, f"asymmetric division to {to.name}", known)
-        set_behaviour(model, f"mutation to {to.key}", 0.0, value, known, rules, _HALVED)
-
-
-def _account_for_daughters(model: Model, kind: Kind, table: Element, *, grows: bool) -> None:
-    on = table.says("enabled") and grows
-    for one in table.all("asymmetric_division_probability"):
-        to = model.kind_named(one.attributes.get("name", ""))
-        if not on or to is None or to is kind or one.number() <= 0.0:
-            model.account.take(one, Fate.OFF)
-        else:
-            key = f"responses.mutation_to_{to.key}_of_{kind.key}"
-            model.account.take(one, Fate.APPROXIMATED, key, _HALVED)
-    model.account.take_all([table], Fate.OFF)
-
-
-def _alike(cycle: Cycle, lead: Cycle) -> bool:
-    """Return whether phases of two cycles differ in nothing but how long they last."""
-    return cycle.model is lead.model and all(
-        a.fixed == b.fixed for a, b in zip(cycle.stages, lead.stages, strict=True)
-    )
-
-
-def _account_for_volume(model: Model, kind: Kind, cycle: Cycle, lead: Kind | None) -> None:
-    table, account = kind.own("volume"), model.account
-    if table is None:
-        return
-    for one in table.all("total"):
-        alike = lead is None or math.isclose(kind.volume, lead.volume)
-        if alike or not math.isfinite(cycle.minutes):
-            account.take(one, Fate.MAPPED, "cells.division_radius, radius in cells.csv")
-        else:
-            note = "at the start; types share the volume at division"
-            account.take(one, Fate.APPROXIMATED, "radius in cells.csv", note)
-    grows = "growth" in model.scene
-    for one in table.all(_RATE):
-        note = (
-            "V' = r (K - V) at this rate; with another cycle time in proportion, and for all types "
-            "as for that of most dividing cells"
-        )
-        account.take(one, *((Fate.APPROXIMATED, "growth.target", note) if grows else (Fate.OFF,)))
-    note = "that of each model of death counts"
-    account.take_all(table.all("relative_rupture_volume"), Fate.OFF, note=note)
+def _account_for(model: Model, kind: Kind, known: Mapping[Kind, Cycle], lead: Kind | None) -> None:
+    """Account for the cycle and volumes of a type, where they are not as in all others."""
+    element, account, cycle = kind.own("cycle"), model.account, known[kind]
+    divides = lead is not None and math.isfinite(cycle.minutes)
+    homes = ", ".join(f"{n} {home}" for n, home in enumerate(cycle.model.homes))
+    note = f"volume doubles in the time in which it grows; its phases here: {homes}"
+    said = (Fate.APPROXIMATED, "growth.phases", note) if divides else (
+        Fate.MAPPED, "types.*.cycle_scale", "these cells do not divide")  # fmt: skip
+    account.take(element, *said, cycle.model.name)
+    fixed = [[stage.fixed for stage in known[one].stages] for one in (kind, lead or kind)]
+    alike = lead is not None and cycle.model is known[lead].model and fixed[0] == fixed[1]
+    if element is not None and lead is not None and divides and not alike:
+        note = f"its mean; whether all cells take that long is as in '{lead.name}'"
+        stated = [one for one, _, _ in stated_phases(element)]
+        account.take_all(stated, Fate.APPROXIMATED, "responses.entry_into_*", note)
+    total, rate = kind.own("volume/total"), kind.own(f"volume/{_RATE}")
+    if lead is not None and divides and not math.isclose(kind.volume, lead.volume):
+        note = "at the start; types share the volume at division"
+        account.take(total, Fate.APPROXIMATED, "radius in cells.csv", note)
+    if lead is None:
+        account.take(rate, Fate.OFF)

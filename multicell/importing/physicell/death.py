@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 from multicell.importing.imported import Fate
+from multicell.importing.physicell.cycle import stated_phases
 from multicell.importing.physicell.model import MINUTE, Kind, Model
-from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
+from multicell.importing.physicell.rules import rules_of, set_behaviour
 
 if TYPE_CHECKING:
     from multicell.importing.files import Element
@@ -17,21 +18,18 @@ APOPTOSIS, NECROSIS = "100", "101"
 _NAMES = {APOPTOSIS: "apoptosis", NECROSIS: "necrosis"}
 _REMOVED = 0.1
 _USUAL = {
-    APOPTOSIS: {"unlysed_fluid_change_rate": 0.05, "lysed_fluid_change_rate": 0.0,
-                "cytoplasmic_biomass_change_rate": 1.0 / 60.0,
-                "nuclear_biomass_change_rate": 0.35 / 60.0, "relative_rupture_volume": 2.0},
-    NECROSIS: {"unlysed_fluid_change_rate": 0.67 / 60.0, "lysed_fluid_change_rate": 0.05 / 60.0,
-               "cytoplasmic_biomass_change_rate": 0.0032 / 60.0,
-               "nuclear_biomass_change_rate": 0.013 / 60.0, "relative_rupture_volume": 2.0},
+    "unlysed_fluid_change_rate": 0.67 / 60.0, "lysed_fluid_change_rate": 0.05 / 60.0,
+    "cytoplasmic_biomass_change_rate": 0.0032 / 60.0,
+    "nuclear_biomass_change_rate": 0.013 / 60.0, "relative_rupture_volume": 2.0,
 }  # fmt: skip
+"""Of necrosis; those of apoptosis have no counterpart."""
 
 
 @final
 @dataclass(frozen=True)
 class Dying:
-    """One way in which a type dies: 1/min, min; the last phase's length is None where unknown."""
+    """One way in which a type dies: 1/min, and the length of the last phase in min."""
 
-    element: Element | None
     rate: float
     parameters: dict[str, float]
     last: float
@@ -62,11 +60,9 @@ def _lead(model: Model, code: str) -> Kind | None:
 
 
 def _set_rates(model: Model, code: str, usual: float) -> None:
-    def value(kind: Kind, rule: Rule | None) -> float:
-        return (_dying(kind, code).rate if rule is None else rule.end) / MINUTE
-
+    own = {kind: _dying(kind, code).rate / MINUTE for kind in model.kinds}
     rules = rules_of(model, _NAMES[code], model.kinds)
-    set_behaviour(model, f"{_NAMES[code]} rate", usual, value, model.kinds, rules)
+    set_behaviour(model, f"{_NAMES[code]} rate", usual, own, rules, lambda r: r.end / MINUTE)
 
 
 def _set_necrosis(model: Model, lead: Kind) -> None:
@@ -85,36 +81,25 @@ def _fading(minutes: float) -> float:
 
 
 def _code(model: Element) -> str:
-    name = model.attributes.get("name", "").lower()
-    return model.attributes.get("code") or {"apoptosis": APOPTOSIS, "necrosis": NECROSIS}.get(
-        name, ""
-    )
+    codes = {name: code for code, name in _NAMES.items()}
+    named = codes.get(model.attributes.get("name", "").lower(), "")
+    return model.attributes.get("code") or named
 
 
 def _dying(kind: Kind, code: str) -> Dying:
-    found = next((one for one in kind.listed("death", "model") if _code(one) == code), None)
-    rate = None if found is None else found.find("death_rate") or found.find("rate")
-    table = None if found is None else found.find("parameters")
-    parameters = dict(_USUAL[code])
-    for tag in parameters:
-        one = None if table is None else table.find(tag)
-        if one is not None:
-            parameters[tag] = one.number(at_least=0.0)
     last = 516.0 if code == APOPTOSIS else 86400.0
-    value = 0.0 if rate is None else rate.number(at_least=0.0)
-    return Dying(found, value, parameters, _last(found, code, last))
-
-
-def _last(found: Element | None, code: str, usual: float) -> float:
-    """Return how long the phase lasts at the end of which the dead are removed, min."""
-    index = "0" if code == APOPTOSIS else "1"
-    for one in [] if found is None else found.all("phase_durations/duration"):
-        if one.attributes.get("index") == index:
-            return one.number()
-    for one in [] if found is None else found.all("phase_transition_rates/rate"):
-        if one.attributes.get("start_index") == index and one.number() > 0.0:
-            return 1.0 / one.number()
-    return usual
+    found = next((one for one in kind.listed("death", "model") if _code(one) == code), None)
+    if found is None:
+        return Dying(0.0, _USUAL, last)
+    rate = found.number_at("rate", 0.0, at_least=0.0)
+    parameters = dict(_USUAL)
+    for tag, value in _USUAL.items() if code == NECROSIS else ():
+        parameters[tag] = found.number_at(f"parameters/{tag}", value, at_least=0.0)
+    # the dead are removed at the end of the only phase of apoptosis, of the second one of necrosis
+    for _, phase, stage in stated_phases(found):
+        if phase == (code == NECROSIS) and math.isfinite(stage.minutes):
+            last = stage.minutes
+    return Dying(found.number_at("death_rate", rate, at_least=0.0), parameters, last)
 
 
 def _time_to_burst(kind: Kind, dying: Dying) -> float | None:
@@ -146,58 +131,24 @@ def _time_to_burst(kind: Kind, dying: Dying) -> float | None:
 
 
 def _account_for(model: Model, kind: Kind) -> None:
+    """Account for models of death that no cell dies of, or that are not those of all types."""
+    take_all = model.account.take_all
     for one in kind.listed("death", "model", own=True):
         code = _code(one)
-        if code not in (APOPTOSIS, NECROSIS):
-            model.account.leave_out([one], "neither apoptosis nor necrosis")
+        if code not in _NAMES:
+            take_all([one], Fate.LEFT_OUT, note="neither apoptosis nor necrosis")
             continue
-        _account_for_rate(model, kind, one, code)
-        _account_for_course(model, kind, one, code)
-
-
-def _account_for_rate(model: Model, kind: Kind, one: Element, code: str) -> None:
-    rate = one.find("death_rate") or one.find("rate")
-    if rate is None:
-        return
-    if rate.number() == 0.0:
-        note = "unless C++ code or a rule sets it" if code == NECROSIS else ""
-        model.account.take(rate, Fate.OFF, note=note)
-    else:
-        lead = _lead(model, code)
-        alike = lead is not None and _dying(lead, code).rate == rate.number() and code == APOPTOSIS
-        own = f"responses.{_NAMES[code]}_rate_of_{kind.key}"
-        model.account.take(rate, Fate.MAPPED, "death.apoptosis_rate" if alike else own)
-
-
-_COURSE = {
-    APOPTOSIS: "volume falls exponentially, to a tenth in the time after which PhysiCell removes",
-    NECROSIS: "swells exponentially until it bursts, then shrinks exponentially",
-}
-
-
-def _account_for_course(model: Model, kind: Kind, one: Element, code: str) -> None:
-    """Account for phases and parameters of a model of death."""
-    leader = _lead(model, code)
-    if leader is None:
-        model.account.take_all([one], Fate.OFF, note="no cell dies in this way")
-        return
-    lead, own = _dying(leader, code), _dying(kind, code)
-    same = lead.parameters == own.parameters and lead.last == own.last
-    note = _COURSE[code] if same else f"as in '{leader.name}': types share how they die"
-    fades = "death.apoptosis_time" if code == APOPTOSIS else "death.lysis_time"
-    keys = {
-        "lysed_fluid_change_rate": "death.lysis_time",
-        "relative_rupture_volume": "death.swelling",
-        "unlysed_fluid_change_rate": "death.swelling_time",
-        "cytoplasmic_biomass_change_rate": "death.swelling_time",
-        "nuclear_biomass_change_rate": "death.swelling_time",
-    }
-    account = model.account
-    for tag, key in keys.items():
-        leaves = one.all(f"parameters/{tag}")
+        leader = _lead(model, code)
+        if leader is None:
+            take_all([one], Fate.OFF, note="no cell dies in this way")
+            continue
+        lead, own = _dying(leader, code), _dying(kind, code)
+        known = [tag for table in one.all("parameters") for tag in table.children]
+        known = [tag for tag in known if tag.tag in _USUAL]
         if code == APOPTOSIS:
-            account.leave_out(leaves, "one time constant describes how apoptotic cells shrink")
-        else:
-            account.take_all(leaves, Fate.APPROXIMATED, key, note)
-    for path in ("phase_durations", "phase_transition_rates", "transition_rates"):
-        account.take_all(one.all(path), Fate.APPROXIMATED, fades, note)
+            note = "one time constant describes how apoptotic cells shrink"
+            take_all(known, Fate.LEFT_OUT, note=note)
+        if (lead.parameters, lead.last) != (own.parameters, own.last):
+            note = f"as in '{leader.name}': types share it"
+            phases = [part for part in one.children if part.tag.startswith("phase")]
+            take_all([*phases, *known], Fate.APPROXIMATED, "death", note)

@@ -68,15 +68,22 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
     # nothing rests here: uptake is that of living cells, whatever they do
     made |= {"uptake": 0.0, "quiescent_uptake": 1.0, "geometry": "box"}
     # that of the voxels, unless cells are too small for them
-    made["spacing"] = min(run.spacing(model.root), 4.0 * model.part("cells")["division_radius"])
+    made["spacing"] = min(run.spacing(model), 4.0 * model.part("cells")["division_radius"])
     thickness = model.root.find("domain/dz")
     if model.scene["dimensions"] == 2 and thickness is not None:
         made["height"] = thickness.number()
-    _read_transport(model, variable, made)
-    start = variable.find("initial_condition")
-    level = 0.0 if start is None or not start.word() else start.number(at_least=0.0)
+    moves = "physical_parameter_set/diffusion_coefficient"
+    value = variable.number_at(moves, 0.0, at_least=0.0) / MINUTE
+    made["diffusion"] = max(value, _SLOWEST)
+    if value < _SLOWEST:
+        note = f"{_SLOWEST:g} um^2/s, the least there is: it stays where it is"
+        found = variable.find(moves)
+        model.account.take(found, Fate.APPROXIMATED, "nutrients.*.diffusion", note)
+    if variable.find("physical_parameter_set/decay_rate"):
+        decay = variable.number_at("physical_parameter_set/decay_rate", 0.0, at_least=0.0)
+        made["decay"] = decay / MINUTE
+    level = variable.number_at("initial_condition", 0.0, at_least=0.0)
     made["boundary"] = level * unit
-    model.account.take(start, Fate.MAPPED, f"nutrients.{key}.boundary")
     levels = _read_sides(model, variable, active, made)
     model.top[name] = max([level, *levels])
 
@@ -95,44 +102,30 @@ def _unit(name: str, said: str) -> tuple[float, Fate, str]:
     return 1.0, Fate.APPROXIMATED, note
 
 
-def _read_transport(model: Model, variable: Element, made: dict[str, Any]) -> None:
-    key, account = model.fields[variable.attributes["name"]], model.account
-    diffusion = variable.find("physical_parameter_set/diffusion_coefficient")
-    decay = variable.find("physical_parameter_set/decay_rate")
-    value = 0.0 if diffusion is None else diffusion.number(at_least=0.0) / MINUTE
-    made["diffusion"] = max(value, _SLOWEST)
-    slow = f"{_SLOWEST:g} um^2/s, the least there is: it stays where it is"
-    fate, note = (Fate.APPROXIMATED, slow) if value < _SLOWEST else (Fate.MAPPED, "")
-    account.take(diffusion, fate, f"nutrients.{key}.diffusion", note)
-    if decay is not None:
-        made["decay"] = decay.number(at_least=0.0) / MINUTE
-        account.take(decay, Fate.MAPPED, f"nutrients.{key}.decay")
-
-
 def _read_sides(model: Model, variable: Element, active: bool, made: dict[str, Any]) -> list[float]:
     """Set the sides of a field; return the values that they have, in the substance's unit."""
     name = variable.attributes["name"]
-    unit, path = model.unit[name], f"nutrients.{model.fields[name]}.sides"
+    unit = model.unit[name]
     all_sides = variable.find("Dirichlet_boundary_condition")
     on_all = _on_all(variable)
     value = all_sides.number(at_least=0.0) if all_sides is not None and on_all else 0.0
     axes = "xyz"[: model.scene["dimensions"]]
     levels = {f"{a}{e}": (on_all, value) for a in axes for e in "-+"}
-    model.account.take(all_sides, Fate.MAPPED if on_all else Fate.OFF, path if on_all else "")
     for one in variable.all("Dirichlet_options/boundary_value"):
         side = one.attributes.get("ID", "")
         face = side[:1] + {"min": "-", "max": "+"}.get(side[1:], "")
         if face not in levels:
             named = side not in ("zmin", "zmax")  # those a plane does not have
-            model.account.leave_out([one], "no side of this name", acts=named)
+            fate, note = (Fate.LEFT_OUT, "no side of this name") if named else (Fate.OFF, "")
+            model.account.take(one, fate, note=note)
             continue
         on = one.says("enabled")
         levels[face] = on, one.number(at_least=0.0) if on and active else 0.0
-        if on and not active:
+        if not on:
+            model.account.take(one, Fate.MAPPED, "nutrients.*.sides", "a wall")
+        elif not active:
             note = "PhysiCell sets no side unless a Dirichlet_boundary_condition is enabled"
             model.account.take(one, Fate.OFF, note=note)
-        else:
-            model.account.take(one, Fate.MAPPED, f"{path}.{face}", "" if on else "a wall")
     held = {face: level for face, (on, level) in levels.items() if on and active}
     wall: dict[str, Any] = {"type": "derivative", "derivative": 0.0}
     sides = {
@@ -181,29 +174,23 @@ def read_secretion(model: Model) -> None:
     for name in model.fields:
         known = {kind: _exchange(kind, name) for kind in model.kinds}
         _set_field(model, name, known)
-        for kind in model.kinds:
-            found = _substrate(kind, name, own=True)
-            if found is not None:
-                _account_for(model, kind, name, found, known[kind])
-
-
-def _substrate(kind: Kind, name: str, *, own: bool = False) -> Element | None:
-    found = kind.listed("secretion", "substrate", own=own)
-    return next((one for one in found if one.attributes.get("name") == name), None)
+        for kind, does in known.items():
+            for one in kind.listed("secretion", "substrate", own=True):
+                if one.attributes["name"] == name and does.export < 0.0:
+                    note = "uptake at a rate that does not depend on the concentration"
+                    model.account.take(one.find("net_export_rate"), Fate.LEFT_OUT, note=note)
+                if one.attributes["name"] == name and does.secretion == 0.0:
+                    model.account.take(one.find("secretion_target"), Fate.OFF)
 
 
 def _exchange(kind: Kind, name: str) -> Exchange:
-    found = _substrate(kind, name)
-
-    def number(tag: str) -> float:
-        one = None if found is None else found.find(tag)
-        least = None if tag == "net_export_rate" else 0.0
-        return 0.0 if one is None or not one.word() else one.number(at_least=least)
-
-    return Exchange(
-        number("secretion_rate"), number("secretion_target"), number("uptake_rate"),
-        number("net_export_rate"),
-    )  # fmt: skip
+    listed = kind.listed("secretion", "substrate")
+    found = next((one for one in listed if one.attributes.get("name") == name), None)
+    if found is None:
+        return Exchange(0.0, 0.0, 0.0, 0.0)
+    tags = ("secretion_rate", "secretion_target", "uptake_rate")
+    secretion, target, uptake = (found.number_at(tag, 0.0, at_least=0.0) for tag in tags)
+    return Exchange(secretion, target, uptake, found.number_at("net_export_rate", 0.0))
 
 
 def _set_field(model: Model, name: str, known: dict[Kind, Exchange]) -> None:
@@ -228,7 +215,6 @@ def _set_field(model: Model, name: str, known: dict[Kind, Exchange]) -> None:
         del made["uptake"]
         made["half_saturation"] = half
         made["uptake_per_volume"] = fastest / MINUTE * half
-        _by_type(model, "uptake_of", key, {k: x / fastest for k, x in limits.items()})
         own = [rule for rule in rules if rule.behaviour == f"{name} uptake"]
         for rule in rules:
             if rule.behaviour == f"{name} secretion":
@@ -236,30 +222,28 @@ def _set_field(model: Model, name: str, known: dict[Kind, Exchange]) -> None:
                     rule.note += "; what is given off only, beside rules of uptake"
                 else:
                     own.append(rule)
-        _respond(model, f"uptake of {key}", takes, limits, own)
+        _respond(model, "uptake", key, takes, limits, own)
     given = {kind: largest(kind, gives) for kind in known}
     most = max(given.values())
     if most > 0.0:
         made["secretion"] = most * unit / MINUTE
-        _by_type(model, "secretion_of", key, {kind: x / most for kind, x in given.items()})
         others = [rule for rule in rules if rule.behaviour != f"{name} uptake"]
-        _respond(model, f"secretion of {key}", gives, given, others)
+        _respond(model, "secretion", key, gives, given, others)
 
 
 def _respond(
-    model: Model,
-    behaviour: str,
-    of: Callable[[Kind, Rule | None], float],
-    limits: dict[Kind, float],
-    rules: list[Rule],
-) -> None:
-    """Let types do a part of what they do at most."""
-
-    def value(kind: Kind, rule: Rule | None) -> float:
-        return of(kind, rule) / limits[kind]
-
-    set_behaviour(model, behaviour, 1.0, value, [k for k in limits if limits[k] > 0.0],
-                  [rule for rule in rules if rule.kind and limits[rule.kind] > 0.0])  # fmt: skip
+    model: Model, what: str, key: str, of: Callable[[Kind, Rule | None], float],
+    limits: dict[Kind, float], rules: list[Rule],
+) -> None:  # fmt: skip
+    """Let types do a part of what any of them does at most with a field."""
+    most = max(limits.values())
+    for kind, limit in limits.items():
+        if limit / most != 1.0 and len(model.kinds) > 1:
+            model.part("types", kind.key, f"{what}_of")[key] = limit / most
+    own = {kind: of(kind, None) / limit for kind, limit in limits.items() if limit > 0.0}
+    rules = [rule for rule in rules if rule.kind in own]
+    behaviour = f"{what} of {key}"
+    set_behaviour(model, behaviour, 1.0, own, rules, lambda r: of(r.kind, r) / limits[r.kind])
 
 
 def _rules(model: Model, name: str) -> list[Rule]:
@@ -267,12 +251,11 @@ def _rules(model: Model, name: str) -> list[Rule]:
     found, key = [], model.fields[name]
     for what in ("uptake", "secretion", "secretion target", "export"):
         for rule in rules_of(model, f"{name} {what}", model.kinds):
-            assert rule.level is not None
-            signal = rule.level[0]
-            if signal in model.fields.values() and not _leads(model, signal, key):
-                model.needs.setdefault(key, set()).add(signal)
+            field = rule.signal in model.fields.values()
+            if field and not _leads(model, rule.signal, key):
+                model.needs.setdefault(key, set()).add(rule.signal)
                 found.append(rule)
-            elif signal == "volume":
+            elif rule.signal == "volume":
                 found.append(rule)
             else:
                 rule.note = "fields respond to volumes, and to others that do not depend on them"
@@ -282,30 +265,3 @@ def _rules(model: Model, name: str) -> list[Rule]:
 def _leads(model: Model, field: str, to: str) -> bool:
     """Return whether a field is another one, or depends on it by rules."""
     return field == to or any(_leads(model, one, to) for one in model.needs.get(field, ()))
-
-
-def _by_type(model: Model, table: str, key: str, factors: dict[Kind, float]) -> None:
-    """Set factors of types on what they do with a field."""
-    for kind, factor in factors.items():
-        if factor != 1.0 and len(model.kinds) > 1:
-            model.part("types", kind.key, table)[key] = factor
-
-
-def _account_for(model: Model, kind: Kind, name: str, found: Element, does: Exchange) -> None:
-    key = f"nutrients.{model.fields[name]}"
-    takes, gives = f"{key}.uptake_per_volume", f"{key}.secretion"
-    near = "uptake saturates, a thousand times above the largest concentration that is named"
-    size = f"of a cell of {kind.volume:g} um^3 whatever its size"
-    entries = {
-        "uptake_rate": (does.uptake != 0.0, Fate.APPROXIMATED, takes, near),
-        "secretion_rate": (does.secretion != 0.0, Fate.APPROXIMATED, gives,
-                           f"S T given off, {size}, and S c taken up"),
-        "secretion_target": (does.secretion * does.target != 0.0, Fate.MAPPED, gives, ""),
-        "net_export_rate": (does.export != 0.0, Fate.MAPPED, gives, ""),
-    }  # fmt: skip
-    if does.export < 0.0:
-        note = "uptake at a rate that does not depend on the concentration"
-        entries["net_export_rate"] = True, Fate.LEFT_OUT, "", note
-    for tag, (acts, fate, to, note) in entries.items():
-        said = (fate, to, note) if acts else (Fate.OFF,)
-        model.account.take(found.find(tag), *said)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from multicell.cells import stokes_drag
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, VISCOSITY, Kind, Model
-from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
+from multicell.importing.physicell.rules import rules_of, set_behaviour
 
 if TYPE_CHECKING:
     from multicell.importing.files import Element
@@ -17,6 +17,8 @@ _WALL = 100.0 / MINUTE
 """Strength of PhysiCell's walls, µm/s."""
 _STIFFEST = 1e9
 _AFFINITIES = "mechanics/cell_adhesion_affinities", "cell_adhesion_affinity"
+_REPULSION = "mechanics/cell_cell_repulsion_strength"
+_RANGE = "mechanics/relative_maximum_adhesion_distance"
 _LENGTH = 1.0
 _POISSON = 0.5
 _COMPLIANCE = 0.75 * (1.0 - _POISSON**2)
@@ -39,7 +41,7 @@ def read_mechanics(model: Model) -> None:
 
 
 def _repulsion(kind: Kind) -> float:
-    return kind.number_of("mechanics/cell_cell_repulsion_strength", 10.0, at_least=0.0)
+    return kind.number_of(_REPULSION, 10.0, at_least=0.0)
 
 
 def _young(repulsion: float) -> float:
@@ -48,7 +50,6 @@ def _young(repulsion: float) -> float:
 
 
 def _read_repulsion(model: Model) -> None:
-    path = "mechanics/cell_cell_repulsion_strength"
     leading = _repulsion(model.leader) or 10.0
     model.part("cells")["young"] = _young(leading)
     known = {kind: _repulsion(kind) for kind in model.kinds}
@@ -57,31 +58,27 @@ def _read_repulsion(model: Model) -> None:
         if mixed and value > 0.0:
             model.of_type(kind, "young", _young(value))
     _read_stiffness(model, known)
-    for kind, element in model.each(path):
-        if known[kind] == 0.0:
+    for kind, value in known.items():
+        if value == 0.0:
             note = f"cells repel each other here: as those of '{model.leader.name}'"
-            model.account.leave_out([element], note)
+            model.account.take(kind.own(_REPULSION), Fate.LEFT_OUT, "", note)
         elif mixed:
             note = "between types the harmonic mean of the strengths, not the geometric one"
-            model.account.take(element, Fate.APPROXIMATED, f"types.{kind.key}.young", note)
-        else:
-            model.account.take(element, Fate.MAPPED, "cells.young")
+            model.account.take(kind.own(_REPULSION), Fate.APPROXIMATED, "types.*.young", note)
 
 
 def _read_stiffness(model: Model, known: dict[Kind, float]) -> None:
     """Let rules change how strongly cells repel others."""
     firm = [kind for kind in model.kinds if known[kind] > 0.0]
 
-    def value(kind: Kind, rule: Rule | None) -> float:
-        return 1.0 if rule is None else rule.end / known[kind]
-
     rules = [rule for rule in rules_of(model, "cell-cell repulsion", firm) if rule.end > 0.0]
     note = "the harmonic mean of two cells' strengths, not the geometric one"
-    set_behaviour(model, "Young's modulus", 1.0, value, firm, rules, note)
+    own, end = dict.fromkeys(firm, 1.0), lambda rule: rule.end / known[rule.kind]
+    set_behaviour(model, "Young's modulus", 1.0, own, rules, end, note)
 
 
 def _range(kind: Kind) -> float:
-    return kind.number_of("mechanics/relative_maximum_adhesion_distance", 1.25)
+    return kind.number_of(_RANGE, 1.25)
 
 
 def _read_range(model: Model) -> None:
@@ -90,14 +87,12 @@ def _read_range(model: Model) -> None:
     leader = max(sticky, key=lambda kind: kind.count, default=model.leader)
     cutoff = min(max(_range(leader), 1.0), 10.0) if sticky else 1.25
     model.scene["contact"]["cutoff"] = cutoff
-    for kind, element in model.each("mechanics/relative_maximum_adhesion_distance"):
+    for kind in model.kinds:
         if _adhesion(kind) == 0.0:
-            model.account.take(element, Fate.OFF, note="these cells do not adhere")
-        elif element.number() == cutoff:
-            model.account.take(element, Fate.MAPPED, "contact.cutoff")
-        else:
+            model.account.take(kind.own(_RANGE), Fate.OFF, note="these cells do not adhere")
+        elif _range(kind) != cutoff:
             note = f"{cutoff:g}: types share one range, of 1 to 10 radii"
-            model.account.take(element, Fate.APPROXIMATED, "contact.cutoff", note)
+            model.account.take(kind.own(_RANGE), Fate.APPROXIMATED, "contact.cutoff", note)
 
 
 def _equilibrium(kind: Kind) -> tuple[float, Element] | None:
@@ -137,39 +132,20 @@ def _read_adhesion(model: Model) -> None:
         for j in model.kinds
     }
     model.scene["contact"]["surface_energy"] = pairs[model.leader, model.leader]
-    if len(set(pairs.values())) > 1:
-        for i in model.kinds:
+    for i in model.kinds:
+        if len(set(pairs.values())) > 1:
             energies = {
                 j.key: pairs[i, j] if i.number <= j.number else pairs[j, i] for j in model.kinds
             }
             model.of_type(i, "surface_energy", energies)
-        key = "types.*.surface_energy"
-    else:
-        key = "contact.surface_energy"
-    for kind in model.kinds:
-        _account_for_adhesion(model, kind, key)
-
-
-def _account_for_adhesion(model: Model, kind: Kind, key: str) -> None:
-    take, ruled = model.account.take, _equilibrium(kind)
-    element = kind.own("mechanics/cell_cell_adhesion_strength")
-    if ruled is not None:
-        take(element, Fate.OFF, note=f"set by {ruled[1].tag}")
-    else:
-        take(element, Fate.MAPPED, key)
-    for name in ("relative", "absolute"):
-        one = kind.own(f"mechanics/options/set_{name}_equilibrium_distance")
-        counts = ruled is not None and one is ruled[1]
-        take(one, Fate.MAPPED if counts else Fate.OFF, key if counts else "")
-    for one in kind.listed(*_AFFINITIES, own=True):
-        known = model.kind_named(one.attributes.get("name", "")) is not None
-        note = "" if known else "of a type that there is not"
-        take(one, Fate.MAPPED if known else Fate.OFF, key if known else "", note)
+        ruled = _equilibrium(i)
+        if ruled is not None:
+            element = i.own("mechanics/cell_cell_adhesion_strength")
+            model.account.take(element, Fate.OFF, note=f"set by {ruled[1].tag}")
 
 
 def _read_wall(model: Model) -> None:
-    """Give the box elastic walls: at half a radius they push as PhysiCell's do."""
-    found = model.root.find("options/virtual_wall_at_domain_edge")
+    """Give the box elastic walls: at half a radius they push as PhysiCell's do, if any can."""
     # PhysiCell's own push is 100 (1 - d/r)² um/min; Hertz's is E* r² / √8 at d = r/2
     radius, push = model.leader.radius, model.leader.drag * _WALL * 0.25
     own = 1.0 / _COMPLIANCE * model.part("cells")["young"]
@@ -178,11 +154,3 @@ def _read_wall(model: Model) -> None:
     domain = model.part("domain")
     domain["young"] = _STIFFEST if rigid else _COMPLIANCE / (1.0 / wanted - 1.0 / own)
     domain["poisson"] = _POISSON
-    if found is None:
-        return
-    if found.flag():
-        how = "as stiff as can be" if rigid else "as strong at a distance of half a radius"
-        note = f"elastic walls, {how}; PhysiCell's push is quadratic"
-    else:
-        note = "cells that leave the box stop for good in PhysiCell; here elastic walls hold them"
-    model.account.take(found, Fate.APPROXIMATED, "domain.wall", note)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, final
 
@@ -126,13 +126,6 @@ class Model:
         if len(self.kinds) > 1:
             self.part("types", kind.key)[name] = value
 
-    def each(self, path: str) -> Iterator[tuple[Kind, Element]]:
-        """Yield the types that say something themselves, and where they say it."""
-        for kind in self.kinds:
-            found = kind.own(path)
-            if found is not None:
-                yield kind, found
-
 
 def keys_of(names: Iterable[str], prefix: str) -> list[str]:
     """Return names of letters, digits and ``_`` for names of any kind, no two alike."""
@@ -174,11 +167,8 @@ def read_kinds(root: Element, account: Account) -> list[Kind]:
 
 
 def _kind(element: Element, key: str, place: int, above: list[Kind]) -> Kind:
-    name, stated = element.attributes["name"], element.attributes.get("ID", str(place))
-    try:
-        number = int(stated)
-    except ValueError:
-        raise element.error(f"has the ID {stated!r}, must be a whole number") from None
+    name = element.attributes["name"]
+    number = element.whole("ID") if "ID" in element.attributes else place
     for other in above:
         if other.name == name or other.number == number:
             problem = f"has the name or ID of '{other.name}' (line {other.element.line})"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
-from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
+from multicell.importing.physicell.rules import rules_of, set_behaviour
 
 if TYPE_CHECKING:
     from multicell.importing.files import Element
@@ -30,7 +30,6 @@ class Migration:
     persistence: float
     bias: float
     along: tuple[tuple[str, float], ...]
-    summed: bool
 
     @property
     def field(self) -> str:
@@ -57,10 +56,13 @@ def read_motility(model: Model) -> None:
     )  # fmt: skip
     if lead is not None:
         _set_scene(model, lead, moving)
-        _set_speeds(model, moving)
+        speeds = {kind: max(how.speed, 0.0) / how.fastest for kind, how in moving.items()}
+        set_behaviour(
+            model, "speed", 1.0, speeds, rules_of(model, "migration speed", moving),
+            lambda rule: max(rule.end, 0.0) / moving[rule.kind].fastest,
+        )  # fmt: skip
     for kind in model.kinds:
-        if kind.own("motility") is not None:
-            _account_for(model, kind, moving.get(kind), moving[lead] if lead else None)
+        _account_for(model, kind, moving.get(kind), moving[lead] if lead else None)
 
 
 def _moves(kind: Kind) -> bool:
@@ -69,13 +71,13 @@ def _moves(kind: Kind) -> bool:
 
 
 def _migration(model: Model, kind: Kind) -> Migration:
-    along, summed = _directions(model, kind)
+    along = _directions(model, kind)
     bias = kind.number_of("motility/migration_bias", 0.0, at_least=0.0, at_most=1.0)
     speed = kind.number_of("motility/speed", 1.0)
     ends = [rule.end for rule in rules_of(model, "migration speed", [kind])]
     return Migration(
         speed, max(speed, *ends, 0.0), kind.number_of("motility/persistence_time", 1.0),
-        bias, tuple(along), summed,
+        bias, tuple(along),
     )  # fmt: skip
 
 
@@ -86,8 +88,8 @@ def _on(kind: Kind, tag: str) -> Element | None:
     return found if enabled is not None and enabled.flag() else None
 
 
-def _directions(model: Model, kind: Kind) -> tuple[list[tuple[str, float]], bool]:
-    """Return the substances along which a type moves with their shares, and if they are summed."""
+def _directions(model: Model, kind: Kind) -> list[tuple[str, float]]:
+    """Return the substances along which a type moves with their shares."""
     advanced = _on(kind, "advanced_chemotaxis")
     if advanced is not None:
         found = advanced.all("chemotactic_sensitivities/chemotactic_sensitivity")
@@ -97,17 +99,14 @@ def _directions(model: Model, kind: Kind) -> tuple[list[tuple[str, float]], bool
             if one.attributes.get("substrate") in model.fields and one.number() != 0.0
         }
         total = sum(map(abs, known.values()))
-        each = advanced.find("normalize_each_gradient")
-        summed = len(known) > 1 and not (each is not None and each.flag())
-        return [(name, value / total) for name, value in known.items()], summed
+        return [(name, value / total) for name, value in known.items()]
     simple = _on(kind, "chemotaxis")
     if simple is None:
-        return [], False
-    name, direction = simple.find("substrate"), simple.find("direction")
+        return []
+    name, sign = simple.find("substrate"), simple.number_at("direction", 1.0)
     if name is None or name.word() not in model.fields:
         raise simple.error("follows no substance of the model")
-    sign = 1.0 if direction is None else direction.number()
-    return ([(name.word(), 1.0 if sign > 0.0 else -1.0)] if sign else []), False
+    return [(name.word(), math.copysign(1.0, sign))] if sign else []
 
 
 def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
@@ -138,14 +137,6 @@ def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
     model.scene["coupling_step"] = min(model.scene["coupling_step"], shortest)
 
 
-def _set_speeds(model: Model, moving: dict[Kind, Migration]) -> None:
-    def value(kind: Kind, rule: Rule | None) -> float:
-        how = moving[kind]
-        return max(how.speed if rule is None else rule.end, 0.0) / how.fastest
-
-    set_behaviour(model, "speed", 1.0, value, moving, rules_of(model, "migration speed", moving))
-
-
 def _largest_bias(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> float:
     """Return the largest bias of types and rules along one substance, or that along several."""
     if not lead.field:
@@ -160,60 +151,39 @@ def _set_biases(model: Model, lead: Migration, moving: dict[Kind, Migration]) ->
     signs = {
         kind: how.along[0][1] if how.field == lead.field else 0.0 for kind, how in moving.items()
     }
-
-    def value(kind: Kind, rule: Rule | None) -> float:
-        return signs[kind] * (moving[kind].bias if rule is None else min(max(rule.end, 0.0), 1.0))
-
-    turning = [kind for kind in moving if signs[kind]]
-    rules = rules_of(model, "migration bias", turning)
-    set_behaviour(model, "bias", model.part("motility")["bias"], value, moving, rules)
+    own = {kind: signs[kind] * how.bias for kind, how in moving.items()}
+    rules = rules_of(model, "migration bias", [kind for kind in moving if signs[kind]])
+    set_behaviour(
+        model, "bias", model.part("motility")["bias"], own, rules,
+        lambda rule: signs[rule.kind] * min(max(rule.end, 0.0), 1.0),
+    )  # fmt: skip
 
 
 def _step(model: Model) -> float:
     """Return the step of PhysiCell's mechanics, s: no direction changes sooner."""
-    found = model.root.find("overall/dt_mechanics")
-    return (0.1 if found is None else found.number(above=0.0)) * MINUTE
+    return model.root.number_at("overall/dt_mechanics", 0.1, above=0.0) * MINUTE
 
 
 def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migration | None) -> None:
-    table = kind.own("motility")
-    assert table is not None
-    solid = model.scene["dimensions"] == 3 and how is not None
-    flat, why = table.all("options/use_2D"), "motion in a plane within three dimensions"
-    model.account.leave_out(flat, why, acts=lambda one: solid and one.flag())
-    if how is None or lead is None:
-        model.account.take_all([table], Fate.OFF)
+    """Account for what differs from the pattern of motion of all types, or is without effect."""
+    table, account = kind.own("motility"), model.account
+    if table is None:
         return
-    same = how.pattern(lead)
-    other = "" if same else "types share one persistence and one gradient, those of the most cells"
-    size = f"a force that gives a cell of {kind.volume:g} um^3 this speed"
-    fate = Fate.MAPPED if same else Fate.APPROXIMATED
-    take, bias = model.account.take, table.find("migration_bias")
-    take(table.find("speed"), Fate.APPROXIMATED, "motility.force", size)
-    take(table.find("persistence_time"), fate, "motility.persistence", other)
-    take(table.find("options/enabled"), Fate.MAPPED, "motility")
-    if not how.along:
-        take(bias, Fate.OFF, "", "no gradient is followed")
-    else:
-        note = "along the gradient of the moment, not that of the last change of direction"
-        key = "motility.bias"
-        if len(how.along) > 1:
-            note = "random and directed part are added; in PhysiCell their sum has the full speed"
-            key = "chemotaxis"
-        take(bias, Fate.APPROXIMATED, key, "; ".join(filter(None, (note, other))))
-    _account_for_taxis(model, kind, how, table, other)
-
-
-def _account_for_taxis(
-    model: Model, kind: Kind, how: Migration, table: Element, other: str
-) -> None:
+    if how is None or lead is None:
+        account.take_all([table], Fate.OFF)
+        return
+    if model.scene["dimensions"] == 2:
+        account.take_all(table.all("options/use_2D"), Fate.OFF)
     used = _on(kind, "advanced_chemotaxis") or _on(kind, "chemotaxis")
-    key = "motility.towards" if len(how.along) == 1 else "chemotaxis"
-    for tag in ("chemotaxis", "advanced_chemotaxis"):
-        for one in table.all(f"options/{tag}"):
-            if one is not used:
-                model.account.take_all([one], Fate.OFF)
-                continue
-            summed = "gradients are followed each by itself, not their sum" if how.summed else ""
-            note = "; ".join(filter(None, (summed, other)))
-            model.account.take_all([one], Fate.APPROXIMATED if note else Fate.MAPPED, key, note)
+    ways = [*table.all("options/chemotaxis"), *table.all("options/advanced_chemotaxis")]
+    account.take_all([way for way in ways if way is not used], Fate.OFF)
+    bias = table.all("migration_bias")
+    if not how.along:
+        account.take_all(bias, Fate.OFF, note="no gradient is followed")
+    if len(how.along) > 1:
+        note = "gradients are followed each by itself, and random motion is added at full length"
+        account.take_all([*bias, *ways], Fate.APPROXIMATED, "chemotaxis", note)
+    if not how.pattern(lead):
+        note = "types share one persistence and one gradient, those of the most cells"
+        shared = [*table.all("persistence_time"), *bias, *ways]
+        account.take_all(shared, Fate.APPROXIMATED, "motility", note)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
-from itertools import chain
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +18,6 @@ from multicell.importing.physicell.mechanics import read_mechanics
 from multicell.importing.physicell.model import MINUTE, Kind, Model, read_kinds
 from multicell.importing.physicell.motility import read_motility
 from multicell.importing.physicell.rules import (
-    Rule,
     account_for_rules,
     read_rules,
     rules_of,
@@ -29,151 +27,158 @@ from multicell.importing.physicell.start import read_start
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import with_cells
 
-_OfType = Callable[[Kind, Element], bool]
-_TRANSFORMATIONS: Final = "cell_transformations", "transformation_rates/transformation_rate"
-
-
-def _acts(element: Element) -> bool:
-    return bool(element.word()) and element.number() != 0.0
-
-
-def _enabled(element: Element) -> bool:
-    return element.says("enabled")
-
-
-def _written(element: Element) -> bool:
-    found = element.find("enable")
-    return found is None or found.flag()
-
-
-def _joins(kind: Kind, _: Element) -> bool:
-    return kind.number_of("mechanics/attachment_rate", 0.0) > 0.0
-
-
-def _attacks(kind: Kind, element: Element) -> bool:
-    """Return whether a number of interactions does something: how cells attack, if they do."""
-    rates = kind.listed("cell_interactions", "attack_rates/attack_rate", own=True)
-    return _acts(element) and (element.tag not in _ATTACKS or any(map(_acts, rates)))
-
-
 _CODE = "read by C++ code of the model only"
-_ATTACKS: Final = ("attack_damage_rate", "attack_duration", "damage_rate")
 _INSIDE = "there are no models inside cells"
-_PICTURES = "pictures and reports are made of the results of any run"
-_SPRINGS = "cells are not joined by springs"
-_FIELDS = "microenvironment_setup/options"
-_OMITTED: Final[Sequence[tuple[str, bool | Callable[[Element], bool], str]]] = (
-    ("parallel/omp_num_threads", True,
-     "of this machine, not of the model: multicell run --threads"),
-    ("overall/dt_diffusion", True,
-     "fields are solved to a tolerance, in a steady state where they settle"),
-    ("overall/dt_mechanics", True, "the method of integration chooses its steps by their error"),
-    ("overall/dt_intracellular", True, _INSIDE),
-    ("save/folder", True, "multicell run -o names the folder"),
-    ("save/SVG", _written, _PICTURES),
-    ("save/legacy_data", _written, _PICTURES),
-    ("save/intracellular_data", _written, _PICTURES),
-    ("options/legacy_random_points_on_sphere_in_divide", Element.flag,
-     "divisions have random directions on a sphere"),
-    ("options/legacy_cell_defaults_copy", Element.flag,
-     "types take over what PhysiCell has taken over since 1.10"),
-    (f"{_FIELDS}/track_internalized_substrates_in_each_agent", Element.flag,
-     "what a cell has taken up is not kept"),
-    (f"{_FIELDS}/initial_condition", _enabled, "a field starts with one concentration everywhere"),
-    (f"{_FIELDS}/dirichlet_nodes", _enabled,
-     "concentrations are held on sides of the box, not inside"),
-    ("user_parameters", True, _CODE),
+_HALVED = "each of two daughters has half the chance; in PhysiCell one of them has all of it"
+_SATURATES = "uptake saturates, a thousand times above the largest concentration that is named"
+_FALLS = "volumes of the dead fall exponentially, after necrosis from the volume of bursting"
+_MAPPED, _NEAR, _LEFT, _OFF = Fate.MAPPED, Fate.APPROXIMATED, Fate.LEFT_OUT, Fate.OFF
+_SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
+    (r"domain/[xyz]_", _MAPPED, "domain", ""),
+    (r"domain/use_2D", _MAPPED, "dimensions", ""),
+    (r"domain/d", _MAPPED, "nutrients.*.spacing", ""),
+    (r"overall/max_time", _MAPPED, "duration", ""),
+    (r"overall/(time|space)_units", _MAPPED, "", "numbers are taken in min and um, as there"),
+    (r"overall/dt_phenotype", _MAPPED, "coupling_step", ""),
+    (r"overall/dt_(diffusion|mechanics)", _LEFT, "", "tolerances choose the steps here"),
+    (r"overall/dt_intracellular", _LEFT, "", _INSIDE),
+    (r"parallel", _LEFT, "", "of this machine, not of the model: multicell run --threads"),
+    (r"save/full_data", _MAPPED, "output.every", ""),
+    (r"save/folder", _LEFT, "", "multicell run -o names the folder"),
+    (r"save", _LEFT, "", "pictures and reports are made of the results of any run"),
+    (r"options/virtual_wall", _NEAR, "domain.wall",
+     "elastic walls; PhysiCell's push is quadratic, and cells without walls stop outside"),
+    (r"options/(disable_automated|legacy)|cell_rules/settings", _OFF, "", ""),
+    (r"(options|user_parameters)/random_seed", _MAPPED, "seed",
+     "the same seed gives other random numbers than in PhysiCell"),
+    (r"user_parameters|custom_data|molecular|mechanics/cell_BM", _LEFT, "", _CODE),
+    (r"microenvironment_setup/variable/.*diffusion", _MAPPED, "nutrients.*.diffusion", ""),
+    (r"microenvironment_setup/variable/.*decay", _MAPPED, "nutrients.*.decay", ""),
+    (r"microenvironment_setup/variable/initial", _MAPPED, "nutrients.*.boundary", ""),
+    (r"microenvironment_setup/variable/Dirichlet", _MAPPED, "nutrients.*.sides", ""),
+    (r"microenvironment_setup/options/calculate", _MAPPED, "", "where chemotaxis asks for them"),
+    (r"microenvironment_setup/options", _LEFT, "",
+     "fields start even, are held on sides of the box only, and are not counted inside cells"),
+    (r"cycle/standard_asymmetric_division", _NEAR, "responses.mutation_to_*", _HALVED),
+    (r"cycle", _MAPPED, "growth.phases, responses.entry_into_*", ""),
+    (r"death/model/(death_)?rate", _MAPPED, "death, responses.*_rate_of_*", ""),
+    (r"death/model/.*calcification|volume/calcif", _LEFT, "", "no calcium"),
+    (r"death/model", _NEAR, "death", _FALLS),
+    (r"volume/total", _MAPPED, "cells.division_radius, radius in cells.csv", ""),
+    (r"volume/cytoplasmic_biomass", _NEAR, "growth.target",
+     "V' = r (K - V) at this rate; for all types as for that of most dividing cells"),
+    (r"volume/relative_rupture", _OFF, "", "that of each model of death counts"),
+    (r"volume", _LEFT, "", "a cell has one volume"),
+    (r"mechanics/cell_cell_repulsion", _MAPPED, "cells.young", ""),
+    (r"mechanics/relative_maximum_adhesion", _MAPPED, "contact.cutoff", ""),
+    (r"mechanics/(cell_cell_adhesion|cell_adhesion_affinities|options/set_)", _MAPPED,
+     "contact.surface_energy", ""),
+    (r"mechanics", _LEFT, "", "cells are not joined by springs"),
+    (r"motility/speed", _NEAR, "motility.force", "a force that gives cells of this type the speed"),
+    (r"motility/persistence_time", _MAPPED, "motility.persistence", ""),
+    (r"motility/migration_bias", _NEAR, "motility.bias",
+     "along the gradient of the moment, not that of the last change of direction"),
+    (r"motility/options/use_2D", _LEFT, "", "motion in a plane within three dimensions"),
+    (r"motility", _MAPPED, "motility.towards", ""),
+    (r"secretion/.*uptake_rate", _NEAR, "nutrients.*.uptake_per_volume", _SATURATES),
+    (r"secretion/.*secretion_rate", _NEAR, "nutrients.*.secretion",
+     "S T given off, of a cell of its type's volume, and S c taken up"),
+    (r"secretion", _MAPPED, "nutrients.*.secretion", ""),
+    (r"cell_transformations", _MAPPED, "responses.change_to_*", ""),
+    (r"cell_interactions|cell_integrity", _LEFT, "",
+     "cells do not eat, attack, damage or fuse with each other"),
+    (r"intracellular", _LEFT, "", _INSIDE),
+    (r"initial_parameter_distributions", _LEFT, "",
+     "cells of one type are alike at the start, but for cells.csv"),
+    (r"", _LEFT, "", "not known to this import"),
 )  # fmt: skip
-"""What has no counterpart here, whether it does something in the model, and why it has none."""
-_OMITTED_OF_TYPES: Final[Sequence[tuple[str, str, _OfType | None, str]]] = (
-    ("", "custom_data", None, _CODE),
-    ("phenotype", "intracellular", None, _INSIDE),
-    ("phenotype", "molecular", lambda _, one: _acts(one), _CODE),
-    ("phenotype", "cell_integrity", lambda _, one: _acts(one), "cells have no damage"),
-    ("phenotype", "cell_interactions", _attacks,
-     "cells do not eat, attack or fuse with each other"),
-    ("phenotype/mechanics", "attachment_elastic_constant attachment_rate detachment_rate "
-     "maximum_number_of_attachments", _joins, _SPRINGS),
-    ("phenotype/mechanics", "cell_BM_adhesion_strength cell_BM_repulsion_strength", None,
-     "used by C++ code of a model only"),
-    ("phenotype/volume", "fluid_fraction nuclear fluid_change_rate nuclear_biomass_change_rate",
-     None, "a cell has one volume"),
-    ("phenotype/volume", "calcified_fraction calcification_rate", lambda _, one: _acts(one),
-     "no calcium"),
-    ("phenotype/death/model/parameters", "calcification_rate", lambda _, one: _acts(one),
-     "no calcium"),
+"""What becomes of settings where the readers of the parts state nothing else, by their tags.
+
+The first pattern that fits counts; those of a type stand without what is above them.
+"""
+_OF_TYPES: Final = (
+    "transformation_rate", "cell_adhesion_affinity", "asymmetric_division_probability",
 )  # fmt: skip
-"""The same of a type: where, elements there, whether a number in them acts (None: yes), and why."""
+"""Tags of what names another type."""
+_NEEDED: Final = {
+    "mechanics/(attachment_elastic|maximum_number_of_att|detachment)": "attachment_rate",
+    "cell_interactions/(attack_d|damage_rate)": "attack_rates/attack_rate",
+}
+"""What means nothing where all elements at a path beside it are zero."""
+_ZEROS: Final = (
+    "domain|save|options/(virtual|random)|user_parameters|microenvironment_setup/variable|custom_|"
+    "intracellular|cycle/phase|mechanics/(cell_(cell|adhesion)|relative)|motility/persistence"
+)
+"""What means something where it is zero, false or empty."""
 
 
-def read_others(model: Model) -> None:
-    """Account for what has no counterpart here."""
-    account = model.account
-    _read_changes(model)
-    for path in ("cell_rules/settings", "options/disable_automated_spring_adhesions"):
-        account.take_all(model.root.all(path), Fate.OFF)
-    found, note = model.root.all(f"{_FIELDS}/calculate_gradients"), "where chemotaxis asks for them"
-    account.take_all(found, Fate.MAPPED, note=note)
-    for path, acts, why in _OMITTED:
-        account.leave_out(model.root.all(path), why, acts=acts)
-    for kind in model.kinds:
-        _account_for_changes(model, kind)
-        for one in kind.element.all("initial_parameter_distributions"):
-            _read_distributions(model, one)
-        for where, tags, of_type, why in _OMITTED_OF_TYPES:
-            for tag in tags.split():
-                leaves = chain(*(e.leaves() for e in kind.element.all(f"{where}/{tag}".strip("/"))))
-                account.leave_out(leaves, why, acts=of_type is None or partial(of_type, kind))
+def _account_for_rest(model: Model) -> None:
+    """Account for all settings that have no entry yet; without effect in the model they are off."""
+    names = {kind.name for kind in model.kinds}
+    for leaf in model.root.leaves():
+        if leaf in model.account:
+            continue
+        where = re.sub("^cell_definitions/cell_definition/(phenotype/)?", "", leaf.tags)
+        fate, key, note = next(row[1:] for row in _SETTINGS if re.match(row[0], where))
+        acts = bool(re.match(_ZEROS, where)) or not _says_nothing(leaf)
+        acts = acts and not (leaf.tag in _OF_TYPES and leaf.attributes.get("name") not in names)
+        for pattern, path in _NEEDED.items():
+            if re.match(pattern, where) and leaf.above is not None:
+                acts = acts and not all(map(_says_nothing, leaf.above.all(path)))
+        if leaf.is_off() or not acts:
+            fate, key, note = _OFF, "", ""
+        model.account.take(leaf, fate, key, note)
 
 
-def _changes(kind: Kind) -> dict[str, float]:
-    """Return the rates at which cells of a type become others, 1/min by their names."""
-    found = kind.listed(*_TRANSFORMATIONS)
-    return {one.attributes.get("name", ""): one.number(at_least=0.0) for one in found}
+def _says_nothing(leaf: Element) -> bool:
+    """Return whether an element is empty, false or zero."""
+    word = leaf.word()
+    if word.lower() in ("", "false"):
+        return not (word == "" and leaf.attributes)
+    try:
+        return float(word) == 0.0
+    except ValueError:
+        return False
+
+
+def _chances(kind: Kind, table: str, tag: str) -> dict[str, float]:
+    """Return the numbers of a table of a type by the names of other types."""
+    found = kind.given(table)
+    if found is None or found.is_off():
+        return {}
+    return {one.attributes.get("name", ""): one.number(at_least=0.0) for one in found.all(tag)}
 
 
 def _read_changes(model: Model) -> None:
-    """Read ``transformation_rates`` of all types, and rules that change them."""
+    """Read how cells become others, by rates and by division, and rules about it.
+
+    The chance of an asymmetric division is here that of each of two daughters.
+    """
+    _read_way(
+        model, "cell_transformations", "transformation_rates/transformation_rate",
+        "transform to", "change to", MINUTE,
+    )  # fmt: skip
+    if "growth" in model.scene:
+        _read_way(
+            model, "cycle/standard_asymmetric_division", "asymmetric_division_probability",
+            "asymmetric division to", "mutation to", 2.0, _HALVED,
+        )  # fmt: skip
+
+
+def _read_way(
+    model: Model, table: str, tag: str, theirs: str, ours: str, unit: float, note: str = ""
+) -> None:
     for to in model.kinds:
-        rates = {kind: _changes(kind).get(to.name, 0.0) for kind in model.kinds if kind is not to}
-
-        def value(kind: Kind, rule: Rule | None, rates: dict[Kind, float] = rates) -> float:
-            return (rates[kind] if rule is None else rule.end) / MINUTE
-
-        rules = rules_of(model, f"transform to {to.name}", rates)
-        set_behaviour(model, f"change to {to.key}", 0.0, value, rates, rules)
-
-
-def _account_for_changes(model: Model, kind: Kind) -> None:
-    for one in kind.listed(*_TRANSFORMATIONS, own=True):
-        to = model.kind_named(one.attributes.get("name", ""))
-        if to is None or to is kind or one.number() == 0.0:
-            model.account.take(one, Fate.OFF)
-        else:
-            model.account.take(one, Fate.MAPPED, f"responses.change_to_{to.key}_of_{kind.key}")
-
-
-def _read_distributions(model: Model, table: Element) -> None:
-    off = "enabled" in table.attributes and not table.says("enabled")
-    for one in table.all("distribution"):
-        quiet = off or ("enabled" in one.attributes and not one.says("enabled"))
-        note = "cells of one type are alike at the start, but for cells.csv"
-        model.account.leave_out([one], note, acts=not quiet)
-    model.account.take_all([table], Fate.OFF)
+        own = {
+            kind: _chances(kind, table, tag).get(to.name, 0.0) / unit
+            for kind in model.kinds
+            if kind is not to
+        }
+        rules = rules_of(model, f"{theirs} {to.name}", own)
+        set_behaviour(model, f"{ours} {to.key}", 0.0, own, rules, lambda r: r.end / unit, note)
 
 
 _ROOT = "PhysiCell_settings"
-_BESIDE = (
-    (
-        "C++ code of the model", Fate.LEFT_OUT,
-        "no code is read: what custom modules do to cells (oxygen that decides on the cycle, "
-        "contacts, placement) is not in the settings",
-    ),
-    (
-        "uptake of dead cells", Fate.APPROXIMATED,
-        "dead cells take up nothing here, a tenth in PhysiCell",
-    ),
-)  # fmt: skip
 
 
 def import_physicell(path: str | Path) -> Imported:
@@ -207,15 +212,17 @@ def import_physicell(path: str | Path) -> Imported:
     model = _read(root, source)
     assert model.cells is not None
     start = model.cells.columns(phases="growth" in model.scene)
-    for name, fate, note in _BESIDE:
-        model.account.add(name, "", fate, "", note)
-    entries = model.account.close(root)
+    note = "no code is read: what custom modules do to cells (oxygen that decides on the cycle, "
+    note += "contacts, placement) is not in the settings"
+    model.account.add("C++ code of the model", "", _LEFT, "", note)
+    note = "dead cells take up nothing here, a tenth in PhysiCell"
+    model.account.add("uptake of dead cells", "", _NEAR, "", note)
     try:
         scene = with_cells(Scene.from_dict(model.scene), start)
     except (SceneError, DataError) as error:
         place = error.path if isinstance(error, SceneError) else error.place
         raise SceneError(f"{source.name} as a scene: {place}", error.problem, error.hint) from None
-    return Imported(scene, start, entries, model.scene)
+    return Imported(scene, start, model.account.in_order(), model.scene)
 
 
 def _read(root: Element, source: Path) -> Model:
@@ -236,9 +243,9 @@ def _read(root: Element, source: Path) -> Model:
     read_death(model)
     read_mechanics(model)
     read_motility(model)
-    run.account_for_step(model)
-    run.account_for_voxels(model)
+    run.account_for_steps(model)
     read_secretion(model)
-    read_others(model)
+    _read_changes(model)
+    _account_for_rest(model)
     account_for_rules(model)
     return model

@@ -20,22 +20,16 @@ if TYPE_CHECKING:
 _MAX_LINES = 10**7
 _NEAR, _AWAY = 0.021, 0.1
 """How near two cells are taken to coincide, and by how much one of them is moved, in radii."""
-_READ = ("x", "y", "z", "type", "cell_type", "volume")
 
 
 @final
 @dataclass(frozen=True)
 class Start:
-    """The cells at the start: (n, 3) µm, their types, and (n,) µm³ where given, else NaN."""
+    """The cells at the start: (n, 3) µm, their types, and (n,) µm³."""
 
     position: FloatArray
     kinds: list[Kind]
     volume: FloatArray
-
-    def volumes(self) -> FloatArray:
-        """Return the volumes of the cells, (n,) µm³: their own or those of their types."""
-        usual = np.array([kind.volume for kind in self.kinds])
-        return np.where(np.isnan(self.volume), usual, self.volume)
 
     def columns(self, *, phases: bool) -> dict[str, NDArray[np.generic]]:
         """Return the columns of the table of cells that a scene starts from, by their titles.
@@ -45,7 +39,7 @@ class Start:
         made: dict[str, NDArray[np.generic]] = {
             f"position_{axis}_um": self.position[:, k] for k, axis in enumerate("xyz")
         }
-        made["radius_um"] = np.cbrt(self.volumes() / SPHERE)
+        made["radius_um"] = np.cbrt(self.volume / SPHERE)
         if len({kind.key for kind in self.kinds}) > 1:
             made["kind"] = np.array([kind.key for kind in self.kinds], dtype=object)
         if phases:
@@ -87,75 +81,60 @@ def _without_table(model: Model) -> Start:
         kinds = [kind for kind in model.kinds for _ in range(count)]
         random = np.random.default_rng(model.scene.get("seed", 0))
         position = low + (high - low) * random.random((len(kinds), 3))
-        return _move_apart(model, None, Start(position, kinds, np.full(len(kinds), np.nan)))
+        return _move_apart(model, "cells at random", _start(position, kinds))
     note = f"one cell of '{model.kinds[0].name}' in the middle: C++ code of the model places them"
     model.account.add("initial_conditions", "no table", Fate.LEFT_OUT, "initial.cells", note)
-    return Start(0.5 * (low + high)[None], [model.kinds[0]], np.full(1, np.nan))
+    return _start(0.5 * (low + high)[None], [model.kinds[0]])
+
+
+def _start(position: FloatArray, kinds: list[Kind]) -> Start:
+    return Start(position, kinds, np.array([kind.volume for kind in kinds]))
 
 
 def _from_table(model: Model, path: Path) -> Start:
     rows = read_rows(path)
-    if len(rows) > _MAX_LINES:
-        raise SceneError(path.name, f"has more than {_MAX_LINES:,} lines")
-    if not rows:
-        raise SceneError(path.name, "has no cells")
-    labels = None if _number(rows[0][1][0]) is not None else [w.lower() for w in rows.pop(0)[1]]
-    if labels is not None and (labels[:3] != ["x", "y", "z"] or len(labels) < 4):
+    titled = bool(rows) and _number(rows[0][1][0]) is None
+    labels = [word.lower() for word in rows.pop(0)[1]] if titled else ["x", "y", "z", "type"]
+    if labels[:3] != ["x", "y", "z"] or len(labels) < 4:
         problem = f"begins with '{','.join(labels[:4])[:60]}'"
         hint = "The first columns are x, y, z and the type, with or without a line of titles."
         raise SceneError(f"{path.name}, line 1", problem, hint)
+    if not rows and not titled:
+        raise SceneError(path.name, "has no cells")
     if not rows:
         model.account.add(path.name, "", Fate.OFF, "", "has no cells: as if there were no table")
         return _without_table(model)
-    found = [_cell(model, path, n, row, labels) for n, row in rows]
-    _account_for_columns(model, path, rows, labels)
-    cells = [cell for cell in found if cell is not None]
+    cells = []
+    for line, row in rows:
+        place, number = f"{path.name}, line {line}", _number(row[3] if len(row) > 3 else "")
+        if len(row) < 4 or (not titled and len(row) != 4):
+            raise SceneError(place, f"has {len(row)} columns, must have x, y, z and the type")
+        where = [x for x in map(_number, row[:3]) if x is not None]
+        if len(where) < 3:
+            raise SceneError(place, "has a coordinate that is no finite number")
+        volume = _number(dict(zip(labels, row, strict=False)).get("volume", ""))
+        if volume is not None and not volume > 0.0:
+            raise SceneError(place, f"has a volume of {volume:g}, must be above 0")
+        named = (k for k in model.kinds if number is not None and k.number == int(number))
+        kind = model.kind_named(row[3]) if titled else next(named, None)
+        if kind is not None:
+            cells.append((where, kind, volume or kind.volume))
+    _account_for_columns(model, path, [row for _, row in rows], labels)
+    if len(cells) < len(rows):
+        note = f"{len(rows) - len(cells)} cells of types that there are not, as in PhysiCell"
+        model.account.add(path.name, "", Fate.LEFT_OUT, "", note)
     position = np.array([cell[0] for cell in cells]).reshape(-1, 3)
     keep = _inside(model, path, position)
     if not keep.any():
         raise SceneError(path.name, "has no cell of a type of the model in its box")
     if model.scene["dimensions"] == 2:
-        _flatten(model, path, position)
+        if position[:, 2].any():
+            note = "all are 0: a scene of two dimensions is the plane there"
+            model.account.add(f"{path.name}, z", "", Fate.APPROXIMATED, "initial.cells", note)
+        position[:, 2] = 0.0
     kinds = [cell[1] for cell, kept in zip(cells, keep, strict=True) if kept]
-    if len(cells) < len(found):
-        note = f"{len(found) - len(cells)} cells of types that there are not, as in PhysiCell"
-        model.account.add(path.name, "", Fate.LEFT_OUT, "", note)
     start = Start(position[keep], kinds, np.array([cell[2] for cell in cells])[keep])
-    return _move_apart(model, path, start)
-
-
-def _cell(
-    model: Model, path: Path, line: int, row: list[str], labels: list[str] | None
-) -> tuple[list[float], Kind, float] | None:
-    """Return place, type and volume (NaN if not given) of a cell; None for an unknown type."""
-    place = f"{path.name}, line {line}"
-    if len(row) < 4 or (labels is None and len(row) != 4):
-        raise SceneError(place, f"has {len(row)} columns, must have x, y, z and the type")
-    position = [_number(word) for word in row[:3]]
-    if any(value is None for value in position):
-        raise SceneError(place, "has a coordinate that is no finite number")
-    if labels is None:
-        number = _number(row[3])
-        kind = next(
-            (k for k in model.kinds if number is not None and k.number == int(number)), None
-        )
-    else:
-        kind = model.kind_named(row[3])
-    volume = _extra(row, labels, "volume")
-    if volume is not None and not volume > 0.0:
-        raise SceneError(place, f"has a volume of {volume:g}, must be above 0")
-    if kind is None:
-        return None
-    return [x for x in position if x is not None], kind, np.nan if volume is None else volume
-
-
-def _extra(row: list[str], labels: list[str] | None, label: str) -> float | None:
-    """Return a number of a column that a table may have; None where it is skipped."""
-    if labels is None or label not in labels:
-        return None
-    place = labels.index(label)
-    word = row[place] if place < len(row) else ""
-    return None if not word or word[0] in "sS" else _number(word)
+    return _move_apart(model, path.name, start)
 
 
 def _number(word: str) -> float | None:
@@ -167,19 +146,19 @@ def _number(word: str) -> float | None:
 
 
 def _account_for_columns(
-    model: Model, path: Path, rows: list[tuple[int, list[str]]], labels: list[str] | None
+    model: Model, path: Path, rows: list[list[str]], labels: list[str]
 ) -> None:
     add = model.account.add
     add(f"{path.name}, x, y, z, type", f"{len(rows)} cells", Fate.MAPPED, "initial.cells")
-    for place, label in enumerate(labels or ()):
-        words = [row[place] for _, row in rows if place < len(row)]
-        on = any(word and word[0] not in "sS" for word in words)
-        name = f"{path.name}, {label}"
-        if label == "volume":
-            add(name, "", Fate.MAPPED if on else Fate.OFF, "radius in cells.csv" if on else "")
-        elif label not in _READ:
-            note = "cells of one type behave alike" if on else ""
-            add(name, "", Fate.LEFT_OUT if on else Fate.OFF, "", note)
+    for place, label in enumerate(labels[4:], start=4):
+        words = [row[place] for row in rows if place < len(row)]
+        if not any(word and word[0] not in "sS" for word in words):
+            add(f"{path.name}, {label}", "", Fate.OFF)
+        elif label == "volume":
+            add(f"{path.name}, {label}", "", Fate.MAPPED, "radius in cells.csv")
+        else:
+            note = "cells of one type behave alike"
+            add(f"{path.name}, {label}", "", Fate.LEFT_OUT, "", note)
 
 
 def _inside(model: Model, path: Path, position: FloatArray) -> NDArray[np.bool_]:
@@ -195,11 +174,11 @@ def _inside(model: Model, path: Path, position: FloatArray) -> NDArray[np.bool_]
     return keep
 
 
-def _move_apart(model: Model, path: Path | None, start: Start) -> Start:
+def _move_apart(model: Model, source: str, start: Start) -> Start:
     """Return cells of which no two coincide: one of each two that do is moved."""
     from scipy.spatial import KDTree
 
-    position, radius = start.position, float(np.cbrt(start.volumes().max() / SPHERE))
+    position, radius = start.position, float(np.cbrt(start.volume.max() / SPHERE))
     random, moved = np.random.default_rng(0), 0
     while (near := KDTree(position).query_pairs(_NEAR * radius, output_type="ndarray")).size:
         again = np.unique(near[:, 1])
@@ -208,14 +187,5 @@ def _move_apart(model: Model, path: Path | None, start: Start) -> Start:
         position[again, :2] += _AWAY * radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     if moved:
         note = f"{moved} cells at the place of another one are moved by {_AWAY * radius:.2g} um"
-        source = "cells at random" if path is None else path.name
         model.account.add(source, "", Fate.APPROXIMATED, "initial.cells", note)
     return start
-
-
-def _flatten(model: Model, path: Path, position: FloatArray) -> None:
-    """Put all cells into the plane z = 0."""
-    if position[:, 2].any():
-        note = "all are 0: a scene of two dimensions is the plane there"
-        model.account.add(f"{path.name}, z", "", Fate.APPROXIMATED, "initial.cells", note)
-    position[:, 2] = 0.0
