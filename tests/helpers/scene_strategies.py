@@ -43,8 +43,6 @@ NAMES = {
     "parameters": ("exponent",),
     "sides": FACES,
     "phases": PHASES,
-    "sources": ("pump", "dish"),
-    "regions": ("gel", "wall"),
     "reactions": ("binding", "breakdown"),
     "consumes": FIELDS,
     "produces": FIELDS,
@@ -76,7 +74,6 @@ TEXTS = {
 """Texts that name something, by their keys."""
 
 TOGETHER = {
-    "Source": ("strength x y z", "flux y", "flux z"),
     "Energy": ("yields quiescence", "yields necrosis", "yields growth_half_saturation"),
     "Response": ("signal law=hill half", "signal law=monod half", "signal law=threshold half",
                  "signal law=inhibition half", "signal law=linear begin end",
@@ -84,9 +81,9 @@ TOGETHER = {
     "Reaction": ("consumes", "consumes produces", "kind=hill produces activated_by",
                  "kind=hill produces inhibited_by"),
     "Motility": ("bias direction", "bias towards", ""),
-    "Side": ("type=mixed rate", "type=derivative derivative", "value", ""),
+    "Side": ("type=derivative derivative", "value", ""),
     "Domain": ("shape=sphere radius stiffness", "shape=sphere radius", "x y z"),
-    "Nutrient": ("uptake", "uptake_per_volume uptake_on", "uptake_per_volume sources",
+    "Nutrient": ("uptake", "uptake_per_volume uptake_on", "uptake_per_volume",
                  "uptake_per_volume geometry=radial layer"),
 }  # fmt: skip
 """Keys of parts that mean nothing alone, or exclude each other: one row of them is drawn."""
@@ -107,9 +104,7 @@ USUAL = {
     "mM/s": (1e-4, 0.02),
     "mM/um": (1e-6, 1e-3),
     "amol/s": (0.1, 50.0),
-    "amol/s/um^2": (1e-5, 1e-2),
     "1/s": (1e-7, 1e-3),
-    "1/um": (1e-3, 1.0),
     "Gy": (0.5, 10.0),
     "1/Gy": (0.05, 0.8),
     "1/Gy^2": (0.005, 0.1),

@@ -134,12 +134,12 @@ def test_fields_that_react_have_one_equation():
 # --- growth without bound -------------------------------------------------------------------------
 
 
-def test_a_field_that_explodes_is_named_with_its_growth_rate():
+def test_a_field_that_explodes_is_named():
     """Nothing is there at first, so that nothing tells of it before cells begin to secrete."""
     fields = {"a": {**CLOSED, "boundary": 0.0, "secretion": 100.0, "time_tolerance": 1e-2}}
     law = {"x": {"rate": "10 1/mM/s", "consumes": {"a": 2}, "produces": {"a": 3}}}
     run = mc.Simulation(scene(fields, law, domain=BOX))
-    with pytest.raises(StepFailed, match=r"a grows without bound: .* make it grow by .* 1/s"):
+    with pytest.raises(StepFailed, match=r"a would need steps of .* s at t = "):
         run.step()
     assert run.time == 0.0
     assert values(run, "a").max() == 0.0

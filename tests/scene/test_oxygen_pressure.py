@@ -93,7 +93,7 @@ def test_wherever_a_concentration_stands():
     made = scene(
         boundary="160 mmHg", half_saturation="2 mmHg", quiescence="8 mmHg", necrosis="1 mmHg",
         growth_half_saturation="3 mmHg", media=[["1 h", "20 mmHg"], [7200.0, 0.1]],
-        sides={"x-": {"value": "7 mmHg"}, "x+": {"type": "mixed", "rate": 0.1}},
+        sides={"x-": {"value": "7 mmHg"}},
     ).nutrients["oxygen"]  # fmt: skip
     found = [made.boundary, made.half_saturation, made.quiescence, made.necrosis,
              made.growth_half_saturation, made.media[0][1], made.sides["x-"].value]  # fmt: skip

@@ -220,17 +220,3 @@ def react(
             if c[j, x] < 0.0:
                 for i in range(m):
                     out[i, x] += slope[i, j, x] * c[j, x]
-
-
-def growth_rate(derivative: FloatArray, losses: FloatArray) -> tuple[float, int]:
-    """Return how fast the fastest growing mixture of fields grows at a node, and of which most is.
-
-    - ``derivative``, (m, m), 1/s: of the reactions' rates
-    - ``losses``, (m,), 1/s: what else takes each field, in proportion to it
-
-    Returns float, 1/s: largest real part of the eigenvalues; below zero nothing grows; int: row of
-    the field that has the largest part in it.
-    """
-    values, vectors = np.linalg.eig(derivative - np.diag(losses))
-    worst = int(np.argmax(values.real))
-    return float(values[worst].real), int(np.argmax(np.abs(vectors[:, worst])))
