@@ -187,14 +187,14 @@ class FieldGroup:
             f.name: substance(f.parameters, layout, position, radius, demand[f.name], f.schedule)
             for f in fields
         }
-        self._made_for = made_for
-        # what differs from place to place belongs to where grid and cells are
-        self._may_stay = all(f.parameters.nutrient.diffusion_medium is None for f in fields)
         self.equation = FieldEquation(
             None, substances, position, layout=layout, reactions=self.kinetics,
             tissue=tissue_share(layout, position, radius) if tissue else None,
             threads=self.first.threads,
         )  # fmt: skip
+        self._made_for = made_for
+        # what differs from place to place belongs to where grid and cells are
+        self._may_stay = all(f.parameters.nutrient.diffusion_medium is None for f in fields)
 
 
 def substance(

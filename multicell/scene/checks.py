@@ -147,7 +147,7 @@ def check_nutrients(scene: Scene) -> None:
     """Raise ``SceneError`` for fields that do not fit together or to the rest of the scene."""
     check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", FIELD)
     for name, reaction in scene.reactions.items():
-        for key in ("consumes", "produces", "activated_by", "inhibited_by"):
+        for key in ("consumes", "produces"):
             check_names(getattr(reaction, key), scene.nutrients, f"reactions.{name}.{key}", FIELD)
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"

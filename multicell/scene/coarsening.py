@@ -59,9 +59,7 @@ _SAME: Final[Mapping[str, str]] = {
     "nutrients.*.sides.*": "type value derivative",
     "nutrients.*.uptake_on.*": "effect half",
     "energy": "yields growth_half_saturation quiescence necrosis",
-    "reactions.*": "kind rate consumes produces where",
-    "reactions.*.activated_by.*": "half exponent",
-    "reactions.*.inhibited_by.*": "half exponent",
+    "reactions.*": "rate consumes produces where",
     "responses.*": "behaviour signal cells law falls half power begin end points base largest "
     "combine parameters",
     "signals.*": "of combine",

@@ -44,16 +44,17 @@ def ball_sink(grid, density):
     return scatter(POINTS, density * VOLUMES, low, float(grid.discretization[0]), grid.shape)
 
 
-def faces(grid, law):
-    """Return py-pde's Dirichlet conditions with an exact solution's values on all faces."""
-    middle = grid.axes_coords[0]
+def from_faces(grid, law):
+    """Return what an exact solution's values on all faces bring to the nodes, mM/s."""
+    middle, h = grid.axes_coords[0], float(grid.discretization[0])
     a, b = np.meshgrid(middle, middle, indexing="ij")
-    conditions = {}
-    for axis, name in enumerate("xyz"):
-        for side, at in (("-", -HALF_WIDTH), ("+", HALF_WIDTH)):
+    supply = np.zeros(grid.shape)
+    for axis in range(3):
+        for end, at in ((0, -HALF_WIDTH), (-1, HALF_WIDTH)):
             x = np.insert(np.stack([a, b], axis=-1), axis, at, axis=-1)
-            conditions[name + side] = {"value": law(np.linalg.norm(x - CENTRE, axis=-1))}
-    return conditions
+            layer = np.moveaxis(supply, axis, 0)[end]
+            layer += 2.0 * D / h**2 * law(np.linalg.norm(x - CENTRE, axis=-1))
+    return supply
 
 
 def starved_core(uptake, surface, necrotic):
@@ -73,9 +74,8 @@ def starved_core(uptake, surface, necrotic):
 def rms_error(n, law, density, half):
     grid = cube(n)
     start = np.full(grid.shape, float(law(np.array(2 * RADIUS))))
-    c, report = solve_steady(
-        diffusion(grid, D, faces(grid, law)), ball_sink(grid, density), half, start
-    )
+    operator, supply = diffusion(grid, D, 0.0), from_faces(grid, law)
+    c, report = solve_steady(operator, ball_sink(grid, density), half, start, supply=supply)
     r = np.linalg.norm(grid.cell_coords - CENTRE, axis=-1)
     return np.sqrt(np.mean((c - law(r)) ** 2)), c, report
 

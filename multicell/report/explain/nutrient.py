@@ -46,14 +46,7 @@ def _reaction_words(reaction: Reaction) -> str:
         return " + ".join(words) or "nothing"
 
     words = f"{side(reaction.consumes)} -> {side(reaction.produces)}"
-    if reaction.kind == "mass-action":
-        rate = f"mass action, {reaction.rate:g} {reaction.unit}"
-    else:
-        trends = ("more", reaction.activated_by), ("less", reaction.inhibited_by)
-        terms = [
-            f"{x} {n} (half at {t.half:g} mM)" for x, terms in trends for n, t in terms.items()
-        ]
-        rate = f"{reaction.rate:g} mM/s at most, faster with {', '.join(terms)}"
+    rate = f"mass action, {reaction.rate:g} {reaction.unit}"
     place = "" if reaction.where == "everywhere" else f", in {reaction.where}"
     return f"{words}: {rate}{place}"
 
