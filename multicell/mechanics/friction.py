@@ -23,7 +23,6 @@ form a family of their own, and numba's disk cache does not notice changes in ot
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
@@ -41,16 +40,6 @@ if TYPE_CHECKING:
 
 _TINY = 1e-300
 _NO_OFFSET = np.empty(0)
-
-
-class Listed(NamedTuple):
-    """Arrays of a :class:`PairList`, for kernels."""
-
-    first: IndexArray
-    second: IndexArray
-    start: OffsetArray
-    inner_end: OffsetArray
-    outer_end: OffsetArray
 
 
 class Gamma(NamedTuple):
@@ -122,17 +111,17 @@ def _touching(begin, end, at, rows, first, second, offset, normal, tangential, n
 
 
 @njit(**KERNEL)
-def _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag):
+def _measure_chunk(
+    c, gamma, first, second, inner_end, outer_end, rows, offset, normal, tangential, drag
+):
     """Store the touching pairs of one chunk and 1 / mean diagonal of Γ of its cells."""
     start, ends, near, link = gamma.start[c], gamma.ends, gamma.near, gamma.link
     inverse = gamma.inverse
     at = start
     for side in range(2):
-        begin = start if side == 0 else pairs.inner_end[c]
-        end = pairs.inner_end[c] if side == 0 else pairs.outer_end[c]
-        at = _touching(
-            begin, end, at, rows, pairs.first, pairs.second, offset, normal, tangential, near, link
-        )
+        begin = start if side == 0 else inner_end[c]
+        end = inner_end[c] if side == 0 else outer_end[c]
+        at = _touching(begin, end, at, rows, first, second, offset, normal, tangential, near, link)
         ends[c, side] = at
     low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, rows.shape[0])
     for i in range(low, high):
@@ -265,10 +254,12 @@ def _sum(part, k):
     return total
 
 
-def _measure(gamma, pairs, rows, offset, normal, tangential, drag):
+def _measure(gamma, first, second, inner_end, outer_end, rows, offset, normal, tangential, drag):
     """Store Γ at the state in ``rows``: touching pairs, Stokes drag, inverse diagonal."""
     for c in prange(gamma.start.size):
-        _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag)
+        _measure_chunk(
+            c, gamma, first, second, inner_end, outer_end, rows, offset, normal, tangential, drag
+        )
 
 
 def _conjugate_gradients(gamma, force, tolerance, most, warm, work, part, x):
@@ -313,36 +304,26 @@ class FrictionNotSolvedError(Exception):
 
 
 @final
-@dataclass(frozen=True)
-class Friction:
-    """Friction between touching cells, proportional to the contact area.
-
-    - ``normal``, ``tangential``: coefficients γ_n and γ_t against approach and against sliding, nN
-      s/µm³, not negative
-    - ``tolerance``: Γ v = F is solved to |F - Γ v| <= tolerance |F| (Euclidean norms over all
-      cells)
-    - ``most_iterations``: iterations after which the solution is given up
-    """
-
-    normal: float
-    tangential: float
-    tolerance: float = 1e-6
-    most_iterations: int = 2000
-
-    def matrix(self, n: int, drag: float, chunk: int) -> FrictionMatrix:
-        """Return a Γ for ``n`` cells with Stokes drag ``drag`` (6πη, kPa s) times radius."""
-        return FrictionMatrix(self, n, drag, chunk)
-
-
-@final
 class FrictionMatrix:
     """Γ at one state of the cells, with the work arrays of its solution.
 
     Call :meth:`measure` first; all vectors are (n, 3).
+
+    - ``coefficients``: γ_n and γ_t against approach and against sliding of touching cells, in
+      proportion to the contact area, nN s/µm³, not negative
+    - ``n``, ``drag``, ``chunk``: number of cells, Stokes drag over radius (6πη, kPa s), and cells
+      in a chunk
+    - ``tolerance``: Γ v = F is solved to |F - Γ v| <= tolerance |F| (Euclidean norms over all
+      cells)
+    - ``most``: iterations after which the solution is given up
     """
 
-    def __init__(self, friction: Friction, n: int, drag: float, chunk: int) -> None:
-        self.friction, self.drag, self.chunk = friction, drag, chunk
+    def __init__(
+        self, coefficients: tuple[float, float], n: int, drag: float, chunk: int, *,
+        tolerance: float = 1e-6, most: int = 2000,
+    ) -> None:  # fmt: skip
+        self.coefficients, self.drag, self.chunk = coefficients, drag, chunk
+        self.tolerance, self.most = tolerance, most
         self._stokes, self._inverse = np.empty(n), np.empty(n)
         self._work = Vectors(*(np.empty((n, 3)) for _ in range(5)))
         self._pairs: PairList | None = None
@@ -363,7 +344,7 @@ class FrictionMatrix:
         - ``offset``: part of the overlap of each pair of the list that makes no contact, µm; empty
           for none
         """
-        normal, tangential = self.friction.normal, self.friction.tangential
+        normal, tangential = self.coefficients
         if self._gamma is None or self._pairs is not pairs:
             sign = float(np.sign(normal - tangential))
             room, chunks = len(pairs.first), len(pairs.start)
@@ -372,14 +353,15 @@ class FrictionMatrix:
                 np.empty((room, 2), dtype=np.int32), np.empty((room, 4 if sign else 1)),
                 self._stokes, self._inverse,
             )  # fmt: skip
-            self._listed = Listed(
-                pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end
-            )
             self._part = np.empty((chunks, 3))
             self._pairs = pairs
         self._shared = shared
         run = measure_parallel if shared else measure
-        run(self._gamma, self._listed, rows, offset, normal, tangential, self.drag)
+        ends = pairs.inner_end, pairs.outer_end
+        run(
+            self._gamma, pairs.first, pairs.second, *ends, rows, offset, normal, tangential,
+            self.drag,
+        )  # fmt: skip
 
     def apply(self, vector: FloatArray, out: FloatArray) -> None:
         """Write Γ v, nN, for ``vector`` in µm/s."""
@@ -402,14 +384,13 @@ class FrictionMatrix:
         - ``held``: cells that stand still: theirs are no unknowns, and have zero force and velocity
         """
         gamma = self._measured() if held is None else self._measured()._replace(held=held)
-        wanted = self.friction.tolerance if tolerance is None else tolerance
+        wanted = self.tolerance if tolerance is None else tolerance
         if not warm:
             velocity[:] = 0.0
             self._work.w[:] = 0.0
         run: Any = conjugate_gradients_parallel if self._shared else conjugate_gradients
         steps, left, scale = run(
-            gamma, force, wanted, self.friction.most_iterations, warm, self._work, self._part,
-            velocity,
+            gamma, force, wanted, self.most, warm, self._work, self._part, velocity,
         )  # fmt: skip
         if scale == 0.0:
             # nothing pushes: no relative tolerance could be met from a guess that moves
@@ -450,9 +431,8 @@ class PairFriction:
     failure = FrictionNotSolvedError
 
     def __init__(self, coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> None:
-        friction = Friction(*coefficients)
-        self._present = friction.matrix(n, drag, chunk)
-        self._linearised = friction.matrix(n, drag, chunk)
+        self._present = FrictionMatrix(coefficients, n, drag, chunk)
+        self._linearised = FrictionMatrix(coefficients, n, drag, chunk)
         self._last = np.zeros((n, 3))
         self._product = np.empty((n, 3))
         self.force = np.empty((n, 3))

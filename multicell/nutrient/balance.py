@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
 
 SIGNS: Final = {
-    "inflow": 1.0, "secreted": 1.0, "injected": 1.0, "made": 1.0,
+    "inflow": 1.0, "secreted": 1.0, "made": 1.0,
     "uptake": -1.0, "decayed": -1.0, "used": -1.0,
     "outflow": 0.0, "washed": 0.0,
 }  # fmt: skip
@@ -26,7 +26,7 @@ _TOTALS: Final = (
     "inflow", "outflow", "washed", "uptake", "secreted", "decayed", "relaid", "stored", "content",
     "remainder", "relative_remainder",
 )  # fmt: skip
-_WHERE_ANY: Final = ("injected", "made", "used")
+_WHERE_ANY: Final = ("made", "used")
 
 
 FADED: Final = 1e-6
@@ -41,20 +41,16 @@ class Exchange:
 
     Rates (amol/s) of a field at rest, amounts (amol) of one that was brought through some time.
 
-    - ``inflow ... relaid``: see :class:`Ledger`. ``injected`` is None for a field without points
-      and planes, ``made`` and ``used`` are None for one that takes part in no reaction.
+    - ``inflow ... relaid``: see :class:`Ledger`. ``made`` and ``used`` are None for a field that
+      takes part in no reaction.
     - ``newton``, ``cg``, ``residual``: of a steady solve: its steps, and the sum of all nodes'
       imbalances (amol/s)
-    - ``steps``, ``rejections``, ``first_order``: of a march: steps taken and refused, and steps
-      whose value of second order was negative somewhere
-    - ``error``: largest estimate of a step's error over the concentration scale
     """
 
     inflow: float = 0.0
     outflow: float = 0.0
     uptake: float = 0.0
     secreted: float = 0.0
-    injected: float | None = None
     decayed: float = 0.0
     washed: float = 0.0
     made: float | None = None
@@ -63,10 +59,6 @@ class Exchange:
     newton: int = 0
     cg: int = 0
     residual: float = 0.0
-    steps: int = 0
-    rejections: int = 0
-    first_order: int = 0
-    error: float = 0.0
 
     @classmethod
     def of(cls, row: Sequence[float], absent: Sequence[str], **more: float) -> Self:
@@ -106,7 +98,6 @@ class Ledger:
       what the old took along
     - ``spoiled``: what decayed in it
     - ``changes``: how many changes of the medium have been done
-    - ``injected``, float or None: by points and planes; None where there are none
     - ``made``, ``used``, float or None: by reactions with other fields, what they make of it and
       take from it at each place; None where there are none
     """
@@ -126,7 +117,6 @@ class Ledger:
     discarded: float = 0.0
     spoiled: float = 0.0
     changes: float = 0
-    injected: float | None = None
     made: float | None = None
     used: float | None = None
 
@@ -197,8 +187,6 @@ class Ledger:
     def summary(self) -> dict[str, float]:
         """Return totals in amol, and the remainder relative to turnover or content."""
         found = {name: getattr(self, name) for name in _TOTALS}
-        if self.injected is not None:
-            found["injected"] = self.injected
         if self.made is not None:
             found |= {"made": self.made, "used": self.used or 0.0}
         return found | self._medium()

@@ -10,7 +10,6 @@ from typing import final
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.compiling import INNER, KERNEL
@@ -150,19 +149,18 @@ def overlaps(old: Box, new: Box) -> list[FloatArray]:
 
 def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:
     """Return node values on ``new``, interpolated from ``old`` and ``fill`` outside it."""
-    nodes = new.axes()
-    inside = [
-        (axis >= low) & (axis <= high)
-        for axis, low, high in zip(nodes, old.origin, old.upper, strict=True)
-    ]
+    nodes, inside = new.axes(), []
+    for k in (2, 1, 0):
+        there = (nodes[k] >= old.origin[k]) & (nodes[k] <= old.upper[k])
+        u = (nodes[k][there] - old.origin[k]) / old.spacing - 0.5
+        lower = np.floor(u).astype(np.int64)
+        w = (u - lower).reshape([-1 if axis == k else 1 for axis in range(3)])
+        low = values.take(np.maximum(lower, 0), axis=k)
+        high = values.take(np.minimum(lower + 1, values.shape[k] - 1), axis=k)
+        values = (1.0 - w) * low + w * high
+        inside.append(there)
     out = np.full(new.shape, fill)
-    x, y, z = (
-        _places(axis[mask], low, old.spacing, n)
-        for axis, mask, low, n in zip(nodes, inside, old.origin, values.shape, strict=True)
-    )
-    # the nodes inside lie together
-    block = out[tuple(slice(int(mask.argmax()), None) for mask in inside)]
-    _resample(values, x, y, z, block)
+    out[np.ix_(*reversed(inside))] = values
     return out
 
 
@@ -309,39 +307,6 @@ def _gather(position, values, origin, spacing, out):
         )
         out[c] = (1.0 - wx) * low + wx * high
     return -1, flat_near, flat_near or near
-
-
-def _places(
-    along: FloatArray, low: float, spacing: float, n: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
-    """Return for points along an axis what :func:`_axis_weight` does, an array of each."""
-    u = (along - low) / spacing - 0.5
-    lower = np.floor(u).astype(np.int64)
-    return np.maximum(lower, 0), np.minimum(lower + 1, n - 1), u - lower
-
-
-@njit(**KERNEL)
-def _resample(values, x, y, z, out):
-    """Write ``values`` interpolated at the points of three axes to the corner of ``out``.
-
-    Each axis comes as the lower nodes, the upper nodes, and the weights of the upper ones.
-    """
-    for a in range(x[0].size):
-        wx = x[2][a]
-        for b in range(y[0].size):
-            wy = y[2][b]
-            p, q = values[x[0][a], y[0][b]], values[x[0][a], y[1][b]]
-            r, s = values[x[1][a], y[0][b]], values[x[1][a], y[1][b]]
-            row = out[a, b]
-            for c in range(z[0].size):
-                i, j, wz = z[0][c], z[1][c], z[2][c]
-                low = (1.0 - wy) * ((1.0 - wz) * p[i] + wz * p[j]) + wy * (
-                    (1.0 - wz) * q[i] + wz * q[j]
-                )
-                high = (1.0 - wy) * ((1.0 - wz) * r[i] + wz * r[j]) + wy * (
-                    (1.0 - wz) * s[i] + wz * s[j]
-                )
-                row[c] = (1.0 - wx) * low + wx * high
 
 
 def _points(position: FloatArray) -> FloatArray:

@@ -39,15 +39,13 @@ class Diffusion:
     - ``box``: the nodes
     - ``diffusion``, float, µm²/s: in tissue
     - ``boundary``: concentration in mM on all faces, or a condition for each in py-pde's terms
-      (``{"x-": {"value": 0.1}, "x+": {"derivative": 0.0}, ...}``). ``value``, ``derivative`` and
-      ``const`` may differ over a face: arrays of its nodes.
+      (``{"x-": {"value": 0.1}, "x+": {"derivative": 0.0}, ...}``)
     - ``varied``, (nx, ny, nz), optional: coefficient of diffusion at the nodes over that of tissue;
       absent: one everywhere. At faces between nodes it is the harmonic mean, for which the flow is
       continuous where the coefficient jumps.
 
     - ``ghost``, (6,): factors of the faces x-, x+, y-, y+, z-, z+
-    - ``const``, six arrays (ny, nz), (ny, nz), (nx, nz), (nx, nz), (nx, ny), (nx, ny); mM: what the
-      conditions add
+    - ``const``, (6,), mM: what the conditions add
     - ``source``, (nx, ny, nz), mM/s: what they bring to the nodes where the coefficient is that of
       tissue
     """
@@ -79,23 +77,13 @@ class Diffusion:
         if not isinstance(boundary, Mapping):
             boundary = {face: {"value": boundary} for face in _FACES}
         found = [ghost_terms(boundary[f], self.spacing) for f in _FACES[: 2 * self.dimensions]]
-        const, ghost = zip(*found, strict=True)
-        plain = not any(isinstance(each, np.ndarray) for each in const)
-        self._sides = (_same_sides if plain else _sides)(self.shape, ghost, const)
+        self._sides = _sides(self.shape, *zip(*found, strict=True))
         self.ghost, self.const = self._sides.ghost, self._sides.const
         brought = self._sides.brought
-        self.source = _brought(self.const) if brought is None else brought.copy()
+        self.source = _brought(self.shape, self.const) if brought is None else brought.copy()
         self.source *= self.stiffness
-        self._leak = self.stiffness * self._sides.leak
         halves = self._sides.halves
         self._dense = dense.Inverse(halves, self.stiffness) if halves else None
-
-    def divergence(self, c: FloatArray) -> FloatArray:
-        """Return D L c in mM/s, boundary values included."""
-        out = np.empty_like(c)
-        zero = np.zeros_like(c)
-        stencil.apply_operator(c, zero, self.stiffness, self.ghost, self.weights, out)
-        return np.asarray(self.stencil_source() - out)
 
     def flows(self, c: FloatArray) -> tuple[float, float]:
         """Return what flows in and out through the faces, amol/s."""
@@ -118,19 +106,19 @@ class Diffusion:
     def invert(self, y: NDArray[Any], shift: float) -> tuple[NDArray[Any], float]:
         """Solve (-D L0 + shift) u = y approximately, in the precision of ``y``.
 
-        L0 is the Laplacian with every face taken as the nearer one of a value and a slope, both
-        zero, and a uniform coefficient. Returns u, which takes the memory of ``y``, and y . u.
+        L0 is the Laplacian with zero on the faces and a uniform coefficient. Returns u, which takes
+        the memory of ``y``, and y . u.
         """
         if self._dense is not None and y.dtype == np.float32:
-            return y, self._dense.overwrite(y, shift + self._leak)
+            return y, self._dense.overwrite(y, shift)
         ax, ay, az = self.eigenvalues
         spectrum = _transform(y, self.kinds, inverse=False)
-        product = stencil.divide_spectrum(spectrum, ax, ay, az, shift + self._leak)
+        product = stencil.divide_spectrum(spectrum, ax, ay, az, shift)
         return _transform(spectrum, self.kinds, inverse=True), product
 
     @property
     def kinds(self) -> list[tuple[bool, bool]]:
-        """Of each axis which ends the inverse takes as values, the others as slopes."""
+        """Of each axis which ends have values, the others have slopes."""
         return self._sides.kinds
 
     @property
@@ -153,10 +141,7 @@ class _Sides(NamedTuple):
     """What follows from the shape of a grid and the conditions on its faces alone.
 
     - ``ghost``, ``const``: see :class:`Diffusion`
-    - ``kinds``, (3,) of (bool, bool): of each axis which ends the inverse takes as values, the
-      others as slopes
-    - ``leak``, float: the mean of what the others let through, over D/h². The ratio of a mixed
-      condition to a slope stays bounded when the grid becomes finer, that to a value does not.
+    - ``kinds``, (3,) of (bool, bool): of each axis which ends have values, the others have slopes
     - ``halves``, (3,) of (4, h, h), (n,): see :func:`multicell.nutrient.dense.halves`; empty for
       grids that these do not suit
     - ``brought``, (nx, ny, nz), mM: what nodes gain by ``const``, over D/h²; None on such large
@@ -164,41 +149,24 @@ class _Sides(NamedTuple):
     """
 
     ghost: FloatArray
-    const: stencil.Faces
+    const: FloatArray
     kinds: list[tuple[bool, bool]]
-    leak: float
     halves: list[tuple[NDArray[np.float32], FloatArray]]
     brought: FloatArray | None
 
 
+@lru_cache(maxsize=16)  # a grid that follows the cells has the same shape for many steps
 def _sides(
-    shape: tuple[int, int, int], factors: tuple[float, ...], constants: tuple[Any, ...]
+    shape: tuple[int, int, int], constants: tuple[float, ...], factors: tuple[float, ...]
 ) -> _Sides:
-    """Return what follows from factors and constants of the faces; a plane has two walls besides.
-
-    - ``constants``, mM: numbers, or arrays of the nodes of a face
-    """
+    """Return what follows from constants (mM) and factors; a plane has two walls besides."""
     walls = 6 - len(factors)
-    ghost, const, kinds, leak = np.array((*factors, *[1.0] * walls)), [], [], 0.0
-    for face, each in enumerate((*constants, *[0.0] * walls)):
-        across = _across(shape, face)
-        const.append(np.full(across, np.reshape(each, across) if np.ndim(each) else each))
-    for axis, n in enumerate(shape):
-        low, high = (n > 1 and factor < -0.5 for factor in ghost[2 * axis : 2 * axis + 2])
-        kinds.append((bool(low), bool(high)))
-        for value, factor in zip((low, high), ghost[2 * axis : 2 * axis + 2], strict=True):
-            leak += 0.0 if value else float(1.0 - factor) / n
+    ghost, const = np.array((*factors, *[1.0] * walls)), np.array((*constants, *[0.0] * walls))
+    kinds = [(bool(low < 0.0), bool(high < 0.0)) for low, high in ghost.reshape(3, 2)]
     halves = []
     if max(shape) <= dense.MOST and all(low == high for low, high in kinds):
         halves = [dense.halves(n, low) for n, (low, _) in zip(shape, kinds, strict=True)]
-    a, b, c, d, e, f = const
-    return _Sides(
-        ghost, (a, b, c, d, e, f), kinds, leak, halves, _brought(const) if halves else None
-    )
-
-
-_same_sides = lru_cache(maxsize=16)(_sides)
-"""The same for numbers: a grid that follows the cells has the same shape for many steps."""
+    return _Sides(ghost, const, kinds, halves, _brought(shape, const) if halves else None)
 
 
 def _transform(
@@ -218,21 +186,9 @@ def _transform(
     return y
 
 
-def _brought(const: Sequence[FloatArray]) -> FloatArray:
+def _brought(shape: tuple[int, int, int], const: FloatArray) -> FloatArray:
     """Return what nodes gain by the constants of the six faces, (nx, ny, nz) mM."""
-    found = np.zeros((const[2].shape[0], *const[0].shape))
+    found = np.zeros(shape)
     for face, each in enumerate(const):
-        layer = _layer(found, face)
-        layer += each
+        found[(slice(None),) * (face // 2) + (-(face % 2),)] += each
     return found
-
-
-def _layer(values: NDArray[Any], face: int) -> NDArray[Any]:
-    """Return the nodes at a face, of x-, x+, y-, y+, z-, z+, as a view."""
-    at = -(face % 2)
-    return values[(slice(None),) * (face // 2) + (at,)]
-
-
-def _across(shape: tuple[int, int, int], face: int) -> tuple[int, ...]:
-    """Return the shape of the nodes at a face."""
-    return shape[: face // 2] + shape[face // 2 + 1 :]

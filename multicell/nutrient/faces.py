@@ -17,18 +17,10 @@ import numpy as np
 from multicell.cells import FloatArray
 
 
-def ghost_terms(condition: Mapping[str, Any], spacing: float) -> tuple[Any, float]:
-    """Return ``const`` and ``factor`` of the node beyond a face with py-pde's ``condition``.
-
-    ``const`` is an array where the condition differs over the face.
-    """
-    h = spacing
-    if condition.get("type") == "mixed":
-        rate = condition["value"]
-        whole = 1.0 / h + 0.5 * rate
-        return condition["const"] / whole, (1.0 / h - 0.5 * rate) / whole
+def ghost_terms(condition: Mapping[str, float], spacing: float) -> tuple[float, float]:
+    """Return ``const`` and ``factor`` of the node beyond a face with py-pde's ``condition``."""
     if "derivative" in condition:
-        return h * condition["derivative"], 1.0
+        return spacing * condition["derivative"], 1.0
     return 2.0 * condition["value"], -1.0
 
 

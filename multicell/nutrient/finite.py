@@ -106,7 +106,6 @@ class _Exchange:
             self.media[name] = replace(medium, volume=volume, amount=amount)
             self.totals[name] = float(self.before[i]) + medium.amount
             self.guess[name] = self.media[name].concentration
-        self.info = {"steps": 0, "rejections": 0, "first_order": 0, "error": 0.0}
         self.amounts = np.zeros((len(group.names), len(COLUMNS)))
 
     def changes(self, end: float) -> list[tuple[float, str, float]]:
@@ -149,10 +148,7 @@ class _Exchange:
             self._settle()
 
     def _enter(self, info: dict[str, Any]) -> None:
-        """Enter what a solver has done, and what decayed in the media."""
-        for key in ("steps", "rejections", "first_order"):
-            self.info[key] += info[key]
-        self.info["error"] = max(self.info["error"], info["error"])
+        """Enter what happened to the fields, and what decayed in the media."""
         self.amounts = self.amounts + info["amounts"]
         for name, medium in self.media.items():
             row = info["amounts"][self.group.names.index(name)]
@@ -188,7 +184,7 @@ class _Exchange:
             self.group.fields[name].well_mixed = medium
         self.group.finish(self.now)
         gained = self.group.masses() - self.before if self.steady else self.relaid
-        return self.group.exchanges({**self.info, "amounts": self.amounts}, gained)
+        return self.group.exchanges(self.amounts, gained)
 
 
 class _Media:
@@ -270,10 +266,6 @@ class WithMedia(_Media):
         found = np.maximum(self.equation.scales(before, begin, end), self._faded)
         return np.concatenate([found, found[self._rows]])
 
-    def growing(self, data: FloatArray) -> str:
-        """Return in words which substance grows without bound; empty if none does."""
-        return self.equation.growing(data[: len(self.names)])
-
 
 _OTHERS: Final = np.array([
     0.0 if name in ("inflow", "decayed") else SIGNS.get(name, 0.0) for name in COLUMNS
@@ -331,10 +323,6 @@ class AtRestWithMedia(_Media):
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return what errors of each total are small beside, amol."""
         return np.asarray(np.maximum(self.levels, self._faded[self._rows]) * self._volumes)
-
-    def growing(self, data: FloatArray) -> str:
-        """Return in words which substance grows without bound; empty if none does."""
-        return self.equation.growing(np.array(self.state.data))
 
 
 Excess = Callable[[FloatArray], tuple[FloatArray, FloatArray]]

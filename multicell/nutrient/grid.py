@@ -21,7 +21,6 @@ from multicell.vectors import corners, cubes, lengths, squares, weighted_mean
 
 if TYPE_CHECKING:
     from multicell.results.frame import Field
-    from multicell.scene.nutrient import Side
     from multicell.scene.parts import Domain
 
 
@@ -38,17 +37,6 @@ _CUBE = 1.14445
 The harmonic function with the values 1/|x| on the faces is 1 / 1.14445 there (half edge 1; by its
 series of sines).
 """
-
-
-def _condition(side: Side) -> dict[str, Any]:
-    """Return a condition in py-pde's terms."""
-    if side.type == "derivative":
-        return {"derivative": float(side.derivative or 0.0)}
-    value = float(side.value or 0.0)
-    if side.type == "mixed":
-        rate = float(side.rate or 0.0)
-        return {"type": "mixed", "value": rate, "const": rate * value}
-    return {"value": value}
 
 
 @final
@@ -222,11 +210,6 @@ class BoxLayout:
         out = np.full(len(points), fill)
         out[inside] = old.gather(points[inside], values)
         return out.reshape(box.shape)
-
-    def conditions(self, sides: Mapping[str, Side]) -> dict[str, Any]:
-        """Return the conditions on the faces in py-pde's terms."""
-        axes = "xyz" if self.box.height is None else "xy"
-        return {axis + end: _condition(sides[axis + end]) for axis in axes for end in "-+"}
 
     def field(self, name: str, values: FloatArray) -> Field:
         """Return a field for frames."""
@@ -433,10 +416,6 @@ class ShellLayout:
         middles = 0.5 * (faces[1:] + faces[:-1])
         means = total[filled] / number[filled]
         return np.interp(middles, middles[filled], means) if filled.any() else self.filled(fill)
-
-    def conditions(self, sides: Mapping[str, Side]) -> dict[str, Any]:
-        """Return the condition on the surface in py-pde's terms."""
-        return _condition(sides["r+"])
 
     def field(self, name: str, values: FloatArray) -> Field:
         """Return a field for frames."""

@@ -20,9 +20,8 @@ from multicell.cells import FloatArray
 from multicell.nutrient import finite
 from multicell.nutrient.balance import FADED, Exchange
 from multicell.nutrient.equations.equation import FieldEquation
-from multicell.nutrient.equations.substance import LINEAR_TERMS, Substance
-from multicell.nutrient.grid import Layout, tissue_share
-from multicell.nutrient.regions import coefficients, injected
+from multicell.nutrient.equations.substance import Substance
+from multicell.nutrient.grid import Layout, relative_diffusion, tissue_share
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.parameters import FieldParameters
     from multicell.nutrient.reactions.kinetics import Kinetics
-    from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
 
 Demand = Mapping[str, tuple[FloatArray, FloatArray | None]]
@@ -103,7 +101,7 @@ class FieldGroup:
         tolerance = min(n.time_tolerance for n in nutrients)
         self._run("multicell-march", begin, end, tolerance=tolerance, scales=scales)
         self.finish(end)
-        return self.exchanges(self.info, relaid)
+        return self.exchanges(self.info["amounts"], relaid)
 
     def fill(self, position: FloatArray, *, radius: FloatArray | None, time: float) -> None:
         """Begin with the media's concentrations everywhere."""
@@ -118,10 +116,10 @@ class FieldGroup:
         carry: bool,
     ) -> None:  # fmt: skip
         """Lay the grid round the cells, and take over values; amounts stay where they ``carry``."""
-        fields = self.fields.values()
-        for name in self.names:
-            position, radius = checked(position, *demand[name], radius)
-        assert radius is not None
+        fields, position = self.fields.values(), np.asarray(position, dtype=np.float64)
+        if position.ndim != 2 or position.shape[1] != 3:
+            raise ValueError(f"position has shape {position.shape}, expected (n, 3)")
+        radius = np.ones(len(position)) if radius is None else np.asarray(radius, dtype=np.float64)
         # what finds no medium beyond its own sides must have all cells on the grid they share
         strays = all(f.parameters.open_medium for f in fields)
         self.layout, self._kept, position = self.first.lay(position, radius, strays=strays)
@@ -160,17 +158,13 @@ class FieldGroup:
 
     def _exchange(self, name: str, row: FloatArray, **more: float) -> Exchange:
         """Return what a field exchanged, from a row of what solvers say."""
-        field = self.fields[name]
-        absent = [] if field.parameters.nutrient.sources else ["injected"]
-        if self.kinetics is None:
-            absent += ["made", "used"]
+        absent = ("made", "used") if self.kinetics is None else ()
         return Exchange.of(row.tolist(), absent, **more)
 
-    def exchanges(self, info: Mapping[str, Any], relaid: FloatArray) -> dict[str, Exchange]:
+    def exchanges(self, amounts: FloatArray, relaid: FloatArray) -> dict[str, Exchange]:
         """Return what the fields exchanged by a march; ``relaid`` (amol) what the grid gained."""
-        counts = {name: info[name] for name in ("steps", "rejections", "first_order", "error")}
-        rows = zip(self.names, info["amounts"], relaid.tolist(), strict=True)
-        return {name: self._exchange(name, row, relaid=more, **counts) for name, row, more in rows}
+        rows = zip(self.names, amounts, relaid.tolist(), strict=True)
+        return {name: self._exchange(name, row, relaid=more) for name, row, more in rows}
 
     def _set_equation(
         self, layout: Layout, position: FloatArray, radius: FloatArray, demand: Demand
@@ -193,13 +187,14 @@ class FieldGroup:
             f.name: substance(f.parameters, layout, position, radius, demand[f.name], f.schedule)
             for f in fields
         }
-        self._made_for = made_for
-        self._may_stay = not any(_stands_still(f.parameters.nutrient) for f in fields)
         self.equation = FieldEquation(
             None, substances, position, layout=layout, reactions=self.kinetics,
             tissue=tissue_share(layout, position, radius) if tissue else None,
             threads=self.first.threads,
         )  # fmt: skip
+        self._made_for = made_for
+        # what differs from place to place belongs to where grid and cells are
+        self._may_stay = all(f.parameters.nutrient.diffusion_medium is None for f in fields)
 
 
 def substance(
@@ -216,46 +211,15 @@ def substance(
     def conditions(level: float) -> dict[str, Any]:
         return parameters.conditions(layout, level)
 
-    supply = injected(layout, nutrient.sources) if nutrient.sources else None
-    varied = coefficients(layout, position, radius, nutrient)
+    medium_diffusion, varied = nutrient.diffusion_medium, None
+    if medium_diffusion is not None and medium_diffusion != nutrient.diffusion:
+        varied = relative_diffusion(layout, position, radius, medium_diffusion, nutrient.diffusion)
     capacity, production = demand
     return Substance(
         nutrient.diffusion, conditions, nutrient.half_saturation, medium=medium,
-        capacity=capacity, production=production, varied=varied, supply=supply,
-        **{name: getattr(nutrient, name) for name in LINEAR_TERMS},
+        capacity=capacity, production=production, varied=varied,
+        decay=nutrient.decay, perfusion=nutrient.perfusion,
     )  # fmt: skip
-
-
-def checked(
-    position: FloatArray,
-    capacity: FloatArray,
-    production: FloatArray | None,
-    radius: FloatArray | None,
-) -> tuple[FloatArray, FloatArray]:
-    """Return positions and radii as arrays; refuse what does not fit."""
-    position = np.asarray(position, dtype=np.float64)
-    if position.ndim != 2 or position.shape[1] != 3:
-        raise ValueError(f"position has shape {position.shape}, expected (n, 3)")
-    n = len(position)
-    for name, values in (("capacity", capacity), ("production", production)):
-        if values is None:
-            continue
-        values = np.asarray(values)
-        if values.shape != (n,):
-            raise ValueError(f"{name} has shape {values.shape}, expected ({n},)")
-        # not so of what is no number either
-        if not (values.min(initial=0.0) >= 0.0 and values.max(initial=0.0) < np.inf):
-            what = "capacity of uptake" if name == "capacity" else name
-            raise ValueError(f"a cell's {what} is negative or not finite")
-    radius = np.ones(n) if radius is None else np.asarray(radius, dtype=np.float64)
-    if radius.shape != (n,):
-        raise ValueError(f"radius has shape {radius.shape}, expected ({n},)")
-    return position, radius
-
-
-def _stands_still(nutrient: Nutrient) -> bool:
-    """Return whether what a field is made of depends on where its grid and cells are."""
-    return bool(nutrient.sources or nutrient.regions or nutrient.diffusion_medium is not None)
 
 
 def joined(

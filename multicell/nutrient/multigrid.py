@@ -128,13 +128,8 @@ class Hierarchy:
         team: Team,
         varied: FloatArray | None = None,
     ) -> None:
-        with np.errstate(divide="ignore"):
-            # a node at a face lets 1 - ghost through; half a spacing of that is its own
-            resistance = np.maximum(1.0 / (1.0 - ghost) - 0.5, 0.0)
-        axes = [
-            _axis(n, *ends)
-            for n, ends in zip(shape, resistance.reshape(3, 2).tolist(), strict=True)
-        ]
+        ends = (ghost < 0.0).reshape(3, 2).tolist()
+        axes = [_axis(n, *values) for n, values in zip(shape, ends, strict=True)]
         depth = max(map(len, axes))
         self.levels = [
             _Level([axis[min(k, len(axis) - 1)] for axis in axes], team) for k in range(depth)
@@ -237,14 +232,14 @@ class MultigridSolver:
 
 
 @lru_cache(maxsize=64)
-def _axis(n: int, low: float, high: float) -> tuple[_Axis, ...]:
+def _axis(n: int, low: bool, high: bool) -> tuple[_Axis, ...]:
     """Return what all levels have along an axis, from ``n`` nodes of width one down to one node.
 
     That is its :func:`_along`, the nodes' widths over those of the ones of the next level that they
     lie in, (n,), and :func:`_between`.
 
-    ``low`` and ``high`` are the resistances of the faces at its ends beyond the one between node
-    and face, over spacing / D; inf for walls. A grid that follows the cells asks for it again.
+    ``low`` and ``high`` tell whether a face at its ends has a value; others let nothing through. A
+    grid that follows the cells asks for it again.
     """
     width, found = np.ones(n), []
     while True:
@@ -256,7 +251,7 @@ def _axis(n: int, low: float, high: float) -> tuple[_Axis, ...]:
         width = coarser
 
 
-def _along(width: FloatArray, low: float, high: float) -> Float32Array:
+def _along(width: FloatArray, low: bool, high: bool) -> Float32Array:
     """Return the coefficients of minus the second difference along an axis, (4, n).
 
     Of the lower and of the upper neighbour, and what the node has by its lower and by its upper
@@ -266,8 +261,8 @@ def _along(width: FloatArray, low: float, high: float) -> Float32Array:
     distance = 0.5 * (width[1:] + width[:-1])
     table[0, 1:], table[1, :-1] = 1.0 / distance, 1.0 / distance
     table[2:] = table[:2]
-    table[2, 0] = 1.0 / (0.5 * width[0] + low)
-    table[3, -1] = 1.0 / (0.5 * width[-1] + high)
+    table[2, 0] = 1.0 / (0.5 * width[0]) if low else 0.0
+    table[3, -1] = 1.0 / (0.5 * width[-1]) if high else 0.0
     return _single(table / width)
 
 

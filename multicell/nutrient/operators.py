@@ -5,44 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL, typed
 from multicell.nutrient import stencil
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.uptake import uptake_and_slope
 
 AnyOperator = Diffusion | Shells
-
-
-@typed(**KERNEL)
-def shell_imbalance(
-    c: FloatArray,
-    sink: FloatArray,
-    source: FloatArray,
-    half: float,
-    linear: float,
-    conductance: FloatArray,
-    leak: float,
-    volumes: FloatArray,
-    residual: FloatArray,
-    rate: FloatArray,
-) -> None:
-    """Write sources minus sinks of all shells (mM/s) and the sinks' derivative (1/s).
-
-    - ``sink``, ``source``, (n,), mM/s: largest uptake, and all that comes in without regard to c,
-      over the surface too
-    - ``conductance``, (n - 1,), µm³/s: what flows through the spheres between shells for each mM of
-      difference
-    - ``leak``, float, µm³/s: what leaves through the surface for each mM in the last shell
-    """
-    n = c.size
-    inner = 0.0
-    for i in range(n):
-        outer = conductance[i] * (c[i + 1] - c[i]) if i < n - 1 else -leak * c[i]
-        taken, slope = uptake_and_slope(sink[i], c[i], half)
-        residual[i] = (outer - inner) / volumes[i] + source[i] - taken - linear * c[i]
-        rate[i] = slope + linear
-        inner = outer
 
 
 def leak(shells: Shells) -> float:
@@ -87,17 +55,15 @@ def imbalance(
     Arguments as for :func:`multicell.nutrient.stencil.imbalance`; ``source`` holds what the sides
     bring (:func:`brought`).
     """
+    if isinstance(operator, Shells):
+        flow = np.concatenate([[0.0], operator.conductance * np.diff(c), [-leak(operator) * c[-1]]])
+        taken, slope = uptake_and_slope(sink, c, half)
+        return np.diff(flow) / operator.volumes + source - taken - linear * c, slope + linear
     out, slope = np.empty_like(c), np.empty_like(c)
-    if isinstance(operator, Diffusion):
-        stencil.imbalance(
-            c, sink, source, half, operator.stiffness, linear, operator.ghost, operator.weights,
-            out, slope,
-        )  # fmt: skip
-    else:
-        shell_imbalance(
-            c, sink, source, half, linear, operator.conductance, leak(operator), operator.volumes,
-            out, slope,
-        )  # fmt: skip
+    stencil.imbalance(
+        c, sink, source, half, operator.stiffness, linear, operator.ghost, operator.weights,
+        out, slope,
+    )  # fmt: skip
     return out, slope
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, final
@@ -56,12 +55,10 @@ class FieldParameters:
     def open_medium(self) -> bool:
         """Whether stirred medium is all round: cells beyond the grid then find its concentration.
 
-        Not so in a domain, with conditions of its own on a side, with sources or regions that
-        stand somewhere, and where a finite medium has an unstirred layer of its own.
+        Not so in a domain, with conditions of its own on a side, and with a finite medium.
         """
         nutrient = self.nutrient
-        shaped = nutrient.sides or nutrient.sources or nutrient.regions
-        return self.domain is None and not shaped and nutrient.finite_medium is None
+        return self.domain is None and not nutrient.sides and nutrient.finite_medium is None
 
     @cached_property
     def schedule(self) -> Schedule:
@@ -70,19 +67,14 @@ class FieldParameters:
 
         return Schedule.of(self.nutrient)
 
-    def sides(self, medium: float) -> dict[str, Side]:
-        """Return the condition on every face, with the medium's value (mM) filled in."""
-        return {
-            face: side if side.type == "derivative" or side.value is not None else _at(side, medium)
-            for face, side in self._faces.items()
-        }
-
     def conditions(self, layout: Layout, level: float) -> dict[str, Any]:
         """Return the conditions on a layout's sides in py-pde's terms, the medium at ``level``."""
         key = layout.kind, level
         if key not in self._conditions:
             self._conditions.clear()
-            self._conditions[key] = layout.conditions(self.sides(level))
+            faces = ("r+",) if layout.kind == "radial" else _faces(self.dimensions)
+            found = {face: _condition(_side(self.nutrient, face), level) for face in faces}
+            self._conditions[key] = found["r+"] if layout.kind == "radial" else found
         return self._conditions[key]
 
     @cached_property
@@ -90,14 +82,9 @@ class FieldParameters:
         """The last conditions that were asked for."""
         return {}
 
-    @cached_property
-    def _faces(self) -> dict[str, Side]:
-        """The conditions as the scene has them."""
-        return {face: _side(self.nutrient, face) for face in ("r+", *_faces(self.dimensions))}
 
-
-def _at(side: Side, medium: float) -> Side:
-    """Return a side with the value of the medium, which no bounds of scene files hold any more."""
-    made = copy(side)
-    object.__setattr__(made, "value", medium)
-    return made
+def _condition(side: Side, level: float) -> dict[str, float]:
+    """Return the condition on a side in py-pde's terms, where the medium is at ``level`` (mM)."""
+    if side.type == "derivative":
+        return {"derivative": side.derivative or 0.0}
+    return {"value": level if side.value is None else side.value}

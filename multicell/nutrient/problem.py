@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, final
 
-from multicell.cells import Cells, FloatArray
+from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.schedule import Schedule
@@ -58,8 +58,7 @@ def field_problem(
 ) -> FieldProblem:
     """Return the equation and the state of the fields of a frame.
 
-    Uptake and secretion are those of the frame's cells. Where they depend on other fields they
-    follow those of the same problem, and for all others stay what the frame says.
+    Uptake and secretion are those of the frame's cells, also where they depend on other fields.
 
     Parameters
     ----------
@@ -84,16 +83,17 @@ def field_problem(
     known = _reactions({**scene.reactions, **(reactions or {})}, names)
     layout, cells = restored(frame.fields[names[0]])[0], frame.cells
     position = layout.nearest(cells.position)  # strays exchange with the surface of the grid
-    demands = _Demands(scene, frame, names)
+    system = FieldSystem(scene)
+    taken = _taken(system, scene, frame)
     substances = {}
     for name in names:
         parameters = FieldParameters.of(scene, name)
         medium = _medium(parameters, frame, name)
-        demand = demands.demand(name)
+        demand = system.demand(name, cells, frame.concentrations, taken)
         substances[name] = substance(parameters, layout, position, cells.radius, demand, medium)
     equation = FieldEquation(
         together.grid, substances, position, layout=layout,
-        coupling=demands if demands.coupled else None, reactions=known,
+        reactions=known,
         tissue=tissue_share(layout, position, cells.radius) if known else None,
     )  # fmt: skip
     state = together if len(names) > 1 else frame.fields[names[0]].to_pde()
@@ -140,44 +140,17 @@ def _medium(parameters: FieldParameters, frame: Frame, name: str) -> Schedule:
     return Schedule.steady(account["level"])
 
 
-_NONE: Final[Mapping[str, FloatArray]] = {}
-
-
-@final
-class _Demands:
-    """What the cells of a frame take up and secrete, given what they find."""
-
-    def __init__(self, scene: Scene, frame: Frame, names: list[str]) -> None:
-        self.cells: Cells = frame.cells
-        self.order = [
-            name for name in solving_order(scene.nutrients, scene.reactions) if name in names
-        ]
-        self._system = FieldSystem(scene)
-        self._found = {name: frame.concentrations[name] for name in frame.concentrations}
-        self._taken: dict[str, FloatArray] = {}
-        nutrients = scene.nutrients
-        needs = {name: {*n.uptake_on, *(n.secretion_from or ())} for name, n in nutrients.items()}
-        self.coupled = any(needs[name] & set(names) for name in names)
-        self._take_up(scene, frame)
-
-    def _take_up(self, scene: Scene, frame: Frame) -> None:
-        """Find what each cell takes up of the frame's fields from which others are secreted."""
-        sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
-        for name in solving_order(scene.nutrients, scene.reactions):
-            if name not in sources:
-                continue
-            if name not in frame.fields:
-                raise SceneError("frame", f"holds no field {name!r}, from which others are made")
-            field = self._system.fields[name]
-            field.restore(frame.fields[name], frame.time)
-            capacity, _ = self.demand(name)
-            self._taken[name] = field.uptake(self.cells.position, capacity)
-
-    def demand(
-        self, name: str, concentrations: Mapping[str, FloatArray] = _NONE,
-        taken: Mapping[str, FloatArray] = _NONE,
-    ) -> tuple[FloatArray, FloatArray | None]:  # fmt: skip
-        """Return largest uptake and secretion of each cell, with these in place of the frame's."""
-        return self._system.demand(
-            name, self.cells, {**self._found, **concentrations}, {**self._taken, **taken}
-        )
+def _taken(system: FieldSystem, scene: Scene, frame: Frame) -> dict[str, FloatArray]:
+    """Return what each cell takes up of the frame's fields from which others are secreted."""
+    sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
+    taken: dict[str, FloatArray] = {}
+    for name in solving_order(scene.nutrients, scene.reactions):
+        if name not in sources:
+            continue
+        if name not in frame.fields:
+            raise SceneError("frame", f"holds no field {name!r}, from which others are made")
+        field = system.fields[name]
+        field.restore(frame.fields[name], frame.time)
+        capacity, _ = system.demand(name, frame.cells, frame.concentrations, taken)
+        taken[name] = field.uptake(frame.cells.position, capacity)
+    return taken

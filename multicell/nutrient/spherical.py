@@ -31,7 +31,7 @@ class Shells:
     - ``count``, int: number of shells
     - ``diffusion``, float, µm²/s: in tissue
     - ``boundary``: concentration in mM on the surface, or py-pde's description of one condition
-      (``{"value": v}``, ``{"derivative": d}``, ``{"type": "mixed", "value": a, "const": b}``)
+      (``{"value": v}``, ``{"derivative": d}``)
     - ``varied``, (count,), optional: coefficient of diffusion in the shells over that of tissue
     """
 

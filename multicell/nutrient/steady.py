@@ -8,8 +8,8 @@ entering through ghost values: py-pde's, by a test), the steady state solves
 with the largest uptake per volume q >= 0 and a supply s >= 0 at each node, and a rate m >= 0:
 decay, exchange with a flow, and the 1/dt of an implicit step in time.
 
-**No concentration is negative.** -D L is an M-matrix (for values, slopes that supply, and mixed
-conditions alike), uptake is diagonal and vanishes with c: the solution satisfies
+**No concentration is negative.** -D L is an M-matrix (for values
+and slopes that supply alike), uptake is diagonal and vanishes with c: the solution satisfies
 (-D L0 + m + q / (K + c)) c = s + boundary terms >= 0 with an inverse that has no negative entry.
 Nothing is clipped: where the exact value is far below the solver's tolerance (the depth of a
 starved core) and a node is left at about -1e-13 times the medium's value, Gauss-Seidel sweeps over
@@ -23,8 +23,8 @@ below the solution, exact steps rise monotonically to it (Ortega & Rheinboldt 19
 and the search accepts them in full.
 
 **The linear systems** (-D L0 + d) x = r, with d = m + q K / (K + c)^2, go to conjugate gradients
-with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert the middle exactly
-(but for mixed conditions, see :meth:`Diffusion.invert`), and the diagonal
+with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert the middle exactly,
+and the diagonal
 S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than diffusion, and of a
 coefficient w D that differs from place to place. On :data:`MANY` nodes and more a V-cycle of
 multigrid takes its place (:mod:`multicell.nutrient.multigrid`).

@@ -24,7 +24,6 @@ from multicell.compiling.threads import Team
 from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
 
 Weights = tuple[FloatArray, FloatArray, FloatArray] | None
-Faces = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Float32Array = NDArray[np.float32]
 Floats = FloatArray | Float32Array
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
@@ -375,25 +374,27 @@ def dot(a: Floats, b: Floats) -> float:
 
 
 @_jit
-def flows(c: FloatArray, ghost: FloatArray, const: Faces, weights: Weights) -> tuple[float, float]:
+def flows(
+    c: FloatArray, ghost: FloatArray, const: FloatArray, weights: Weights
+) -> tuple[float, float]:
     """Return what flows in and out through the faces, over D/h² and a node's volume, mM.
 
-    ``const`` is what the conditions add to the ghost values of each face, mM.
+    ``const``, (6,), is what the conditions add to the ghost values of each face, mM.
     """
     nx, ny, nz = c.shape
+    across = ((ny, nz), (nx, nz), (nx, ny))
     inward, outward = 0.0, 0.0
     for face in range(6):
         axis, high = face // 2, face % 2
-        across = const[face]
-        for a in range(across.shape[0]):
-            for b in range(across.shape[1]):
+        for a in range(across[axis][0]):
+            for b in range(across[axis][1]):
                 if axis == 0:
                     i, j, k = high * (nx - 1), a, b
                 elif axis == 1:
                     i, j, k = a, high * (ny - 1), b
                 else:
                     i, j, k = a, b, high * (nz - 1)
-                step = across[a, b] + (ghost[face] - 1.0) * c[i, j, k]
+                step = const[face] + (ghost[face] - 1.0) * c[i, j, k]
                 step *= _weight(weights, face, i, j, k)
                 inward += max(step, 0.0)
                 outward += max(-step, 0.0)

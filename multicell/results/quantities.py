@@ -17,7 +17,7 @@ from multicell.results.observable import OWN
 from multicell.scene.parts import own_units
 
 _AMOUNTS: Final = (
-    "relaid", "remainder", "injected", "made", "used", "medium_held", "medium_fresh",
+    "relaid", "remainder", "made", "used", "medium_held", "medium_fresh",
     "medium_discarded", "medium_decayed", "medium_remainder",
 )  # fmt: skip
 """Entries of a ledger that are no observables."""

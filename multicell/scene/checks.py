@@ -39,7 +39,6 @@ def check_kinds(scene: Scene, path: str, text: str | None) -> None:
 
 
 FIELD = "a field of this scene"
-_TIGHTEST = 1e9  # µm: resistance over 1/D of a side up to which its inverse is a valid rate
 
 
 def check_types(scene: Scene) -> None:
@@ -148,7 +147,7 @@ def check_nutrients(scene: Scene) -> None:
     """Raise ``SceneError`` for fields that do not fit together or to the rest of the scene."""
     check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", FIELD)
     for name, reaction in scene.reactions.items():
-        for key in ("consumes", "produces", "activated_by", "inhibited_by"):
+        for key in ("consumes", "produces"):
             check_names(getattr(reaction, key), scene.nutrients, f"reactions.{name}.{key}", FIELD)
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
@@ -159,7 +158,6 @@ def check_nutrients(scene: Scene) -> None:
             problem = f"begins at {nutrient.media[0][0]:g} s, before the run"
             raise SceneError(f"{path}.media", problem)
         _check_finite(scene, path, nutrient)
-        _check_places(scene, path, nutrient)
         _check_layer(path, nutrient)
         if scene.box is not None:
             _check_in_domain(scene, name)
@@ -198,13 +196,7 @@ def _check_spacing(scene: Scene, path: str, nutrient: Nutrient) -> None:
 
 
 def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
-    """Check that rates and layers go together, and that something fixes the level."""
-    layer = None if nutrient.finite_medium is None else nutrient.finite_medium.unstirred
-    for face, side in nutrient.sides.items():
-        if layer is not None and side.rate is not None and 1.0 / side.rate + layer > _TIGHTEST:
-            problem = f"is {side.rate:g} 1/um, too little for an unstirred layer beside it"
-            hint = "So little passes that type = 'derivative', an impermeable side, serves."
-            raise SceneError(f"{path}.sides.{face}.rate", problem, hint)
+    """Check that something fixes the level, and that shells have one condition all round."""
     if not level_fixed(nutrient, scene.dimensions):
         if nutrient.regime == "steady":
             hint = "Give one side a value, or a perfusion, or let the field be 'transient'."
@@ -231,7 +223,7 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
                 hint = "Leave it out (the medium's value), or let the side be a wall of slope 0."
                 raise SceneError(f"{path}.sides.{face}.{key}", problem, hint)
     if nutrient.perfusion == 0.0 and not touches_medium(nutrient, scene.dimensions):
-        hint = "Let one side be of type 'value' or 'mixed', or give a perfusion."
+        hint = "Let one side be of type 'value', or give a perfusion."
         raise SceneError(f"{path}.finite_medium", "touches no side: all are walls", hint)
     if nutrient.media_change == "linear":
         problem = "is 'linear', but a finite medium changes by itself and is replaced at times"
@@ -244,35 +236,6 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
             problem = f"is {finite.volume:g} um^3, no more than the domain ({covered:g} um^3) holds"
             hint = "It is the volume of all medium, in the domain and beyond it."
             raise SceneError(f"{path}.finite_medium.volume", problem, hint)
-
-
-def _check_places(scene: Scene, path: str, nutrient: Nutrient) -> None:
-    """Check that sources and regions have a place in the scene's dimensions and its domain."""
-    for key in ("sources", "regions"):
-        if getattr(nutrient, key) and nutrient.layout != "box":
-            problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
-            raise SceneError(f"{path}.{key}", problem)
-    for name, source in nutrient.sources.items():
-        where = f"{path}.sources.{name}"
-        for axis, place in source.place.items():
-            low, high = getattr(scene.box, axis, None) or (-math.inf, math.inf)
-            if not low <= place <= high:
-                problem = f"is {place:g} um, outside the domain: from {low:g} to {high:g} um"
-                raise SceneError(f"{where}.{axis}", problem)
-        if source.flux is not None and scene.box is None:
-            problem = "is that of a plane, which needs a domain: other grids follow the cells"
-            raise SceneError(f"{where}.flux", problem, "Give [domain], or take a point.")
-        missing = [axis for axis in "xyz"[: scene.dimensions] if axis not in source.place]
-        if source.strength is not None and missing:
-            raise SceneError(f"{where}.{missing[0]}", "is missing: a point has a place along it")
-    for name, region in nutrient.regions.items():
-        where = f"{path}.regions.{name}"
-        for axis in "xyz":
-            ends = getattr(region, axis)
-            low, high = getattr(scene.box, axis, None) or (-math.inf, math.inf)
-            if ends is not None and (ends[1] <= low or ends[0] >= high):
-                problem = f"lies outside the domain: from {low:g} to {high:g} um"
-                raise SceneError(f"{where}.{axis}", problem)
 
 
 def _check_layer(path: str, nutrient: Nutrient) -> None:

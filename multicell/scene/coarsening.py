@@ -55,15 +55,11 @@ _SAME: Final[Mapping[str, str]] = {
     "decay uptake_per_volume half_saturation quiescent_uptake secretion_from "
     "growth_half_saturation growth_inhibition quiescence necrosis necrosis_above regime "
     "time_tolerance initial geometry roundness_limit spacing margin layer height",
-    "nutrients.*.finite_medium": "volume unstirred replaced",
-    "nutrients.*.sides.*": "type value derivative rate",
+    "nutrients.*.finite_medium": "volume replaced",
+    "nutrients.*.sides.*": "type value derivative",
     "nutrients.*.uptake_on.*": "effect half",
-    "nutrients.*.sources.*": "x y z strength flux",
-    "nutrients.*.regions.*": "diffusion x y z",
     "energy": "yields growth_half_saturation quiescence necrosis",
-    "reactions.*": "kind rate consumes produces where",
-    "reactions.*.activated_by.*": "half exponent",
-    "reactions.*.inhibited_by.*": "half exponent",
+    "reactions.*": "rate consumes produces where",
     "responses.*": "behaviour signal cells law falls half power begin end points base largest "
     "combine parameters",
     "signals.*": "of combine",

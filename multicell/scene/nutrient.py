@@ -9,7 +9,6 @@ from typing import Any, final
 import numpy as np
 
 from multicell.errors import SceneError
-from multicell.scene.parts import span
 from multicell.schema import (
     choice,
     number,
@@ -46,12 +45,11 @@ FACES = ("*", "r+", "x", "y", "z", "x-", "x+", "y-", "y+", "z-", "z+")
 class Side:
     """The condition on one side of a field's grid, in py-pde's vocabulary.
 
-    ``value``: c = value on the side. ``derivative``: dc/dn = derivative along the outward normal.
-    ``mixed``: dc/dn = rate (value - c), a layer of resistance 1/(rate D) to the medium. Where
-    ``value`` is absent it is the medium's at the moment.
+    ``value``: c = value on the side; where that is absent it is the medium's at the moment.
+    ``derivative``: dc/dn = derivative along the outward normal.
     """
 
-    type: str = choice(["value", "derivative", "mixed"], default="value", doc="of the condition")
+    type: str = choice(["value", "derivative"], default="value", doc="of the condition")
     value: float | None = _level(
         default=None, doc="concentration; absent: that of the medium", hint=_DENSE
     )
@@ -64,26 +62,14 @@ class Side:
         hint="A drain that takes more than there is would make concentrations negative; "
         "a side brings at most a pure substance within a micrometre.",
     )
-    rate: float | None = quantity(
-        "1/um",
-        default=None,
-        above=0,
-        at_most=1e6,
-        doc="permeability of the side over the diffusion coefficient",
-        hint="A rate far above one over the spacing is a side with the value itself.",
-    )
 
     def check(self) -> None:
         """Raise ``SceneError`` for a number that the type needs or has no use for."""
-        needs = {"value": (), "derivative": ("derivative",), "mixed": ("rate",)}[self.type]
-        for name in ("derivative", "rate"):
-            given = getattr(self, name) is not None
-            if given and name not in needs:
-                raise SceneError(name, f"has no meaning on a side of type '{self.type}'")
-            if not given and name in needs:
-                raise SceneError(name, f"is missing on a side of type '{self.type}'")
-        if self.type == "derivative" and self.value is not None:
-            raise SceneError("value", "has no meaning on a side of type 'derivative'")
+        other = {"value": "derivative", "derivative": "value"}[self.type]
+        if getattr(self, other) is not None:
+            raise SceneError(other, f"has no meaning on a side of type '{self.type}'")
+        if self.type == "derivative" and self.derivative is None:
+            raise SceneError("derivative", "is missing on a side of type 'derivative'")
 
 
 @final
@@ -105,53 +91,6 @@ class Dependence:
         return 1.0 + self.effect * self.half / (self.half + g)
 
 
-_place = partial(quantity, "um", default=None, at_least=-1e6, at_most=1e6)
-
-
-@final
-@parameters
-class Source:
-    """A point (``strength``) or a plane across an axis (``flux``) that gives off a substance.
-
-    A point has a place along all axes of the scene, a plane along the one that it lies across.
-    """
-
-    x: float | None = _place(doc="place; absent: a plane along this axis")
-    y: float | None = _place(doc="place; absent: a plane along this axis")
-    z: float | None = _place(doc="place; absent: a plane along this axis, or a scene in 2D")
-    strength: float | None = _flux(default=None, doc="of a point")
-    flux: float | None = quantity(
-        "amol/s/um^2", default=None, at_least=0, at_most=1e6, doc="of a plane, to both sides in all"
-    )
-
-    def check(self) -> None:
-        """Raise ``SceneError`` for what is neither a point nor a plane."""
-        if (self.strength is None) == (self.flux is None):
-            what = "neither" if self.flux is None else "both"
-            hint = "A point has a strength in amol/s, a plane a flux in amol/s/um^2."
-            raise SceneError("strength", f"and flux are given {what}, must be one of them", hint)
-        if self.flux is not None and len(self.place) != 1:
-            problem = f"is that of a plane, which needs one of x, y, z and has {len(self.place)}"
-            raise SceneError("flux", problem, "x = '10 um' is the plane through there across x.")
-
-    @property
-    def place(self) -> dict[str, float]:
-        """The coordinates that are given, by axis, µm."""
-        axes = {"x": self.x, "y": self.y, "z": self.z}
-        return {axis: value for axis, value in axes.items() if value is not None}
-
-
-@final
-@parameters
-class Region:
-    """A box with a diffusion coefficient of its own: a gel, a membrane, a wall."""
-
-    diffusion: float = _diffusion(doc="diffusion coefficient in it, cells or not")
-    x: tuple[float, float] | None = span(doc="from and to; absent: all along this axis")
-    y: tuple[float, float] | None = span(doc="from and to; absent: all along this axis")
-    z: tuple[float, float] | None = span(doc="from and to; absent: all along this axis")
-
-
 @final
 @parameters
 class FiniteMedium:
@@ -166,10 +105,6 @@ class FiniteMedium:
         above=0,
         doc="of the medium in all, with what the field's grid covers",
         hint="A microlitre is 1e9 um^3.",
-    )
-    unstirred: float | None = _thickness(
-        at_least=1e-3,
-        doc="thickness of a layer on the sides of the grid that is not stirred; absent: none",
     )
     replaced: float = number(
         default=1.0, above=0, at_most=1, doc="part of the stirred medium that a change replaces"
@@ -245,10 +180,6 @@ class Nutrient:
         at_most=1e6,
         doc="amount secreted for each amount taken up of other fields, by name",
     )
-    sources: Mapping[str, Source] = tables(
-        Source, doc="points and planes that give it off, by name"
-    )
-    regions: Mapping[str, Region] = tables(Region, doc="boxes where it diffuses otherwise, by name")
     growth_half_saturation: float | None = _level_above_zero(
         default=None, doc="of half the largest growth (Monod); absent: no effect"
     )

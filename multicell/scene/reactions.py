@@ -1,4 +1,4 @@
-"""What a scene says of reactions between its fields, in fixed forms: mass action and Hill terms."""
+"""What a scene says of reactions between its fields, by the law of mass action."""
 
 from __future__ import annotations
 
@@ -7,15 +7,11 @@ from dataclasses import MISSING
 from typing import Any, Protocol, final
 
 from multicell.errors import SceneError
-from multicell.scene.nutrient import MOST
 from multicell.schema import (
     choice,
     measure,
-    number,
     parameters,
     quantities,
-    quantity,
-    tables,
 )
 from multicell.units import to_base
 
@@ -28,45 +24,19 @@ _ORDER = len(UNITS) - 1
 
 @final
 @parameters
-class HillTerm:
-    """A factor g^n / (half^n + g^n) of a field's concentration g, or one less that."""
-
-    half: float = quantity("mM", above=0, at_most=MOST, doc="concentration of half the effect")
-    exponent: float = number(
-        default=1.0,
-        at_least=1,
-        at_most=16,
-        doc="n; 1 is Michaelis and Menten's",
-        hint="Below 1 the rate would have no derivative where there is nothing.",
-    )
-
-
-@final
-@parameters
 class Reaction:
-    """A reaction between fields.
+    """A reaction between fields by the law of mass action.
 
-    ``mass-action``: ``rate`` times the concentrations of all that is consumed, each to the power
-    of its number. ``hill``: ``rate`` times g^n / (half^n + g^n) for each field of
-    ``activated_by`` and half^n / (half^n + g^n) for each of ``inhibited_by``.
+    It happens at ``rate`` times the concentrations of all that is consumed, each to the power of
+    its number.
     """
 
-    kind: str = choice(["mass-action", "hill"], default="mass-action", doc="form of the rate")
-    rate: float = measure(
-        default=MISSING,
-        doc="mass-action: rate constant, mM^(1 - n)/s at order n; hill: largest rate, mM/s",
-    )
+    rate: float = measure(default=MISSING, doc="rate constant, mM^(1 - n)/s at order n")
     consumes: Mapping[str, float] | None = quantities(
         "", at_least=1, at_most=4, doc="how many of each field are used up, whole numbers"
     )
     produces: Mapping[str, float] | None = quantities(
         "", at_least=1, at_most=4, doc="how many of each field are made, whole numbers"
-    )
-    activated_by: Mapping[str, HillTerm] = tables(
-        HillTerm, doc="fields that a hill rate rises with"
-    )
-    inhibited_by: Mapping[str, HillTerm] = tables(
-        HillTerm, doc="fields that a hill rate falls with"
     )
     where: str = choice(
         ["everywhere", "tissue", "medium"],
@@ -83,26 +53,10 @@ class Reaction:
                     raise SceneError(f"{name}.{field}", problem)
         if all(change == 0.0 for change in self.changes.values()):
             raise SceneError("consumes", "and produces change nothing", "Give one or both.")
-        self._check_hill() if self.kind == "hill" else self._check_mass_action()
-        object.__setattr__(self, "rate", self._in_base_units())
-
-    def _check_hill(self) -> None:
-        if not self.activated_by and not self.inhibited_by:
-            hint = "A reaction at a constant rate is of kind 'mass-action', and consumes nothing."
-            raise SceneError("activated_by", "is missing in a reaction of kind 'hill'", hint)
-        for field in self.consumes or ():
-            if field not in self.activated_by:
-                problem = "is consumed, but the rate does not end where there is none of it"
-                raise SceneError(f"activated_by.{field}", f"is missing: {field} {problem}")
-
-    def _check_mass_action(self) -> None:
-        for name in ("activated_by", "inhibited_by"):
-            if getattr(self, name):
-                problem = "has no meaning in a reaction of kind 'mass-action'"
-                raise SceneError(name, problem, "Kind 'hill' has such terms.")
         if self.order > _ORDER:
             problem = f"are {self.order} in all, must be at most {_ORDER}"
             raise SceneError("consumes", problem, "Write it as several steps.")
+        object.__setattr__(self, "rate", self._in_base_units())
 
     def _in_base_units(self) -> float:
         given: Any = self.rate
@@ -110,8 +64,7 @@ class Reaction:
             try:
                 given = to_base(given, self.unit, "rate")
             except SceneError as error:
-                what = "hill" if self.kind == "hill" else f"mass-action of order {self.order}"
-                problem = f"{error.problem} (a reaction of kind {what} has {self.unit})"
+                problem = f"{error.problem} (a reaction of order {self.order} has {self.unit})"
                 raise SceneError("rate", problem, error.hint) from None
         if not _LEAST <= given <= _LARGEST:
             problem = f"is {given:g} {self.unit}, must be from {_LEAST:g} to {_LARGEST:g}"
@@ -126,7 +79,7 @@ class Reaction:
     @property
     def unit(self) -> str:
         """The unit of ``rate``."""
-        return "mM/s" if self.kind == "hill" else UNITS[self.order]
+        return UNITS[self.order]
 
     @property
     def changes(self) -> dict[str, float]:
@@ -139,8 +92,7 @@ class Reaction:
     @property
     def fields(self) -> list[str]:
         """Names of the fields that it changes or depends on, each once."""
-        named = (self.consumes or {}, self.produces or {}, self.activated_by, self.inhibited_by)
-        return list(dict.fromkeys(name for table in named for name in table))
+        return list(dict.fromkeys([*(self.consumes or {}), *(self.produces or {})]))
 
 
 class Joining(Protocol):

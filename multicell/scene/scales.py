@@ -40,7 +40,7 @@ def touches_medium(nutrient: Nutrient, dimensions: int = 3) -> bool:
     shells = nutrient.layout != "box" and dimensions == 3
     cubes = nutrient.layout != "radial"
     fixed = [
-        any(_side(nutrient, face).type != "derivative" for face in faces)
+        any(_side(nutrient, face).type == "value" for face in faces)
         for faces, used in ((("r+",), shells), (_faces(dimensions), cubes))
         if used
     ]
@@ -53,13 +53,7 @@ def _faces(dimensions: int) -> tuple[str, ...]:
 
 def _side(nutrient: Nutrient, face: str) -> Side:
     """Return the condition on a face: its own, its axis', that of all, or the medium's value."""
-    found = next((nutrient.sides[k] for k in (face, face[0], "*") if k in nutrient.sides), Side())
-    finite = nutrient.finite_medium
-    if finite is None or finite.unstirred is None or found.type == "derivative":
-        return found
-    # resistances in a row, in units of 1/D: of a membrane, if there is one, and of the layer
-    membrane = 0.0 if found.rate is None else 1.0 / found.rate
-    return Side(type="mixed", rate=1.0 / (membrane + finite.unstirred), value=found.value)
+    return next((nutrient.sides[k] for k in (face, face[0], "*") if k in nutrient.sides), Side())
 
 
 @final
@@ -106,14 +100,12 @@ def slowest(nutrient: Nutrient, lengths: list[float]) -> float:
     """Return the length 1/|k| of the slowest mode of diffusion in a box, µm.
 
     Along an axis of length L it has k = π/L between two values, π/2L between a value and a wall,
-    and 0 between walls. A mixed condition is a value behind a layer as thick as 1/rate.
+    and 0 between walls.
     """
     square = 0.0
     for axis, length in zip("xyz", lengths, strict=False):
-        ends = [_side(nutrient, axis + end) for end in "-+"]
-        fixed = [side for side in ends if side.type != "derivative"]
-        across = length + sum(1.0 / side.rate for side in fixed if side.rate is not None)
-        square += (0.5 * math.pi * len(fixed) / across) ** 2
+        fixed = sum(_side(nutrient, axis + end).type == "value" for end in "-+")
+        square += (0.5 * math.pi * fixed / length) ** 2
     return 1.0 / math.sqrt(square) if square > 0.0 else max(lengths) / math.pi
 
 

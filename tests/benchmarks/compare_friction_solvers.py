@@ -35,7 +35,7 @@ from strategies import cluster, divided, mechanics
 
 from multicell.mechanics import blocks as kernels
 from multicell.mechanics import neighbours
-from multicell.mechanics.friction import Friction
+from multicell.mechanics.friction import FrictionMatrix
 
 
 @njit
@@ -92,9 +92,10 @@ class Problem:
         self.position, radius, young = position[order], radius[order], young[order]
         self.system = mechanics(radius, young, duration=self.duration, viscosity=self.viscosity)
         self.stokes = self.system.drag * radius[:, None]
-        friction = Friction(self.coefficient, self.coefficient)
-        self.gamma = friction.matrix(self.n, self.system.drag, self.system.chunk)
-        self.linear = friction.matrix(self.n, self.system.drag, self.system.chunk)
+        size = self.n, self.system.drag, self.system.chunk
+        self.gamma, self.linear = (
+            FrictionMatrix((self.coefficient, self.coefficient), *size) for _ in range(2)
+        )
         self.velocity = np.zeros((self.n, 3))
         self.guess = np.empty((self.n, 3))
         self.inverse = np.empty((self.n, 6))

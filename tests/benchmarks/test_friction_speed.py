@@ -11,7 +11,7 @@ import pytest
 from strategies import cluster, mechanics
 
 from multicell.mechanics import neighbours
-from multicell.mechanics.friction import Friction
+from multicell.mechanics.friction import FrictionMatrix
 
 pytestmark = pytest.mark.benchmark
 
@@ -23,7 +23,7 @@ def test_right_hand_side_with_friction(benchmark, viscosity, normal, tangential)
     order = neighbours.spatial_order(position, 10.0)
     position, radius, young = position[order], radius[order], young[order]
     system = mechanics(radius, young, viscosity=viscosity)
-    gamma = Friction(normal, tangential).matrix(10_000, system.drag, system.chunk)
+    gamma = FrictionMatrix((normal, tangential), 10_000, system.drag, system.chunk)
     stokes, last, force = (
         system.drag * radius[:, None],
         np.zeros((10_000, 3)),

@@ -12,7 +12,7 @@ from strategies import cluster, mechanics, seeds
 
 from multicell import JKR
 from multicell.contact.law import effective_modulus, effective_radius
-from multicell.mechanics.friction import Friction, FrictionNotSolvedError, PairFriction
+from multicell.mechanics.friction import FrictionMatrix, FrictionNotSolvedError, PairFriction
 
 coefficients = st.tuples(st.sampled_from([0.0, 0.1, 3.0]), st.sampled_from([0.0, 0.1, 1.0]))
 PAIRS = [(0.1, 0.1), (0.4, 0.05), (0.0, 0.2), (0.3, 0.0), (0.0, 0.0)]
@@ -23,8 +23,9 @@ def system_at(position, radius, young, normal, tangential, *, shared=False, **op
     options = {"viscosity": 0.05, **options}
     system = mechanics(radius, young, **options)
     force = system.force(0.0, position)
-    friction = Friction(normal, tangential, tolerance=1e-12)
-    gamma = friction.matrix(len(radius), system.drag, system.chunk)
+    gamma = FrictionMatrix(
+        (normal, tangential), len(radius), system.drag, system.chunk, tolerance=1e-12
+    )
     gamma.measure(system._rows, system._pairs, shared)
     return system, gamma, force
 
@@ -147,7 +148,7 @@ def test_two_cells_relax_as_the_quadrature_says(coefficient, start):
     modulus, reduced = effective_modulus(1, 0.5, 2, 0.5), effective_radius(4.0, 6.0)
     axis = np.array([2.0, -1.0, 2.0]) / 3.0
     system = mechanics(radius, young, law, viscosity=0.05)
-    gamma = Friction(coefficient, 0.7 * coefficient, tolerance=1e-13).matrix(2, system.drag, 2048)
+    gamma = FrictionMatrix((coefficient, 0.7 * coefficient), 2, system.drag, 2048, tolerance=1e-13)
 
     def rate(t, y):
         force = system.force(0.0, y.reshape(2, 3))
@@ -195,7 +196,7 @@ def test_product_with_friction_held_is_the_derivative_at_fixed_gamma(seed, coeff
 def test_what_does_not_converge_is_said():
     position, radius, young = cluster(100, 8)
     _, gamma, force = system_at(position, radius, young, 0.1, 0.1)
-    hasty = Friction(0.1, 0.1, most_iterations=3).matrix(100, gamma.drag, gamma.chunk)
+    hasty = FrictionMatrix((0.1, 0.1), 100, gamma.drag, gamma.chunk, most=3)
     hasty.measure(*_measured(position, radius, young))
     with pytest.raises(FrictionNotSolvedError, match="after 3 iterations"):
         hasty.solve(force, np.zeros_like(force))
@@ -219,7 +220,7 @@ def test_coincident_and_far_cells_give_finite_velocities():
 
 
 def test_nothing_can_be_solved_before_it_is_measured():
-    gamma = Friction(0.1, 0.1).matrix(3, 1.0, 2048)
+    gamma = FrictionMatrix((0.1, 0.1), 3, 1.0, 2048)
     with pytest.raises(RuntimeError, match="measure"):
         gamma.solve(np.zeros((3, 3)), np.zeros((3, 3)))
 

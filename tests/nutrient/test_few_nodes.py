@@ -1,9 +1,7 @@
-"""Small grids: transforms as matrices against SciPy, conditions as numbers against py-pde."""
+"""Small grids: transforms as matrices against SciPy."""
 
 import numpy as np
 import pytest
-from grids import diffusion
-from pde import CartesianGrid
 from scipy import fft
 from scipy.fft import next_fast_len
 from scipy.sparse import csr_array
@@ -15,7 +13,6 @@ from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.steady import solve_steady
 
 D = 1000.0
-WALL = {"derivative": 0.0}
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (2, 3, 1), (5, 4, 7), (9, 9, 9), (48, 3, 11)])
@@ -35,18 +32,6 @@ def test_the_inverse_is_that_of_scipy(shape, values):
         spectrum = (fft.idst if v else fft.idct)(spectrum, type=2, axis=axis, norm="ortho")
     np.testing.assert_allclose(u, spectrum, rtol=0, atol=3e-6 * np.abs(spectrum).max())
     assert product == pytest.approx(float(np.sum(y * spectrum)), rel=1e-5)
-
-
-def test_conditions_may_differ_all_over_a_face():
-    grid = CartesianGrid([(0, 20.0), (0, 30.0), (0, 40.0)], (2, 3, 4))
-    over = np.random.default_rng(3).random((3, 4))
-    operator = diffusion(grid, D, {"x-": {"value": over}, "x+": WALL, "y": WALL, "z": WALL})
-    c = np.random.default_rng(4).random((2, 3, 4))
-    # two differences to a value half a spacing away, through faces of 10 by 10
-    flow = D * 2.0 * (over - c[0]) / 10.0 * 100.0
-    inward, outward = operator.flows(c)
-    assert inward == pytest.approx(flow[flow > 0.0].sum(), rel=1e-12)
-    assert outward == pytest.approx(-flow[flow < 0.0].sum(), rel=1e-12)
 
 
 @pytest.mark.parametrize("half", [1e-3, 0.05])

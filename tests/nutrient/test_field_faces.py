@@ -90,7 +90,6 @@ def test_grids_of_few_nodes_have_gradients_everywhere(shape):
 CONDITIONS = {
     "value": {"value": 0.7},
     "derivative": {"derivative": 0.2},
-    "mixed": {"type": "mixed", "value": 0.4, "const": 0.4 * 0.9},
 }
 
 

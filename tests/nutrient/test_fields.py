@@ -302,7 +302,11 @@ ON = {"effect": 1, "half": 1}
         ({"oxygen.media": [["2 h", "1 um"]]}, "oxygen.media", "concentration"),
         ({"oxygen.boundary": "__import__('os')"}, "oxygen.boundary", "a number and a unit"),
         ({"oxygen.sides": {"x-": {"value": "sin(x)"}}}, "oxygen.sides.x-.value", "a number and"),
-        ({"oxygen.sides": {"x-": {"type": "mixed"}}}, "oxygen.sides.x-.rate", "is missing"),
+        (
+            {"oxygen.sides": {"x-": {"type": "derivative"}}},
+            "oxygen.sides.x-.derivative",
+            "is missing",
+        ),
         ({"oxygen.sides": {"w+": {"value": 1}}}, "oxygen.sides.w+", "not a known name"),
         (
             {"oxygen.geometry": "radial", "oxygen.sides": {"x-": {"value": 1}}},

@@ -12,7 +12,6 @@ from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
 from multicell.report.explain.scene import explain
 from multicell.scene.nutrient import Nutrient
-from multicell.scene.scales import scales
 from multicell.scene.scene import Scene
 
 WALL = {"type": "derivative", "derivative": 0.0}
@@ -118,39 +117,6 @@ def test_a_mixed_medium_is_used_up_as_lambert_s_function_says(regime):
     assert simulation.history_row()["medium_glucose"] < 2.5
 
 
-def test_an_unstirred_layer_lies_before_the_sides():
-    """Decay k between a wall and a layer δ, L² = D/k:
-
-    c = c_0 cosh(z/L) / (cosh(H/L) + δ/L sinh(H/L)).
-    """
-    sides = {"*": WALL, "z+": {}}
-    described = scene(
-        {
-            "decay": 0.05, "uptake": 0.0, "sides": sides, "regime": "steady", "spacing": 2.5,
-            "finite_medium": {"volume": 1e9, "unstirred": "80 um"},
-        },
-        domain={"x": [-50, 50], "y": [-50, 50], "z": [-50, 70]},
-        initial={"count": 20},
-    )  # fmt: skip
-    simulation = mc.Simulation(described)
-    length, height, layer = np.sqrt(600.0 / 0.05), 120.0, 80.0
-    z = simulation.cells.position[:, 2] + 50.0
-    whole = np.cosh(height / length) + layer / length * np.sinh(height / length)
-    exact = 5.0 * np.cosh(z / length) / whole
-    np.testing.assert_allclose(simulation.concentrations["glucose"], exact, rtol=2e-4)
-    assert scales(described, "glucose").length == pytest.approx((height + layer) / (np.pi / 2))
-
-
-def test_resistances_of_a_membrane_and_a_layer_add_up():
-    mixed = Nutrient(
-        sides={"*": {"type": "mixed", "rate": 0.05}},
-        finite_medium={"volume": 1e9, "unstirred": 30.0},
-    )
-    side = FieldParameters(mixed, 10.0, 10.0, "steady", dimensions=3).sides(3.0)["x-"]
-    assert (side.type, side.value) == ("mixed", 3.0)
-    assert side.rate == pytest.approx(1.0 / 50.0)
-
-
 def test_what_a_change_leaves_and_brings():
     described = scene(
         {"uptake": 0.0, "regime": "transient", "spacing": 20.0,
@@ -217,7 +183,7 @@ def test_medium_field_and_cells_hold_what_was_brought(place, regime):
 def test_the_account_holds_with_decay_perfusion_secretion_and_part_changes(regime):
     described = scene(
         {"regime": regime, "decay": 1e-4, "perfusion": 1e-4, "secretion": 60.0, "spacing": 20.0,
-         "finite_medium": {"volume": 3e7, "replaced": 0.5, "unstirred": 15.0}},
+         "finite_medium": {"volume": 3e7, "replaced": 0.5}},
         growth={"cycle_time": "8 h"}, death={},
     )  # fmt: skip
     simulation = mc.Simulation(described)
@@ -278,7 +244,7 @@ def test_every_change_is_done_once_whatever_rounding_makes_of_times():
 
 
 def test_explain_says_how_long_the_medium_lasts():
-    told = explain(scene({"finite_medium": {"volume": "0.25 uL", "unstirred": 40}}))
+    told = explain(scene({"finite_medium": {"volume": "0.25 uL"}}))
     lasts = next(n for n in told["numbers"] if n["name"] == "glucose: medium lasts")
     assert lasts["value"] == pytest.approx(2.5e8 * 5.5 / (60 * 200.0))
 
@@ -313,7 +279,7 @@ def test_a_medium_smaller_than_its_grid_is_refused():
 def test_a_medium_far_larger_than_its_field_leaves_no_rounding_in_the_account(regime):
     """What decays in the field, and what a flow takes, is not the difference of large numbers."""
     changes = {
-        "nutrients.glucose.finite_medium": {"volume": 1e13, "unstirred": 10.0},
+        "nutrients.glucose.finite_medium": {"volume": 1e13},
         "nutrients.glucose.regime": regime, "nutrients.glucose.decay": 3e-4,
         "nutrients.glucose.perfusion": 3e-3,
     }  # fmt: skip

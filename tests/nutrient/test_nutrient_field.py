@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pde import ScalarField
 
-from multicell.errors import MulticellError, NutrientFailed
+from multicell.errors import MulticellError, NutrientFailed, SceneError
 from multicell.nutrient.cartesian import extent, lay
 from multicell.nutrient.equations.grid import grid_on
 from multicell.nutrient.field import NutrientField
@@ -168,9 +168,9 @@ def test_bad_input_is_refused():
     with pytest.raises(ValueError, match="no grid before the first solve"):
         field.sample(np.zeros((1, 3)))
     for capacity in (np.array([-1.0]), np.array([np.nan])):
-        with pytest.raises(ValueError, match="negative or not finite"):
+        with pytest.raises(SceneError, match="negative or not finite"):
             field.solve(np.zeros((1, 3)), capacity)
-    with pytest.raises(ValueError, match="capacity has shape"):
+    with pytest.raises(SceneError, match="capacity: has shape"):
         field.solve(np.zeros((1, 3)), np.ones(2))
     with pytest.raises(ValueError, match="position has shape"):
         field.solve(np.zeros(3), np.ones(1))

@@ -30,13 +30,7 @@ def predation(concentrations, cell):
     return 0.5 * eaten - 0.01 * v * math.sqrt(v + 1e-3), -eaten
 
 
-@mc.reaction(
-    fields=("a", "b"),
-    jacobian=lambda concentrations, cell: (
-        (-concentrations[1], -concentrations[0]),
-        (-concentrations[1], -concentrations[0]),
-    ),
-)
+@mc.reaction(fields=("a", "b"))
 def binding(concentrations, cell):
     a, b = concentrations
     return -a * b, -a * b
@@ -109,10 +103,6 @@ def fine(concentrations, cell):
     return -concentrations[0], 0.0
 
 
-def another_jacobian(concentrations, cell):
-    return (-2.0, 0.0), (0.0, 0.0)
-
-
 @pytest.mark.parametrize(
     ("rate", "options", "words"),
     [
@@ -122,7 +112,6 @@ def another_jacobian(concentrations, cell):
         (too_few, {}, "returns 1 rates for 2 fields"),
         (other_arguments, {}, r"must have \(concentrations, cell\)"),
         (not_numbers, {}, "cannot be compiled: TypingError"),
-        (fine, {"jacobian": another_jacobian}, "a jacobian that is not its derivative, for a"),
         (fine, {"upto": 0.0}, "upto: is 0.0"),
         (fine, {"fields": "ab"}, "must be a list of names"),
     ],

@@ -46,19 +46,6 @@ def test_binding_comes_to_its_equilibrium_and_keeps_what_does_not_react():
     np.testing.assert_allclose(b + c, 0.05, rtol=1e-8)
 
 
-@pytest.mark.parametrize("exponent", [1.0, 3.0])
-def test_a_hill_rate_in_a_closed_box_is_its_ode(exponent):
-    """t V = (c0 - c) + K^n (c^(1-n) - c0^(1-n)) / (n - 1), with a logarithm for n = 1."""
-    fields = {"a": {**CLOSED, "boundary": 0.1}}
-    half, most = 0.05, 1e-4
-    law = {"kind": "hill", "rate": most, "consumes": {"a": 1}}
-    law["activated_by"] = {"a": {"half": half, "exponent": exponent}}
-    run = finished(scene(fields, {"x": law}, domain=BOX))
-    c, n = float(values(run, "a").mean()), exponent
-    gone = np.log(0.1 / c) if n == 1.0 else (c ** (1 - n) - 0.1 ** (1 - n)) / (n - 1)
-    assert 0.1 - c + half**n * gone == pytest.approx(1800.0 * most, rel=1e-3)
-
-
 # --- accounts -------------------------------------------------------------------------------------
 
 MIXED = {
@@ -66,7 +53,6 @@ MIXED = {
     "l": {"boundary": 0.0, "uptake": 0.0, "secretion": 5.0, "diffusion": 200.0},
     "c": {"boundary": 0.0, "uptake": 0.0, "diffusion": 50.0, "decay": 1e-3},
 }
-TERMS = {"o": {"half": 0.01}, "l": {"half": 0.01, "exponent": 2}}
 
 
 @pytest.mark.parametrize(("geometry", "regime", "where"), [
@@ -75,8 +61,7 @@ TERMS = {"o": {"half": 0.01}, "l": {"half": 0.01, "exponent": 2}}
 ])  # fmt: skip
 def test_growing_tissue_accounts_for_every_molecule(geometry, regime, where):
     fields = {name: {**f, "geometry": geometry, "regime": regime} for name, f in MIXED.items()}
-    law = {"kind": "hill", "rate": "1 uM/s", "consumes": {"o": 1, "l": 1}, "where": where}
-    law |= {"activated_by": TERMS, "produces": {"c": 1}}
+    law = {"rate": "5 1/mM/s", "consumes": {"o": 1, "l": 1}, "produces": {"c": 1}, "where": where}
     run = finished(scene(fields, {"x": law}, growth={"cycle_time": "12 h"}))
     ledgers = run.ledger
     for name, ledger in ledgers.items():
@@ -134,12 +119,12 @@ def test_fields_that_react_have_one_equation():
 # --- growth without bound -------------------------------------------------------------------------
 
 
-def test_a_field_that_explodes_is_named_with_its_growth_rate():
+def test_a_field_that_explodes_is_named():
     """Nothing is there at first, so that nothing tells of it before cells begin to secrete."""
     fields = {"a": {**CLOSED, "boundary": 0.0, "secretion": 100.0, "time_tolerance": 1e-2}}
     law = {"x": {"rate": "10 1/mM/s", "consumes": {"a": 2}, "produces": {"a": 3}}}
     run = mc.Simulation(scene(fields, law, domain=BOX))
-    with pytest.raises(StepFailed, match=r"a grows without bound: .* make it grow by .* 1/s"):
+    with pytest.raises(StepFailed, match=r"a would need steps of .* s at t = "):
         run.step()
     assert run.time == 0.0
     assert values(run, "a").max() == 0.0

@@ -61,17 +61,11 @@ def test_as_a_level_of_other_parts_of_a_scene():
                 "waste": {"uptake": 0, "regime": "transient"},
             },
             "types": {"a": {"receptor_by": {"oxygen": [["1 %", 0.2], ["40 mmHg", 1]]}}, "b": {}},
-            "reactions": {
-                "decay": {"kind": "hill", "rate": "1e-4 mM/s", "consumes": {"oxygen": 1},
-                          "activated_by": {"oxygen": {"half": "2 mmHg"}}}
-            },
         }
     )  # fmt: skip
     share = (101.325 - vapour_pressure(cool)) * oxygen_solubility(cool)
     pressure = MMHG * oxygen_solubility(cool)
     assert made.nutrients["glucose"].uptake_on["oxygen"].half == pytest.approx(0.05 * share)
-    half = made.reactions["decay"].activated_by["oxygen"].half
-    assert half == pytest.approx(2 * pressure, rel=1e-6)
     curve = made.types["a"].receptor_by["oxygen"]
     assert curve[0][0] == pytest.approx(0.01 * share)
     assert curve[1][0] == pytest.approx(40 * pressure, rel=1e-6)
@@ -93,7 +87,7 @@ def test_wherever_a_concentration_stands():
     made = scene(
         boundary="160 mmHg", half_saturation="2 mmHg", quiescence="8 mmHg", necrosis="1 mmHg",
         growth_half_saturation="3 mmHg", media=[["1 h", "20 mmHg"], [7200.0, 0.1]],
-        sides={"x-": {"value": "7 mmHg"}, "x+": {"type": "mixed", "rate": 0.1}},
+        sides={"x-": {"value": "7 mmHg"}},
     ).nutrients["oxygen"]  # fmt: skip
     found = [made.boundary, made.half_saturation, made.quiescence, made.necrosis,
              made.growth_half_saturation, made.media[0][1], made.sides["x-"].value]  # fmt: skip

@@ -20,32 +20,26 @@ def scene(reaction=None, *, fields=None, reactions=None, **changes):
 
 
 @pytest.mark.parametrize(
-    ("consumes", "kind", "rate", "base", "unit"),
+    ("consumes", "rate", "base", "unit"),
     [
-        ({}, "mass-action", "36 uM/h", 1e-5, "mM/s"),
-        ({"a": 1}, "mass-action", "18 1/min", 0.3, "1/s"),
-        ({"a": 1, "b": 1}, "mass-action", "2e5 1/(M s)", 200.0, "1/mM/s"),
-        ({"a": 2, "b": 1}, "mass-action", "5 1/(mM^2 s)", 5.0, "1/mM^2/s"),
-        ({"a": 4}, "mass-action", "5 1/mM^3/s", 5.0, "1/mM^3/s"),
-        ({"a": 1}, "hill", "1 uM/s", 1e-3, "mM/s"),
+        ({}, "36 uM/h", 1e-5, "mM/s"),
+        ({"a": 1}, "18 1/min", 0.3, "1/s"),
+        ({"a": 1, "b": 1}, "2e5 1/(M s)", 200.0, "1/mM/s"),
+        ({"a": 2, "b": 1}, "5 1/(mM^2 s)", 5.0, "1/mM^2/s"),
+        ({"a": 4}, "5 1/mM^3/s", 5.0, "1/mM^3/s"),
     ],
 )
-def test_the_unit_of_a_rate_is_that_of_its_order(consumes, kind, rate, base, unit):
-    terms = {"a": {"half": "10 uM"}} if kind == "hill" else {}
-    made = Reaction(
-        kind=kind, rate=rate, consumes=consumes, produces={"c": 1}, activated_by=terms
-    )  # fmt: skip
+def test_the_unit_of_a_rate_is_that_of_its_order(consumes, rate, base, unit):
+    made = Reaction(rate=rate, consumes=consumes, produces={"c": 1})
     assert made.rate == pytest.approx(base, rel=1e-12)
     assert made.unit == unit
-    # "for a mass-action of the wrong order" is no such rate
     with pytest.raises(SceneError, match="rate: is '5 um', must be"):
-        Reaction(kind=kind, rate="5 um", consumes=consumes, produces={"c": 1}, activated_by=terms)
+        Reaction(rate="5 um", consumes=consumes, produces={"c": 1})
 
 
 def test_a_scene_with_reactions_is_written_and_read_back(tmp_path):
-    hill = {"kind": "hill", "rate": 1e-3, "consumes": {"c": 1}, "where": "tissue"}
-    hill["activated_by"] = {"c": {"half": 0.1, "exponent": 2}}
-    made = scene(reactions={"x": A_TO_B, "y": hill})
+    other = {"rate": 1e-3, "consumes": {"c": 2}, "where": "tissue"}
+    made = scene(reactions={"x": A_TO_B, "y": other})
     file = tmp_path / "scene.toml"
     file.write_text(made.to_toml(), encoding="utf-8")
     assert load_scene(file) == made
@@ -63,16 +57,6 @@ def test_a_scene_with_reactions_is_written_and_read_back(tmp_path):
         ({"consumes": {"a": 1.5}}, "consumes.a", "whole number"),
         ({"consumes": {"a": 4, "b": 1}}, "consumes", "are 5 in all"),
         ({"produces": {"a": 1}}, "consumes", "change nothing"),
-        ({"activated_by": {"a": {"half": 1}}}, "activated_by", "no meaning"),
-        ({"kind": "hill"}, "activated_by", "is missing"),
-        (
-            {"kind": "hill", "rate": 1.0, "activated_by": {"b": {"half": 1.0}}},
-            "activated_by.a", "does not end where there is none",
-        ),
-        (
-            {"kind": "hill", "rate": 1.0, "activated_by": {"a": {"half": 1.0, "exponent": 0.5}}},
-            "activated_by.a.exponent", "at least 1",
-        ),
     ],
 )  # fmt: skip
 def test_what_is_no_reaction_is_refused_at_its_place(change, path, words):

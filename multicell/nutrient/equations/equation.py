@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from pde.fields.collection import FieldCollection
@@ -31,7 +31,6 @@ from multicell.nutrient.equations.solvers import (
 )
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout
-from multicell.nutrient.uptake import uptake_and_slope
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,23 +48,6 @@ SOLVERS = (ImplicitFieldSolver, MarchFieldSolver, SteadyFieldSolver)
 
 _TRACE = 1e-6
 """Part of the largest concentration of all fields below which the error of one is not followed."""
-
-
-class Coupling(Protocol):
-    """How uptake and secretion of a cell depend on what it finds of other substances."""
-
-    @property
-    def order(self) -> list[str]:
-        """Names of the substances, each after those that it depends on."""
-
-    def demand(
-        self, name: str, concentrations: Mapping[str, FloatArray], taken: Mapping[str, FloatArray]
-    ) -> tuple[FloatArray, FloatArray | None]:
-        """Return largest uptake and secretion of each cell, (n,) amol/s.
-
-        ``concentrations`` (mM) and ``taken`` (amol/s) are what each cell finds and takes up of
-        the substances before.
-        """
 
 
 @final
@@ -92,8 +74,6 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         Of the cells; in the frame of the grid, on shells relative to ``layout``'s centre.
     layout
         Where nodes are for the cells; absent: ``layout_on(grid)``.
-    coupling
-        How demands depend on other substances; absent: not at all.
     reactions : name -> Reaction
         Between the substances: as a scene has them, as tables of the same keys, or functions of
         the user's own (:func:`multicell.reaction`); or the kinetics of all of them.
@@ -115,7 +95,6 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         position: FloatArray | None = None,
         *,
         layout: Layout | None = None,
-        coupling: Coupling | None = None,
         reactions: Mapping[str, Any] | Kinetics | None = None,
         tissue: FloatArray | None = None,
         threads: int = 1,
@@ -127,7 +106,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             if grid is None:
                 raise SceneError("grid", "is missing, and so is a layout")
             layout = layout_on(grid)
-        self.layout, self.coupling = layout, coupling
+        self.layout = layout
         if grid is not None:
             self.grid = grid
         self.position = np.zeros((0, 3)) if position is None else np.asarray(position, dtype=float)
@@ -201,7 +180,6 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         ``data`` are a state's, in mM; the results have its shape.
         """
         nodes = self.nodes(data)
-        self._follow(nodes, t)
         found = [each.rate(nodes[name], t) for name, each in self.substances.items()]
         out, slope = (np.array(x) for x in zip(*found, strict=True))
         if self.reactions is not None:
@@ -213,8 +191,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     ) -> Callable[[FloatArray, float], FloatArray]:
         """Return a function of r and a shift (1/s) that gives about (shift - J)⁻¹ r.
 
-        J is the derivative of the rates; how substances act on each other by what cells do is left
-        out, but not how they react.
+        J is the derivative of the rates.
         """
         _, slope = self.rates(data, t)
         if self.reactions is not None:
@@ -234,15 +211,10 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     def steady_state(self, data: FloatArray, t: float) -> tuple[FloatArray, dict[str, Any]]:
         """Return the state that rests with the conditions of a time in s, and what it took.
 
-        Substances are solved for in the order of their dependences: together they are the exact
-        solution. Those that react are solved for together.
-
         Raises
         ------
         NutrientFailed
             If a solve does not converge.
-        SceneError
-            For uptake that depends on other substances where substances react.
         """
         found, reports = self.solution(data, t)
         return found.reshape(data.shape), reports
@@ -261,8 +233,6 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         ------
         NutrientFailed, StepRefused
             If a solve does not converge.
-        SceneError
-            As for :meth:`steady_state`.
         """
         found, reports = self.solution(data, t, dt, data)
         return found.reshape(data.shape), dt * self.exchanges(found, t, reports)
@@ -277,17 +247,11 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         nodes = dict(self.nodes(start))
         earlier = None if before is None else self.nodes(before)
         if self.reactions is not None:
-            if self.coupling is not None:
-                problem = "have reactions and uptake that depends on other fields"
-                hint = "Let 'multicell-implicit' run long enough."
-                raise SceneError("substances", f"{problem}: no steady solver knows both", hint)
             found, reports = self.reactions.solution(nodes, t, dt, earlier)
             return found.reshape(-1, *self.layout.shape), reports
         reports = {}
-        for name in self.names if self.coupling is None else self.coupling.order:
-            self._follow(nodes, t)
-            each, last = self.substances[name], None if earlier is None else earlier[name]
-            level = each.schedule.at(t)
+        for name, each in self.substances.items():
+            last, level = None if earlier is None else earlier[name], each.schedule.at(t)
             nodes[name], reports[name] = each.solve(nodes[name], level, dt=dt, before=last)
         states = [nodes[name] for name in self.names]
         return states[0][None] if len(states) == 1 else np.array(states), reports
@@ -308,7 +272,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         """Take cells elsewhere, with largest uptake and secretion of each, (n,) amol/s, by name.
 
         ``layout`` may lie elsewhere too, and have other nodes of the same kind; nothing that
-        belongs to nodes (``varied``, ``supply``, ``tissue``) may have been given then.
+        belongs to nodes (``varied``, ``tissue``) may have been given then.
         """
         self.position = position
         if layout is not self.layout:
@@ -326,7 +290,6 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         solvers know of this state; absent: it is found here.
         """
         nodes, rows = self.nodes(data), []
-        self._follow(nodes, t)
         made: dict[str, FloatArray] = {}
         if reports is None and self.reactions is not None:
             made = dict(zip(self.substances, self.reactions.made(nodes), strict=True))
@@ -351,10 +314,6 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             for name, row, rate in zip(self.substances, rows, rates, strict=True)
         }
 
-    def growing(self, data: FloatArray) -> str:
-        """Return in words which substance grows without bound and how fast; empty if none does."""
-        return "" if self.reactions is None else self.reactions.growing(self.nodes(data))
-
     def switches(self, begin: float, end: float) -> list[float]:
         """Return the times strictly between two at which a medium jumps or bends, s."""
         return sorted(
@@ -378,21 +337,6 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             raise SceneError("state", f"{problem} {', '.join(self.names)}")
         if not state.grid.compatible_with(self.grid):
             raise SceneError("state", f"lives on {state.grid}, the equation on {self.grid}")
-
-    def _follow(self, nodes: Mapping[str, FloatArray], t: float) -> None:
-        """Let uptake and secretion follow what cells find and take up of other substances."""
-        if self.coupling is None:
-            return
-        found: dict[str, FloatArray] = {}
-        taken: dict[str, FloatArray] = {}
-        for name in self.coupling.order:
-            each, c = self.substances[name], nodes[name]
-            capacity, production = self.coupling.demand(name, found, taken)
-            each.place(self.layout, self.position, capacity, production)
-            sides = each.conditions_at(each.schedule.at(t))
-            found[name] = self.layout.read(self.position, c, sides)
-            share, _ = uptake_and_slope(1.0, c, each.substance.half_saturation)
-            taken[name] = capacity * self.layout.gather(self.position, share)
 
     def nodes(self, data: Any) -> dict[str, FloatArray]:
         """Return the values of each substance as solvers have them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,9 +18,6 @@ from multicell.results.pde_fields import ball_grid, box_grid
 
 if TYPE_CHECKING:
     from pde.grids.base import GridBase
-
-_KINDS = ({"value"}, {"derivative"}, {"type", "value", "const"})
-"""Keys of the conditions that the solvers' kernels know."""
 
 
 def layout_on(grid: GridBase) -> Layout:
@@ -63,52 +61,30 @@ def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
     """Return a condition for every side of a box, or the one on the surface of a ball.
 
     - ``given``: a concentration, one condition in py-pde's terms, or a mapping of sides to
-      conditions, with ``"x"`` for both sides of an axis and ``"*"`` for all others; arrays of a
-      side's nodes where it differs over a side of a box
+      conditions, with ``"x"`` for both sides of an axis and ``"*"`` for all others
     """
     if not isinstance(given, Mapping):
         given = {"value": given}
-    if given.keys() & {"value", "derivative", "type"}:
+    if given.keys() & {"value", "derivative"}:
         given = {"*": given}
     if isinstance(layout, ShellLayout):
-        return _side(given, "r+", ())
+        return _side(given, "r+")
     assert isinstance(layout, BoxLayout)
-    x, y, z = layout.shape
-    axes = {"x": (y, z), "y": (x, z), "z": (x, y)}
-    if layout.box.height is not None:
-        del axes["z"]
-    return {
-        axis + end: _side(given, axis + end, shape) for axis, shape in axes.items() for end in "-+"
-    }
+    axes = "xyz" if layout.box.height is None else "xy"
+    return {axis + end: _side(given, axis + end) for axis in axes for end in "-+"}
 
 
-def _side(given: Mapping[str, Any], face: str, shape: tuple[int, ...]) -> dict[str, Any]:
-    """Return the condition on a side with nodes of a shape."""
+def _side(given: Mapping[str, Any], face: str) -> dict[str, float]:
+    """Return the condition on a side: its value, or its derivative along the outward normal."""
     keys = [key for key in (face, face[0], "*") if key in given]
     if not keys:
         problem = f"say nothing of the side {face!r}"
         raise SceneError("conditions", problem, "'*' stands for all others")
     condition = given[keys[0]]
-    known = isinstance(condition, Mapping) and set(condition) in _KINDS
-    if not known or condition.get("type", "mixed") != "mixed":
-        hint = "Take a value, a derivative, or a mixed condition, of numbers or arrays of them."
+    if not isinstance(condition, Mapping) or set(condition) not in ({"value"}, {"derivative"}):
+        hint = "Take a value or a derivative."
         raise SceneError("conditions", f"have {condition!r} on the side {face!r}", hint)
-    varies = {"const"} if "type" in condition else {"value", "derivative"}
-    return {
-        key: x if key == "type" else _numbers(x, shape if key in varies else ())
-        for key, x in condition.items()
-    }
-
-
-def _numbers(given: Any, shape: tuple[int, ...]) -> Any:
-    """Return a float, or an array of as many as a side has nodes."""
-    if isinstance(given, float) and math.isfinite(given):
-        return given
-    try:
-        value = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        value = np.array(np.nan)
-    if not np.isfinite(value).all() or (value.ndim and value.size != math.prod(shape)):
-        expected = f"or {math.prod(shape)} of them" if shape else "the same all over the side"
-        raise SceneError("conditions", f"have {given!r}, expected a finite number, {expected}")
-    return value.reshape(shape) if value.ndim else float(value)
+    ((kind, number),) = condition.items()
+    if not isinstance(number, Real) or not math.isfinite(number):
+        raise SceneError("conditions", f"have {number!r}, expected a finite number")
+    return {kind: float(number)}

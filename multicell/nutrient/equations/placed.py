@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import final
 
 import numpy as np
@@ -45,7 +44,7 @@ class PlacedSubstance:
         self.name, self.substance, self._threads = name, substance, threads
         self.layout, self.shape = layout, layout.shape
         self.schedule = substance.schedule
-        self.linear = sum(term.rate for term in substance.linear_terms)
+        self.linear = substance.decay + substance.perfusion
         self._scale()
         self.place(layout, position, substance.capacity, substance.production)
 
@@ -63,27 +62,17 @@ class PlacedSubstance:
             if scaled:
                 self._scale()
         none = np.zeros(len(position))
-        self.sink = self.spread(position, none if capacity is None else capacity)
+        self.sink = self.spread(position, none if capacity is None else capacity, "capacity")
         self.secreted, self._production = np.zeros(self.shape), 0.0
         if production is not None:
-            self.secreted = self.spread(position, production)
+            self.secreted = self.spread(position, production, "production")
             self._production = float(np.sum(production))
         self._gained: tuple[float, FloatArray] | None = None
 
     def _scale(self) -> None:
         """Renew what depends on the number of nodes and their distance."""
         p, layout = self.substance, self.layout
-        supply, varied = (
-            None if x is None else np.asarray(x, dtype=float) for x in (p.supply, p.varied)
-        )
-        if supply is not None and supply.size != math.prod(self.shape):
-            problem = f"has the shape {supply.shape}, the grid has {self.shape}"
-            raise SceneError(f"substances.{self.name}.supply", problem)
-        self._supplied, self._injected = supply, 0.0
-        if supply is not None:
-            self._supplied = supply = supply.reshape(self.shape)
-            self._injected = float(np.sum(layout.volumes * supply))
-        varied = None if varied is None else varied.reshape(self.shape)
+        varied = None if p.varied is None else np.asarray(p.varied, float).reshape(self.shape)
         self._level = self.schedule.at(0.0)
         conditions = self.conditions_at(self._level)
         if isinstance(layout, BoxLayout):
@@ -104,11 +93,14 @@ class PlacedSubstance:
         given = self.substance.conditions
         return conditions_on(self.layout, given(level) if callable(given) else given)
 
-    def spread(self, position: FloatArray, amount: FloatArray) -> FloatArray:
+    def spread(self, position: FloatArray, amount: FloatArray, what: str) -> FloatArray:
         """Return amounts of the cells, (n,) amol/s, as densities of the nodes, mM/s."""
-        if len(amount) != len(position):
-            problem = f"has {len(amount)} cells, but there are positions of {len(position)}"
-            raise SceneError(f"substances.{self.name}", problem)
+        amount, path = np.asarray(amount), f"substances.{self.name}.{what}"
+        if amount.shape != (len(position),):
+            raise SceneError(path, f"has shape {amount.shape}, expected ({len(position)},)")
+        # not so of what is no number either
+        if not (amount.min(initial=0.0) >= 0.0 and amount.max(initial=0.0) < np.inf):
+            raise SceneError(path, "of some cell is negative or not finite")
         try:
             return self.layout.scatter(position, amount)
         except ValueError as trouble:
@@ -122,17 +114,10 @@ class PlacedSubstance:
             self._level = level
         return self.operator
 
-    def _gain(self, level: float) -> float:
-        """Return what linear terms bring to each node, mM/s."""
-        return sum(term.gain(level) for term in self.substance.linear_terms)
-
     def supply(self, level: float) -> FloatArray:
         """Return what nodes gain but over the sides, mM/s."""
-        gain = self._gain(level)
-        if gain == 0.0 and self._supplied is None:
-            return self.secreted
-        still = 0.0 if self._supplied is None else self._supplied
-        return still + gain + self.secreted
+        gain = self.substance.perfusion * level
+        return self.secreted if gain == 0.0 else gain + self.secreted
 
     def rate(self, c: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
         """Return dc/dt (mM/s) and what uptake and decay add to it for each mM less (1/s)."""
@@ -177,18 +162,17 @@ class PlacedSubstance:
 
     def account(self, c: FloatArray, level: float, flows: SolveReport) -> list[float]:
         """Return all that happens to a state (mM), amol/s: the columns :data:`COLUMNS`."""
-        volumes = self.layout.volumes
+        decayed = washed = came = 0.0
+        if self.linear > 0.0:
+            content, perfusion = float(np.sum(self.layout.volumes * c)), self.substance.perfusion
+            decayed, washed = self.substance.decay * content, perfusion * content
+            came = perfusion * (level * self.layout.whole - content)
         found = {
-            "inflow": flows.inflow, "outflow": flows.outflow, "uptake": flows.uptake,
-            "secreted": self._production, "injected": self._injected, "made": flows.made,
-            "used": flows.used, "level": level,
+            "inflow": flows.inflow + came, "outflow": flows.outflow, "uptake": flows.uptake,
+            "secreted": self._production, "made": flows.made, "used": flows.used, "level": level,
+            "decayed": decayed, "washed": washed,
         }  # fmt: skip
-        if self.substance.linear_terms:
-            content, medium = float(np.sum(volumes * c)), level * self.layout.whole
-            for term in self.substance.linear_terms:
-                for entry, amount in term.entries(content, medium).items():
-                    found[entry] = found.get(entry, 0.0) + amount
-        return [found.get(name, 0.0) for name in COLUMNS]
+        return [found[name] for name in COLUMNS]
 
     def inverse(self, r: FloatArray, shift: FloatArray) -> FloatArray:
         """Return about (shift - D L)⁻¹ r with ``shift`` (1/s) at the nodes, exactly on shells."""

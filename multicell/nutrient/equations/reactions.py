@@ -15,12 +15,7 @@ from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.placed import PlacedSubstance
 from multicell.nutrient.reactions.coupled import Coupled, settle
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
-from multicell.nutrient.reactions.kinetics import (
-    FixedForms,
-    Kinetics,
-    growth_rate,
-    kinetics_of,
-)
+from multicell.nutrient.reactions.kinetics import FixedForms, Kinetics, kinetics_of
 from multicell.nutrient.steady import SolveReport, StepRefused
 from multicell.scene.nutrient import MOST
 
@@ -130,31 +125,6 @@ class Reactions:
             coupled = Coupled(self.substances, self.kinetics, self.tissue, begin)
             c = coupled.step(c, c, end - begin)
         return np.asarray(c.max(axis=1))
-
-    def growing(self, nodes: Nodes) -> str:
-        """Return which substance grows without bound and how fast, in words; empty if none does."""
-        c = self._flat(nodes)
-        losses = np.array([each.linear for each in self.substances])
-        worst = (0.0, 0, 0)
-        for node in {int(np.argmax(np.where(np.isfinite(row), row, -1.0))) for row in c}:
-            tissue = None if self.tissue is None else self.tissue[node : node + 1]
-            point = np.ascontiguousarray(c[:, node : node + 1])
-            _, derivative = self.kinetics.evaluate(point, tissue)
-            if not np.isfinite(derivative).all():
-                row = int(np.argmax(point))
-                return (
-                    f"{self.substances[row].name} grows without bound, and is {point.max():.3g} mM"
-                )
-            growth, field = growth_rate(derivative[:, :, 0], losses)
-            worst = max(worst, (growth, field, node))
-        growth, field, node = worst
-        if not growth > 0.0:
-            return ""
-        return (
-            f"{self.substances[field].name} grows without bound: it has come to "
-            f"{float(c[field, node]):.3g} mM, and reactions make it grow by {growth:.3g} 1/s more "
-            "than decay and perfusion take"
-        )
 
     def _flat(self, nodes: Nodes) -> FloatArray:
         return np.array([np.ravel(nodes[each.name]) for each in self.substances])

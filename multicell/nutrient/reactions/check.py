@@ -46,8 +46,7 @@ def _not_finite(made: OwnReaction) -> list[str]:
     bad = ~np.isfinite(slope).all(axis=(0, 1))
     if bad.any():
         where = _place(made, c[:, np.argmax(bad)])
-        kind = "is not found" if made.jacobian is None else "is not finite"
-        return [f"has a derivative that {kind} at {where}", "Give jacobian, or a smooth rate."]
+        return [f"has a derivative that is not found at {where}", "Give a smooth rate."]
     return []
 
 
@@ -89,10 +88,8 @@ def _derivative_of_another(made: OwnReaction) -> list[str]:
         if amiss.any():
             i = int(np.argmax(amiss))
             where = _place(made, c[:, int(np.argmax(missing[i]))])
-            if made.jacobian is None:
-                problem = f"has no derivative that can be found: that of {made.fields[i]} jumps at"
-                return [f"{problem} {where}", "Give jacobian, or a rate without jumps."]
-            return [f"has a jacobian that is not its derivative, for {made.fields[i]} at {where}"]
+            problem = f"has no derivative that can be found: that of {made.fields[i]} jumps at"
+            return [f"{problem} {where}", "Give a rate without jumps."]
     return []
 
 

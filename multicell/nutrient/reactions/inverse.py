@@ -57,7 +57,6 @@ def _in_box(operators: list[Diffusion], blocks: FloatArray) -> Solve:
     shape, first = operators[0].shape, operators[0]
     stiffness = np.array([op.stiffness for op in operators])
     ax, ay, az = (np.asarray(a) / first.stiffness for a in first.eigenvalues)
-    leaks = np.array([op._leak for op in operators])
     if alike:
 
         def solve(r: FloatArray) -> FloatArray:
@@ -65,7 +64,7 @@ def _in_box(operators: list[Diffusion], blocks: FloatArray) -> Solve:
             spectra = np.empty_like(y)
             for i in range(m):
                 spectra[i] = _transform(y[i], first.kinds, inverse=False)
-            divide_by_blocks(spectra, ax, ay, az, stiffness, mean + np.diag(leaks))
+            divide_by_blocks(spectra, ax, ay, az, stiffness, mean)
             for i in range(m):
                 y[i] = _transform(spectra[i], first.kinds, inverse=True)
             return y.reshape(m, nodes)
@@ -224,11 +223,15 @@ def gmres(product: Solve, near: Solve, right: FloatArray, goal: float) -> tuple[
         for k in range(_DIMENSION):
             w = np.ascontiguousarray(product(near(basis[k])))
             taken += 1
-            orthogonalise(basis, k, w, h)
+            for j in range(k + 1):
+                h[j, k] = dot(basis[j], w)
+                w -= h[j, k] * basis[j]
+            h[k + 1, k] = norm = np.sqrt(dot(w, w))
+            basis[k + 1] = (1.0 / norm if norm > 0.0 else 0.0) * w
             y, left = _least(h[: k + 2, : k + 1], size)
             if not left > goal * first or h[k + 1, k] == 0.0:
                 break
-        x += near(combined(basis, y))
+        x += near((y[:, None] * basis[: y.size]).sum(axis=0))
         r = right - product(x)
     return x, taken
 
@@ -239,31 +242,3 @@ def _least(h: FloatArray, size: float) -> tuple[FloatArray, float]:
     right[0] = size
     y = np.linalg.lstsq(h, right, rcond=None)[0]
     return np.asarray(y, dtype=np.float64), float(np.linalg.norm(right - h @ y))
-
-
-@_jit
-def orthogonalise(basis: FloatArray, k: int, w: FloatArray, h: FloatArray) -> None:
-    """Write ``w`` made orthogonal to ``basis[:k + 1]``, of norm 1, to ``basis[k + 1]``.
-
-    ``h[:, k]`` gets its parts. ``w`` (n,) is used up.
-    """
-    for j in range(k + 1):
-        part = dot(basis[j], w)
-        h[j, k] = part
-        for i in range(w.size):
-            w[i] -= part * basis[j, i]
-    norm = np.sqrt(dot(w, w))
-    h[k + 1, k] = norm
-    scale = 1.0 / norm if norm > 0.0 else 0.0
-    for i in range(w.size):
-        basis[k + 1, i] = scale * w[i]
-
-
-@_jit
-def combined(basis: FloatArray, y: FloatArray) -> FloatArray:
-    """Return Σ_j y[j] basis[j], (n,)."""
-    out = np.zeros(basis.shape[1])
-    for j in range(y.size):
-        for i in range(out.size):
-            out[i] += y[j] * basis[j, i]
-    return out

@@ -1,9 +1,8 @@
 """Rates of reactions between fields, and their derivatives, at all nodes of a grid.
 
-A fixed form is ``rate`` times one factor for each field that it depends on: c^n of mass action,
-c^n / (K^n + c^n), or K^n / (K^n + c^n). Below zero, where only a solver's iterates and its error
-can be, rates go on along their tangent at zero: what is not there is then not consumed, and what a
-reaction would have taken too much comes back.
+A reaction of a scene goes on at ``rate`` times c^n of each field that it consumes. Below zero,
+where only a solver's iterates and its error can be, rates go on along their tangent at zero: what
+is not there is then not consumed, and what a reaction would have taken too much comes back.
 """
 
 from __future__ import annotations
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 
 _jit = typed(**KERNEL)
 
-POWER, RISING, FALLING = 0, 1, 2
-"""Forms of a factor."""
 _PLACES = {"everywhere": 0, "tissue": 1, "medium": 2}
 
 
@@ -93,13 +90,11 @@ class FixedForms:
         self.reactions = dict(reactions)
         listed = list(reactions.values())
         self.needs_tissue = any(r.where != "everywhere" for r in listed)
-        factors = [_factors(reaction, self.names) for reaction in listed]
-        self._first = np.cumsum([0, *(len(found) for found in factors)])
-        flat = [factor for found in factors for factor in found]
-        self._field = np.array([f[0] for f in flat], dtype=np.int64)
-        self._form = np.array([f[1] for f in flat], dtype=np.int64)
-        self._half = np.array([f[2] for f in flat], dtype=np.float64)
-        self._power = np.array([f[3] for f in flat], dtype=np.float64)
+        consumed = [reaction.consumes or {} for reaction in listed]
+        self._first = np.cumsum([0, *map(len, consumed)])
+        flat = [(self.names.index(name), n) for found in consumed for name, n in found.items()]
+        self._field = np.array([field for field, _ in flat], dtype=np.int64)
+        self._power = np.array([power for _, power in flat], dtype=np.float64)
         self._rate = np.array([r.rate for r in listed], dtype=np.float64)
         self._place = np.array([_PLACES[r.where] for r in listed], dtype=np.int64)
         self._change = np.array(
@@ -123,47 +118,14 @@ class FixedForms:
         filled = np.zeros(nodes) if tissue is None else np.ascontiguousarray(tissue).ravel()
         out, slope = np.empty((m, nodes)), np.empty((m, m, nodes))
         react(
-            c, filled, self._rate, self._place, self._first, self._field, self._form, self._half,
-            self._power, self._change, out, slope,
+            c, filled, self._rate, self._place, self._first, self._field, self._power,
+            self._change, out, slope,
         )  # fmt: skip
         return out, slope
 
 
 Kinetics = FixedForms | Together
 """Rates of reactions between the fields of a grid."""
-
-
-def _factors(reaction: Reaction, names: list[str]) -> list[tuple[int, int, float, float]]:
-    """Return field, form, half saturation and exponent of each factor of a rate."""
-    found = []
-    if reaction.kind == "mass-action":
-        for name, power in (reaction.consumes or {}).items():
-            found.append((names.index(name), POWER, 1.0, power))
-    for form, terms in ((RISING, reaction.activated_by), (FALLING, reaction.inhibited_by)):
-        for name, term in terms.items():
-            found.append((names.index(name), form, term.half, term.exponent))
-    return found
-
-
-@_jit
-def factor(form: int, c: float, half: float, n: float) -> tuple[float, float]:
-    """Return a factor of a rate and its derivative (1/mM) at a concentration not below zero."""
-    if form == POWER:
-        below = c ** (n - 1.0)
-        return c * below, n * below
-    ratio = c / half
-    if ratio <= 1.0:
-        below = ratio ** (n - 1.0)
-        power = ratio * below
-        rising, falling = power / (1.0 + power), 1.0 / (1.0 + power)
-        slope = n * below / half * falling * falling
-    else:
-        power = ratio**-n
-        rising, falling = 1.0 / (1.0 + power), power / (1.0 + power)
-        slope = n / c * rising * falling
-    if form == RISING:
-        return rising, slope
-    return falling, -slope
 
 
 @_jit
@@ -174,8 +136,6 @@ def react(
     place: Any,
     first: Any,
     field: Any,
-    form: Any,
-    half: FloatArray,
     power: FloatArray,
     change: FloatArray,
     out: FloatArray,
@@ -186,8 +146,7 @@ def react(
     - ``rate``, (r,): of each reaction, mM^(1 - n)/s or mM/s
     - ``place``, (r,): 0 everywhere, 1 in proportion to tissue, 2 to what is none
     - ``first``, (r + 1,): first factor of each reaction
-    - ``field``, ``form``, ``half``, ``power``, (factors,): row of the field that a factor depends
-      on, its form, K (mM) and n
+    - ``field``, ``power``, (factors,): row of the field that a factor depends on, and its exponent
     - ``change``, (r, m): how many of each field a reaction makes
     """
     m, nodes = c.shape
@@ -205,7 +164,9 @@ def react(
                 speed *= 1.0 - tissue[x]
             product = speed
             for k in range(first[r], first[r + 1]):
-                value[k], steep[k] = factor(form[k], max(c[field[k], x], 0.0), half[k], power[k])
+                v, n = max(c[field[k], x], 0.0), power[k]
+                below = v ** (n - 1.0)
+                value[k], steep[k] = v * below, n * below
                 product *= value[k]
             for i in range(m):
                 out[i, x] += change[r, i] * product
@@ -220,17 +181,3 @@ def react(
             if c[j, x] < 0.0:
                 for i in range(m):
                     out[i, x] += slope[i, j, x] * c[j, x]
-
-
-def growth_rate(derivative: FloatArray, losses: FloatArray) -> tuple[float, int]:
-    """Return how fast the fastest growing mixture of fields grows at a node, and of which most is.
-
-    - ``derivative``, (m, m), 1/s: of the reactions' rates
-    - ``losses``, (m,), 1/s: what else takes each field, in proportion to it
-
-    Returns float, 1/s: largest real part of the eigenvalues; below zero nothing grows; int: row of
-    the field that has the largest part in it.
-    """
-    values, vectors = np.linalg.eig(derivative - np.diag(losses))
-    worst = int(np.argmax(values.real))
-    return float(values[worst].real), int(np.argmax(np.abs(vectors[:, worst])))

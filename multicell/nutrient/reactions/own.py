@@ -35,15 +35,14 @@ class OwnReaction:
     ----------
     fields
         Names of the fields that it depends on and changes.
-    rate, jacobian
-        The functions; without the second one the derivative is found by differences.
+    rate
+        The function.
     upto : float, mM
         Largest concentration that it was made for.
     """
 
     fields: tuple[str, ...]
     rate: Rate
-    jacobian: Rate | None
     upto: float
     _type: Any
 
@@ -64,23 +63,19 @@ class OwnReaction:
         return np.asarray(self.rate(given, cell or Cell(1.0)), dtype=float)
 
 
-def reaction(
-    *, fields: Sequence[str], jacobian: Rate | None = None, upto: float = 1.0
-) -> Callable[[Rate], OwnReaction]:
+def reaction(*, fields: Sequence[str], upto: float = 1.0) -> Callable[[Rate], OwnReaction]:
     """Make a reaction of a function of bare floats.
 
     The function is called as ``rate(concentrations, cell)`` with a tuple of the concentrations of
     ``fields`` in mM, none below zero, and ``cell.tissue``, the part of the place that is tissue. It
     returns what becomes of each field in mM/s, a tuple of as many floats. It is compiled:
-    arithmetic on floats, :mod:`math` and other such functions are what it may use.
+    arithmetic on floats, :mod:`math` and other such functions are what it may use. Its derivative
+    is found by central differences with steps of 1e-5 of each concentration.
 
     Parameters
     ----------
     fields
         Names of the fields, in the order of the concentrations.
-    jacobian
-        Called like the function: a tuple of rows, ∂rate_i/∂c_j in 1/s. Absent, it is found by
-        central differences with steps of 1e-5 of each concentration.
     upto : float, mM
         Largest concentration that it is meant for: up to there it is tried.
 
@@ -92,14 +87,14 @@ def reaction(
     ------
     SceneError
         For a function with other arguments or of which another number of rates comes, that is not
-        finite, cannot be compiled, takes of a field where there is none, or whose derivative is
-        neither given nor found: where rates jump, or a given one is that of another function.
+        finite, cannot be compiled, takes of a field where there is none, or whose derivative is not
+        found, since its rates jump.
     """
 
     def make(rate: Rate) -> OwnReaction:
         path = f"reaction.{getattr(rate, '__name__', 'rate')}"
-        _check_form(path, rate, jacobian, fields, upto)
-        made = OwnReaction(tuple(fields), rate, jacobian, upto, type_of(rate, jacobian, fields))
+        _check_form(path, rate, fields, upto)
+        made = OwnReaction(tuple(fields), rate, upto, type_of(rate, fields))
         _compile(path, made)
         from multicell.nutrient.reactions.check import problems
 
@@ -111,13 +106,12 @@ def reaction(
     return make
 
 
-def _check_form(path: str, rate: Any, jacobian: Any, fields: Sequence[str], upto: float) -> None:
+def _check_form(path: str, rate: Any, fields: Sequence[str], upto: float) -> None:
     if isinstance(fields, str) or not fields or len(set(fields)) != len(fields):
         raise SceneError(f"{path}.fields", f"are {fields!r}, must be a list of names, each once")
-    for function in filter(None, (rate, jacobian)):
-        if tuple(signature(function).parameters) != _ARGUMENTS:
-            given = ", ".join(signature(function).parameters)
-            raise SceneError(path, f"has the arguments ({given}), must have (concentrations, cell)")
+    if tuple(signature(rate).parameters) != _ARGUMENTS:
+        given = ", ".join(signature(rate).parameters)
+        raise SceneError(path, f"has the arguments ({given}), must have (concentrations, cell)")
     if not (math.isfinite(upto) and upto > 0.0):
         raise SceneError(f"{path}.upto", f"is {upto!r}, must be a concentration above zero")
 

@@ -1,7 +1,7 @@
 """How kernels reach the functions of reactions of the user's own.
 
-By the type of a NamedTuple whose name holds a fingerprint of the functions and of all that they
-read: where :func:`all_nodes` calls :func:`_at_node`, numba compiles what belongs to the type.
+By the type of a NamedTuple whose name holds a fingerprint of the function and of all that it
+reads: where :func:`all_nodes` calls :func:`_at_node`, numba compiles what belongs to the type.
 Compiled code is kept on disk under it, and cannot be stale.
 """
 
@@ -33,14 +33,13 @@ class Cell(NamedTuple):
 
 
 _TYPES: dict[str, Any] = {}
-_FUNCTIONS: dict[Any, tuple[Rate, Rate | None, int]] = {}
+_FUNCTIONS: dict[Any, tuple[Rate, int]] = {}
 
 
-def type_of(rate: Rate, jacobian: Rate | None, fields: Sequence[str]) -> Any:
+def type_of(rate: Rate, fields: Sequence[str]) -> Any:
     """Return the type that stands for a reaction."""
-    marks = [fingerprint(f, modules=True) for f in (rate, jacobian) if f is not None]
-    made = _type("_".join(["Reaction", str(len(fields)), *marks]))
-    _FUNCTIONS[made] = rate, jacobian, len(fields)
+    made = _type(f"Reaction_{len(fields)}_{fingerprint(rate, modules=True)}")
+    _FUNCTIONS[made] = rate, len(fields)
     return made
 
 
@@ -68,23 +67,10 @@ def _at_node(p, c, tissue, out, slope):
 def _compiled_at_node(p, c, tissue, out, slope):
     if not isinstance(p, types.BaseNamedTuple) or p.instance_class not in _FUNCTIONS:
         return None
-    rate, jacobian, m = _FUNCTIONS[p.instance_class]
-    for function in filter(None, (rate, jacobian)):
-        for part in (*helpers_of(function), function):
-            register_jitable(error_model="numpy")(part)
-    return _by_differences(rate, m) if jacobian is None else _as_given(rate, jacobian, m)
-
-
-def _as_given(rate: Any, jacobian: Any, m: int) -> Any:
-    def at_node(p, c, tissue, out, slope):
-        here, cell = to_fixed_tuple(c, m), Cell(tissue)
-        found, rows = rate(here, cell), jacobian(here, cell)
-        for i in range(m):
-            out[i] = found[i]
-            for j in range(m):
-                slope[i, j] = rows[i][j]
-
-    return at_node
+    rate, m = _FUNCTIONS[p.instance_class]
+    for part in (*helpers_of(rate), rate):
+        register_jitable(error_model="numpy")(part)
+    return _by_differences(rate, m)
 
 
 def _by_differences(rate: Any, m: int) -> Any:

@@ -182,8 +182,9 @@ class _Tissue:
     def _hazard(self, levels: Mapping[str, FloatArray]) -> FloatArray:
         """Return the rate of necrosis, (SHELLS,) 1/s; of damage as over the time that it takes."""
         hazard = np.zeros(SHELLS)
+        found = levels or {"": hazard}  # says how many shells there are where there is no field
         for behaviour in ("necrosis rate", "damage rate"):
-            rate = rate_of_harm(self._plan, behaviour, levels, None)
+            rate = rate_of_harm(self._plan, behaviour, found, None)
             hazard += 0.0 if rate is None else rate
         return hazard
 

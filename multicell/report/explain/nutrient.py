@@ -46,14 +46,7 @@ def _reaction_words(reaction: Reaction) -> str:
         return " + ".join(words) or "nothing"
 
     words = f"{side(reaction.consumes)} -> {side(reaction.produces)}"
-    if reaction.kind == "mass-action":
-        rate = f"mass action, {reaction.rate:g} {reaction.unit}"
-    else:
-        trends = ("more", reaction.activated_by), ("less", reaction.inhibited_by)
-        terms = [
-            f"{x} {n} (half at {t.half:g} mM)" for x, terms in trends for n, t in terms.items()
-        ]
-        rate = f"{reaction.rate:g} mM/s at most, faster with {', '.join(terms)}"
+    rate = f"mass action, {reaction.rate:g} {reaction.unit}"
     place = "" if reaction.where == "everywhere" else f", in {reaction.where}"
     return f"{words}: {rate}{place}"
 
@@ -67,11 +60,6 @@ def _what(scene: Scene, name: str) -> str:
     together = [other for other in group_of(name, scene.reactions) if other != name]
     if together:
         parts.append(f"solved together with {', '.join(together)}, with which it reacts")
-    if nutrient.sources:
-        parts.append(f"given off by {len(nutrient.sources)} source(s) that stand still")
-    for key, region in nutrient.regions.items():
-        ratio = region.diffusion / nutrient.diffusion
-        parts.append(f"diffuses {ratio:.3g} times as fast in '{key}'")
     for other, law in nutrient.uptake_on.items():
         trend = "rises" if law.effect > 0.0 else "falls"
         parts.append(f"uptake {trend} where {other} is short of {law.half:g} mM")
@@ -120,8 +108,6 @@ def _medium(nutrient: Nutrient) -> str:
     if finite is not None:
         words = f"{finite.volume:g} um^3 of medium that the cells use up, "
         words += f"{nutrient.medium(0.0):g} mM"
-        if finite.unstirred is not None:
-            words += f" behind an unstirred layer of {finite.unstirred:g} um"
         changes = sum(time > 0.0 for time, _ in nutrient.media or ())
         return f"{words}, replaced {changes} time(s)" if changes else words
     if nutrient.media is None:
