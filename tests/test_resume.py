@@ -69,7 +69,6 @@ CASES = {
         **GROWING, "growth.division": "smooth",
         "growth.phases": {name: {"duration": "2 h"} for name in ("G1", "S", "G2", "M")},
         "motions": {"held": {"cells": [0, 2]}, "x": {"cells": [1], "velocity": [0, 1e-5, 0]}},
-        "forces": {"f": {"force": [0.001, 0, 0], "cells": [3]}},
     }),
     "a gradient in a box": ("growth", {
         **GROWING, "domain": {axis: [-20.0, 20.0] for axis in "xyz"}, "chemotaxis": {"oxygen": {}},

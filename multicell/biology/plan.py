@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from multicell.biology.responding import BoundResponse
     from multicell.cells import FloatArray
     from multicell.contact.law import PairLaw
-    from multicell.scene.driven import Force, PrescribedMotion
+    from multicell.scene.driven import Motions
     from multicell.scene.parts import (
         Adhesion,
         CellType,
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
         Death,
         Domain,
         Growth,
-        Haptotaxis,
         Motility,
         Pull,
     )
@@ -60,14 +59,13 @@ class BiologyPlan:
     - ``young``, ``young_variation``, ``heritable``, ``drift``, ``reaction_time``: of the cells, in
       kPa and s
     - ``inflow``: viscosity of the medium that flows in to what is lost, kPa·s; 0: it is at rest
-    - ``surface_tension``: of the tissue, nN/µm; 0: none
     - ``types``: by name; empty where all cells are alike
     - ``cycle_scale``, ``motility_scale``, ``young_ratio``, (types,) or None: factors of each type;
       None where they are all 1
     - ``energies``, (types, types) nN/µm, or None: surface energies between types that have their
       own
     - ``solubility``, field -> mM/kPa: of oxygen, in the fields that say what irradiation does
-    - ``es``, ``motions``: parts of the scene that hold nothing but numbers and names
+    - ``radiation`` to ``motions``: parts of the scene that hold nothing but numbers and names
     """
 
     seed: int
@@ -93,7 +91,6 @@ class BiologyPlan:
     heritable: tuple[str, ...]
     drift: Mapping[str, float]
     inflow: float
-    surface_tension: float
     reaction_time: float
     types: Mapping[str, CellType]
     cycle_scale: FloatArray | None
@@ -109,15 +106,13 @@ class BiologyPlan:
     adhesion: Adhesion | None
     motility: Motility | None
     chemotaxis: Mapping[str, Chemotaxis]
-    haptotaxis: Haptotaxis | None
     pull: Pull | None
-    forces: Mapping[str, Force]
-    motions: Mapping[str, PrescribedMotion]
+    motions: Motions
 
 
 _OF_SCENE: Final = (
     "seed", "dimensions", "types", "radiation", "contact", "domain", "death", "adhesion",
-    "motility", "chemotaxis", "haptotaxis", "pull", "forces", "motions",
+    "motility", "chemotaxis", "pull", "motions",
 )  # fmt: skip
 _OF_CELLS: Final = ("young", "young_variation", "heritable", "reaction_time")
 
@@ -154,7 +149,6 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         elsewhere=missing_signals(known),
         drift=cells.drift or {},
         inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,
-        surface_tension=0.0 if scene.surface is None else scene.surface.tension,
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,
         motility_scale=np.array([kind.motility_scale for kind in kinds]) if kinds else None,
         young_ratio=np.array(ratio) if any(own) else None,

@@ -47,8 +47,7 @@ def _has_gel(scene: Scene) -> bool:
 
 
 def _closes(scene: Scene) -> bool:
-    inflow = scene.death is not None and scene.death.inflow
-    return scene.dimensions == 3 and (scene.surface is not None or inflow)
+    return scene.dimensions == 3 and scene.death is not None and scene.death.inflow
 
 
 def _walls(state: TissueState) -> Walls | Sphere:

@@ -40,14 +40,11 @@ _SAME: Final[Mapping[str, str]] = {
     "growth.phases.*": "duration distribution variation shift grows",
     "death": "necrosis_rate damage_time damage_repair_time damage_variation inflow core swelling "
     "swelling_time lysis_time apoptosis_rate apoptosis_time removal_fraction",
-    "surface": "tension",
     "types.*": "fraction young receptor ligand receptor_by ligand_by cycle_scale uptake_scale "
     "secretion_scale uptake_of secretion_of motility_scale",
     "adhesion": "strength",
     "motility": "persistence renewal bias direction towards",
     "chemotaxis.*": "half",
-    "haptotaxis": "landscape axis length",
-    "forces.*": "type x y z begin end",
     "motions.*": "type x y z begin end velocity",
     "compression": "bulk_modulus onset",
     "domain": "shape radius stiffness x y z wall young poisson",
@@ -94,9 +91,6 @@ LAWS: Final[Mapping[str, int | str]] = {
     # forces and rates of a cell, per volume of it
     "motility.force": 3,
     "chemotaxis.*.force": 3,
-    "haptotaxis.force": 3,
-    "forces.*.force": 3,
-    "forces.*.rate": 3,
     "nutrients.*.uptake": 3,
     "nutrients.*.secretion": 3,
     # errors of positions are judged by the size of cells
@@ -104,7 +98,6 @@ LAWS: Final[Mapping[str, int | str]] = {
     # what has no law
     "initial.cells": "gives the places of single cells",
     "pull": "breaks single contacts, which a continuum does not have",
-    "forces.*.cells": "names single cells; choose them by type or region",
     "motions.*.cells": "names single cells; choose them by type or region",
     **{f"{table}.{key}".lstrip("."): 0 for table, keys in _SAME.items() for key in keys.split()},
 }

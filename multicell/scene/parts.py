@@ -476,16 +476,6 @@ class Friction:
 
 @final
 @parameters
-class Surface:
-    """Tension of the surface between tissue and medium, also of that round holes in it."""
-
-    tension: float = quantity(
-        "nN/um", above=0, at_most=1e3, doc="of the surface of the tissue, in mN/m = nN/um"
-    )
-
-
-@final
-@parameters
 class Compression:
     """Resistance of tissue to compression by all neighbours of a cell together; in space only."""
 
@@ -524,22 +514,6 @@ class Chemotaxis:
 
     force: float = quantity("nN", default=0.1, doc="in a steep gradient; negative: down it")
     half: float = quantity("mM/um", default=1e-4, above=0, doc="gradient of half the force")
-
-
-@final
-@parameters
-class Haptotaxis:
-    """A force towards more adhesive ground, on a fixed landscape; no feedback from the cells.
-
-    ``gradient``: the same force everywhere, along the axis. ``stripes``: adhesive stripes across
-    the axis, ``length`` apart, one through the origin. ``spot``: a Gaussian spot at the origin with
-    the standard deviation ``length``.
-    """
-
-    landscape: str = choice(["gradient", "stripes", "spot"], default="gradient", doc="of adhesion")
-    force: float = quantity("nN", default=0.1, at_least=0, doc="the largest that occurs")
-    axis: str = choice(["x", "y", "z"], default="x", doc="of gradient or stripes")
-    length: float = quantity("um", default=50.0, above=0, doc="of the landscape")
 
 
 @final

@@ -409,7 +409,7 @@ def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
         "[motility]": name == "bias" and scene.motility is None,
         "[adhesion]": name in ("receptors", "ligands") and scene.adhesion is None,
     }
-    active = scene.motility is not None or bool(scene.chemotaxis) or scene.haptotaxis is not None
+    active = scene.motility is not None or bool(scene.chemotaxis)
     lacking["[motility]"] |= name == "speed" and not active
     for table, missing in lacking.items():
         if missing:

@@ -31,7 +31,7 @@ from multicell.scene.checks import (
     check_types,
 )
 from multicell.scene.domain import check_domain
-from multicell.scene.driven import Force, PrescribedMotion, check_driven
+from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.oxygen import in_concentrations
@@ -46,12 +46,10 @@ from multicell.scene.parts import (
     Drag,
     Friction,
     Growth,
-    Haptotaxis,
     IntegratorOptions,
     Motility,
     OutputOptions,
     Pull,
-    Surface,
 )
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
@@ -98,9 +96,9 @@ class Scene:
         The run ends after the coupling step in which this many cells exist.
     initial, cells, contact, drag, integrator, output
         The parts that each scene has.
-    growth, death, adhesion, friction, compression, motility, surface, pull, domain, energy
+    growth, death, adhesion, friction, compression, motility, pull, domain, energy
         None where the scene has no such part.
-    forces, motions : mapping of name to Force or PrescribedMotion, read-only
+    motions : mapping of name to PrescribedMotion, read-only
         What drives named cells from outside.
     types : mapping of name to CellType, read-only
         Empty where all cells are alike.
@@ -141,10 +139,7 @@ class Scene:
     chemotaxis: Mapping[str, Chemotaxis] = tables(
         Chemotaxis, doc="by field; absent: no force along gradients"
     )
-    haptotaxis: Haptotaxis | None = table(Haptotaxis, default=None, doc="absent: even ground")
-    surface: Surface | None = table(Surface, default=None, doc="absent: only contacts hold tissue")
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
-    forces: Mapping[str, Force] = tables(Force, doc="from outside, on named cells; absent: none")
     motions: Mapping[str, PrescribedMotion] = tables(
         PrescribedMotion, doc="of named cells; absent: all move freely"
     )

@@ -27,7 +27,7 @@ holds observables of short runs beside it.
 _LARGEST: Final = 10_000_000  # bytes of the file of a method of the user's own
 _LENGTH: Final = 24  # hexadecimal digits of a name: a clash is expected after 3e14 runs
 _ORDERED: Final = (
-    "chemotaxis", "forces", "motions", "nutrients", "reactions", "regions", "sources",
+    "chemotaxis", "motions", "nutrients", "reactions", "regions", "sources",
     "types",
 )  # fmt: skip
 """Tables whose order decides results: which cells are of which type, which sum comes first."""

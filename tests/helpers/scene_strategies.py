@@ -50,7 +50,6 @@ NAMES = {
     "produces": FIELDS,
     "activated_by": FIELDS,
     "inhibited_by": FIELDS,
-    "forces": ("tug", "weight"),
     "motions": ("base", "tip"),
     "observables": ("first", "second"),
     "responses": ("kill", "slow", "switch"),

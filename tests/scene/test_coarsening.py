@@ -78,7 +78,7 @@ def test_viscosity_of_tissue_is_the_same():
 
 FREE = Scene.from_dict(
     {"duration": "1 h", "initial": {"count": 27, "spacing": 50.0}, "contact": {"law": "hertz"},
-     "motility": {"force": 0.2}, "haptotaxis": {"force": 0.1}}
+     "motility": {"force": 0.2, "bias": 0.5, "direction": [1, 0, 0]}}
 )  # fmt: skip
 
 
@@ -165,8 +165,8 @@ MANY = {"initial.count": 80}
         ("monolayer", MANY, 2, "dimensions", "thicker layer"),
         ("growth", {"initial": {"count": 80, "shape": "row"}}, 2, "initial.shape", "shorter"),
         ("growth", {"pull": {"force": 1}, **MANY}, 2, "pull", "single contacts"),
-        ("growth", {"forces": {"a": {"cells": [1], "force": [1, 0, 0]}}, **MANY}, 2,
-         "forces.*.cells", "type or region"),
+        ("growth", {"motions": {"a": {"cells": [1]}}, **MANY}, 2, "motions.*.cells",
+         "type or region"),
     ],
 )  # fmt: skip
 def test_what_has_no_law_is_refused(name, changes, factor, path, said):

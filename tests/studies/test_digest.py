@@ -13,7 +13,7 @@ from multicell.studies import runs
 from multicell.studies.runs import digest
 
 NAMED = {
-    "types", "nutrients", "reactions", "chemotaxis", "sources", "regions", "forces", "motions",
+    "types", "nutrients", "reactions", "chemotaxis", "sources", "regions", "motions",
 }  # fmt: skip
 LAW = """
 import multicell as mc

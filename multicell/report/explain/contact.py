@@ -10,7 +10,7 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
 from multicell.report.explain.items import Number, Part, hours, pair_label, part
-from multicell.scene.driven import Driver
+from multicell.scene.driven import PrescribedMotion
 from multicell.scene.packing import collapse_notes, strongest_attraction
 from multicell.scene.pairs import daughters_stiffness, drag, pairs
 from multicell.scene.parts import Motility
@@ -25,10 +25,6 @@ def contact_parts(scene: Scene) -> list[Part]:
     energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
     total = sum(kind.fraction for kind in scene.types.values())
     shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
-    forces = [
-        f"{name}: {math.hypot(*law.force):.3g} nN on {_whom(law)}{_when(law)}"
-        for name, law in scene.forces.items()
-    ]
     motions = [
         f"{name}: {_whom(law)} "
         + (f"moved at {speed:.3g} um/s" if speed else "held where they are")
@@ -60,7 +56,6 @@ def contact_parts(scene: Scene) -> list[Part]:
             and f"outwards with {load.force:g} nN and {load.rate:g} nN/s more; the run ends when "
             "the last contact breaks",
         ),
-        part("forces", "; ".join(forces)),
         part("motions", "; ".join(motions)),
     ]
 
@@ -271,7 +266,7 @@ def drift(bias: float, dimensions: int) -> float:
     return math.copysign(total / 1000, bias)
 
 
-def _whom(driver: Driver) -> str:
+def _whom(driver: PrescribedMotion) -> str:
     words = []
     if driver.cells is not None:
         few = ", ".join(map(str, driver.cells[:5])) + (", ..." if len(driver.cells) > 5 else "")
@@ -285,7 +280,7 @@ def _whom(driver: Driver) -> str:
     return " with ".join(words) or "all cells"
 
 
-def _when(driver: Driver) -> str:
+def _when(driver: PrescribedMotion) -> str:
     if driver.begin == 0.0 and driver.end is None:
         return ""
     end = "the end" if driver.end is None else hours(driver.end)

@@ -15,7 +15,6 @@ _ABSENT: Final = {
     "compression": "contacts of pairs alone resist compression",
     "motility": "no active motion",
     "pull": "no external force",
-    "forces": "nothing pushes single cells from outside",
     "motions": "no cell is held or moved from outside",
     "growth": "the number of cells stays, no growth and no division is computed",
     "radiation": "no cell is irradiated",

@@ -215,7 +215,7 @@ def _radiation_words(scene: Scene) -> Iterator[str]:
 
 
 def _taxis(scene: Scene) -> list[Part]:
-    """Return the forces along gradients and landscapes, with the drift of a free cell."""
+    """Return the forces along gradients, with the drift of a free cell."""
     resistance = drag(scene, birth_radius(scene))
     parts = []
     for name, law in scene.chemotaxis.items():
@@ -223,13 +223,6 @@ def _taxis(scene: Scene) -> list[Part]:
         way = "up" if law.force >= 0.0 else "down"
         what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
         parts.append(part(f"chemotaxis.{name}", what))
-    if scene.surface is not None:
-        what = f"{scene.surface.tension:g} nN/um, which presses on a ball of 300 um radius"
-        parts.append(part("surface", f"{what} with {scene.surface.tension / 0.15:.3g} Pa"))
-    if scene.haptotaxis is not None:
-        speed = 3600.0 * scene.haptotaxis.force / resistance
-        what = f"{scene.haptotaxis.landscape}: a free cell drifts at up to {speed:.3g} um/h"
-        parts.append(part("haptotaxis", what))
     return parts
 
 
