@@ -318,7 +318,6 @@ def counts_contacts(scene: Scene) -> bool:
     if scene.contact.remembers or len(scene.types) > 1 or scene.pull is not None:
         return True
     named = {name for part in scene.responses.values() for name in part.signals}
-    named |= {name for part in scene.signals.values() for name in part.of}
     return any(map(needs_contacts, named))
 
 

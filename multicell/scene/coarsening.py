@@ -63,7 +63,6 @@ _SAME: Final[Mapping[str, str]] = {
     "reactions.*.inhibited_by.*": "half exponent",
     "responses.*": "behaviour signal cells law falls half power begin end points base largest "
     "combine parameters",
-    "signals.*": "of combine",
     "radiation.*": "dose times start every fractions alpha beta cells oxygen oer half_oxygen "
     "phase_factor mitotic_divisions",
     "integrator": "method rtol max_steps step max_displacement",
@@ -208,10 +207,6 @@ def _times(value: Any, by: float) -> Any:
 
 def _scale_signals(scene: Scene, entries: dict[str, Any], factor: float) -> None:
     """Scale levels of signals that are the size of a cell."""
-    for name, signal in scene.signals.items():
-        entries["signals"][name]["of"] = {
-            x: float(scale) * factor ** _SIGNALS.get(x, 0) for x, scale in signal.of.items()
-        }
     for name, part in scene.responses.items():
         by = factor ** _SIGNALS.get(part.signals[0] if part.signals else "", 0)
         plain = entries["responses"][name]

@@ -161,8 +161,7 @@ class Growth:
     """Growth and division: the volume doubles in one cycle, by a law of growth.
 
     With T the cycle time, V_b and V_d the volumes at birth and at division, and K = ``target`` V_d:
-    linear V' = V_b / T; exponential V' = r V; and laws that saturate, relaxation V' = r (K - V),
-    logistic V' = r V (1 - V/K), gompertz V' = r V ln(K/V). The rate r follows from T.
+    linear V' = V_b / T; exponential V' = r V; relaxation V' = r (K - V). The rate r follows from T.
 
     Without ``phases`` a cell divides at the division volume. With them it passes G1, S, G2 and M
     and divides at the end of M; the volume doubles in the phases in which it grows, and there
@@ -183,7 +182,7 @@ class Growth:
         default=None,
         above=1,
         at_most=1000,
-        doc="volume that a law which saturates goes to / division volume",
+        doc="volume that relaxation goes to / division volume",
         hint="A cell never reaches the division volume otherwise.",
     )
     parameters: Mapping[str, float] | None = quantities(

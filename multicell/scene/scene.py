@@ -54,7 +54,7 @@ from multicell.scene.parts import (
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.responses import Response, Signal, check_responses
+from multicell.scene.responses import Response, check_responses
 from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
     SYNONYMS,
@@ -105,7 +105,6 @@ class Scene:
     nutrients : mapping of name to Nutrient, read-only
     reactions : mapping of name to Reaction, read-only
     responses : mapping of name to Response, read-only
-    signals : mapping of name to Signal, read-only
     radiation : mapping of name to Radiation, read-only
 
     Raises
@@ -151,7 +150,6 @@ class Scene:
         Response, listed="response",
         doc="of what cells do to what they find; absent: none but those of single keys"
     )  # fmt: skip
-    signals: Mapping[str, Signal] = tables(Signal, doc="derived from others, by name; absent: none")
     radiation: Mapping[str, Radiation] = tables(
         Radiation, doc="courses of irradiation; absent: none"
     )
@@ -178,7 +176,7 @@ class Scene:
         check_types(self)
         check_integrator(self)
         check_towards(self)
-        if self.responses or self.signals:
+        if self.responses:
             check_responses(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)

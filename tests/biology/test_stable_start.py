@@ -33,8 +33,6 @@ GROWTHS = {
     "exponential": {"cycle_time": "20 h", "cycle_variation": 0.5, "law": "exponential"},
     "relaxation": {"cycle_time": "20 h", "cycle_variation": 0.4, "law": "relaxation",
                    "target": 1.2},
-    "logistic": {"cycle_time": "20 h", "cycle_variation": 0.4, "law": "logistic", "target": 1.5},
-    "gompertz": {"cycle_time": "20 h", "cycle_variation": 0.4, "law": "gompertz", "target": 1.5},
 }  # fmt: skip
 """The cycles of scenes: in phases, and by each law of growth."""
 

@@ -134,7 +134,6 @@ def test_twice_is_once():
 
 
 SIZES = {
-    "signals.size": {"of": {"radius": "5 um", "oxygen": "0.1 mM"}},
     "responses": {
         "a": {"behaviour": "growth rate", "signal": "volume", "half": 300},
         "b": {"behaviour": "apoptosis rate", "signal": "radius", "law": "table",
@@ -150,7 +149,6 @@ def test_levels_of_size_grow_with_the_cell():
     assert coarse.responses["a"].half == 2400
     assert coarse.responses["b"].points == ((8, 0), (10, 1e-6))
     assert coarse.responses["c"].half == 0.1
-    assert coarse.signals["size"].of == {"radius": 10, "oxygen": 0.1}
 
 
 MANY = {"initial.count": 80}

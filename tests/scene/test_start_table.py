@@ -96,11 +96,11 @@ def test_radius_age_and_cycle_follow_from_each_other(tmp_path):
     assert cells.cycle_time.tolist() == [36000.0, 72000.0]
 
 
-@pytest.mark.parametrize("law", ["linear", "exponential", "gompertz"])
+@pytest.mark.parametrize("law", ["linear", "exponential", "relaxation"])
 @pytest.mark.parametrize("phases", [False, True], ids=["", "phases"])
 def test_size_alone_tells_age_and_phase(law, phases):
     growth = {"law": law, "cycle_variation": 0.0}
-    if law == "gompertz":
+    if law == "relaxation":
         growth["target"] = 1.3
     if phases:
         growth["phases"] = {name: {**phase, "grows": True} for name, phase in PHASES.items()}

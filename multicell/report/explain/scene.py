@@ -178,7 +178,7 @@ def _sentence(scene: Scene, effect: Effect) -> str:
 def _law_words(scene: Scene, effect: Effect) -> str:
     law = effect.law
     known = len(effect.signals) == 1
-    unit = signal_unit(effect.signals[0], scene.nutrients, scene.signals, "") if known else ""
+    unit = signal_unit(effect.signals[0], scene.nutrients, "") if known else ""
     if isinstance(law, Threshold):
         return f"at once at {_amount(law.half, unit)}"
     if isinstance(law, Hill):
