@@ -65,8 +65,8 @@ CASES = {
                                  "alpha": "0.3 1/Gy", "beta": "0.03 1/Gy^2",
                                  "mitotic_divisions": 2}},
     }),
-    "driven cells that divide smoothly": ("growth", {
-        **GROWING, "growth.division": "smooth",
+    "driven cells that divide": ("growth", {
+        **GROWING,
         "growth.phases": {name: {"duration": "2 h"} for name in ("G1", "S", "G2", "M")},
         "motions": {"held": {"cells": [0, 2]}, "x": {"cells": [1], "velocity": [0, 1e-5, 0]}},
     }),

@@ -10,7 +10,7 @@ from multicell import random
 from multicell.biology.cycle import enter_cycle
 from multicell.biology.draws import draw_cycle_times, draw_moduli, drift
 from multicell.biology.responding import value_of
-from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, Mask, State
+from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -26,8 +26,8 @@ _NONE: Found = {}
 
 def due_to_divide(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
     """Return which cells are at the end of their cycle, (n,); ``plan`` is one with growth."""
-    if plan.order:
-        ripe = (cells.phase == plan.order[-1]) & (cells.progress >= cells.phase_length)
+    if plan.phased:
+        ripe = (cells.phase == Phase.M) & (cells.progress >= cells.phase_length)
     else:
         ripe = cells.volume >= _division_volume(plan, cells, found) * (1.0 - ROUNDING)
     return np.asarray(ripe & (cells.state == State.PROLIFERATING))
@@ -77,7 +77,7 @@ def divide(
     rate = np.broadcast_to(factor, len(cells))[ripe]
     waited, volume = _waited(plan, mothers, due, dt * rate)
     age = np.maximum(waited, 0.0)
-    if not plan.order or plan.grows[plan.order[0]]:
+    if not plan.phased or plan.grows[Phase.G1]:
         age = np.divide(age, rate, out=np.zeros(len(age)), where=rate > 0.0)
     order = np.lexsort((mothers.id, -age))
     mothers, waited, volume = mothers.take(order), waited[order], volume[order]
@@ -87,7 +87,7 @@ def divide(
         chances = np.repeat(chances[ripe][order], 2, axis=0)
     daughters = _daughters(plan, mothers, ids, chances)
     daughters.age = np.repeat(age[order], 2)
-    if not plan.order:
+    if not plan.phased:
         _grow_since(plan, daughters, np.repeat(volume, 2), np.repeat(waited, 2))
     return cells.replaced(~ripe, daughters), int(ids[-1]) + 1
 
@@ -102,7 +102,7 @@ def _waited(
 
     Returns (n,) s of unlimited growth; (n,) µm³.
     """
-    if plan.order:
+    if plan.phased:
         return mothers.progress - mothers.phase_length, mothers.volume
     assert plan.law is not None
     birth, cycle, volume = plan.birth_volume, mothers.cycle_time, mothers.volume
@@ -136,7 +136,7 @@ def _daughters(
     drift(plan, daughters)
     if "young" not in plan.heritable:
         daughters.young = draw_moduli(plan, ids, daughters.kind)
-    if plan.order:
+    if plan.phased:
         enter_cycle(plan, daughters, daughters.progress - daughters.phase_length)
     elif "cycle_time" not in plan.heritable:
         daughters.cycle_time = draw_cycle_times(plan, ids, daughters.kind)

@@ -50,11 +50,6 @@ def draw_lengths(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> F
     return _drawn(plan, ids, draw) * scale(plan, kind)[:, None]
 
 
-def newborn_lengths(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
-    """Return durations as newborn cells draw them, (n, 4) s, independent of those of founders."""
-    return _phases(plan, ids, 0) * scale(plan, kind)[:, None]
-
-
 def draw_cycle_times(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
     """Return cycle times of new cells, (n,), s; infinite in a scene without growth.
 

@@ -70,7 +70,7 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     """
     volume = cells.volume
     law = plan.law
-    if law is not None and not plan.order:
+    if law is not None and not plan.phased:
         birth, living = plan.birth_volume, cells.state == _GROWING
         if law.constant:
             volume += np.where(living, dt * (factor * birth / cells.cycle_time), 0.0)
@@ -125,4 +125,4 @@ def lag_after(
 def _grows(plan: BiologyPlan, cells: Cells) -> Mask:
     """Return which cells grow as their surroundings allow, (n,)."""
     living = cells.state == _GROWING
-    return np.asarray(living & plan.grows[cells.phase] if plan.order else living)
+    return np.asarray(living & plan.grows[cells.phase] if plan.phased else living)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell.biology.active_forces import push
-from multicell.biology.cycle import parting
 from multicell.biology.driven import Named, prescribed
 from multicell.biology.responding import value_of
 from multicell.cells import Cells, FloatArray, Found, IntArray, stokes_drag
@@ -39,7 +38,6 @@ def motion_of(
     """
     length = end - begin
     rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
-    apart = parting(plan, cells, length)
     given = prescribed(plan, cells, named or {}, begin, end) if plan.motions else None
     held, velocity = given or (None, None)
     touching = contact_rows(cells, contacts) if plan.contact.remembers else None
@@ -58,8 +56,6 @@ def motion_of(
         push=pushed,
         kind=cells.kind if plan.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
-        offset_pairs=None if apart is None else apart[0],
-        offset=None if apart is None else apart[1],
         held=held, velocity=velocity,
     )  # fmt: skip
 

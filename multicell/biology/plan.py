@@ -42,8 +42,7 @@ class BiologyPlan:
     - ``seed``, ``dimensions``, ``step``: as in the scene; ``step`` is the coupling step in s
     - ``birth_volume``, ``division_volume``, float, µm³
     - ``law``: by which volumes grow; None without growth
-    - ``order``, phases: in which a cell goes through them from birth to division; none without
-      phases
+    - ``phased``: whether the cycle has phases
     - ``grows``, (5,) bool: for each :class:`multicell.cells.Phase` whether cells grow in it
     - ``restricted``: whether cells rest in G0 only
     - ``stage``, ``varies``, ``founders``: where in their cycle cells start, whether newborn ones
@@ -74,7 +73,7 @@ class BiologyPlan:
     birth_volume: float
     division_volume: float
     law: GrowthLaw | None
-    order: tuple[Phase, ...]
+    phased: bool
     grows: Mask
     restricted: bool
     stage: str
@@ -121,9 +120,6 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     """Return what biology needs of a scene."""
     growth, cells, kinds = scene.growth, scene.cells, list(scene.types.values())
     phases = {} if growth is None else growth.phases
-    order = (Phase.G1, Phase.S, Phase.G2, Phase.M)
-    if growth is not None and growth.division == "smooth":
-        order = (Phase.M, *order[:-1])
     own = [kind.young for kind in kinds]
     known = bind_responses(scene)
     growth_signals = {name for part in known.get("growth rate", ()) for name in part.needs}
@@ -135,7 +131,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         birth_volume=birth_volume(scene),
         division_volume=division_volume(scene),
         law=None if growth is None else growth.growth_law,
-        order=order if phases else (),
+        phased=bool(phases),
         grows=np.array([p.name in phases and phases[p.name].grows for p in Phase]),
         restricted=growth is not None and bool(phases) and growth.restriction,
         stage=scene.initial.stage,

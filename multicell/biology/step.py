@@ -65,7 +65,7 @@ def grow(
     lag = cells.lag if factor is own else cells.lag - dt * (factor - own)
     volume = volumes_after(plan, cells, factor, dt)
     cycling = None
-    if plan.order:
+    if plan.phased:
         resting = wants_rest(plan, cells, concentrations)
         pace = phase_pace(plan, concentrations, cells)
         cycling = advance(plan, cells, factor, resting, dt, pace)

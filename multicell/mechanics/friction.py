@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from multicell.mechanics.prescribed import Prescribed
 
 _TINY = 1e-300
-_NO_OFFSET = np.empty(0)
 
 
 class Listed(NamedTuple):
@@ -90,7 +89,7 @@ class Vectors(NamedTuple):
 
 
 @njit(**KERNEL)
-def _touching(begin, end, at, rows, first, second, offset, normal, tangential, near, link):
+def _touching(begin, end, at, rows, first, second, normal, tangential, near, link):
     """Append the touching pairs of ``begin:end`` at place ``at``; return the next place.
 
     The write is unconditional and only the count depends on the test: no branch to
@@ -106,8 +105,6 @@ def _touching(begin, end, at, rows, first, second, offset, normal, tangential, n
         d = math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
         w = 1.0 / (d * gap)
         h = gap - d
-        if offset.size > 0:
-            h -= offset[p]
         area = math.pi * (rows[i, 3] * rows[j, 3]) * (w * d) * max(h, 0.0)
         near[at, 0] = first[p]
         near[at, 1] = second[p]
@@ -122,7 +119,7 @@ def _touching(begin, end, at, rows, first, second, offset, normal, tangential, n
 
 
 @njit(**KERNEL)
-def _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag):
+def _measure_chunk(c, gamma, pairs, rows, normal, tangential, drag):
     """Store the touching pairs of one chunk and 1 / mean diagonal of Γ of its cells."""
     start, ends, near, link = gamma.start[c], gamma.ends, gamma.near, gamma.link
     inverse = gamma.inverse
@@ -131,7 +128,7 @@ def _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag):
         begin = start if side == 0 else pairs.inner_end[c]
         end = pairs.inner_end[c] if side == 0 else pairs.outer_end[c]
         at = _touching(
-            begin, end, at, rows, pairs.first, pairs.second, offset, normal, tangential, near, link
+            begin, end, at, rows, pairs.first, pairs.second, normal, tangential, near, link
         )
         ends[c, side] = at
     low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, rows.shape[0])
@@ -265,10 +262,10 @@ def _sum(part, k):
     return total
 
 
-def _measure(gamma, pairs, rows, offset, normal, tangential, drag):
+def _measure(gamma, pairs, rows, normal, tangential, drag):
     """Store Γ at the state in ``rows``: touching pairs, Stokes drag, inverse diagonal."""
     for c in prange(gamma.start.size):
-        _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag)
+        _measure_chunk(c, gamma, pairs, rows, normal, tangential, drag)
 
 
 def _conjugate_gradients(gamma, force, tolerance, most, warm, work, part, x):
@@ -349,19 +346,11 @@ class FrictionMatrix:
         self._gamma: Gamma | None = None
         self._shared = False
 
-    def measure(
-        self,
-        rows: FloatArray,
-        pairs: PairList,
-        shared: bool = False,
-        offset: FloatArray = _NO_OFFSET,
-    ) -> None:
+    def measure(self, rows: FloatArray, pairs: PairList, shared: bool = False) -> None:
         """Take Γ from centres and radii.
 
         - ``rows``, (n, 4 or more): centre and radius of each cell in the first four columns, µm
         - ``shared``: whether chunks are shared among threads, here and in what follows; same bits
-        - ``offset``: part of the overlap of each pair of the list that makes no contact, µm; empty
-          for none
         """
         normal, tangential = self.friction.normal, self.friction.tangential
         if self._gamma is None or self._pairs is not pairs:
@@ -379,7 +368,7 @@ class FrictionMatrix:
             self._pairs = pairs
         self._shared = shared
         run = measure_parallel if shared else measure
-        run(self._gamma, self._listed, rows, offset, normal, tangential, self.drag)
+        run(self._gamma, self._listed, rows, normal, tangential, self.drag)
 
     def apply(self, vector: FloatArray, out: FloatArray) -> None:
         """Write Γ v, nN, for ``vector`` in µm/s."""
@@ -458,15 +447,14 @@ class PairFriction:
         self.force = np.empty((n, 3))
 
     def velocity(
-        self, rows: FloatArray, pairs: PairList, shared: bool, offset: FloatArray, out: FloatArray,
+        self, rows: FloatArray, pairs: PairList, shared: bool, out: FloatArray,
         given: Prescribed | None = None,
     ) -> int:  # fmt: skip
         """Write the solution of Γ v = ``force``, µm/s; return the iterations it took.
 
-        ``offset`` is the part of each listed pair's overlap that makes no contact; empty for none.
         With ``given`` Γ_ff v_f = F_f - Γ_fh v_h is solved; zero is written for held cells.
         """
-        self._present.measure(rows, pairs, shared, offset)
+        self._present.measure(rows, pairs, shared)
         force, held = self.force, None
         if given is not None:
             dragged = np.empty_like(force)
@@ -480,11 +468,9 @@ class PairFriction:
         out[:] = self._last
         return int(iterations)
 
-    def linearise(
-        self, rows: FloatArray, pairs: PairList, shared: bool, offset: FloatArray
-    ) -> None:
+    def linearise(self, rows: FloatArray, pairs: PairList, shared: bool) -> None:
         """Keep Γ at a state for :meth:`divide`."""
-        self._linearised.measure(rows, pairs, shared, offset)
+        self._linearised.measure(rows, pairs, shared)
 
     def diagonal(self) -> FloatArray:
         """Return the mean of each cell's three diagonal entries of Γ, (n,) nN s/µm.

@@ -35,8 +35,7 @@ _SAME: Final[Mapping[str, str]] = {
     "initial": "shape spacing jitter stage",
     "cells": "young young_variation poisson allow_unphysical_poisson reaction_time heritable drift",
     "contact": "cutoff decay",
-    "growth": "cycle_time law target parameters division restriction cycle_variation "
-    "critical_pressure",
+    "growth": "cycle_time law target parameters restriction cycle_variation critical_pressure",
     "growth.phases.*": "duration distribution variation shift grows",
     "death": "necrosis_rate damage_time damage_repair_time damage_variation inflow core swelling "
     "swelling_time lysis_time apoptosis_rate apoptosis_time removal_fraction",

@@ -191,11 +191,6 @@ class Growth:
     phases: Mapping[str, PhaseLength] = tables(
         PhaseLength, names=PHASES, doc="absent: volume triggers division"
     )
-    division: str = choice(
-        ["instant", "smooth"],
-        default="instant",
-        doc="with phases: at the end of M, or daughters that part all through M",
-    )
     restriction: bool = flag(
         default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
     )
@@ -216,9 +211,6 @@ class Growth:
             raise SceneError("target", f"has no effect: the law is {self.law!r}")
         build(LAWS[self.law], self._of_law(), "parameters")
         if not self.phases:
-            if self.division == "smooth":
-                hint = "Daughters part during M: give the phases of the cycle."
-                raise SceneError("division", "is 'smooth', but there are no phases", hint)
             return
         for name in PHASES:
             if name not in self.phases:

@@ -27,7 +27,6 @@ GROWTHS = {
     "gamma 0.5": {"phases": {"G1": {"duration": "24 h", "distribution": "gamma",
                                     "variation": 0.5}, **TINY}},
     "phases": {"phases": PHASES},
-    "smooth": {"phases": PHASES, "division": "smooth"},
     "fixed": {"phases": {name: {"duration": part["duration"]} for name, part in PHASES.items()}},
     "linear": {"cycle_time": "20 h", "cycle_variation": 0.5},
     "exponential": {"cycle_time": "20 h", "cycle_variation": 0.5, "law": "exponential"},

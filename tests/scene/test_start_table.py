@@ -135,16 +135,9 @@ def test_phases_place_cells_in_their_cycle(tmp_path):
         ("spheroid", {"initial.count": 40, "duration": "10 h", "growth.cycle_time": "9 h"}),
         ("sorting", {"initial.count": 40, "duration": "1 h"}),
         ("growth", {"growth.phases": PHASES, "initial.count": 12, "duration": "14 h"}),
-        (
-            "growth",
-            {
-                "growth": {"phases": PHASES, "division": "smooth"},
-                "initial": {"count": 12, "stage": "uniform"}, "duration": "6 h",
-            },
-        ),
     ],
-    ids=["nutrient", "types", "phases", "smooth"],
-)  # fmt: skip
+    ids=["nutrient", "types", "phases"],
+)
 def test_an_exported_frame_is_a_start(name, changes, tmp_path):
     scene = mc.load_scene(name).with_changes(changes)
     run = mc.run(scene, threads=1)
@@ -160,8 +153,7 @@ def test_an_exported_frame_is_a_start(name, changes, tmp_path):
         for column, values in last.columns():
             if column not in ("parent", "receptor", "ligand"):
                 np.testing.assert_array_equal(getattr(cells, column), values, err_msg=column)
-    parting = scene.growth is not None and scene.growth.division == "smooth"
-    assert (cells.parent >= 0).any() == parting
+    assert (cells.parent == -1).all()
     again = mc.Simulation(scene, cells=run.frames[-1].to_pandas())
     assert set(again.lineage.table()["parent"]) == {-1}
     again.step()

@@ -106,18 +106,12 @@ def test_all_that_is_held_from_outside_balances():
     assert abs(row["force_base_z"]) > 0.1
 
 
-def growing(division="instant", **parts):
-    phases = {n: {"duration": "30 min"} for n in ("G1", "S", "G2", "M")}
-    growth = {"cycle_time": "2 h", "cycle_variation": 0.0}
-    if division == "smooth":
-        growth = {"phases": phases, "division": "smooth"}
-    return scene_of(4, initial={"count": 4, "spacing": 0.9, "stage": "uniform"}, growth=growth,
-                    duration="3 h", coupling_step="5 min", integrator="cvode", **parts)  # fmt: skip
-
-
-@pytest.mark.parametrize("division", ["instant", "smooth"])
-def test_the_first_daughter_takes_over_and_the_other_is_free(division):
-    scene = growing(division, motions={"held": {"cells": [0, 2]}})
+def test_the_first_daughter_takes_over_and_the_other_is_free():
+    scene = scene_of(
+        4, initial={"count": 4, "spacing": 0.9, "stage": "uniform"},
+        growth={"cycle_time": "2 h", "cycle_variation": 0.0}, duration="3 h",
+        coupling_step="5 min", integrator="cvode", motions={"held": {"cells": [0, 2]}},
+    )  # fmt: skip
     simulation = Simulation(scene, threads=1)
     places = {}
     while not simulation.finished:

@@ -111,8 +111,7 @@ def _growth_words(scene: Scene) -> str:
     if growth.phases:
         lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
-        parting = ", daughters part during M" if growth.division == "smooth" else ""
-        words += f"; phases {lengths}, rest {rest}{parting}"
+        words += f"; phases {lengths}, rest {rest}"
     return words
 
 
