@@ -58,7 +58,7 @@ CASES = {
     }),
     "the doomed and the damaged": ("growth", {
         **GROWING, "death": {"damage_time": "10 h", "damage_variation": 0.5,
-                             "damage_repair_time": "20 h", "lysis_time": "4 h"},
+                             "lysis_time": "4 h"},
         "nutrients": {"oxygen": {"boundary": 0.2, "uptake": 0.0, "necrosis": 0.02, "spacing": 20.0,
                                  "media": [["8 h", 0.01]]}},
         "radiation": {"course": {"dose": "2 Gy", "start": "6 h", "every": "6 h", "fractions": 2,

@@ -141,15 +141,6 @@ OBSERVABLES: Final = (
         lambda s: s.cells.pressure.max() if len(s.cells) else 0.0,
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
     ),
-    _pressure(
-        "core_pressure",
-        lambda s: of.core_pressure(s.cells),
-        exists=lambda scene: scene.death is not None and scene.death.core == "fluid",
-        absent="without a core",
-        signed=True,
-        doc="mean [pressure](contact.md#pressure-of-a-cell) of necrotic cells by their volume, "
-        'with which a fluid core holds up the rim; with `death.core = "fluid"`',
-    ),
     *(
         _count(name, lambda s, name=name: s.state_counts[name], entry=f"states.{name}")
         for name in _STATES

@@ -31,44 +31,16 @@ _SIGNALS: Final = {"volume": 3, "radius": 1}
 """Signals that are a size of the cell -> power of the factor; all others stay."""
 
 _SAME: Final[Mapping[str, str]] = {
-    "": "title duration seed coupling_step dimensions",
-    "initial": "shape spacing jitter stage",
-    "cells": "young young_variation poisson allow_unphysical_poisson reaction_time heritable drift",
-    "contact": "cutoff decay",
-    "growth": "cycle_time law target parameters restriction cycle_variation critical_pressure",
-    "growth.phases.*": "duration distribution variation shift grows",
-    "death": "necrosis_rate damage_time damage_repair_time damage_variation inflow core swelling "
-    "swelling_time lysis_time apoptosis_rate apoptosis_time removal_fraction",
-    "types.*": "fraction young receptor ligand receptor_by ligand_by cycle_scale uptake_scale "
-    "secretion_scale uptake_of secretion_of motility_scale",
-    "adhesion": "strength",
-    "motility": "persistence renewal bias direction towards",
+    "domain": "radius x y z",
+    "motions.*": "x y z velocity",
     "chemotaxis.*": "half",
-    "motions.*": "type x y z begin end velocity",
-    "compression": "bulk_modulus onset",
-    "domain": "shape radius stiffness x y z wall young poisson",
-    "nutrients.*": "diffusion diffusion_medium boundary media temperature media_change perfusion "
-    "decay uptake_per_volume half_saturation quiescent_uptake secretion_from "
-    "growth_half_saturation growth_inhibition quiescence necrosis necrosis_above regime "
-    "time_tolerance initial geometry roundness_limit spacing margin layer height",
-    "nutrients.*.finite_medium": "volume unstirred replaced",
-    "nutrients.*.sides.*": "type value derivative rate",
-    "nutrients.*.uptake_on.*": "effect half",
+    "nutrients.*": "diffusion diffusion_medium spacing margin layer height",
+    "nutrients.*.finite_medium": "volume unstirred",
+    "nutrients.*.sides.*": "derivative rate",
     "nutrients.*.sources.*": "x y z strength flux",
     "nutrients.*.regions.*": "diffusion x y z",
-    "energy": "yields growth_half_saturation quiescence necrosis",
-    "reactions.*": "kind rate consumes produces where",
-    "reactions.*.activated_by.*": "half exponent",
-    "reactions.*.inhibited_by.*": "half exponent",
-    "responses.*": "behaviour signal cells law falls half power begin end points base largest "
-    "combine parameters",
-    "radiation.*": "dose times start every fractions alpha beta cells oxygen oer half_oxygen "
-    "phase_factor mitotic_divisions",
-    "integrator": "method rtol max_steps step max_displacement",
-    "output": "every",
-    "output.observables.*": "function unit",
 }
-"""Keys that stay as they are: times, ratios, stresses, concentrations, lengths of the tissue."""
+"""Keys with lengths of the tissue and of its fields, which stay."""
 
 LAWS: Final[Mapping[str, int | str]] = {
     # sizes and numbers of cells
@@ -101,7 +73,8 @@ LAWS: Final[Mapping[str, int | str]] = {
 }
 """Keys with stars for names -> power of the factor, or why the key cannot be scaled.
 
-A key that is not listed is refused too.
+All that have units of length, force or amount are here. Other keys stay as they are: times, ratios,
+stresses, concentrations.
 """
 
 
@@ -128,7 +101,7 @@ def coarsen(scene: Scene | str | Path, factor: float) -> Scene:
     ------
     SceneError
         For a factor outside this range, fewer cells at the start than the coarse scene can stand
-        for, and any key of the scene that no law scales, by name.
+        for, and any key of the scene that cannot be scaled, by name.
     """
     from multicell.scene.scene import Scene, load_scene
 
@@ -181,7 +154,7 @@ def _scaled(part: Any, where: str, factor: float) -> dict[str, Any]:
         value, key = getattr(part, name), f"{where}.{name}" if where else name
         if value is None or (isinstance(value, Tables) and not value):
             continue
-        law = LAWS.get(key)
+        law = LAWS.get(key, 0)
         if isinstance(law, str):
             raise SceneError(key, f"cannot be made coarse: it {law}")
         plain = spec.plain(value)
@@ -189,8 +162,6 @@ def _scaled(part: Any, where: str, factor: float) -> dict[str, Any]:
             plain = {k: _scaled(entry, f"{key}.*", factor) for k, entry in value.items()}
         elif is_dataclass(value):
             plain = {**plain, **_scaled(value, key, factor)}  # a law's name is no field of it
-        elif law is None:
-            raise SceneError(key, "cannot be made coarse: no law says how it scales")
         else:
             plain = _times(plain, factor**law) if law else plain
         made[name] = plain

@@ -52,12 +52,9 @@ class CellParameters:
     poisson: float = number(
         default=0.5,
         above=-1,
-        below=1,
-        doc="Poisson ratio, at most 0.5 for a solid",
+        at_most=0.5,
+        doc="Poisson ratio",
         hint="No isotropic solid has a Poisson ratio above 0.5.",
-    )
-    allow_unphysical_poisson: bool = flag(
-        default=False, doc="permit a Poisson ratio above 0.5, as figure 3.4 of the thesis has it"
     )
     reaction_time: float = quantity(
         "s",
@@ -81,22 +78,12 @@ class CellParameters:
     )  # fmt: skip
 
     def check(self) -> None:
-        """Raise ``SceneError`` for drift of what is not inherited and for no solid's Poisson ratio.
-
-        A Poisson ratio above 0.5 may be permitted.
-        """
+        """Raise ``SceneError`` for drift of what is not inherited."""
         for name in self.drift or ():
             if name not in self.heritable:
                 known = ", ".join(map(repr, self.heritable)) or "none"
                 problem = f"is no trait that daughters inherit (cells.heritable: {known})"
                 raise SceneError(f"drift.{name}", problem, near_miss(name, ["young", "cycle_time"]))
-        if self.poisson > 0.5 and not self.allow_unphysical_poisson:
-            problem = f"is {self.poisson:g}, must be above -1 and at most 0.5"
-            hint = (
-                "No isotropic solid has a Poisson ratio outside this range; "
-                "cells.allow_unphysical_poisson = true permits it all the same."
-            )
-            raise SceneError("poisson", problem, hint)
 
 
 @final
@@ -250,8 +237,8 @@ class Death:
     Necrotic cells may swell first: exponentially to ``swelling`` times their volume within
     ``swelling_time``, at the end of which they burst.
 
-    With ``damage_time`` T a threshold of necrosis does not kill but damages: dD/dt = 1/T beyond it,
-    less D/``damage_repair_time``. A cell dies where D is at its own tolerance, 1 in the mean.
+    With ``damage_time`` T a threshold of necrosis does not kill but damages: dD/dt = 1/T beyond it.
+    A cell dies where D is at its own tolerance, 1 in the mean.
     """
 
     necrosis_rate: float | None = quantity(
@@ -262,9 +249,6 @@ class Death:
     )
     damage_time: float | None = quantity(
         "s", default=None, above=0, doc="beyond a threshold of necrosis until a mean cell dies"
-    )
-    damage_repair_time: float | None = quantity(
-        "s", default=None, above=0, doc="in which damage falls to 1/e; absent: it stays"
     )
     damage_variation: float = number(
         default=0.0, at_least=0, at_most=1, doc="coefficient of variation (gamma) of the tolerance"
@@ -288,12 +272,6 @@ class Death:
         default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
     )
 
-    core: str = choice(
-        ["lost", "fluid"],
-        default="lost",
-        doc="what necrotic cells leave: space that tissue may close, or fluid in their place, so "
-        "that they keep their size",
-    )
     inflow: bool = flag(
         default=False,
         doc="the medium that drags the cells flows in to where the dead lose volume, and takes the "

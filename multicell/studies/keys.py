@@ -250,7 +250,7 @@ def _scheduled(scene: Scene, field: str) -> bool:
 _RULES: Final[Sequence[tuple[str, Callable[..., Any], str]]] = (
     ("growth.cycle_time growth.cycle_variation", lambda s: s.growth.phases,
      "the phases of the cycle say how long it lasts"),
-    ("growth.division growth.restriction", lambda s: not s.growth.phases,
+    ("growth.restriction", lambda s: not s.growth.phases,
      "the cycle has no phases"),
     ("growth.phases.*.variation", lambda s, name: s.growth.phases[name].distribution == "fixed",
      "the phase has a fixed duration"),
@@ -264,13 +264,11 @@ _RULES: Final[Sequence[tuple[str, Callable[..., Any], str]]] = (
      "radiation.{0} names no field of oxygen"),
     ("initial.shape initial.spacing initial.jitter", lambda s: s.initial.count == 1,
      "there is one cell at the start"),
-    ("death.necrosis_rate death.damage_time death.swelling death.core death.lysis_time "
+    ("death.necrosis_rate death.damage_time death.swelling death.lysis_time "
      "death.swelling_time", _never_starves,
      "neither a nutrient nor ATP has a threshold of necrosis"),
-    ("death.damage_repair_time death.damage_variation", lambda s: not _responds(s, "damage rate"),
+    ("death.damage_variation", lambda s: not _responds(s, "damage rate"),
      "death.damage_time is absent, and nothing responds with a damage rate"),
-    ("death.lysis_time", lambda s: s.death.core == "fluid",
-     "what necrotic cells lose stays as fluid (death.core)"),
     ("death.swelling_time", lambda s: s.death.swelling == 1.0,
      "dead cells do not swell (death.swelling = 1)"),
     ("death.apoptosis_time", _never_by_apoptosis,

@@ -1,33 +1,13 @@
-"""The medium flows in to what dead cells lose, and tissue with it; or their core stays fluid."""
+"""The medium flows in to what dead cells lose, and the tissue with it."""
 
 import numpy as np
 import pytest
 from synthetic import cells_at
 
 import multicell as mc
-from multicell import SceneError, Simulation
+from multicell import SceneError
 from multicell.biology.motion import inflow_velocity
 from multicell.cells import State
-
-
-def test_a_fluid_core_keeps_its_size():
-    scene = mc.load_scene("settle-1000").with_changes(
-        {"initial.count": 60, "duration": "48 h", "coupling_step": "1 h",
-         "death": {"lysis_time": "24 h", "core": "fluid"}}
-    )  # fmt: skip
-    simulation = Simulation(scene, threads=1)
-    simulation.cells.state[:20] = State.NECROTIC
-    before = simulation.cells.radius.copy()
-    while not simulation.finished:
-        simulation.step()
-    assert simulation.released == pytest.approx(0.0, abs=1e-8)  # volumes are made of radii and back
-    np.testing.assert_allclose(np.sort(simulation.cells.radius), np.sort(before), rtol=1e-13)
-    dead = simulation.cells.dead
-    weight = simulation.cells.volume[dead]
-    pressure = np.average(simulation.cells.pressure[dead], weights=weight)
-    assert simulation.history_row()["core_pressure"] == pytest.approx(pressure, rel=1e-12)
-    with pytest.raises(SceneError, match=r"death\.core"):
-        scene.with_changes({"death.core": "solid"})
 
 
 def _cloud(n=3000, radius=100.0, dimensions=3):

@@ -42,7 +42,7 @@ def test_keys_without_effect(name, changes, key, said):
     [
         (RICH, {}, "growth.phases.G1.variation"),
         (RICH, {"integrator": "euler"}, "integrator.step"),
-        ("spheroid", {"death.damage_time": "9 h"}, "death.damage_repair_time"),
+        ("spheroid", {"death.damage_time": "9 h"}, "death.damage_variation"),
         (RICH, {"nutrients.oxygen.media": [["1 d", 0.1]]}, "nutrients.oxygen.boundary"),
         ("emt6", {**RAYS, "radiation.rays.oxygen": "oxygen"}, "radiation.rays.oer"),
         ("growth", {**RAYS, "death": {}}, "death.apoptosis_time"),

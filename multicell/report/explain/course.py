@@ -184,13 +184,6 @@ class _Tissue:
         hazard = np.zeros(SHELLS)
         for behaviour in ("necrosis rate", "damage rate"):
             rate = rate_of_harm(self._plan, behaviour, levels, None)
-            if rate is not None and behaviour == "damage rate":
-                death = self._scene.death
-                repair = None if death is None else death.damage_repair_time
-                if repair is not None:
-                    over = np.maximum(rate * repair, 1.0)
-                    with np.errstate(divide="ignore"):
-                        rate = -1.0 / (repair * np.log1p(-1.0 / over))
             hazard += 0.0 if rate is None else rate
         return hazard
 

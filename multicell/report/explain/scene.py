@@ -20,7 +20,7 @@ from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
-from multicell.scene.parts import PHASES, Death
+from multicell.scene.parts import PHASES
 from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
@@ -125,30 +125,19 @@ def _death_words(scene: Scene) -> str:
     if death.damage_time is not None:
         words = f"cells beyond a threshold of necrosis die after {hours(death.damage_time)} of it; "
     if any(effect.behaviour == "damage rate" for effect in effects(scene)):
-        words += f"{_damage_words(death)}; "
+        words += "damage stays"
+        if death.damage_variation > 0.0:
+            words += f", tolerance varies by {100.0 * death.damage_variation:g} %"
+        words += "; "
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
-    if death.core == "fluid":
-        words += "keep their place, as fluid"
-    else:
-        words += f"lose their volume in about {hours(death.lysis_time)}"
+    words += f"lose their volume in about {hours(death.lysis_time)}"
     if death.inflow:
         words += "; the medium flows in to what they lose"
     if death.apoptosis_rate > 0.0:
         life = hours(1.0 / death.apoptosis_rate)
         words += f"; cells live {life} on average until they die by themselves"
-    return words
-
-
-def _damage_words(death: Death) -> str:
-    words, repair = "damage stays", death.damage_repair_time
-    if repair is not None:
-        words = f"damage falls to 1/e in {hours(repair)}"
-        if death.damage_time is not None and repair <= death.damage_time:
-            words += ", as fast as it comes: a mean cell bears it for ever"
-    if death.damage_variation > 0.0:
-        words += f", tolerance varies by {100.0 * death.damage_variation:g} %"
     return words
 
 
