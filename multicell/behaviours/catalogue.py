@@ -58,7 +58,6 @@ BEHAVIOURS: Final = (
     _rate("damage rate", "rate of taking damage, of which 1 kills a mean cell by necrosis"),
     _rate("change to", "rate of becoming another type", "type"),
     Behaviour("mutation to", "chance of a daughter to be of another type", "type", "", "sum", 1.0),
-    Behaviour("division radius", "factor on the radius at which a cell divides", at_most=4.0),
     Behaviour("speed", "factor on the active forces"),
     Behaviour("bias", "bias of random motion, from -1 to 1", combine="sum", at_most=1.0),
     Behaviour("uptake of", "factor on the uptake of a field", "field"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,19 +24,13 @@ ROUNDING = 1e-12
 _NONE: Found = {}
 
 
-def due_to_divide(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
+def due_to_divide(plan: BiologyPlan, cells: Cells) -> Mask:
     """Return which cells are at the end of their cycle, (n,); ``plan`` is one with growth."""
     if plan.phased:
         ripe = (cells.phase == Phase.M) & (cells.progress >= cells.phase_length)
     else:
-        ripe = cells.volume >= _division_volume(plan, cells, found) * (1.0 - ROUNDING)
+        ripe = cells.volume >= plan.division_volume * (1.0 - ROUNDING)
     return np.asarray(ripe & (cells.state == State.PROLIFERATING))
-
-
-def _division_volume(plan: BiologyPlan, cells: Cells, found: Found) -> Any:
-    """Return the volume at which cells divide, µm³: a number, or (n,) where it responds."""
-    scale = value_of(plan, "division radius", 1.0, found, cells)
-    return plan.division_volume if scale is None else plan.division_volume * scale**3
 
 
 def divide(
@@ -69,13 +63,12 @@ def divide(
     """
     if plan.growth is None:
         return cells, next_id
-    ripe = due_to_divide(plan, cells, found) & (cells.doomed != 1)
+    ripe = due_to_divide(plan, cells) & (cells.doomed != 1)
     if not ripe.any():
         return cells, next_id
     mothers = cells.take(ripe)
-    due = np.broadcast_to(_division_volume(plan, cells, found), len(cells))[ripe]
     rate = np.broadcast_to(factor, len(cells))[ripe]
-    waited, volume = _waited(plan, mothers, due, dt * rate)
+    waited, volume = _waited(plan, mothers, dt * rate)
     age = np.maximum(waited, 0.0)
     if not plan.phased or plan.grows[Phase.G1]:
         age = np.divide(age, rate, out=np.zeros(len(age)), where=rate > 0.0)
@@ -93,11 +86,10 @@ def divide(
 
 
 def _waited(
-    plan: BiologyPlan, mothers: Cells, due: FloatArray, longest: FloatArray
+    plan: BiologyPlan, mothers: Cells, longest: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return how long mothers have grown beyond their division, and their volumes then.
 
-    - ``due``, (n,) µm³: volumes at which they divide, without phases
     - ``longest``, (n,) s: no mother has waited for longer
 
     Returns (n,) s of unlimited growth; (n,) µm³.
@@ -106,7 +98,8 @@ def _waited(
         return mothers.progress - mothers.phase_length, mothers.volume
     assert plan.law is not None
     birth, cycle, volume = plan.birth_volume, mothers.cycle_time, mothers.volume
-    # what exceeds that was there before the step: the threshold has fallen, or a table said so
+    due = np.full(len(mothers), plan.division_volume)
+    # what exceeds that was there before the step: a table said so
     most = np.minimum(volume, plan.law.volume_after(due, longest / cycle, birth))
     shares = plan.law.share_at(most / birth) - plan.law.share_at(due / birth)
     return np.asarray(np.maximum(shares, 0.0) * cycle), np.asarray(volume - (most - due))

@@ -119,19 +119,12 @@ def scale(plan: BiologyPlan, kind: NDArray[np.int16]) -> FloatArray:
 
 
 def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
-    """Return the durations at which a phase's distribution has the probabilities ``u``, s.
-
-    The normal distribution is cut symmetrically at three standard deviations, or at 90 % of the
-    mean where that is nearer.
-    """
+    """Return the durations at which a phase's distribution has the probabilities ``u``, s."""
     from scipy import special
 
     mean, variation = phase.duration, phase.variation
     if phase.distribution == "fixed":
         return np.full(len(u), mean)
-    if phase.distribution == "normal":
-        edge = special.ndtr(-_cut(variation))
-        return np.asarray(mean * (1.0 + variation * special.ndtri(edge + u * (1.0 - 2.0 * edge))))
     shift = _shift(phase)
     # the variation is that of the whole duration, shift included
     shape = ((1.0 - shift) / variation) ** 2
@@ -190,8 +183,6 @@ def _log_laplace(phase: PhaseLength, rate: float) -> float:
     x, variation = rate * phase.duration, phase.variation
     if phase.distribution == "fixed":
         return -x
-    if phase.distribution == "normal":
-        return _log_normal(x, variation)
     shift = _shift(phase)
     shape = ((1.0 - shift) / variation) ** 2
     return -x * shift - shape * math.log1p(x * (1.0 - shift) / shape)

@@ -57,7 +57,7 @@ def update_states(
     fatal = "damage rate" in plan.responses and cells.damage >= 1.0 - ROUNDING
     last = cells.doomed == 1 if plan.growth is not None else np.zeros(len(cells), dtype=bool)
     if last.any():
-        last &= due_to_divide(plan, cells, found)
+        last &= due_to_divide(plan, cells)
     apoptosis = (cells.state == State.APOPTOTIC) | last
     if "apoptosis rate" in plan.base_rates:
         apoptosis |= apoptotic(plan, cells, found, step, dt, time) & ~cells.dead

@@ -114,7 +114,7 @@ class PhaseLength:
 
     duration: float = quantity("s", above=0, doc="mean duration, for example '7 h'")
     distribution: str = choice(
-        ["fixed", "normal", "gamma", "shifted-gamma"], default="fixed", doc="of the duration"
+        ["fixed", "gamma", "shifted-gamma"], default="fixed", doc="of the duration"
     )
     variation: float = number(
         default=0.2, above=0, at_most=1, doc="coefficient of variation, unless fixed"
@@ -123,12 +123,6 @@ class PhaseLength:
         default=0.5, at_least=0, below=1, doc="of a shifted gamma distribution / mean"
     )
     grows: bool = flag(default=True, doc="whether the volume grows in this phase")
-
-    def check(self) -> None:
-        """Raise ``SceneError`` for a normal distribution that would often be negative."""
-        if self.distribution == "normal" and self.variation > 0.5:
-            hint = "Take 'gamma' for so wide a distribution."
-            raise SceneError("variation", f"is {self.variation:g}, must be at most 0.5", hint)
 
 
 def loaded_in(laws: Any) -> Callable[[str], bool]:

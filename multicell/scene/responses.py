@@ -389,7 +389,7 @@ def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
         raise SceneError("behaviour", problem, near_miss(of, known))
     growth, name = scene.growth, behaviour.name
     phases = growth is not None and bool(growth.phases)
-    grows = ("growth rate", "rest", "mutation to", "division radius", "entry into")
+    grows = ("growth rate", "rest", "mutation to", "entry into")
     lacking = {
         "[growth]": name in grows and growth is None,
         "[growth.phases]": name == "entry into" and not phases,
@@ -402,9 +402,6 @@ def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
         if missing:
             problem = f"is {name!r}, which has no effect without {table}"
             raise SceneError("behaviour", problem, "Give the scene that table.")
-    if name == "division radius" and phases:
-        problem = "is 'division radius', but cells divide at the end of M"
-        raise SceneError("behaviour", problem, "Use 'entry into M', or leave phases out.")
     if name == "uptake of" and not scene.nutrients[of].takes_up:
         raise SceneError("behaviour", f"has no effect: the uptake of {of} is zero")
     made = name == "secretion of" and scene.nutrients[of]

@@ -108,8 +108,6 @@ def test_phase_fractions_are_those_of_the_age_distribution():
             {"distribution": "shifted-gamma", "variation": 0.2, "shift": 0.6},
             stats.gamma(4.0, loc=0.6, scale=0.1),
         ),
-        ({"distribution": "normal", "variation": 0.2}, stats.truncnorm(-3, 3, loc=1, scale=0.2)),
-        ({"distribution": "normal", "variation": 0.45}, stats.truncnorm(-2, 2, loc=1, scale=0.45)),
     ],
 )
 def test_durations_follow_their_distribution(phase, law):
@@ -302,11 +300,6 @@ def test_receptors_follow_concentration_linearly_over_a_step():
             {f"growth.phases.{name}.grows": False for name in FIXED},
             "growth.phases",
             "no phase in which cells grow",
-        ),
-        (
-            {"growth.phases.S.distribution": "normal", "growth.phases.S.variation": 0.8},
-            "growth.phases.S.variation",
-            "at most 0.5",
         ),
         (
             {**ADHESIVE, "types.own.receptor_by": {"oxigen": [[0, 1]]}},

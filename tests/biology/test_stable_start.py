@@ -17,7 +17,7 @@ HOUR = 3600.0
 TINY = {"S": {"duration": "1 s"}, "G2": {"duration": "1 s"}, "M": {"duration": "1 s"}}
 PHASES = {
     "G1": {"duration": "9 h", "distribution": "shifted-gamma", "variation": 0.4, "shift": 0.3},
-    "S": {"duration": "7 h", "distribution": "normal", "variation": 0.3},
+    "S": {"duration": "7 h", "distribution": "gamma", "variation": 0.3},
     "G2": {"duration": "4 h", "distribution": "gamma", "variation": 0.7},
     "M": {"duration": "1 h", "grows": False},
 }
@@ -80,7 +80,6 @@ def distributions(growth):
         shape = ((1.0 - shift) / variation) ** 2
         found.append({
             None: stats.uniform(mean, 1e-9),
-            "normal": cut_normal(mean, variation),
             "gamma": stats.gamma(shape, scale=mean / shape),
             "shifted-gamma": stats.gamma(shape, mean * shift, (1.0 - shift) * mean / shape),
         }[kind])  # fmt: skip

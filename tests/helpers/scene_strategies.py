@@ -61,7 +61,7 @@ NAMES = {
 
 TEXTS = {
     "behaviour": ("growth rate", "rest", "apoptosis rate", "necrosis rate", "damage rate",
-                  "division radius", "entry into S", "speed", "receptors", "Young's modulus",
+                  "entry into S", "speed", "receptors", "Young's modulus",
                   "uptake of oxygen", "change to soft"),
     "signal": (*FIELDS, "pressure", "age", "volume", "time", "neighbours",
                "contacts with soft"),

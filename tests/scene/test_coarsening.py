@@ -141,7 +141,7 @@ SIZES = {
         "a": {"behaviour": "growth rate", "signal": "volume", "half": 300},
         "b": {"behaviour": "apoptosis rate", "signal": "radius", "law": "table",
               "points": [[4, 0], [5, 1e-6]]},
-        "c": {"behaviour": "division radius", "signal": "oxygen", "half": 0.1, "base": 2},
+        "c": {"behaviour": "Young's modulus", "signal": "oxygen", "half": 0.1, "base": 2},
     },
     "initial.count": 80,
 }  # fmt: skip
