@@ -75,7 +75,7 @@ def divide(
     order = np.lexsort((mothers.id, -age))
     mothers, waited, volume = mothers.take(order), waited[order], volume[order]
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
-    chances = mutant_chances(plan, cells, found)
+    chances = _by_type(plan, "mutation to", found, cells)
     if chances is not None:
         chances = np.repeat(chances[ripe][order], 2, axis=0)
     daughters = _daughters(plan, mothers, ids, chances)
@@ -127,11 +127,11 @@ def _daughters(
     if mutant is not None:
         mutate(plan, daughters, mutant)
     drift(plan, daughters)
-    if "young" not in plan.heritable:
+    if "young" not in plan.cells.heritable:
         daughters.young = draw_moduli(plan, ids, daughters.kind)
     if plan.phased:
         enter_cycle(plan, daughters, daughters.progress - daughters.phase_length)
-    elif "cycle_time" not in plan.heritable:
+    elif "cycle_time" not in plan.cells.heritable:
         daughters.cycle_time = draw_cycle_times(plan, ids, daughters.kind)
     return daughters
 
@@ -169,11 +169,6 @@ def change_types(plan: BiologyPlan, cells: Cells, found: Found, step: int, dt: f
     after = cells.shared()
     _become(plan, after, turns, np.minimum(chosen, len(plan.types) - 1))
     return after
-
-
-def mutant_chances(plan: BiologyPlan, cells: Cells, found: Found) -> FloatArray | None:
-    """Return the chance of a daughter of each cell to be of each type, (n, types), or None."""
-    return _by_type(plan, "mutation to", found, cells)
 
 
 def mutate(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> None:

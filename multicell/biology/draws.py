@@ -224,7 +224,8 @@ def draw_kinds(plan: BiologyPlan, ids: IntArray) -> NDArray[np.int16]:
 
 def draw_moduli(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
     """Return Young's moduli of new cells, (n,), kPa."""
-    drawn = scatter_about(plan.seed, Purpose.MODULI, 0, ids, plan.young, plan.young_variation)
+    mean, variation = plan.cells.young, plan.cells.young_variation
+    drawn = scatter_about(plan.seed, Purpose.MODULI, 0, ids, mean, variation)
     return drawn if plan.young_ratio is None else np.asarray(drawn * plan.young_ratio[kind])
 
 
@@ -234,6 +235,6 @@ def drift(plan: BiologyPlan, daughters: Cells) -> None:
     The mean of ln x stays, so that its variance grows by sd² in each generation. The normal
     distribution is cut at three standard deviations.
     """
-    for place, (name, sd) in enumerate(plan.drift.items()):
+    for place, (name, sd) in enumerate((plan.cells.drift or {}).items()):
         z = random.truncated_normal(plan.seed, Purpose.DRIFT, place, daughters.id, 3.0)
         setattr(daughters, name, getattr(daughters, name) * np.exp(sd * z))

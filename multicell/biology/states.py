@@ -51,7 +51,7 @@ def update_states(
     state = cells.state.copy()
     if plan.may_rest and not plan.restricted:
         resting = wants_rest(plan, cells, found)
-        due = deciding(cells, plan.step, plan.reaction_time)
+        due = deciding(cells, plan.step, plan.cells.reaction_time)
         state = np.where(due, np.where(resting, _RESTING, _GROWING), state)
     hazard = rate_of_harm(plan, "necrosis rate", found, cells)
     fatal = "damage rate" in plan.responses and cells.damage >= 1.0 - ROUNDING
