@@ -206,14 +206,9 @@ class Growth:
         return {**target, **(self.parameters or {})}
 
     @property
-    def law_class(self) -> type[GrowthLaw]:
-        """The class of the law."""
-        return LAWS[self.law]
-
-    @property
     def growth_law(self) -> GrowthLaw:
         """The law with its parameters."""
-        return self.law_class(**self._of_law())
+        return LAWS[self.law](**self._of_law())
 
     @property
     def mean_cycle(self) -> float:
@@ -396,11 +391,6 @@ class CellType:
     motility_scale: float = number(
         default=1.0, at_least=0, doc="active forces / those of the scene"
     )
-
-    @property
-    def responds(self) -> bool:
-        """Whether receptors or ligands depend on concentration."""
-        return bool(self.receptor_by or self.ligand_by)
 
     @property
     def sticks(self) -> bool:

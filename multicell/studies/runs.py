@@ -91,7 +91,7 @@ class PlainScene:
 
 def own_laws(scene: Scene) -> tuple[str, ...]:
     """Return where the pair law and the growth law of a scene come from that are the user's own."""
-    laws = [type(scene.contact), *([] if scene.growth is None else [scene.growth.law_class])]
+    laws = [type(scene.contact), *([] if scene.growth is None else [type(scene.growth.growth_law)])]
     return tuple(origin(law) for law in laws if issubclass(law, OwnLaw))
 
 
