@@ -131,23 +131,6 @@ class Equations:
         return float(some[self.pairs].any(axis=1).mean())
 
     @cached_property
-    def _offset(self) -> Array:
-        """The overlap that fresh daughters do not feel, by directed pair, µm."""
-        first, second = self._directed
-        offset = np.zeros(len(first))
-        if self.motion.offset_pairs is not None:
-            places = {
-                frozenset(pair): value
-                for pair, value in zip(
-                    self.motion.offset_pairs.tolist(), np.atleast_2d(self.motion.offset.T).T,
-                    strict=True,
-                )
-            }  # fmt: skip
-            for k, pair in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-                offset[k] = places.get(frozenset(pair), [0.0])[0]
-        return offset
-
-    @cached_property
     def _directed(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         return (
             np.concatenate([self.pairs[:, 0], self.pairs[:, 1]]),
@@ -166,7 +149,7 @@ class Equations:
         distance = np.sqrt((apart**2).sum(axis=1))
         total, modulus = radius[i] + radius[j], 1.0 / (soft[i] + soft[j])
         effective = radius[i] * radius[j] / total
-        overlap = np.maximum(total - distance - self._offset, 0.0)
+        overlap = np.maximum(total - distance, 0.0)
         force = modulus * np.sqrt(effective) * overlap**1.5
         force -= self.system.law.adhesion * np.sqrt(modulus) * (effective * overlap) ** 0.75
         sums = [np.bincount(i, -force * apart[:, a] / distance, minlength=len(x)) for a in range(3)]

@@ -323,7 +323,7 @@ class Simulation(RunState):
         dead = decide(self.plan, cells, found, self.step_index, dt, self.time)
         if dead.any():
             self.lineage.died(np.sort(cells.id[dead]), self.time)
-        if self.plan.changing and dt > 0.0:
+        if dt > 0.0:
             self.cells = change_types(self.plan, cells, found, self.step_index, dt)
 
     def _irradiate(self, since: float) -> None:

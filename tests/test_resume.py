@@ -58,18 +58,17 @@ CASES = {
     }),
     "the doomed and the damaged": ("growth", {
         **GROWING, "death": {"damage_time": "10 h", "damage_variation": 0.5,
-                             "damage_repair_time": "20 h", "lysis_time": "4 h"},
+                             "lysis_time": "4 h"},
         "nutrients": {"oxygen": {"boundary": 0.2, "uptake": 0.0, "necrosis": 0.02, "spacing": 20.0,
                                  "media": [["8 h", 0.01]]}},
         "radiation": {"course": {"dose": "2 Gy", "start": "6 h", "every": "6 h", "fractions": 2,
                                  "alpha": "0.3 1/Gy", "beta": "0.03 1/Gy^2",
                                  "mitotic_divisions": 2}},
     }),
-    "driven cells that divide smoothly": ("growth", {
-        **GROWING, "growth.division": "smooth",
+    "driven cells that divide": ("growth", {
+        **GROWING,
         "growth.phases": {name: {"duration": "2 h"} for name in ("G1", "S", "G2", "M")},
         "motions": {"held": {"cells": [0, 2]}, "x": {"cells": [1], "velocity": [0, 1e-5, 0]}},
-        "forces": {"f": {"force": [0.001, 0, 0], "cells": [3]}},
     }),
     "a gradient in a box": ("growth", {
         **GROWING, "domain": {axis: [-20.0, 20.0] for axis in "xyz"}, "chemotaxis": {"oxygen": {}},

@@ -23,7 +23,6 @@ KINDS = {
     "interval": "list of two quantities",
     "measure": "number, or text with a unit",
     "measure_points": "list of pairs",
-    "measures": "table of numbers by name",
     "moments": "list of times",
     "names": "list of names",
     "number": "number",

@@ -58,7 +58,6 @@ BEHAVIOURS: Final = (
     _rate("damage rate", "rate of taking damage, of which 1 kills a mean cell by necrosis"),
     _rate("change to", "rate of becoming another type", "type"),
     Behaviour("mutation to", "chance of a daughter to be of another type", "type", "", "sum", 1.0),
-    Behaviour("division radius", "factor on the radius at which a cell divides", at_most=4.0),
     Behaviour("speed", "factor on the active forces"),
     Behaviour("bias", "bias of random motion, from -1 to 1", combine="sum", at_most=1.0),
     Behaviour("uptake of", "factor on the uptake of a field", "field"),
@@ -86,7 +85,7 @@ SIGNALS: Final = {
     "dead neighbours": "",
     "crowding": "",
 }
-"""Signals besides fields and those that a scene derives -> base unit.
+"""Signals besides fields -> base unit.
 
 ``crowding`` is the sum over the neighbours of (1 - d/s)², d the distance and s the sum of the
 radii, over that of :data:`CROWDED`: 1 for a cell among twelve at the distance of close packing.
@@ -120,15 +119,15 @@ def behaviour_names() -> list[str]:
     return [f"{b.name} {b.of.upper()}" if b.of else b.name for b in BEHAVIOURS]
 
 
-def signal_unit(name: str, fields: Iterable[str], derived: Iterable[str], path: str) -> str:
+def signal_unit(name: str, fields: Iterable[str], path: str) -> str:
     """Return the base unit of a signal; its caller checks the types of counted contacts."""
     if name in SIGNALS:
         return SIGNALS[name]
-    if name.startswith(CONTACTS) or name in derived:
+    if name.startswith(CONTACTS):
         return ""
     if name in fields:
         return "mM"
-    known = [*fields, *derived, *SIGNALS, f"{CONTACTS}TYPE"]
+    known = [*fields, *SIGNALS, f"{CONTACTS}TYPE"]
     raise SceneError(path, f"is {name!r}, which is no signal here", near_miss(name, known))
 
 

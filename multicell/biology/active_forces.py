@@ -1,4 +1,4 @@
-"""Forces that cells do not exert on each other: random motion, taxis, an external pull."""
+"""Forces that cells do not exert on each other: random motion, chemotaxis, an external pull."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell import random
-from multicell.biology.driven import Named, add_forces
 from multicell.biology.responding import value_of
 from multicell.cells import Cells, FloatArray, Found, IntArray, Mask
 from multicell.random import Purpose
@@ -130,26 +129,6 @@ def chemotactic_force(plan: BiologyPlan, cells: Cells, gradients: Found) -> Floa
     return total
 
 
-def haptotactic_force(plan: BiologyPlan, cells: Cells) -> FloatArray:
-    """Return the force up the scene's landscape of adhesion, (n, 3) nN.
-
-    Its potential is -a(x) with a = x for a gradient, cos(2πx/L) for stripes and
-    exp(-|x|²/2L²) for a spot, scaled so that the largest force is the one that the scene gives.
-    """
-    law = plan.haptotaxis
-    assert law is not None
-    total = np.zeros((len(cells), 3))
-    if law.landscape == "spot":
-        away = cells.position / law.length
-        square = np.square(away).sum(axis=1, keepdims=True)
-        return np.asarray(-law.force * away * np.exp(0.5 - 0.5 * square))
-    axis = "xyz".index(law.axis)
-    total[:, axis] = law.force
-    if law.landscape == "stripes":
-        total[:, axis] *= -np.sin(2.0 * np.pi * cells.position[:, axis] / law.length)
-    return total
-
-
 def pulling_force(plan: BiologyPlan, cells: Cells, time: float) -> FloatArray:
     """Return the external force on each cell at a time and its rate, (n, 6) nN and nN/s.
 
@@ -168,26 +147,20 @@ def push(
     cells: Cells,
     time: float,
     gradients: Found,
-    end: float | None = None,
-    named: Named | None = None,
     found: Found = _NONE,
 ) -> FloatArray | None:
     """Return all forces that are no contact forces, with their rates, (n, 6), or None.
 
     Only living cells move by themselves, each type as actively as its ``motility_scale`` and the
     responses of its ``speed`` to the signals ``found`` say.
-    Forces from outside act on the cells that ``named`` says, from ``time`` to ``end``.
     """
-    active = plan.motility is not None or bool(plan.chemotaxis) or plan.haptotaxis is not None
-    if not active and plan.pull is None and not plan.forces:
+    if plan.motility is None and not plan.chemotaxis and plan.pull is None:
         return None
     total = np.zeros((len(cells), 6))
     if plan.motility is not None:
         total[:, :3] += active_force(plan, cells, time, gradients, found)
     if plan.chemotaxis:
         total[:, :3] += chemotactic_force(plan, cells, gradients)
-    if plan.haptotaxis is not None:
-        total[:, :3] += haptotactic_force(plan, cells)
     if plan.motility_scale is not None:
         total *= plan.motility_scale[cells.kind, None]
     speed = value_of(plan, "speed", 1.0, found, cells, early=True)
@@ -196,6 +169,4 @@ def push(
     total[cells.dead] = 0.0
     if plan.pull is not None:
         total += pulling_force(plan, cells, time)
-    if plan.forces:
-        add_forces(plan, cells, named or {}, (time, time if end is None else end), total)
     return total

@@ -9,25 +9,19 @@ in the next one, also after division, so that cycles do not become longer with t
 At the end of G1 (the restriction point; A. B. Pardee, PNAS 71 (1974) 1286) a cell that finds too
 little nutrient or too much pressure goes to G0, and on to S when it decides anew in better
 conditions. Where the scene has no restriction, cells rest in any phase.
-
-With ``division = "smooth"`` a mother is replaced by her daughters at the beginning of M, and they
-part while M lasts: the cycle of a cell then is M, G1, S, G2. The daughters of one mother that are
-in M are one dividing cell.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.draws import draw_lengths, newborn_lengths
+from multicell.biology.draws import draw_lengths
 from multicell.biology.responding import value_of
-from multicell.cells import HALF, Cells, FloatArray, Found, IntArray, Mask, Phase, State
-from multicell.contact.law import effective_modulus, effective_radius
-from multicell.contact.pair import rest_overlap
+from multicell.cells import Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.scene.parts import PHASES
 
 if TYPE_CHECKING:
@@ -71,10 +65,9 @@ def advance(
     )  # fmt: skip
     left = np.where((cells.state == State.PROLIFERATING) & (cells.phase != Phase.G0), dt, 0.0)
     grows = plan.grows
-    first = plan.order[0]
-    if not grows[first]:
+    if not grows[Phase.G1]:
         # newborn cells may have spent more of the step than their first phase lasts
-        newborn_ones = (left > 0.0) & (now.phase == first)
+        newborn_ones = (left > 0.0) & (now.phase == Phase.G1)
         surplus = np.where(newborn_ones, np.maximum(now.progress - now.phase_length, 0.0), 0.0)
         left += surplus
         now.progress[:] -= surplus
@@ -154,11 +147,10 @@ def _change(
 ) -> None:
     """Lead cells at the end of their phase into the next one."""
     phase = now.phase[at_end]
-    sequence = plan.order
-    ripe = at_end[phase == sequence[-1]]
+    ripe = at_end[phase == Phase.M]
     if ripe.size:
         # what is left of the step is the daughters' time in their first phase
-        grow = plan.grows[sequence[0]]
+        grow = plan.grows[Phase.G1]
         ahead = left[ripe] * (factor[ripe] if grow else 1.0)
         now.progress[ripe] = now.phase_length[ripe] + ahead
         if grow:
@@ -170,9 +162,8 @@ def _change(
         rest = at_end[resting]
         now.phase[rest], now.state[rest] = Phase.G0, State.QUIESCENT
         now.progress[rest] = now.phase_length[rest] = left[rest] = 0.0
-    onward = at_end[(phase != sequence[-1]) & ~resting]
-    # G1, S, G2, M and then G1 again
-    now.phase[onward] = now.phase[onward] % Phase.M + 1
+    onward = at_end[(phase != Phase.M) & ~resting]
+    now.phase[onward] += 1
     now.progress[onward] = 0.0
     now.phase_length[onward] = _length_of(plan, cells, onward, now.phase[onward])
 
@@ -186,73 +177,12 @@ def leave_rest(plan: BiologyPlan, cells: Cells, wakes: Mask) -> None:
 
 
 def enter_cycle(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:
-    """Put cells into their first phase, with what they have spent there already.
-
-    Sisters that part stay in M for the same time, which the mother's identity sets.
-    """
+    """Put cells into G1, with what they have spent there already."""
     lengths = draw_lengths(plan, cells.id, cells.kind)
-    first = plan.order[0]
-    if first == Phase.M:
-        parents = np.maximum(cells.parent, 0)
-        of_mother = newborn_lengths(plan, parents, cells.kind)[:, Phase.M - 1]
-        lengths[:, Phase.M - 1] = np.where(cells.parent >= 0, of_mother, lengths[:, Phase.M - 1])
-    cells.phase = np.full(len(cells), first, dtype=np.int8)
+    cells.phase = np.full(len(cells), Phase.G1, dtype=np.int8)
     cells.progress = progress
-    cells.phase_length = lengths[:, first - 1].copy()
+    cells.phase_length = lengths[:, 0].copy()
     cells.cycle_time = growing_time(plan, lengths)
-
-
-_NO_PAIRS = np.empty((0, 2), dtype=np.int64), np.empty((0, 2))
-
-
-def parting(plan: BiologyPlan, cells: Cells, dt: float) -> tuple[IntArray, FloatArray] | None:
-    """Return the sisters that part, (m, 2) indices, and their offset with its rate, (m, 2).
-
-    At birth the offset is their overlap less the one at which their contact is at rest, so that
-    they feel no force of each other; it falls linearly over M. Over a coupling step of length
-    ``dt`` it runs linearly to its value at the end. None in a scene whose cells never part so.
-    """
-    if plan.growth is None or plan.growth.division != "smooth":
-        return None
-    young = np.flatnonzero((cells.phase == Phase.M) & (cells.parent >= 0))
-    young = young[np.lexsort((cells.id[young], cells.parent[young]))]
-    together = np.flatnonzero(cells.parent[young][1:] == cells.parent[young][:-1])
-    if not together.size:
-        return _NO_PAIRS
-    pairs = np.sort(np.stack([young[together], young[together + 1]], axis=1), axis=1)
-    first, second = pairs.T
-    r = cells.radius
-    overlap = r[first] + r[second] - (r[first] + r[second]) * (1.0 / HALF - 1.0)
-    whole = np.maximum(overlap - _at_rest(plan, cells, first, second), 0.0)
-    length = cells.phase_length[first]
-    # in a step longer than M sisters are born with more progress than M is long
-    share = np.maximum(1.0 - cells.progress[first] / length, 0.0)
-    living = cells.state[first] == State.PROLIFERATING
-    after = np.maximum(share - np.where(living, dt / length, 0.0), 0.0)
-    rate = whole * (after - share) / dt if dt > 0.0 else np.zeros_like(whole)
-    return pairs, np.stack([whole * share, rate], axis=1)
-
-
-def _at_rest(plan: BiologyPlan, cells: Cells, first: IntArray, second: IntArray) -> FloatArray:
-    """Return the overlap at which pairs are at rest, with their types and receptors, µm."""
-    r, young, poisson = cells.radius, cells.young, cells.poisson
-    modulus = effective_modulus(young[first], poisson[first], young[second], poisson[second])
-    radius, total = effective_radius(r[first], r[second]), r[first] + r[second]
-    bonds = np.zeros(len(first))
-    if plan.adhesion is not None:
-        receptor, ligand = cells.receptor, cells.ligand
-        count = receptor[first] * ligand[second] + ligand[first] * receptor[second]
-        bonds = 0.5 * plan.adhesion.strength * count
-    energies = plan.energies
-    if energies is None:
-        return rest_overlap(plan.contact, modulus, radius, total, bonds)
-    own = energies[cells.kind[first], cells.kind[second]]
-    found = np.empty(len(first))
-    for energy in np.unique(own):
-        law: Any = replace(plan.contact, surface_energy=float(energy))  # type: ignore[type-var]
-        k = own == energy
-        found[k] = rest_overlap(law, modulus[k], radius[k], total[k], bonds[k])
-    return found
 
 
 def place_in_cycle(
@@ -263,13 +193,11 @@ def place_in_cycle(
     ``lengths`` are those of their phases, (n, 4) s.
     """
     cells.cycle_time = growing_time(plan, lengths)
-    sequence = np.array(plan.order)
-    lengths, grows = lengths[:, sequence - 1], plan.grows[np.array(sequence)]
-    ends = np.cumsum(lengths, axis=1)
+    grows, ends = plan.grows[1:], np.cumsum(lengths, axis=1)
     elapsed = share * ends[:, -1]
     phase = np.minimum((elapsed[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
     rows = np.arange(len(cells))
-    cells.phase = sequence[phase].astype(np.int8)
+    cells.phase = (phase + 1).astype(np.int8)
     cells.phase_length = lengths[rows, phase]
     cells.progress = elapsed - (ends[rows, phase] - lengths[rows, phase])
     before = np.arange(len(PHASES)) < phase[:, None]
@@ -298,13 +226,13 @@ def share_of_growth(plan: BiologyPlan, volume: FloatArray) -> FloatArray:
 
 def place_by_volume(plan: BiologyPlan, cells: Cells, volume: FloatArray) -> None:
     """Put cells of known cycle times where they have a volume, given over that at birth."""
-    lengths = draw_lengths(plan, cells.id, cells.kind)[:, np.array(plan.order) - 1]
+    lengths = draw_lengths(plan, cells.id, cells.kind)
     grown_for = share_of_growth(plan, volume) * cells.cycle_time
-    ends = np.cumsum(lengths * plan.grows[list(plan.order)], axis=1)
+    ends = np.cumsum(lengths * plan.grows[1:], axis=1)
     place = np.minimum((grown_for[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
     rows = np.arange(len(cells))
     before = np.where(place > 0, ends[rows, place - 1], 0.0)
-    cells.phase = np.array(plan.order, dtype=np.int8)[place]
+    cells.phase = (place + 1).astype(np.int8)
     cells.phase_length = lengths[rows, place]
     cells.progress = np.minimum(grown_for - before, cells.phase_length)
 
@@ -314,12 +242,10 @@ def time_before_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
 
     Those in G0 have G1 behind them.
     """
-    sequence = plan.order
-    lengths = draw_lengths(plan, cells.id, cells.kind)[:, np.array(sequence) - 1]
-    following = np.where(cells.phase == Phase.G0, Phase.S, cells.phase)
-    place = np.argmax(following[:, None] == np.array(sequence), axis=1)
+    lengths = draw_lengths(plan, cells.id, cells.kind)
+    place = np.where(cells.phase == Phase.G0, Phase.S, cells.phase) - 1
     earlier = lengths * (np.arange(len(PHASES)) < place[:, None])
-    return np.stack([earlier.sum(axis=1), earlier @ plan.grows[np.array(sequence)]], axis=1)
+    return np.stack([earlier.sum(axis=1), earlier @ plan.grows[1:]], axis=1)
 
 
 def volume_in_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:

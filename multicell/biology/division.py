@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from multicell import random
 from multicell.biology.cycle import enter_cycle
 from multicell.biology.draws import draw_cycle_times, draw_moduli, drift
 from multicell.biology.responding import value_of
-from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, Mask, State
+from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -24,19 +24,13 @@ ROUNDING = 1e-12
 _NONE: Found = {}
 
 
-def due_to_divide(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
+def due_to_divide(plan: BiologyPlan, cells: Cells) -> Mask:
     """Return which cells are at the end of their cycle, (n,); ``plan`` is one with growth."""
-    if plan.order:
-        ripe = (cells.phase == plan.order[-1]) & (cells.progress >= cells.phase_length)
+    if plan.phased:
+        ripe = (cells.phase == Phase.M) & (cells.progress >= cells.phase_length)
     else:
-        ripe = cells.volume >= _division_volume(plan, cells, found) * (1.0 - ROUNDING)
+        ripe = cells.volume >= plan.division_volume * (1.0 - ROUNDING)
     return np.asarray(ripe & (cells.state == State.PROLIFERATING))
-
-
-def _division_volume(plan: BiologyPlan, cells: Cells, found: Found) -> Any:
-    """Return the volume at which cells divide, µm³: a number, or (n,) where it responds."""
-    scale = value_of(plan, "division radius", 1.0, found, cells)
-    return plan.division_volume if scale is None else plan.division_volume * scale**3
 
 
 def divide(
@@ -69,44 +63,43 @@ def divide(
     """
     if plan.growth is None:
         return cells, next_id
-    ripe = due_to_divide(plan, cells, found) & (cells.doomed != 1)
+    ripe = due_to_divide(plan, cells) & (cells.doomed != 1)
     if not ripe.any():
         return cells, next_id
     mothers = cells.take(ripe)
-    due = np.broadcast_to(_division_volume(plan, cells, found), len(cells))[ripe]
     rate = np.broadcast_to(factor, len(cells))[ripe]
-    waited, volume = _waited(plan, mothers, due, dt * rate)
+    waited, volume = _waited(plan, mothers, dt * rate)
     age = np.maximum(waited, 0.0)
-    if not plan.order or plan.grows[plan.order[0]]:
+    if not plan.phased or plan.grows[Phase.G1]:
         age = np.divide(age, rate, out=np.zeros(len(age)), where=rate > 0.0)
     order = np.lexsort((mothers.id, -age))
     mothers, waited, volume = mothers.take(order), waited[order], volume[order]
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
-    chances = mutant_chances(plan, cells, found)
+    chances = _by_type(plan, "mutation to", found, cells)
     if chances is not None:
         chances = np.repeat(chances[ripe][order], 2, axis=0)
     daughters = _daughters(plan, mothers, ids, chances)
     daughters.age = np.repeat(age[order], 2)
-    if not plan.order:
+    if not plan.phased:
         _grow_since(plan, daughters, np.repeat(volume, 2), np.repeat(waited, 2))
     return cells.replaced(~ripe, daughters), int(ids[-1]) + 1
 
 
 def _waited(
-    plan: BiologyPlan, mothers: Cells, due: FloatArray, longest: FloatArray
+    plan: BiologyPlan, mothers: Cells, longest: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return how long mothers have grown beyond their division, and their volumes then.
 
-    - ``due``, (n,) µm³: volumes at which they divide, without phases
     - ``longest``, (n,) s: no mother has waited for longer
 
     Returns (n,) s of unlimited growth; (n,) µm³.
     """
-    if plan.order:
+    if plan.phased:
         return mothers.progress - mothers.phase_length, mothers.volume
     assert plan.law is not None
     birth, cycle, volume = plan.birth_volume, mothers.cycle_time, mothers.volume
-    # what exceeds that was there before the step: the threshold has fallen, or a table said so
+    due = np.full(len(mothers), plan.division_volume)
+    # what exceeds that was there before the step: a table said so
     most = np.minimum(volume, plan.law.volume_after(due, longest / cycle, birth))
     shares = plan.law.share_at(most / birth) - plan.law.share_at(due / birth)
     return np.asarray(np.maximum(shares, 0.0) * cycle), np.asarray(volume - (most - due))
@@ -134,11 +127,11 @@ def _daughters(
     if mutant is not None:
         mutate(plan, daughters, mutant)
     drift(plan, daughters)
-    if "young" not in plan.heritable:
+    if "young" not in plan.cells.heritable:
         daughters.young = draw_moduli(plan, ids, daughters.kind)
-    if plan.order:
+    if plan.phased:
         enter_cycle(plan, daughters, daughters.progress - daughters.phase_length)
-    elif "cycle_time" not in plan.heritable:
+    elif "cycle_time" not in plan.cells.heritable:
         daughters.cycle_time = draw_cycle_times(plan, ids, daughters.kind)
     return daughters
 
@@ -176,11 +169,6 @@ def change_types(plan: BiologyPlan, cells: Cells, found: Found, step: int, dt: f
     after = cells.shared()
     _become(plan, after, turns, np.minimum(chosen, len(plan.types) - 1))
     return after
-
-
-def mutant_chances(plan: BiologyPlan, cells: Cells, found: Found) -> FloatArray | None:
-    """Return the chance of a daughter of each cell to be of each type, (n, types), or None."""
-    return _by_type(plan, "mutation to", found, cells)
 
 
 def mutate(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> None:

@@ -50,11 +50,6 @@ def draw_lengths(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> F
     return _drawn(plan, ids, draw) * scale(plan, kind)[:, None]
 
 
-def newborn_lengths(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
-    """Return durations as newborn cells draw them, (n, 4) s, independent of those of founders."""
-    return _phases(plan, ids, 0) * scale(plan, kind)[:, None]
-
-
 def draw_cycle_times(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
     """Return cycle times of new cells, (n,), s; infinite in a scene without growth.
 
@@ -124,19 +119,12 @@ def scale(plan: BiologyPlan, kind: NDArray[np.int16]) -> FloatArray:
 
 
 def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
-    """Return the durations at which a phase's distribution has the probabilities ``u``, s.
-
-    The normal distribution is cut symmetrically at three standard deviations, or at 90 % of the
-    mean where that is nearer.
-    """
+    """Return the durations at which a phase's distribution has the probabilities ``u``, s."""
     from scipy import special
 
     mean, variation = phase.duration, phase.variation
     if phase.distribution == "fixed":
         return np.full(len(u), mean)
-    if phase.distribution == "normal":
-        edge = special.ndtr(-_cut(variation))
-        return np.asarray(mean * (1.0 + variation * special.ndtri(edge + u * (1.0 - 2.0 * edge))))
     shift = _shift(phase)
     # the variation is that of the whole duration, shift included
     shape = ((1.0 - shift) / variation) ** 2
@@ -195,8 +183,6 @@ def _log_laplace(phase: PhaseLength, rate: float) -> float:
     x, variation = rate * phase.duration, phase.variation
     if phase.distribution == "fixed":
         return -x
-    if phase.distribution == "normal":
-        return _log_normal(x, variation)
     shift = _shift(phase)
     shape = ((1.0 - shift) / variation) ** 2
     return -x * shift - shape * math.log1p(x * (1.0 - shift) / shape)
@@ -238,7 +224,8 @@ def draw_kinds(plan: BiologyPlan, ids: IntArray) -> NDArray[np.int16]:
 
 def draw_moduli(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
     """Return Young's moduli of new cells, (n,), kPa."""
-    drawn = scatter_about(plan.seed, Purpose.MODULI, 0, ids, plan.young, plan.young_variation)
+    mean, variation = plan.cells.young, plan.cells.young_variation
+    drawn = scatter_about(plan.seed, Purpose.MODULI, 0, ids, mean, variation)
     return drawn if plan.young_ratio is None else np.asarray(drawn * plan.young_ratio[kind])
 
 
@@ -248,6 +235,6 @@ def drift(plan: BiologyPlan, daughters: Cells) -> None:
     The mean of ln x stays, so that its variance grows by sd² in each generation. The normal
     distribution is cut at three standard deviations.
     """
-    for place, (name, sd) in enumerate(plan.drift.items()):
+    for place, (name, sd) in enumerate((plan.cells.drift or {}).items()):
         z = random.truncated_normal(plan.seed, Purpose.DRIFT, place, daughters.id, 3.0)
         setattr(daughters, name, getattr(daughters, name) * np.exp(sd * z))

@@ -1,13 +1,13 @@
 """Cells that are driven from outside during a run: who they are, and how they are driven.
 
-A driver that names cells by identity or by where they are at the start keeps a list of identities.
+A motion that names cells by identity or by where they are at the start keeps a list of identities.
 When such a cell divides, the first daughter (the smaller identity) takes its place, so that the
-number of driven cells stays and the total force from outside with it; when it is removed, its
-place is empty. A driver that names a type, or all cells, needs no list.
+number of driven cells stays; when it is removed, its place is empty. A motion that names a type,
+or all cells, needs no list.
 
-Forces and velocities act through whole coupling steps. Where one begins or ends within a step of
-fixed length, its mean over the step acts: impulse and displacement are right at the step's end.
-Steps that the run chooses end at such moments.
+Velocities act through whole coupling steps. Where one begins or ends within a step of fixed
+length, its mean over the step acts: displacement is right at the step's end. Steps that the run
+chooses end at such moments.
 """
 
 from __future__ import annotations
@@ -19,25 +19,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, IntArray, Mask
-from multicell.scene.driven import Driver, by_identity, check_members, drivers, members, within
+from multicell.scene.driven import check_members
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
-    from multicell.scene.driven import Force
 
 Named = Mapping[str, IntArray]
-"""Identities of the cells of each driver that keeps a list, by its path in the scene."""
+"""Identities of the cells of each motion that keeps a list, by its path in the scene."""
 
 
 def named_at_start(plan: BiologyPlan, cells: Cells) -> dict[str, IntArray]:
-    """Return the cells of each driver that keeps a list."""
-    check_members(plan, cells)
+    """Return the cells of each motion that keeps a list."""
+    check_members(plan.motions, plan.types, cells)
     return {
-        path: np.sort(cells.id[members(plan.types, driver, cells)])
-        for path, driver in drivers(plan)
-        if by_identity(driver)
+        f"motions.{name}": np.sort(cells.id[motion.members(plan.types, cells)])
+        for name, motion in plan.motions.items()
+        if motion.by_identity
     }
 
 
@@ -58,29 +57,6 @@ def pass_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
     return after
 
 
-def add_forces(plan: BiologyPlan, cells: Cells, named: Named, span: tuple[float, float],
-               total: FloatArray) -> None:  # fmt: skip
-    """Add the forces from outside at the beginning of a span of time, s, and their rates.
-
-    ``total`` is (n, 6), nN and nN/s.
-    """
-    begin, end = span
-    for name, law in plan.forces.items():
-        share = within(law, begin, end)
-        if share > 0.0:
-            total[driven(plan, cells, named, f"forces.{name}")] += _load(law, begin, end, share)
-
-
-def _load(law: Force, begin: float, end: float, share: float) -> FloatArray:
-    """Return force and rate; where the law acts in a part of a span only, their mean over it."""
-    force, rate = np.array(law.force), np.array(law.rate)
-    if share == 1.0:
-        return np.concatenate([force + rate * (begin - law.begin), rate])
-    last = end if law.end is None else min(end, law.end)
-    middle = 0.5 * (max(begin, law.begin) + last)
-    return np.concatenate([share * (force + rate * (middle - law.begin)), np.zeros(3)])
-
-
 def prescribed(
     plan: BiologyPlan, cells: Cells, named: Named, begin: float, end: float
 ) -> tuple[Mask, FloatArray] | None:
@@ -88,25 +64,24 @@ def prescribed(
 
     The velocity of a cell that is not moved is zero. None if nothing is moved in the span.
     """
-    shares = {name: within(motion, begin, end) for name, motion in plan.motions.items()}
+    shares = {name: motion.within(begin, end) for name, motion in plan.motions.items()}
     if not any(shares.values()):
         return None
     held, velocity = np.zeros(len(cells), dtype=np.bool_), np.zeros((len(cells), 3))
     for name, share in shares.items():
         if share > 0.0:
-            chosen = driven(plan, cells, named, f"motions.{name}")
+            chosen = driven(plan, cells, named, name)
             held |= chosen
             velocity[chosen] += share * np.array(plan.motions[name].velocity)
     return held, velocity
 
 
-def driven(plan: BiologyPlan, cells: Cells, named: Named, path: str) -> Mask:
-    """Return which cells a driver drives now, (n,)."""
-    table, _, name = path.partition(".")
-    driver: Driver = getattr(plan, table)[name]
-    if by_identity(driver):
-        return np.isin(cells.id, named.get(path, ()))
-    return members(plan.types, driver, cells)
+def driven(plan: BiologyPlan, cells: Cells, named: Named, name: str) -> Mask:
+    """Return which cells a motion drives now, (n,)."""
+    motion = plan.motions[name]
+    if motion.by_identity:
+        return np.isin(cells.id, named.get(f"motions.{name}", ()))
+    return motion.members(plan.types, cells)
 
 
 def columns(
@@ -128,8 +103,8 @@ def columns(
     found: dict[str, float] = {}
     for name, law in plan.motions.items():
         total = np.zeros(3)
-        if within(law, motion.begin, motion.begin):
-            total = force[driven(plan, cells, named, f"motions.{name}")].sum(axis=0)
+        if law.within(motion.begin, motion.begin):
+            total = force[driven(plan, cells, named, name)].sum(axis=0)
         parts = zip("xyz", total, strict=True)
         found |= {f"force_{name}_{axis}": float(part) for axis, part in parts}
     return found

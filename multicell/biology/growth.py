@@ -62,15 +62,15 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     Proliferating cells grow by the scene's law (:mod:`multicell.behaviours.growth_laws`), so that
     one that nothing limits doubles in its cycle time; quiescent cells keep their volume. Necrotic
     cells shrink as V' = -V / lysis_time, after they have swollen, where the scene has them swell,
-    as V' = V ln(swelling) / swelling_time, unless fluid takes the place of what they lose;
-    apoptotic ones as V' = -V / apoptosis_time. All is integrated exactly for the given factor.
-    Growth may pass the division volume within the step: the excess goes to the daughters.
+    as V' = V ln(swelling) / swelling_time; apoptotic ones as V' = -V / apoptosis_time.
+    All is integrated exactly for the given factor. Growth may pass the division volume within the
+    step: the excess goes to the daughters.
 
     - ``dt``: length of the step, s
     """
     volume = cells.volume
     law = plan.law
-    if law is not None and not plan.order:
+    if law is not None and not plan.phased:
         birth, living = plan.birth_volume, cells.state == _GROWING
         if law.constant:
             volume += np.where(living, dt * (factor * birth / cells.cycle_time), 0.0)
@@ -86,12 +86,11 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
 
 def _necrotic_factor(death: Death, since: FloatArray, dt: float) -> FloatArray:
     """Return the volume of necrotic cells after ``dt`` over that now, a time ``since`` death."""
-    lysis_time = np.inf if death.core == "fluid" else death.lysis_time
     if death.swelling == 1.0:
-        return np.full_like(since, np.exp(-dt / lysis_time))
+        return np.full_like(since, np.exp(-dt / death.lysis_time))
     swelling = np.clip(death.swelling_time - since, 0.0, dt)
     rate = np.log(death.swelling) / death.swelling_time
-    return np.asarray(np.exp(rate * swelling - (dt - swelling) / lysis_time))
+    return np.asarray(np.exp(rate * swelling - (dt - swelling) / death.lysis_time))
 
 
 def corrected_factor(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float) -> FloatArray:
@@ -125,4 +124,4 @@ def lag_after(
 def _grows(plan: BiologyPlan, cells: Cells) -> Mask:
     """Return which cells grow as their surroundings allow, (n,)."""
     living = cells.state == _GROWING
-    return np.asarray(living & plan.grows[cells.phase] if plan.order else living)
+    return np.asarray(living & plan.grows[cells.phase] if plan.phased else living)

@@ -45,8 +45,8 @@ def initial_cells(scene: Scene) -> Cells:
     those that are missing each follows from those that are there.
 
     Returns Cells: identities 0 ... n - 1 from the centre outwards, in a row along x, or those of
-    the table, else numbered by its rows; parent -1 but for sisters that part. Without a table all
-    proliferate at pressure zero, with the centroid of the sites at the origin.
+    the table, else numbered by its rows; parent -1. Without a table all proliferate at pressure
+    zero, with the centroid of the sites at the origin.
     """
     n, given, kind = scene.initial.count, None, None
     columns: Mapping[str, NDArray[Any]] = {}
@@ -76,7 +76,7 @@ def initial_cells(scene: Scene) -> Cells:
         damage=columns.get("damage", np.zeros(n)),
         lag=columns.get("lag", np.zeros(n)),
     )
-    volume = (_in_phases if plan.order else _without_phases)(plan, cells, given)
+    volume = (_in_phases if plan.phased else _without_phases)(plan, cells, given)
     cells.radius = columns.get("radius", np.cbrt(volume / SPHERE))
     if given is None:
         cells.position = _positions(scene, ids, cells.radius)
@@ -85,8 +85,6 @@ def initial_cells(scene: Scene) -> Cells:
         cells.age = columns["age"]
     elif cells.dead.any():
         cells.age = np.where(cells.dead, 0.0, cells.age)
-    if plan.order and "parent" in columns:
-        cells.parent = _mothers(plan, cells, given)
     return cells.copy()  # the table stays as it is
 
 
@@ -143,26 +141,6 @@ def _positions(scene: Scene, ids: IntArray, radius: FloatArray) -> FloatArray:
         z[:, 2] *= not flat
         position = position + scene.initial.jitter * diameter * z
     return position
-
-
-def _mothers(plan: BiologyPlan, cells: Cells, given: Given) -> IntArray:
-    """Return the mothers of sisters that part, -1 for all other cells.
-
-    Only of those does it matter: they are in M together, where division is smooth.
-    """
-    assert plan.growth is not None
-    mother = np.full(len(cells), -1, dtype=np.int64)
-    if plan.growth.division != "smooth":
-        return mother
-    named = given.columns["parent"]
-    young = np.flatnonzero((cells.phase == Phase.M) & (named >= 0))
-    _, place, number = np.unique(named[young], return_inverse=True, return_counts=True)
-    crowd = np.zeros(len(cells), dtype=bool)
-    crowd[young] = number[place] > 2
-    given.refuse(crowd, "parent", "is {}, the mother of more than two cells in M")
-    sisters = young[number[place] == 2]
-    mother[sisters] = named[sisters]
-    return mother
 
 
 def _states(columns: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.int8]:

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell.biology.active_forces import push
-from multicell.biology.cycle import parting
 from multicell.biology.driven import Named, prescribed
 from multicell.biology.responding import value_of
-from multicell.biology.surface import surface_force
 from multicell.cells import Cells, FloatArray, Found, IntArray, stokes_drag
 from multicell.mechanics.motion import Motion
 from multicell.results.observables import Extent, centre, contact_rows, distances
@@ -40,15 +38,14 @@ def motion_of(
     """
     length = end - begin
     rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
-    apart = parting(plan, cells, length)
     given = prescribed(plan, cells, named or {}, begin, end) if plan.motions else None
     held, velocity = given or (None, None)
     touching = contact_rows(cells, contacts) if plan.contact.remembers else None
-    pushed = push(plan, cells, begin, gradients, end, named, concentrations)
-    for further in (inflow_drag(plan, cells, radius, length), surface_force(plan, cells)):
-        if further is not None:
-            pushed = np.zeros((len(cells), 6)) if pushed is None else pushed
-            pushed[:, :3] += further
+    pushed = push(plan, cells, begin, gradients, concentrations)
+    further = inflow_drag(plan, cells, radius, length)
+    if further is not None:
+        pushed = np.zeros((len(cells), 6)) if pushed is None else pushed
+        pushed[:, :3] += further
     young = cells.young
     stiffness = value_of(plan, "Young's modulus", 1.0, concentrations, cells, early=True)
     if stiffness is not None:
@@ -59,8 +56,6 @@ def motion_of(
         push=pushed,
         kind=cells.kind if plan.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
-        offset_pairs=None if apart is None else apart[0],
-        offset=None if apart is None else apart[1],
         held=held, velocity=velocity,
     )  # fmt: skip
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from multicell.biology.responding import bind_responses, missing_signals
 from multicell.cells import Mask, Phase
-from multicell.scene.pairs import surface_energies
 from multicell.scene.sizes import birth_volume, division_volume
 from multicell.units import oxygen_solubility
 
@@ -19,15 +18,15 @@ if TYPE_CHECKING:
     from multicell.biology.responding import BoundResponse
     from multicell.cells import FloatArray
     from multicell.contact.law import PairLaw
-    from multicell.scene.driven import Force, PrescribedMotion
+    from multicell.scene.driven import Motions
     from multicell.scene.parts import (
         Adhesion,
+        CellParameters,
         CellType,
         Chemotaxis,
         Death,
         Domain,
         Growth,
-        Haptotaxis,
         Motility,
         Pull,
     )
@@ -43,8 +42,7 @@ class BiologyPlan:
     - ``seed``, ``dimensions``, ``step``: as in the scene; ``step`` is the coupling step in s
     - ``birth_volume``, ``division_volume``, float, µm³
     - ``law``: by which volumes grow; None without growth
-    - ``order``, phases: in which a cell goes through them from birth to division; none without
-      phases
+    - ``phased``: whether the cycle has phases
     - ``grows``, (5,) bool: for each :class:`multicell.cells.Phase` whether cells grow in it
     - ``restricted``: whether cells rest in G0 only
     - ``stage``, ``varies``, ``founders``: where in their cycle cells start, whether newborn ones
@@ -54,20 +52,15 @@ class BiologyPlan:
     - ``may_rest``: whether anything lets cells rest, or makes a field that they may wake up in
     - ``base_rates``, name -> 1/s: the rate of apoptosis without responses, where cells die so at
       all
-    - ``changing``, ``growth_follows_state``: whether cells change their types, and whether growth
-      depends on more than fields and pressure at a cell of a type
+    - ``growth_follows_state``: whether growth depends on more than fields and pressure at a cell of
+      a type
     - ``elsewhere``: signals that neither fields nor cells carry: time, and numbers of neighbours
-    - ``young``, ``young_variation``, ``heritable``, ``drift``, ``reaction_time``: of the cells, in
-      kPa and s
     - ``inflow``: viscosity of the medium that flows in to what is lost, kPa·s; 0: it is at rest
-    - ``surface_tension``: of the tissue, nN/µm; 0: none
     - ``types``: by name; empty where all cells are alike
     - ``cycle_scale``, ``motility_scale``, ``young_ratio``, (types,) or None: factors of each type;
       None where they are all 1
-    - ``energies``, (types, types) nN/µm, or None: surface energies between types that have their
-      own
     - ``solubility``, field -> mM/kPa: of oxygen, in the fields that say what irradiation does
-    - ``es``, ``motions``: parts of the scene that hold nothing but numbers and names
+    - ``cells`` to ``motions``: parts of the scene that hold nothing but numbers and names
     """
 
     seed: int
@@ -76,7 +69,7 @@ class BiologyPlan:
     birth_volume: float
     division_volume: float
     law: GrowthLaw | None
-    order: tuple[Phase, ...]
+    phased: bool
     grows: Mask
     restricted: bool
     stage: str
@@ -85,22 +78,15 @@ class BiologyPlan:
     responses: Mapping[str, tuple[BoundResponse, ...]]
     may_rest: bool
     base_rates: Mapping[str, float]
-    changing: bool
     growth_follows_state: bool
     elsewhere: frozenset[str]
-    young: float
-    young_variation: float
-    heritable: tuple[str, ...]
-    drift: Mapping[str, float]
     inflow: float
-    surface_tension: float
-    reaction_time: float
     types: Mapping[str, CellType]
     cycle_scale: FloatArray | None
     motility_scale: FloatArray | None
     young_ratio: FloatArray | None
-    energies: FloatArray | None
     solubility: Mapping[str, float]
+    cells: CellParameters
     radiation: Mapping[str, Radiation]
     contact: PairLaw
     domain: Domain | None
@@ -109,26 +95,20 @@ class BiologyPlan:
     adhesion: Adhesion | None
     motility: Motility | None
     chemotaxis: Mapping[str, Chemotaxis]
-    haptotaxis: Haptotaxis | None
     pull: Pull | None
-    forces: Mapping[str, Force]
-    motions: Mapping[str, PrescribedMotion]
+    motions: Motions
 
 
 _OF_SCENE: Final = (
-    "seed", "dimensions", "types", "radiation", "contact", "domain", "death", "adhesion",
-    "motility", "chemotaxis", "haptotaxis", "pull", "forces", "motions",
+    "seed", "dimensions", "cells", "types", "radiation", "contact", "domain", "death", "adhesion",
+    "motility", "chemotaxis", "pull", "motions",
 )  # fmt: skip
-_OF_CELLS: Final = ("young", "young_variation", "heritable", "reaction_time")
 
 
 def biology_plan(scene: Scene) -> BiologyPlan:
     """Return what biology needs of a scene."""
     growth, cells, kinds = scene.growth, scene.cells, list(scene.types.values())
     phases = {} if growth is None else growth.phases
-    order = (Phase.G1, Phase.S, Phase.G2, Phase.M)
-    if growth is not None and growth.division == "smooth":
-        order = (Phase.M, *order[:-1])
     own = [kind.young for kind in kinds]
     known = bind_responses(scene)
     growth_signals = {name for part in known.get("growth rate", ()) for name in part.needs}
@@ -140,7 +120,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         birth_volume=birth_volume(scene),
         division_volume=division_volume(scene),
         law=None if growth is None else growth.growth_law,
-        order=order if phases else (),
+        phased=bool(phases),
         grows=np.array([p.name in phases and phases[p.name].grows for p in Phase]),
         restricted=growth is not None and bool(phases) and growth.restriction,
         stage=scene.initial.stage,
@@ -149,20 +129,15 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         responses=known,
         may_rest=bool(scene.nutrients) or "rest" in known,
         base_rates={"apoptosis rate": rate} if rate or "apoptosis rate" in known else {},
-        changing=any(name.startswith("change to") for name in known),
         growth_follows_state=not growth_signals <= {"pressure", *scene.nutrients},
         elsewhere=missing_signals(known),
-        drift=cells.drift or {},
         inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,
-        surface_tension=0.0 if scene.surface is None else scene.surface.tension,
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,
         motility_scale=np.array([kind.motility_scale for kind in kinds]) if kinds else None,
         young_ratio=np.array(ratio) if any(own) else None,
-        energies=surface_energies(scene),
         solubility={name: oxygen_solubility(scene.nutrients[name].temperature) for name in oxygen},
         growth=growth,
         **{name: getattr(scene, name) for name in _OF_SCENE},
-        **{name: getattr(cells, name) for name in _OF_CELLS},
     )
 
 

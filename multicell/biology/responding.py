@@ -132,17 +132,7 @@ def _one_level(scene: Scene, name: str) -> tuple[Level, set[str]]:
         return _pressure, {name}
     if name in _OF_CELLS:
         return lambda _, cells, __: getattr(cells, name), {name}
-    if name not in scene.signals:
-        return lambda found, *_: found[name], {name}
-    part = scene.signals[name]
-    levels, names = zip(*(_one_level(scene, other) for other in part.of), strict=True)
-    scales = tuple(float(scale) for scale in part.of.values())
-
-    def derived(*at: Any) -> FloatArray:
-        parts = [level(*at) / scale for level, scale in zip(levels, scales, strict=True)]
-        return np.asarray(_DERIVED[part.combine](np.stack(np.broadcast_arrays(*parts))))
-
-    return derived, set().union(*names)
+    return lambda found, *_: found[name], {name}
 
 
 def _count(found: Found, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
@@ -153,14 +143,6 @@ def _count(found: Found, cells: Cells | None, pressure: FloatArray | None) -> Fl
 
 def _pressure(_: Found, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
     return cast("Cells", cells).pressure if pressure is None else pressure
-
-
-_DERIVED: Final[Mapping[str, Callable[..., Any]]] = {
-    "sum": np.add.reduce,
-    "product": np.multiply.reduce,
-    "minimum": np.minimum.reduce,
-    "maximum": np.maximum.reduce,
-}
 
 
 def value_of(

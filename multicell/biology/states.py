@@ -51,13 +51,13 @@ def update_states(
     state = cells.state.copy()
     if plan.may_rest and not plan.restricted:
         resting = wants_rest(plan, cells, found)
-        due = deciding(cells, plan.step, plan.reaction_time)
+        due = deciding(cells, plan.step, plan.cells.reaction_time)
         state = np.where(due, np.where(resting, _RESTING, _GROWING), state)
     hazard = rate_of_harm(plan, "necrosis rate", found, cells)
     fatal = "damage rate" in plan.responses and cells.damage >= 1.0 - ROUNDING
     last = cells.doomed == 1 if plan.growth is not None else np.zeros(len(cells), dtype=bool)
     if last.any():
-        last &= due_to_divide(plan, cells, found)
+        last &= due_to_divide(plan, cells)
     apoptosis = (cells.state == State.APOPTOTIC) | last
     if "apoptosis rate" in plan.base_rates:
         apoptosis |= apoptotic(plan, cells, found, step, dt, time) & ~cells.dead
@@ -130,9 +130,8 @@ def necrotic(plan: BiologyPlan, cells: Cells, hazard: FloatArray, step: int, dt:
 def damage_after(plan: BiologyPlan, cells: Cells, found: Found, dt: float) -> FloatArray:
     """Return the damage of the cells after a time ``dt`` (s), (n,), in parts of what kills them.
 
-    dD/dt = k/θ - D/τ in closed form, with the damage rate k held for the step, the tolerance θ of
-    the cell (gamma, mean 1, drawn once by its identity) and the time τ of repair. D changes
-    monotonically, so that who is below one at the end was so throughout. The dead keep theirs.
+    dD/dt = k/θ, with the damage rate k held for the step and the tolerance θ of the cell (gamma,
+    mean 1, drawn once by its identity). The dead keep theirs.
     """
     rate = rate_of_harm(plan, "damage rate", found, cells)
     death, dead = plan.death, cells.dead
@@ -144,12 +143,7 @@ def damage_after(plan: BiologyPlan, cells: Cells, found: Found, dt: float) -> Fl
         hit, shape = np.flatnonzero(rate), death.damage_variation**-2
         u = random.uniform(plan.seed, Purpose.TOLERANCE, 0, cells.id[hit])[:, 0]
         rate[hit] *= shape / gammainccinv(shape, u)
-    if death is None or death.damage_repair_time is None:
-        after = cells.damage + rate * dt
-    else:
-        repair = death.damage_repair_time
-        after = cells.damage + (rate * repair - cells.damage) * -np.expm1(-dt / repair)
-    return np.where(dead, cells.damage, after)
+    return np.where(dead, cells.damage, cells.damage + rate * dt)
 
 
 def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:

@@ -65,7 +65,7 @@ def grow(
     lag = cells.lag if factor is own else cells.lag - dt * (factor - own)
     volume = volumes_after(plan, cells, factor, dt)
     cycling = None
-    if plan.order:
+    if plan.phased:
         resting = wants_rest(plan, cells, concentrations)
         pace = phase_pace(plan, concentrations, cells)
         cycling = advance(plan, cells, factor, resting, dt, pace)
@@ -138,7 +138,7 @@ def decide(
         cells.damage = damage_after(plan, cells, concentrations, dt)
     cells.state = update_states(plan, cells, concentrations, step, dt, time)
     if plan.restricted:
-        due = deciding(cells, plan.step, plan.reaction_time)
+        due = deciding(cells, plan.step, plan.cells.reaction_time)
         well = ~wants_rest(plan, cells, concentrations)
         leave_rest(plan, cells, due & well)
     dead = (cells.state != before) & cells.dead

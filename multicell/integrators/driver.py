@@ -178,7 +178,7 @@ def source_of(
     """Return what a loop needs, with a neighbour list of its own."""
     data = system.kernel_data()
     source = stepping.Source(
-        data.cells, data.offsets, data.law, data.list_radius, data.least_margin, data.rows, counts
+        data.cells, data.law, data.list_radius, data.least_margin, data.rows, counts
     )
     placed = stepping.with_addresses(source, data.pairs, shared=data.shared, passes=passes)
     return placed, data.pairs

@@ -375,6 +375,6 @@ class Walk:
 def _depends_on_time(motion: Motion) -> bool:
     """Return whether velocities change while no cell moves."""
     changing = (
-        motion.radius_rate, motion.bonds, motion.push, motion.offset, motion.velocity
+        motion.radius_rate, motion.bonds, motion.push, motion.velocity
     )  # fmt: skip
     return any(values is not None and bool(np.any(values)) for values in changing)

@@ -63,7 +63,6 @@ class Source(NamedTuple):
     """
 
     cells: forces.CellData
-    offsets: forces.OffsetData | None
     law: Any
     reach: FloatArray
     least_margin: float
@@ -172,7 +171,7 @@ def _evaluation(source, pairs, elapsed, position, out):
     source.counts[EVALUATIONS] += 1
     cells = source.cells
     while _forces_at(
-        source.forces_at, cells, pairs, source.offsets, source.law, position, elapsed, True,
+        source.forces_at, cells, pairs, source.law, position, elapsed, True,
         source.rows, out,
     ):  # fmt: skip
         if not _is_finite(position):
@@ -209,11 +208,9 @@ def _evaluation(source, pairs, elapsed, position, out):
 
 
 @intrinsic
-def _forces_at(context, address, cells, pairs, offsets, law, position, elapsed, stokes, rows, out):
+def _forces_at(context, address, cells, pairs, law, position, elapsed, stokes, rows, out):
     """Call ``forces.forces``, or what shares its loops, at an address."""
-    return call_at(
-        types.boolean, address, cells, pairs, offsets, law, position, elapsed, stokes, rows, out
-    )
+    return call_at(types.boolean, address, cells, pairs, law, position, elapsed, stokes, rows, out)
 
 
 @intrinsic
@@ -265,7 +262,7 @@ def _addresses(
         repair = neighbours.repair_parallel
     known = {
         "forces_at": address_of(
-            run, True, source.cells, pairs, source.offsets, source.law, place, 0.0, True,
+            run, True, source.cells, pairs, source.law, place, 0.0, True,
             source.rows, place,
         ),
         "rebuild_at": address_of(

@@ -54,7 +54,7 @@ _TINY = 1e-300
 
 
 @njit(**INLINED)
-def _overlap(rows, pairs, offset, p):
+def _overlap(rows, pairs, p):
     """Return π r_ij, the overlap (0 without) and the vector of a pair, µm, and its length."""
     i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
     dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
@@ -62,16 +62,16 @@ def _overlap(rows, pairs, offset, p):
     if square >= total * total:
         return 0.0, 0.0, dx, dy, dz, 1.0
     d = math.sqrt(square + _TINY)
-    h = total - d - (0.0 if offset is None else offset[p])
+    h = total - d
     return math.pi * rows[i, 3] * rows[j, 3] / total, max(h, 0.0), dx, dy, dz, d
 
 
 @njit(**INNER)
-def _lens_chunk(c, chunk, rows, pairs, offset, out):
+def _lens_chunk(c, chunk, rows, pairs, out):
     for i in range(c * chunk, min((c + 1) * chunk, rows.shape[0])):
         out[i] = 0.0
     for p in range(pairs.start[c], pairs.outer_end[c]):
-        scale, h, _, _, _, _ = _overlap(rows, pairs, offset, p)
+        scale, h, _, _, _, _ = _overlap(rows, pairs, p)
         if h > 0.0:
             half = 0.5 * scale * h * h
             out[pairs.first[p]] += half
@@ -79,10 +79,10 @@ def _lens_chunk(c, chunk, rows, pairs, offset, out):
                 out[pairs.second[p]] += half
 
 
-def _lenses(chunk, rows, pairs, offset, out):
+def _lenses(chunk, rows, pairs, out):
     """Write half of the lenses that each cell shares with others, µm³."""
     for c in prange(pairs.start.size):
-        _lens_chunk(c, chunk, rows, pairs, offset, out)
+        _lens_chunk(c, chunk, rows, pairs, out)
 
 
 @njit(**INLINED)
@@ -93,13 +93,13 @@ def _add(out, k, scale, x, y, z):
 
 
 @njit(**INNER)
-def _push_chunk(c, rows, pairs, offset, pressure, mobility, out, virials):
+def _push_chunk(c, rows, pairs, pressure, mobility, out, virials):
     for p in range(pairs.start[c], pairs.outer_end[c]):
         i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
         both = pressure[i] + pressure[j]
         if both == 0.0:
             continue
-        scale, h, dx, dy, dz, d = _overlap(rows, pairs, offset, p)
+        scale, h, dx, dy, dz, d = _overlap(rows, pairs, p)
         over = both * scale * h / d
         virial = 0.5 * over * d * d
         _add(out, i, -over * mobility[i], dx, dy, dz)
@@ -109,17 +109,17 @@ def _push_chunk(c, rows, pairs, offset, pressure, mobility, out, virials):
             virials[j] += virial
 
 
-def _push(rows, pairs, offset, pressure, mobility, out, virials):
+def _push(rows, pairs, pressure, mobility, out, virials):
     """Add the forces between cells times their mobilities; and ½ Σ F d to virials."""
     for c in prange(pairs.start.size):
-        _push_chunk(c, rows, pairs, offset, pressure, mobility, out, virials)
+        _push_chunk(c, rows, pairs, pressure, mobility, out, virials)
 
 
-def _soften(rows, pairs, offset, pressure, slope, along, across):
+def _soften(rows, pairs, pressure, slope, along, across):
     """Write dv/dh of each pair, µm², v half its lens; add the stiffness at fixed pressures."""
     for c in prange(pairs.start.size):
         for p in range(pairs.start[c], pairs.outer_end[c]):
-            scale, h, _, _, _, d = _overlap(rows, pairs, offset, p)
+            scale, h, _, _, _, d = _overlap(rows, pairs, p)
             both = pressure[pairs.first[p]] + pressure[pairs.second[p]]
             slope[p] = scale * h
             if h > 0.0:
@@ -196,8 +196,7 @@ class Pressed(NamedTuple):
 class Compression:
     """Resistance of tissue to compression; see the module's text.
 
-    Cells come as ``rows`` (n, 5 or more), pairs as :class:`multicell.mechanics.forces.PairData`,
-    ``offset`` is the overlap that each place of the list does not feel, or None.
+    Cells come as ``rows`` (n, 5 or more), pairs as :class:`multicell.mechanics.forces.PairData`.
 
     - ``bulk_modulus``, kPa: of the close-packed lattice right above the threshold
     - ``onset``: volume fraction of that lattice at the threshold, above :data:`CLOSE_PACKED`
@@ -229,12 +228,12 @@ class Compression:
         )
 
     def pressed(
-        self, rows: FloatArray, pairs: Any, offset: FloatArray | None, chunk: int,
+        self, rows: FloatArray, pairs: Any, chunk: int,
         walls: Walls | Sphere | None, *, shared: bool = False,
     ) -> Pressed:  # fmt: skip
         """Return compression and pressure of all cells at a state; walls that yield do so."""
         taken = np.empty(len(rows))
-        _LENSES[shared](chunk, rows, pairs, offset, taken)
+        _LENSES[shared](chunk, rows, pairs, taken)
         contacts = None
         if walls is not None:
             walls.settle(rows, self, taken)
@@ -246,7 +245,7 @@ class Compression:
         return Pressed(taken, self.law(taken)[1], contacts)
 
     def add_forces(
-        self, rows: FloatArray, pairs: Any, offset: FloatArray | None, pressed: Pressed,
+        self, rows: FloatArray, pairs: Any, pressed: Pressed,
         drag: float, out: FloatArray, virials: FloatArray, *, shared: bool = False,
     ) -> None:  # fmt: skip
         """Add forces, nN, or with a ``drag`` 6πη velocities; and half virials, nN µm."""
@@ -254,7 +253,7 @@ class Compression:
         if not pressure.any():
             return
         mobility = _mobility(rows, drag)
-        _PUSH[shared](rows, pairs, offset, pressure, mobility, out, virials)
+        _PUSH[shared](rows, pairs, pressure, mobility, out, virials)
         found = pressed.contacts
         if found is None:
             return
@@ -263,14 +262,14 @@ class Compression:
         np.subtract.at(out, found.cell, (force * mobility[found.cell])[:, None] * found.normal)
 
     def wall_pressure(self, rows: FloatArray, walls: Walls | Sphere) -> float:
-        """Return the pressure of the cells' pressures on walls, kPa; of pairs without offsets.
+        """Return the pressure of the cells' pressures on walls, kPa.
 
         Walls that yield do so.
         """
         near = neighbours.build(rows[:, :3].copy(), rows[:, 3].copy(), 0.0)
         ends = near.start, near.inner_end, near.outer_end
         pairs = forces.PairData(near.first, near.second, *ends, None, None, None)
-        pressed = self.pressed(rows, pairs, None, near.chunk, walls)
+        pressed = self.pressed(rows, pairs, near.chunk, walls)
         found = pressed.contacts
         assert found is not None
         return walls.mean_pressure(found, pressed.pressure[found.cell] * areas(rows, found))
@@ -280,14 +279,12 @@ class Compression:
         return float(SPHERE * (cubes(rows[:, 3]) * self.law(pressed.compression)[0]).sum())
 
     def linearise(
-        self, rows: FloatArray, offset: FloatArray | None, pressed: Pressed,
+        self, rows: FloatArray, pressed: Pressed,
         linear: Linearisation, *, shared: bool = False,
     ) -> Coupling:  # fmt: skip
         """Add the stiffness at fixed pressures to a linearisation; return what is left."""
         slope, found = np.zeros(len(linear.along)), pressed.contacts
-        _SOFTEN[shared](
-            rows, linear.data, offset, pressed.pressure, slope, linear.along, linear.across
-        )
+        _SOFTEN[shared](rows, linear.data, pressed.pressure, slope, linear.along, linear.across)
         weight = self.law(pressed.compression)[2] / (SPHERE * cubes(rows[:, 3]))
         area = np.empty(0)
         if found is not None:

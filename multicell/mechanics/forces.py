@@ -13,8 +13,8 @@ scatter. Gather and scatter take four pairs at a time (:class:`_Quads`). Every c
 own cells only, so that the serial and the parallel drivers give the same bits.
 
 ``law`` are the constants of a pair law, see :mod:`multicell.contact.constants`.
-What a scene does not have is None (receptors, external forces, values of each pair's own, division
-offsets): compiled code is specialised on it, and holds nothing of what is absent.
+What a scene does not have is None (receptors, external forces, values of each pair's own): compiled
+code is specialised on it, and holds nothing of what is absent.
 """
 
 from __future__ import annotations
@@ -35,24 +35,6 @@ from multicell.mechanics.pairs import pair_law
 BLOCK = 256  # pairs that are gathered before the law is evaluated on them
 
 _TINY = 1e-300  # keeps coincident centres finite: their direction, and so their force, is zero
-
-
-class OffsetData(NamedTuple):
-    """Pairs whose law sees only the overlap beyond an offset; see ``division_offset``.
-
-    Each pair stands here twice, once for each of its cells: the entries of cell i are those
-    from ``begin[i]`` to ``begin[i + 1]``, and ``other`` is the cell they join it to. The offset is
-    ``value`` + ``rate`` x time, µm and µm/s, until it reaches zero. The rest is as in
-    :class:`PairData`. The neighbour list knows nothing of offsets and may be built anew.
-    """
-
-    begin: NDArray[np.int64]
-    other: NDArray[np.int64]
-    value: NDArray[np.float64]
-    rate: NDArray[np.float64]
-    sticky: NDArray[np.float64] | None
-    unit: NDArray[np.float64] | None
-    onset: NDArray[np.float64] | None
 
 
 class CellData(NamedTuple):
@@ -427,7 +409,7 @@ def pack(cells, position, elapsed, rows):
     return drifted > 0
 
 
-def _forces(cells, pairs, offsets, law, position, elapsed, stokes, rows, out):
+def _forces(cells, pairs, law, position, elapsed, stokes, rows, out):
     """Write the forces on all cells, nN, or with ``stokes`` their velocities, µm/s.
 
     Stop and return True if a cell has drifted: the list is not valid there.
@@ -439,7 +421,6 @@ def _forces(cells, pairs, offsets, law, position, elapsed, stokes, rows, out):
         return True
     for c in prange(pairs.start.size):
         _force_chunk(c, cells, rows, pairs, law, elapsed, stokes, out)
-    _add_offset_forces(rows, offsets, law, elapsed, stokes, out)
     return False
 
 
@@ -454,22 +435,18 @@ def _vector(rows, i, j):
 
 
 @njit(**INLINED)
-def _between(rows, i, j, data, place, law, elapsed, offset, wanted):
-    """Return force, stiffness and energy of two cells of whose overlap ``offset`` is not felt.
-
-    ``data`` are pairs or offsets, with what the law keeps for them at ``place``. The energy is
-    meaningless where ``wanted`` is None.
-    """
+def _energy_between(rows, i, j, pairs, p, law, elapsed):
+    """Return the energy of two cells, whose pair stands at place ``p``."""
     d = _vector(rows, i, j)[3]
     total = rows[i, 3] + rows[j, 3]
-    h, radius = total - d - offset, rows[i, 3] * rows[j, 3] / total
-    force, stiffness, energy = pair_law(
+    h, radius = total - d, rows[i, 3] * rows[j, 3] / total
+    _, _, energy = pair_law(
         law, h, 1.0 / (rows[i, 4] + rows[j, 4]), radius, total,
-        _at(data.sticky, place, law.adhesion_constant), _unit_at(data.unit, place, elapsed),
-        _at(data.onset, place, 0.0), True, wanted,
+        _at(pairs.sticky, p, law.adhesion_constant), _unit_at(pairs.unit, p, elapsed),
+        _at(pairs.onset, p, 0.0), True, True,
     )  # fmt: skip
-    pull, fall = _bonded(law.bond_strength, _bonds_of(law.bond_strength, rows, i, j), h, radius)
-    return force - pull, stiffness - fall, energy - 0.5 * fall * h * h
+    _, fall = _bonded(law.bond_strength, _bonds_of(law.bond_strength, rows, i, j), h, radius)
+    return energy - 0.5 * fall * h * h
 
 
 @njit(**INLINED)
@@ -479,89 +456,6 @@ def _bonds_of(bond, rows, i, j):
     return rows[i, 5] * rows[j, 6] + rows[i, 6] * rows[j, 5]
 
 
-@njit(**INLINED)
-def _offset_at(offsets, e, elapsed):
-    """Return the offset of an entry, µm: it ends where it reaches zero."""
-    return max(offsets.value[e] + offsets.rate[e] * elapsed, 0.0)
-
-
-@njit(**INNER)
-def _add_offset_forces(rows, offsets, law, elapsed, stokes, out):
-    """Replace the forces of the pairs with an offset, or with ``stokes`` their part of velocities.
-
-    The list has given them the force of their whole overlap. That is taken off again here: the
-    loops over the list, which all other pairs share, need not look for pairs with an offset.
-    """
-    if offsets is None:
-        return
-    for i in range(rows.shape[0]):
-        for e in range(offsets.begin[i], offsets.begin[i + 1]):
-            amount = _offset_at(offsets, e, elapsed)
-            if amount == 0.0:
-                continue
-            j = offsets.other[e]
-            dx, dy, dz, d = _vector(rows, i, j)
-            whole, _, _ = _between(rows, i, j, offsets, e, law, elapsed, 0.0, None)
-            felt, _, _ = _between(rows, i, j, offsets, e, law, elapsed, amount, None)
-            change = (felt - whole) / d
-            if stokes:
-                change *= 1.0 / (law.medium_drag * rows[i, 3])
-            out[i, 0] -= change * dx
-            out[i, 1] -= change * dy
-            out[i, 2] -= change * dz
-
-
-@njit(**KERNEL)
-def add_offset_virials(rows, offsets, law, elapsed, out):
-    """Add what offsets change in :func:`half_virials`, nN µm; return their part of the energy, fJ.
-
-    Each pair stands in two entries.
-    """
-    total = 0.0
-    for i in range(rows.shape[0]):
-        for e in range(offsets.begin[i], offsets.begin[i + 1]):
-            amount = _offset_at(offsets, e, elapsed)
-            if amount == 0.0:
-                continue
-            j = offsets.other[e]
-            whole, _, before = _between(rows, i, j, offsets, e, law, elapsed, 0.0, True)
-            felt, _, after = _between(rows, i, j, offsets, e, law, elapsed, amount, True)
-            out[i] += 0.5 * (felt - whole) * _vector(rows, i, j)[3]
-            total += 0.5 * (after - before)
-    return total
-
-
-@njit(**KERNEL)
-def offset_places(pairs, offsets):
-    """Return the places of the pairs with an offset in the neighbour list, and their entries."""
-    places = np.empty(offsets.other.size, dtype=np.int64)
-    entries = np.empty(offsets.other.size, dtype=np.int64)
-    count = 0
-    for c in range(pairs.start.size):
-        for p in range(pairs.start[c], pairs.outer_end[c]):
-            i, j = pairs.first[p], pairs.second[p]
-            for e in range(offsets.begin[i], offsets.begin[i + 1]):
-                if offsets.other[e] == j:
-                    places[count] = p
-                    entries[count] = e
-                    count += 1
-    return places[:count], entries[:count]
-
-
-@njit(**KERNEL)
-def relinearise(rows, pairs, offsets, law, elapsed, places, entries, along, across):
-    """Write dF/dh + F/d and F/d of the pairs with an offset over those of :func:`linearise`."""
-    for k in range(places.size):
-        p, e = places[k], entries[k]
-        amount = _offset_at(offsets, e, elapsed)
-        if amount == 0.0:
-            continue
-        i, j = pairs.first[p], pairs.second[p]
-        force, stiffness, _ = _between(rows, i, j, offsets, e, law, elapsed, amount, None)
-        across[p] = force / _vector(rows, i, j)[3]
-        along[p] = stiffness + across[p]
-
-
 @njit(**KERNEL)
 def energy(rows, pairs, law, elapsed):
     """Return the contact energy, fJ; an outer pair stands in two chunks, half in each."""
@@ -569,7 +463,7 @@ def energy(rows, pairs, law, elapsed):
     for c in range(pairs.start.size):
         for p in range(pairs.start[c], pairs.outer_end[c]):
             i, j = pairs.first[p], pairs.second[p]
-            _, _, part = _between(rows, i, j, pairs, p, law, elapsed, 0.0, True)
+            part = _energy_between(rows, i, j, pairs, p, law, elapsed)
             total += part if p < pairs.inner_end[c] else 0.5 * part
     return total
 
@@ -602,8 +496,8 @@ half_virials, half_virials_parallel = two_drivers(_half_virials)
 
 
 @njit(**KERNEL)
-def overlaps(rows, pairs, elapsed, offset, out):
-    """Mark the pairs in contact: an overlap beyond the offset above zero, or above the onset.
+def overlaps(rows, pairs, elapsed, out):
+    """Mark the pairs in contact: an overlap above zero, or above the onset.
 
     Of an outer pair, which stands in two chunks, only the one with the smaller first cell. A law
     with an onset (exact JKR) holds contacts from there on, the onset included.
@@ -614,7 +508,7 @@ def overlaps(rows, pairs, elapsed, offset, out):
             i, j = pairs.first[p], pairs.second[p]
             if p >= pairs.inner_end[c] and j < i:
                 continue
-            h = rows[i, 3] + rows[j, 3] - _vector(rows, i, j)[3] - _at(offset, p, 0.0)
+            h = rows[i, 3] + rows[j, 3] - _vector(rows, i, j)[3]
             out[p] = _touches(h, pairs.unit, pairs.onset, p, elapsed)
 
 

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from multicell.mechanics.prescribed import Prescribed
 
 _TINY = 1e-300
-_NO_OFFSET = np.empty(0)
 
 
 class Gamma(NamedTuple):
@@ -79,7 +78,7 @@ class Vectors(NamedTuple):
 
 
 @njit(**KERNEL)
-def _touching(begin, end, at, rows, first, second, offset, normal, tangential, near, link):
+def _touching(begin, end, at, rows, first, second, normal, tangential, near, link):
     """Append the touching pairs of ``begin:end`` at place ``at``; return the next place.
 
     The write is unconditional and only the count depends on the test: no branch to
@@ -95,8 +94,6 @@ def _touching(begin, end, at, rows, first, second, offset, normal, tangential, n
         d = math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
         w = 1.0 / (d * gap)
         h = gap - d
-        if offset.size > 0:
-            h -= offset[p]
         area = math.pi * (rows[i, 3] * rows[j, 3]) * (w * d) * max(h, 0.0)
         near[at, 0] = first[p]
         near[at, 1] = second[p]
@@ -111,9 +108,7 @@ def _touching(begin, end, at, rows, first, second, offset, normal, tangential, n
 
 
 @njit(**KERNEL)
-def _measure_chunk(
-    c, gamma, first, second, inner_end, outer_end, rows, offset, normal, tangential, drag
-):
+def _measure_chunk(c, gamma, first, second, inner_end, outer_end, rows, normal, tangential, drag):
     """Store the touching pairs of one chunk and 1 / mean diagonal of Γ of its cells."""
     start, ends, near, link = gamma.start[c], gamma.ends, gamma.near, gamma.link
     inverse = gamma.inverse
@@ -121,7 +116,7 @@ def _measure_chunk(
     for side in range(2):
         begin = start if side == 0 else inner_end[c]
         end = inner_end[c] if side == 0 else outer_end[c]
-        at = _touching(begin, end, at, rows, first, second, offset, normal, tangential, near, link)
+        at = _touching(begin, end, at, rows, first, second, normal, tangential, near, link)
         ends[c, side] = at
     low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, rows.shape[0])
     for i in range(low, high):
@@ -254,11 +249,11 @@ def _sum(part, k):
     return total
 
 
-def _measure(gamma, first, second, inner_end, outer_end, rows, offset, normal, tangential, drag):
+def _measure(gamma, first, second, inner_end, outer_end, rows, normal, tangential, drag):
     """Store Γ at the state in ``rows``: touching pairs, Stokes drag, inverse diagonal."""
     for c in prange(gamma.start.size):
         _measure_chunk(
-            c, gamma, first, second, inner_end, outer_end, rows, offset, normal, tangential, drag
+            c, gamma, first, second, inner_end, outer_end, rows, normal, tangential, drag
         )
 
 
@@ -330,19 +325,11 @@ class FrictionMatrix:
         self._gamma: Gamma | None = None
         self._shared = False
 
-    def measure(
-        self,
-        rows: FloatArray,
-        pairs: PairList,
-        shared: bool = False,
-        offset: FloatArray = _NO_OFFSET,
-    ) -> None:
+    def measure(self, rows: FloatArray, pairs: PairList, shared: bool = False) -> None:
         """Take Γ from centres and radii.
 
         - ``rows``, (n, 4 or more): centre and radius of each cell in the first four columns, µm
         - ``shared``: whether chunks are shared among threads, here and in what follows; same bits
-        - ``offset``: part of the overlap of each pair of the list that makes no contact, µm; empty
-          for none
         """
         normal, tangential = self.coefficients
         if self._gamma is None or self._pairs is not pairs:
@@ -359,7 +346,7 @@ class FrictionMatrix:
         run = measure_parallel if shared else measure
         ends = pairs.inner_end, pairs.outer_end
         run(
-            self._gamma, pairs.first, pairs.second, *ends, rows, offset, normal, tangential,
+            self._gamma, pairs.first, pairs.second, *ends, rows, normal, tangential,
             self.drag,
         )  # fmt: skip
 
@@ -438,15 +425,14 @@ class PairFriction:
         self.force = np.empty((n, 3))
 
     def velocity(
-        self, rows: FloatArray, pairs: PairList, shared: bool, offset: FloatArray, out: FloatArray,
+        self, rows: FloatArray, pairs: PairList, shared: bool, out: FloatArray,
         given: Prescribed | None = None,
     ) -> int:  # fmt: skip
         """Write the solution of Γ v = ``force``, µm/s; return the iterations it took.
 
-        ``offset`` is the part of each listed pair's overlap that makes no contact; empty for none.
         With ``given`` Γ_ff v_f = F_f - Γ_fh v_h is solved; zero is written for held cells.
         """
-        self._present.measure(rows, pairs, shared, offset)
+        self._present.measure(rows, pairs, shared)
         force, held = self.force, None
         if given is not None:
             dragged = np.empty_like(force)
@@ -460,11 +446,9 @@ class PairFriction:
         out[:] = self._last
         return int(iterations)
 
-    def linearise(
-        self, rows: FloatArray, pairs: PairList, shared: bool, offset: FloatArray
-    ) -> None:
+    def linearise(self, rows: FloatArray, pairs: PairList, shared: bool) -> None:
         """Keep Γ at a state for :meth:`divide`."""
-        self._linearised.measure(rows, pairs, shared, offset)
+        self._linearised.measure(rows, pairs, shared)
 
     def diagonal(self) -> FloatArray:
         """Return the mean of each cell's three diagonal entries of Γ, (n,) nN s/µm.

@@ -69,10 +69,6 @@ class Motion:
     - ``kind``, (n,) int, optional: type of each cell, an index into the matrix of surface energies
     - ``touching``, (m, 2) int, optional: pairs in contact at ``begin``, smaller index first; only
       exact JKR asks
-    - ``offset_pairs``, (m, 2) int, optional: pairs that feel only the overlap beyond their offset,
-      smaller index first, none twice; see :mod:`multicell.mechanics.division_offset`
-    - ``offset``, (m, 2), optional: their offset at ``begin``, µm, and its constant rate, µm/s; it
-      ends where it reaches zero
     - ``held``, (n,) bool, optional: cells whose motion is prescribed. To integrators they stand
       still where they are at ``begin``; forces are those at their places in time, see
       :mod:`multicell.mechanics.prescribed`.
@@ -90,8 +86,6 @@ class Motion:
     push: FloatArray | None = None
     kind: NDArray[Any] | None = None
     touching: NDArray[Any] | None = None
-    offset_pairs: NDArray[Any] | None = None
-    offset: FloatArray | None = None
     held: NDArray[Any] | None = None
     velocity: FloatArray | None = None
 

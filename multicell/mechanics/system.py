@@ -19,7 +19,6 @@ from multicell.compiling.threads import launch
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
 from multicell.mechanics import blocks, forces, neighbours
-from multicell.mechanics.division_offset import Offsets, PairValues
 from multicell.mechanics.motion import Motion, StateRejected, Work
 from multicell.vectors import cubes
 
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.walls import Walls
 
 
-_NOTHING, _NO_OFFSET = np.empty((0, 0)), np.empty(0)
+_NOTHING = np.empty((0, 0))
 _NOWHERE = np.empty(0, dtype=np.int32)
 _ROOM = 50
 """Places of a list for each cell up to which it is kept for the next: twice what is usual."""
@@ -78,7 +77,6 @@ class KernelData(NamedTuple):
 
     cells: forces.CellData
     pairs: forces.PairData
-    offsets: forces.OffsetData | None
     law: Any
     list_radius: FloatArray
     least_margin: float
@@ -159,7 +157,6 @@ class Mechanics:
         if self._pairs is not None and len(self._pairs.first) <= _ROOM * (n + 100):
             self.spare = self._pairs.first, self._pairs.second
         self._pairs = self._linear = None
-        self._offsets = Offsets.of(n, motion.offset_pairs, motion.offset, self._values_of)
         self._blocks = self._inverse = np.empty((0, 6))  # few methods use them
         if max(self.friction) > 0.0:
             from multicell.mechanics.friction import PairFriction
@@ -186,9 +183,7 @@ class Mechanics:
             return
         pairs = self._forces(time, position, False, friction.force)
         try:
-            iterations = friction.velocity(
-                self._rows, pairs, self._shared(pairs), self._listed_offsets(time), out, given
-            )
+            iterations = friction.velocity(self._rows, pairs, self._shared(pairs), out, given)
         except friction.failure as error:
             raise StateRejected(str(error)) from error
         self.work.friction_iterations += iterations
@@ -206,21 +201,13 @@ class Mechanics:
             linear.normal, linear.along, linear.across,
         )  # fmt: skip
         linear.data = self._pair_data
-        pressed = self._settle_pressures(time, pairs)
+        pressed = self._settle_pressures(pairs)
         if self.walls is not None:
             linear.walls = self.walls.stiffness(self._rows)
-        if self._offsets.data is not None:
-            forces.relinearise(
-                self._rows, self._pair_data, self._offsets.data, self._law,
-                time - self.motion.begin, *self._offsets.places(self._pair_data),
-                linear.along, linear.across,
-            )  # fmt: skip
         add_pressures = None
         if self.compression is not None and pressed is not None:
             shared = self._shared(pairs)
-            linear.coupling = self.compression.linearise(
-                self._rows, self._offset_list(time), pressed, linear, shared=shared
-            )
+            linear.coupling = self.compression.linearise(self._rows, pressed, linear, shared=shared)
             add_pressures = partial(
                 self.compression.add_yielding, self.chunk, self._rows, linear, pressed,
                 shared=shared,
@@ -228,9 +215,7 @@ class Mechanics:
         if self.walls is not None:
             linear.yielding = self.walls.yielding(self._rows, add_pressures)
         if self._pair_friction is not None:
-            self._pair_friction.linearise(
-                self._rows, pairs, self._shared(pairs), self._listed_offsets(time)
-            )
+            self._pair_friction.linearise(self._rows, pairs, self._shared(pairs))
         return linear
 
     @property
@@ -311,24 +296,21 @@ class Mechanics:
         """Return the pairs in contact, (m, 2), smaller index first, in lexicographic order.
 
         Contact means an overlap above zero; under exact JKR a pair that was in contact at the
-        step's beginning stays so until it breaks. Of a pair with an offset the overlap beyond it
-        counts.
+        step's beginning stays so until it breaks.
         """
         pairs = self._settle(time, position)
         marked = np.empty(len(pairs.first), dtype=np.bool_)
         elapsed = time - self.motion.begin
-        offset = self._offset_list(time)
-        forces.overlaps(self._rows, self._pair_data, elapsed, offset, marked)
+        forces.overlaps(self._rows, self._pair_data, elapsed, marked)
         found = np.stack([pairs.first[marked], pairs.second[marked]], axis=1).astype(np.int64)
         found.sort(axis=1)
         return found[np.lexsort((found[:, 1], found[:, 0]))]
 
     def energy(self, time: float, position: FloatArray) -> float:
         """Return the contact energy Σ U(h) over all pairs, and of walls and compression, fJ."""
-        pressed = self._settle_pressures(time, self._settle(time, position))
+        pressed = self._settle_pressures(self._settle(time, position))
         elapsed = time - self.motion.begin
         total = float(forces.energy(self._rows, self._pair_data, self._law, elapsed))
-        total += self._add_offset_virials(elapsed, np.empty(len(self)))
         if self.walls is not None:
             total += self.walls.energy(self._rows)
         if self.compression is not None and pressed is not None:
@@ -348,11 +330,10 @@ class Mechanics:
         elapsed = time - self.motion.begin
         run = forces.half_virials_parallel if self._shared(pairs) else forces.half_virials
         run(self._rows, self._pair_data, self._law, elapsed, virials)
-        self._add_offset_virials(elapsed, virials)
-        pressed = self._settle_pressures(time, pairs)
+        pressed = self._settle_pressures(pairs)
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
-        self._resist(time, pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
+        self._resist(pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
         return np.asarray(virials / (3.0 * SPHERE * cubes(self._rows[:, 3])))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
@@ -390,36 +371,35 @@ class Mechanics:
         pairs = self._pairs if self._pairs is not None else self._rebuild(position)
         run = forces.forces_parallel if self._shared(pairs) else forces.forces
         while run(
-            self._cells, self._pair_data, self._offsets.data, self._law, position,
-            time - self.motion.begin, stokes, self._rows, out,
+            self._cells, self._pair_data, self._law, position, time - self.motion.begin, stokes,
+            self._rows, out,
         ):  # fmt: skip
             pairs = self._rebuild(position)
-        pressed = self._settle_pressures(time, pairs)
+        pressed = self._settle_pressures(pairs)
         if self.walls is not None:
             self.walls.add_forces(self._rows, self.drag if stokes else 0.0, out)
         drag = self.drag if stokes else 0.0
-        self._resist(time, pairs, pressed, drag, out, np.empty(len(self)))
+        self._resist(pairs, pressed, drag, out, np.empty(len(self)))
         return pairs
 
-    def _settle_pressures(self, time: float, pairs: neighbours.PairList) -> Pressed | None:
+    def _settle_pressures(self, pairs: neighbours.PairList) -> Pressed | None:
         """Let walls that yield do so at the state in ``rows``; return the cells' pressures."""
         if self.compression is None:
             if self.walls is not None:
                 self.walls.settle(self._rows, None, None)
             return None
         return self.compression.pressed(
-            self._rows, self._pair_data, self._offset_list(time), self.chunk, self.walls,
-            shared=self._shared(pairs),
+            self._rows, self._pair_data, self.chunk, self.walls, shared=self._shared(pairs)
         )  # fmt: skip
 
     def _resist(
-        self, time: float, pairs: neighbours.PairList, pressed: Pressed | None, drag: float,
+        self, pairs: neighbours.PairList, pressed: Pressed | None, drag: float,
         out: FloatArray, virials: FloatArray,
     ) -> None:  # fmt: skip
         """Add what compressed tissue adds to forces or velocities, and to virials."""
         if self.compression is not None and pressed is not None:
             self.compression.add_forces(
-                self._rows, self._pair_data, self._offset_list(time), pressed, drag, out, virials,
+                self._rows, self._pair_data, pressed, drag, out, virials,
                 shared=self._shared(pairs),
             )  # fmt: skip
 
@@ -538,8 +518,8 @@ class Mechanics:
         else:
             pairs, reference = self._pair_data, np.array(self._cells.reference)
         return KernelData(
-            self._cell_data(reference), pairs, self._offsets.data, self._law, self._list_radius,
-            self._least_margin, self._rows, self.threads > 1 and chunks >= self.shared_chunks,
+            self._cell_data(reference), pairs, self._law, self._list_radius, self._least_margin,
+            self._rows, self.threads > 1 and chunks >= self.shared_chunks,
         )  # fmt: skip
 
     def _cell_data(self, reference: FloatArray) -> forces.CellData:
@@ -563,23 +543,9 @@ class Mechanics:
             self.chunk, len(self),
         )  # fmt: skip
 
-    def _offset_list(self, time: float) -> FloatArray | None:
-        """Return the offset of each place of the list, µm, or None where no pair has one."""
-        return self._offsets.listed(self._pair_data, time - self.motion.begin)
-
-    def _listed_offsets(self, time: float) -> FloatArray:
-        """Return the offset of each place of the list, µm, or nothing where there is none."""
-        found = self._offset_list(time)
-        return _NO_OFFSET if found is None else found
-
-    def _add_offset_virials(self, elapsed: float, virials: FloatArray) -> float:
-        """Add what offsets change in virials, nN µm; return their part of the energy, fJ."""
-        if self._offsets.data is None:
-            return 0.0
-        data, law = self._offsets.data, self._law
-        return float(forces.add_offset_virials(self._rows, data, law, elapsed, virials))
-
-    def _values_of(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> PairValues:
+    def _values_of(
+        self, first: NDArray[np.int64], second: NDArray[np.int64]
+    ) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
         """Return √(6πσ) of pairs, the law's unit of overlap with its rate, and its onset.
 
         Each is None where it is one number for all pairs.

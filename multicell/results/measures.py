@@ -47,8 +47,7 @@ def _has_gel(scene: Scene) -> bool:
 
 
 def _closes(scene: Scene) -> bool:
-    inflow = scene.death is not None and scene.death.inflow
-    return scene.dimensions == 3 and (scene.surface is not None or inflow)
+    return scene.dimensions == 3 and scene.death is not None and scene.death.inflow
 
 
 def _walls(state: TissueState) -> Walls | Sphere:
@@ -141,15 +140,6 @@ OBSERVABLES: Final = (
         "largest_pressure",
         lambda s: s.cells.pressure.max() if len(s.cells) else 0.0,
         doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
-    ),
-    _pressure(
-        "core_pressure",
-        lambda s: of.core_pressure(s.cells),
-        exists=lambda scene: scene.death is not None and scene.death.core == "fluid",
-        absent="without a core",
-        signed=True,
-        doc="mean [pressure](contact.md#pressure-of-a-cell) of necrotic cells by their volume, "
-        'with which a fluid core holds up the rim; with `death.core = "fluid"`',
     ),
     *(
         _count(name, lambda s, name=name: s.state_counts[name], entry=f"states.{name}")

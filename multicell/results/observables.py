@@ -228,14 +228,6 @@ def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:
     return rows[(rows >= 0).all(axis=1)]
 
 
-def core_pressure(cells: Cells) -> float:
-    """Return the mean pressure of the necrotic cells by their volume, kPa; NaN without any."""
-    dead = cells.state == State.NECROTIC
-    if not dead.any():
-        return float("nan")
-    return float(weighted_mean(cells.pressure[dead], cells.volume[dead]))
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class RadialProfile:
@@ -318,7 +310,6 @@ def counts_contacts(scene: Scene) -> bool:
     if scene.contact.remembers or len(scene.types) > 1 or scene.pull is not None:
         return True
     named = {name for part in scene.responses.values() for name in part.signals}
-    named |= {name for part in scene.signals.values() for name in part.of}
     return any(map(needs_contacts, named))
 
 

@@ -82,7 +82,6 @@ def check_flat(scene: Scene) -> None:
     stiffness = None if scene.domain is None else scene.domain.stiffness
     for key, part, hint in (
         ("compression", scene.compression, "A layer of cells yields out of its plane."),
-        ("surface", scene.surface, ""),
         ("domain.stiffness", stiffness, "A gel surrounds cells in space."),
     ):
         if part is not None:
@@ -97,7 +96,7 @@ def check_flat(scene: Scene) -> None:
             raise SceneError(".".join(path[:4]), f"does not exist in {scene_of}", hint)
         if spec.kind == "vector" and value[2] != 0.0:
             raise SceneError(where, f"points out of the plane of {scene_of}")
-        if (path[-1], value) in (("geometry", "radial"), ("axis", "z")):
+        if (path[-1], value) == ("geometry", "radial"):
             raise SceneError(where, f"is {value!r} in {scene_of}")
 
 

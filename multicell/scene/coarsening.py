@@ -31,45 +31,14 @@ _SIGNALS: Final = {"volume": 3, "radius": 1}
 """Signals that are a size of the cell -> power of the factor; all others stay."""
 
 _SAME: Final[Mapping[str, str]] = {
-    "": "title duration seed coupling_step dimensions",
-    "initial": "shape spacing jitter stage",
-    "cells": "young young_variation poisson allow_unphysical_poisson reaction_time heritable drift",
-    "contact": "cutoff decay",
-    "growth": "cycle_time law target parameters division restriction cycle_variation "
-    "critical_pressure",
-    "growth.phases.*": "duration distribution variation shift grows",
-    "death": "necrosis_rate damage_time damage_repair_time damage_variation inflow core swelling "
-    "swelling_time lysis_time apoptosis_rate apoptosis_time removal_fraction",
-    "surface": "tension",
-    "types.*": "fraction young receptor ligand receptor_by ligand_by cycle_scale uptake_scale "
-    "secretion_scale uptake_of secretion_of motility_scale",
-    "adhesion": "strength",
-    "motility": "persistence renewal bias direction towards",
+    "domain": "radius x y z",
+    "motions.*": "x y z velocity",
     "chemotaxis.*": "half",
-    "haptotaxis": "landscape axis length",
-    "forces.*": "type x y z begin end",
-    "motions.*": "type x y z begin end velocity",
-    "compression": "bulk_modulus onset",
-    "domain": "shape radius stiffness x y z wall young poisson",
-    "nutrients.*": "diffusion diffusion_medium boundary media temperature media_change perfusion "
-    "decay uptake_per_volume half_saturation quiescent_uptake secretion_from "
-    "growth_half_saturation growth_inhibition quiescence necrosis necrosis_above regime "
-    "time_tolerance initial geometry roundness_limit spacing margin layer height",
-    "nutrients.*.finite_medium": "volume replaced",
-    "nutrients.*.sides.*": "type value derivative",
-    "nutrients.*.uptake_on.*": "effect half",
-    "energy": "yields growth_half_saturation quiescence necrosis",
-    "reactions.*": "rate consumes produces where",
-    "responses.*": "behaviour signal cells law falls half power begin end points base largest "
-    "combine parameters",
-    "signals.*": "of combine",
-    "radiation.*": "dose times start every fractions alpha beta cells oxygen oer half_oxygen "
-    "phase_factor mitotic_divisions",
-    "integrator": "method rtol max_steps step max_displacement",
-    "output": "every",
-    "output.observables.*": "function unit",
+    "nutrients.*": "diffusion diffusion_medium spacing margin layer height",
+    "nutrients.*.finite_medium": "volume",
+    "nutrients.*.sides.*": "derivative",
 }
-"""Keys that stay as they are: times, ratios, stresses, concentrations, lengths of the tissue."""
+"""Keys with lengths of the tissue and of its fields, which stay."""
 
 LAWS: Final[Mapping[str, int | str]] = {
     # sizes and numbers of cells
@@ -90,9 +59,6 @@ LAWS: Final[Mapping[str, int | str]] = {
     # forces and rates of a cell, per volume of it
     "motility.force": 3,
     "chemotaxis.*.force": 3,
-    "haptotaxis.force": 3,
-    "forces.*.force": 3,
-    "forces.*.rate": 3,
     "nutrients.*.uptake": 3,
     "nutrients.*.secretion": 3,
     # errors of positions are judged by the size of cells
@@ -100,13 +66,13 @@ LAWS: Final[Mapping[str, int | str]] = {
     # what has no law
     "initial.cells": "gives the places of single cells",
     "pull": "breaks single contacts, which a continuum does not have",
-    "forces.*.cells": "names single cells; choose them by type or region",
     "motions.*.cells": "names single cells; choose them by type or region",
     **{f"{table}.{key}".lstrip("."): 0 for table, keys in _SAME.items() for key in keys.split()},
 }
 """Keys with stars for names -> power of the factor, or why the key cannot be scaled.
 
-A key that is not listed is refused too.
+All that have units of length, force or amount are here. Other keys stay as they are: times, ratios,
+stresses, concentrations.
 """
 
 
@@ -133,7 +99,7 @@ def coarsen(scene: Scene | str | Path, factor: float) -> Scene:
     ------
     SceneError
         For a factor outside this range, fewer cells at the start than the coarse scene can stand
-        for, and any key of the scene that no law scales, by name.
+        for, and any key of the scene that cannot be scaled, by name.
     """
     from multicell.scene.scene import Scene, load_scene
 
@@ -186,7 +152,7 @@ def _scaled(part: Any, where: str, factor: float) -> dict[str, Any]:
         value, key = getattr(part, name), f"{where}.{name}" if where else name
         if value is None or (isinstance(value, Tables) and not value):
             continue
-        law = LAWS.get(key)
+        law = LAWS.get(key, 0)
         if isinstance(law, str):
             raise SceneError(key, f"cannot be made coarse: it {law}")
         plain = spec.plain(value)
@@ -194,8 +160,6 @@ def _scaled(part: Any, where: str, factor: float) -> dict[str, Any]:
             plain = {k: _scaled(entry, f"{key}.*", factor) for k, entry in value.items()}
         elif is_dataclass(value):
             plain = {**plain, **_scaled(value, key, factor)}  # a law's name is no field of it
-        elif law is None:
-            raise SceneError(key, "cannot be made coarse: no law says how it scales")
         else:
             plain = _times(plain, factor**law) if law else plain
         made[name] = plain
@@ -211,10 +175,6 @@ def _times(value: Any, by: float) -> Any:
 
 def _scale_signals(scene: Scene, entries: dict[str, Any], factor: float) -> None:
     """Scale levels of signals that are the size of a cell."""
-    for name, signal in scene.signals.items():
-        entries["signals"][name]["of"] = {
-            x: float(scale) * factor ** _SIGNALS.get(x, 0) for x, scale in signal.of.items()
-        }
     for name, part in scene.responses.items():
         by = factor ** _SIGNALS.get(part.signals[0] if part.signals else "", 0)
         plain = entries["responses"][name]

@@ -152,7 +152,6 @@ def _choice(spec: Parameter) -> Schema:
 _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = {
     "quantity": lambda spec, _: _amount(spec.unit, spec.bounds),
     "measure": lambda spec, _: _MEASURE,
-    "measures": lambda spec, _: {"type": "object", "additionalProperties": _MEASURE},
     "measure_points": lambda spec, _: {
         "type": "array", "minItems": 2,
         "items": {"type": "array", "items": _MEASURE, "minItems": 2, "maxItems": 2},

@@ -52,12 +52,9 @@ class CellParameters:
     poisson: float = number(
         default=0.5,
         above=-1,
-        below=1,
-        doc="Poisson ratio, at most 0.5 for a solid",
+        at_most=0.5,
+        doc="Poisson ratio",
         hint="No isotropic solid has a Poisson ratio above 0.5.",
-    )
-    allow_unphysical_poisson: bool = flag(
-        default=False, doc="permit a Poisson ratio above 0.5, as figure 3.4 of the thesis has it"
     )
     reaction_time: float = quantity(
         "s",
@@ -81,22 +78,12 @@ class CellParameters:
     )  # fmt: skip
 
     def check(self) -> None:
-        """Raise ``SceneError`` for drift of what is not inherited and for no solid's Poisson ratio.
-
-        A Poisson ratio above 0.5 may be permitted.
-        """
+        """Raise ``SceneError`` for drift of what is not inherited."""
         for name in self.drift or ():
             if name not in self.heritable:
                 known = ", ".join(map(repr, self.heritable)) or "none"
                 problem = f"is no trait that daughters inherit (cells.heritable: {known})"
                 raise SceneError(f"drift.{name}", problem, near_miss(name, ["young", "cycle_time"]))
-        if self.poisson > 0.5 and not self.allow_unphysical_poisson:
-            problem = f"is {self.poisson:g}, must be above -1 and at most 0.5"
-            hint = (
-                "No isotropic solid has a Poisson ratio outside this range; "
-                "cells.allow_unphysical_poisson = true permits it all the same."
-            )
-            raise SceneError("poisson", problem, hint)
 
 
 @final
@@ -127,7 +114,7 @@ class PhaseLength:
 
     duration: float = quantity("s", above=0, doc="mean duration, for example '7 h'")
     distribution: str = choice(
-        ["fixed", "normal", "gamma", "shifted-gamma"], default="fixed", doc="of the duration"
+        ["fixed", "gamma", "shifted-gamma"], default="fixed", doc="of the duration"
     )
     variation: float = number(
         default=0.2, above=0, at_most=1, doc="coefficient of variation, unless fixed"
@@ -136,12 +123,6 @@ class PhaseLength:
         default=0.5, at_least=0, below=1, doc="of a shifted gamma distribution / mean"
     )
     grows: bool = flag(default=True, doc="whether the volume grows in this phase")
-
-    def check(self) -> None:
-        """Raise ``SceneError`` for a normal distribution that would often be negative."""
-        if self.distribution == "normal" and self.variation > 0.5:
-            hint = "Take 'gamma' for so wide a distribution."
-            raise SceneError("variation", f"is {self.variation:g}, must be at most 0.5", hint)
 
 
 def loaded_in(laws: Any) -> Callable[[str], bool]:
@@ -161,8 +142,7 @@ class Growth:
     """Growth and division: the volume doubles in one cycle, by a law of growth.
 
     With T the cycle time, V_b and V_d the volumes at birth and at division, and K = ``target`` V_d:
-    linear V' = V_b / T; exponential V' = r V; and laws that saturate, relaxation V' = r (K - V),
-    logistic V' = r V (1 - V/K), gompertz V' = r V ln(K/V). The rate r follows from T.
+    linear V' = V_b / T; exponential V' = r V; relaxation V' = r (K - V). The rate r follows from T.
 
     Without ``phases`` a cell divides at the division volume. With them it passes G1, S, G2 and M
     and divides at the end of M; the volume doubles in the phases in which it grows, and there
@@ -183,7 +163,7 @@ class Growth:
         default=None,
         above=1,
         at_most=1000,
-        doc="volume that a law which saturates goes to / division volume",
+        doc="volume that relaxation goes to / division volume",
         hint="A cell never reaches the division volume otherwise.",
     )
     parameters: Mapping[str, float] | None = quantities(
@@ -191,11 +171,6 @@ class Growth:
     )
     phases: Mapping[str, PhaseLength] = tables(
         PhaseLength, names=PHASES, doc="absent: volume triggers division"
-    )
-    division: str = choice(
-        ["instant", "smooth"],
-        default="instant",
-        doc="with phases: at the end of M, or daughters that part all through M",
     )
     restriction: bool = flag(
         default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
@@ -217,9 +192,6 @@ class Growth:
             raise SceneError("target", f"has no effect: the law is {self.law!r}")
         build(LAWS[self.law], self._of_law(), "parameters")
         if not self.phases:
-            if self.division == "smooth":
-                hint = "Daughters part during M: give the phases of the cycle."
-                raise SceneError("division", "is 'smooth', but there are no phases", hint)
             return
         for name in PHASES:
             if name not in self.phases:
@@ -234,14 +206,9 @@ class Growth:
         return {**target, **(self.parameters or {})}
 
     @property
-    def law_class(self) -> type[GrowthLaw]:
-        """The class of the law."""
-        return LAWS[self.law]
-
-    @property
     def growth_law(self) -> GrowthLaw:
         """The law with its parameters."""
-        return self.law_class(**self._of_law())
+        return LAWS[self.law](**self._of_law())
 
     @property
     def mean_cycle(self) -> float:
@@ -259,8 +226,8 @@ class Death:
     Necrotic cells may swell first: exponentially to ``swelling`` times their volume within
     ``swelling_time``, at the end of which they burst.
 
-    With ``damage_time`` T a threshold of necrosis does not kill but damages: dD/dt = 1/T beyond it,
-    less D/``damage_repair_time``. A cell dies where D is at its own tolerance, 1 in the mean.
+    With ``damage_time`` T a threshold of necrosis does not kill but damages: dD/dt = 1/T beyond it.
+    A cell dies where D is at its own tolerance, 1 in the mean.
     """
 
     necrosis_rate: float | None = quantity(
@@ -271,9 +238,6 @@ class Death:
     )
     damage_time: float | None = quantity(
         "s", default=None, above=0, doc="beyond a threshold of necrosis until a mean cell dies"
-    )
-    damage_repair_time: float | None = quantity(
-        "s", default=None, above=0, doc="in which damage falls to 1/e; absent: it stays"
     )
     damage_variation: float = number(
         default=0.0, at_least=0, at_most=1, doc="coefficient of variation (gamma) of the tolerance"
@@ -297,12 +261,6 @@ class Death:
         default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
     )
 
-    core: str = choice(
-        ["lost", "fluid"],
-        default="lost",
-        doc="what necrotic cells leave: space that tissue may close, or fluid in their place, so "
-        "that they keep their size",
-    )
     inflow: bool = flag(
         default=False,
         doc="the medium that drags the cells flows in to where the dead lose volume, and takes the "
@@ -435,11 +393,6 @@ class CellType:
     )
 
     @property
-    def responds(self) -> bool:
-        """Whether receptors or ligands depend on concentration."""
-        return bool(self.receptor_by or self.ligand_by)
-
-    @property
     def sticks(self) -> bool:
         """Whether the type ever carries receptors or ligands."""
         return any(value > 0 for _, value in (*self.receptor, *self.ligand))
@@ -471,16 +424,6 @@ class Friction:
     )
     tangential: float = quantity(
         "kPa s/um", default=0.1, at_least=0, doc="against motion across the line of centres"
-    )
-
-
-@final
-@parameters
-class Surface:
-    """Tension of the surface between tissue and medium, also of that round holes in it."""
-
-    tension: float = quantity(
-        "nN/um", above=0, at_most=1e3, doc="of the surface of the tissue, in mN/m = nN/um"
     )
 
 
@@ -524,22 +467,6 @@ class Chemotaxis:
 
     force: float = quantity("nN", default=0.1, doc="in a steep gradient; negative: down it")
     half: float = quantity("mM/um", default=1e-4, above=0, doc="gradient of half the force")
-
-
-@final
-@parameters
-class Haptotaxis:
-    """A force towards more adhesive ground, on a fixed landscape; no feedback from the cells.
-
-    ``gradient``: the same force everywhere, along the axis. ``stripes``: adhesive stripes across
-    the axis, ``length`` apart, one through the origin. ``spot``: a Gaussian spot at the origin with
-    the standard deviation ``length``.
-    """
-
-    landscape: str = choice(["gradient", "stripes", "spot"], default="gradient", doc="of adhesion")
-    force: float = quantity("nN", default=0.1, at_least=0, doc="the largest that occurs")
-    axis: str = choice(["x", "y", "z"], default="x", doc="of gradient or stripes")
-    length: float = quantity("um", default=50.0, above=0, doc="of the landscape")
 
 
 @final

@@ -47,7 +47,6 @@ from multicell.schema import (
     flag,
     measure,
     measure_points,
-    measures,
     near_miss,
     number,
     parameters,
@@ -56,7 +55,6 @@ from multicell.schema import (
     text,
 )
 from multicell.schema.bounds import reader, rises
-from multicell.units import shown
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -131,19 +129,6 @@ class Response:
     def types(self) -> tuple[str, ...]:
         """The types that respond; empty for all cells."""
         return separated(self.cells)
-
-
-@final
-@parameters
-class Signal:
-    """A signal that is derived from others: each over its scale, combined."""
-
-    of: Mapping[str, float | str] = measures(
-        doc="scale of each signal by its name, for example { drug = '2 uM' }"
-    )
-    combine: str = choice(
-        ["sum", "product", "minimum", "maximum"], default="sum", doc="of the ratios"
-    )
 
 
 @final
@@ -291,7 +276,10 @@ def _law(part: Response) -> ResponseLaw:
 
 def check_responses(scene: Scene) -> None:
     """Turn responses into base units; raise ``SceneError`` for those that do not fit the scene."""
-    _check_signals(scene)
+    for name in scene.nutrients:
+        if name in SIGNALS:
+            problem = "is the name of another signal"
+            raise SceneError(f"nutrients.{name}", problem, "Name it otherwise.")
     made = {}
     for name, part in scene.responses.items():
         path = f"responses.{name}"
@@ -316,7 +304,7 @@ def unit_of(scene: Scene, part: Response, key: str) -> str:
     """Return the base unit of one of a response's numbers."""
     if key in ("base", "largest"):
         return behaviour_named(part.behaviour, "behaviour")[0].unit
-    return signal_unit(part.signals[0], scene.nutrients, scene.signals, "signal")
+    return signal_unit(part.signals[0], scene.nutrients, "signal")
 
 
 def in_base_units(scene: Scene, part: Response) -> Response:
@@ -325,7 +313,7 @@ def in_base_units(scene: Scene, part: Response) -> Response:
     _check_behaviour(scene, behaviour, of)
     check_kinds(scene, "cells", part.cells)
     if len(part.signals) > 1 and part.law not in OWN:
-        hint = "Give each a response of its own, or derive one from them in [signals]."
+        hint = "Give each a response of its own."
         raise SceneError("signal", "names several, as only laws of the user's own have", hint)
     for signal in part.signals:
         check_signal(scene, signal, "signal")
@@ -368,7 +356,7 @@ def _bounds(behaviour: Behaviour) -> Bounds:
 
 def check_signal(scene: Scene, name: str, path: str) -> None:
     """Raise ``SceneError`` for a signal that the scene does not have."""
-    signal_unit(name, scene.nutrients, scene.signals, path)
+    signal_unit(name, scene.nutrients, path)
     if name == "ATP" and scene.energy is None:
         raise SceneError(
             path, "is 'ATP', but the scene has no energy", "[energy] says who makes it."
@@ -381,8 +369,7 @@ def check_signal(scene: Scene, name: str, path: str) -> None:
 
 def _signal_reader(scene: Scene, name: str) -> Any:
     """Return what reads a value of a signal; of oxygen also as a pressure or a percentage."""
-    unit = signal_unit(name, scene.nutrients, scene.signals, "signal")
-    read = reader(unit, Bounds())
+    read = reader(signal_unit(name, scene.nutrients, "signal"), Bounds())
 
     def oxygen(value: Any, path: str) -> float:
         given = (
@@ -402,56 +389,21 @@ def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
         raise SceneError("behaviour", problem, near_miss(of, known))
     growth, name = scene.growth, behaviour.name
     phases = growth is not None and bool(growth.phases)
-    grows = ("growth rate", "rest", "mutation to", "division radius", "entry into")
+    grows = ("growth rate", "rest", "mutation to", "entry into")
     lacking = {
         "[growth]": name in grows and growth is None,
         "[growth.phases]": name == "entry into" and not phases,
         "[motility]": name == "bias" and scene.motility is None,
         "[adhesion]": name in ("receptors", "ligands") and scene.adhesion is None,
     }
-    active = scene.motility is not None or bool(scene.chemotaxis) or scene.haptotaxis is not None
+    active = scene.motility is not None or bool(scene.chemotaxis)
     lacking["[motility]"] |= name == "speed" and not active
     for table, missing in lacking.items():
         if missing:
             problem = f"is {name!r}, which has no effect without {table}"
             raise SceneError("behaviour", problem, "Give the scene that table.")
-    if name == "division radius" and phases:
-        problem = "is 'division radius', but cells divide at the end of M"
-        raise SceneError("behaviour", problem, "Use 'entry into M', or leave phases out.")
     if name == "uptake of" and not scene.nutrients[of].takes_up:
         raise SceneError("behaviour", f"has no effect: the uptake of {of} is zero")
     made = name == "secretion of" and scene.nutrients[of]
     if made and made.secretion == 0.0 and not made.secretion_from:
         raise SceneError("behaviour", f"has no effect: the secretion of {of} is zero")
-
-
-def _check_signals(scene: Scene) -> None:
-    """Check derived signals: names, scales, and that none depends on itself."""
-    from graphlib import CycleError, TopologicalSorter
-
-    for name in (*scene.signals, *(scene.nutrients if scene.responses else ())):
-        if name in SIGNALS or (name in scene.signals and name in scene.nutrients):
-            kind = "nutrients" if name in scene.nutrients else "signals"
-            raise SceneError(
-                f"{kind}.{name}", "is the name of another signal", "Name it otherwise."
-            )
-    made = {}
-    for name, part in scene.signals.items():
-        scales = {}
-        for signal, scale in part.of.items():
-            path = f"signals.{name}.of.{signal}"
-            check_signal(scene, signal, path)
-            scales[signal] = _signal_reader(scene, signal)(scale, path)
-            if not scales[signal] > 0.0:
-                raise SceneError(path, f"is {shown(scale)}, must be above 0")
-        if not scales:
-            raise SceneError(f"signals.{name}.of", "names no signal")
-        made[name] = replace(part, of=scales)
-    object.__setattr__(scene, "signals", Tables(made))
-    graph = {name: [x for x in part.of if x in made] for name, part in made.items()}
-    try:
-        tuple(TopologicalSorter(graph).static_order())
-    except CycleError as error:
-        circle = list(reversed(error.args[1]))
-        problem = f"depends on itself: {' needs '.join(circle)}"
-        raise SceneError(f"signals.{circle[0]}", problem) from None

@@ -31,7 +31,7 @@ from multicell.scene.checks import (
     check_types,
 )
 from multicell.scene.domain import check_domain
-from multicell.scene.driven import Force, PrescribedMotion, check_driven
+from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.oxygen import in_concentrations
@@ -46,17 +46,15 @@ from multicell.scene.parts import (
     Drag,
     Friction,
     Growth,
-    Haptotaxis,
     IntegratorOptions,
     Motility,
     OutputOptions,
     Pull,
-    Surface,
 )
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.responses import Response, Signal, check_responses
+from multicell.scene.responses import Response, check_responses
 from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
     SYNONYMS,
@@ -98,16 +96,15 @@ class Scene:
         The run ends after the coupling step in which this many cells exist.
     initial, cells, contact, drag, integrator, output
         The parts that each scene has.
-    growth, death, adhesion, friction, compression, motility, surface, pull, domain, energy
+    growth, death, adhesion, friction, compression, motility, pull, domain, energy
         None where the scene has no such part.
-    forces, motions : mapping of name to Force or PrescribedMotion, read-only
+    motions : mapping of name to PrescribedMotion, read-only
         What drives named cells from outside.
     types : mapping of name to CellType, read-only
         Empty where all cells are alike.
     nutrients : mapping of name to Nutrient, read-only
     reactions : mapping of name to Reaction, read-only
     responses : mapping of name to Response, read-only
-    signals : mapping of name to Signal, read-only
     radiation : mapping of name to Radiation, read-only
 
     Raises
@@ -141,10 +138,7 @@ class Scene:
     chemotaxis: Mapping[str, Chemotaxis] = tables(
         Chemotaxis, doc="by field; absent: no force along gradients"
     )
-    haptotaxis: Haptotaxis | None = table(Haptotaxis, default=None, doc="absent: even ground")
-    surface: Surface | None = table(Surface, default=None, doc="absent: only contacts hold tissue")
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
-    forces: Mapping[str, Force] = tables(Force, doc="from outside, on named cells; absent: none")
     motions: Mapping[str, PrescribedMotion] = tables(
         PrescribedMotion, doc="of named cells; absent: all move freely"
     )
@@ -156,7 +150,6 @@ class Scene:
         Response, listed="response",
         doc="of what cells do to what they find; absent: none but those of single keys"
     )  # fmt: skip
-    signals: Mapping[str, Signal] = tables(Signal, doc="derived from others, by name; absent: none")
     radiation: Mapping[str, Radiation] = tables(
         Radiation, doc="courses of irradiation; absent: none"
     )
@@ -183,7 +176,7 @@ class Scene:
         check_types(self)
         check_integrator(self)
         check_towards(self)
-        if self.responses or self.signals:
+        if self.responses:
             check_responses(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)

@@ -147,9 +147,8 @@ def _check_sizes(scene: Scene, given: Given) -> None:
         hint = "Set cells.division_radius to that of your cells, or check the unit."
         given.refuse(columns["radius"] > most * (1.0 + _ROUNDING), "radius", problem, hint)
     if "poisson" in columns:
-        most_poisson = 1.0 if scene.cells.allow_unphysical_poisson else 0.5
-        wrong = ~((columns["poisson"] > -1.0) & (columns["poisson"] <= most_poisson))
-        given.refuse(wrong, "poisson", f"is {{}}, must be above -1 and at most {most_poisson:g}")
+        wrong = ~((columns["poisson"] > -1.0) & (columns["poisson"] <= 0.5))
+        given.refuse(wrong, "poisson", "is {}, must be above -1 and at most 0.5")
     if "cycle_time" in columns and scene.growth is not None:
         endless = np.isinf(columns["cycle_time"])
         hint = "Leave the column out to draw cycle times."

@@ -37,7 +37,7 @@ COPIES: Final[tuple[str, ...]] = ("cells.csv", "cells.parquet")
 """Names of the copy of a table in the folder of a run."""
 
 START_COLUMNS: Final[Mapping[str, str]] = {
-    "id": "", "parent": "", "position_x": "um", "position_y": "um", "position_z": "um",
+    "id": "", "position_x": "um", "position_y": "um", "position_z": "um",
     "radius": "um", "young": "kPa", "poisson": "", "state": "", "age": "s", "cycle_time": "s",
     "pressure": "kPa", "kind": "", "phase": "", "progress": "s", "phase_length": "s",
     "doomed": "", "damage": "", "lag": "s",
@@ -45,7 +45,9 @@ START_COLUMNS: Final[Mapping[str, str]] = {
 """Columns that a start takes, with their base units, in the order in which they are written."""
 ALIASES: Final = {"x": "position_x", "y": "position_y", "z": "position_z", "type": "kind"}
 """Other names of columns."""
-IGNORED_COLUMNS: Final[Mapping[str, str]] = {"receptor": "", "ligand": "", "frame": "", "time": "s"}
+IGNORED_COLUMNS: Final[Mapping[str, str]] = {
+    "parent": "", "receptor": "", "ligand": "", "frame": "", "time": "s",
+}  # fmt: skip
 """Columns of an exported frame that are ignored, as are concentrations."""
 _COINCIDING: Final = 0.01
 """Distance of two centres over the sum of the radii below which they are at one place."""
@@ -354,10 +356,6 @@ def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> N
         raise DataError(given.place(row, name), f"is {raw[row][:60]!r}, must be a number")
     if name == "id":
         return _ids(given, raw)
-    if name == "parent":
-        wrong = ~((raw >= -1) & (raw < MAX_IDS) & (raw == np.floor(raw)))
-        given.refuse(wrong, name, "is {}, must be the identity of a cell, or -1")
-        return raw.astype(np.int64)
     if name == "doomed":
         wrong = ~((raw >= 0) & (raw <= 100) & (raw == np.floor(raw)))
         given.refuse(wrong, name, "is {}, must be a whole number from 0 to 100")

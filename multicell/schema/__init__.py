@@ -22,7 +22,6 @@ from multicell.schema.declarations import (
     interval,
     measure,
     measure_points,
-    measures,
     moments,
     names,
     number,
@@ -54,7 +53,7 @@ from multicell.schema.part import (
 __all__ = [
     "SYNONYMS",
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
-    "flag", "interval", "leaves", "measure", "measure_points", "measures", "moments", "names",
+    "flag", "interval", "leaves", "measure", "measure_points", "moments", "names",
     "near_miss", "number", "parameters", "plain",
     "quantities", "quantity", "responses", "schedule",
     "separated", "specs", "table", "tables", "text", "variant", "vector", "whole_numbers",

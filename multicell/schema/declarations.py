@@ -73,14 +73,6 @@ def _each(
     return tuple(one(entry, path) for entry in value)
 
 
-def measures(*, doc: str = "") -> Any:
-    """Declare a table of names to numbers as :func:`measure` has them."""
-    return declare(
-        "measures", lambda value, path: read_named(value, path, _measure), MISSING, plain=dict,
-        doc=doc,
-    )  # fmt: skip
-
-
 def measure_points(*, doc: str = "") -> Any:
     """Declare an optional list of pairs of numbers as :func:`measure` has them."""
 
@@ -455,7 +447,7 @@ def tables(
     frozen_default=True,
     kw_only_default=True,
     field_specifiers=(
-        quantity, measure, measures, measure_points, number, count, choice, text, file_path, flag,
+        quantity, measure, measure_points, number, count, choice, text, file_path, flag,
         names, interval, vector, whole_numbers, moments, course, schedule, responses, quantities,
         table, variant, tables,
     ),

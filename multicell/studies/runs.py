@@ -23,7 +23,7 @@ holds observables of short runs beside it.
 
 _LENGTH: Final = 24  # hexadecimal digits of a name: a clash is expected after 3e14 runs
 _ORDERED: Final = (
-    "chemotaxis", "forces", "motions", "nutrients", "reactions", "types",
+    "chemotaxis", "motions", "nutrients", "reactions", "types",
 )  # fmt: skip
 """Tables whose order decides results: which cells are of which type, which sum comes first."""
 

@@ -10,7 +10,7 @@ from scipy import stats
 import multicell as mc
 from multicell.behaviours import laws
 from multicell.biology.plan import biology_plan
-from multicell.biology.responding import combine, value_of
+from multicell.biology.responding import value_of
 from multicell.errors import SceneError
 
 APART = {"duration": "6 h", "coupling_step": "20 min", "contact": {"law": "hertz"}}
@@ -264,21 +264,6 @@ def test_neighbours_are_counted_by_type_and_the_dead_apart():
     assert found["contacts with b"].tolist() == [1.0, 0.0, 1.0]
 
 
-def test_a_derived_signal_is_made_of_others_over_their_scales():
-    made = scene(
-        3, growth={},
-        signals={"stress": {"of": {"drug": "1 uM", "age": "1 h"}, "combine": "product"},
-                 "both": {"of": {"stress": 2, "drug": "1 uM"}}},
-        responses=[{"behaviour": "growth rate", "signal": "both", "law": "table",
-                    "points": [[0, 0], [100, 100]]}],
-    )  # fmt: skip
-    plan, cells = state(made, age=[0.0, 3600.0, 7200.0])
-    found = {"drug": np.array([0.001, 0.002, 0.003])}
-    known = plan.responses["growth rate"]
-    value = combine(known, 1.0, found, cells, cells.pressure)
-    np.testing.assert_allclose(value, [0.0 + 1.0, 1.0 + 2.0, 3.0 + 3.0], rtol=1e-12)
-
-
 def test_uptake_responds_to_another_field_and_the_ledger_closes():
     tables = {
         "nutrients": {
@@ -322,12 +307,9 @@ def test_what_makes_no_sense_is_refused_by_name(case):
         scene(3, responses=given if isinstance(given, list) else [given])
 
 
-def test_circular_signals_and_taken_names_are_refused():
-    circle = {"a": {"of": {"b": 1}}, "b": {"of": {"a": 1}}}
-    with pytest.raises(SceneError, match=r"depends on itself: .* needs "):
-        scene(3, signals=circle)
+def test_a_field_with_the_name_of_another_signal_is_refused():
     with pytest.raises(SceneError, match="name of another signal"):
-        scene(3, signals={"drug": {"of": {"age": "1 h"}}})
+        scene(3, nutrients={"age": {}}, responses=[{**HILL, "signal": "age", "half": "1 h"}])
 
 
 def test_oxygen_is_given_as_a_pressure():

@@ -201,10 +201,3 @@ def symmetric(name="b"):
 def test_bad_input(changes, path, words):
     with refused(path, words):
         mc.load_scene("settle").with_changes(changes)
-
-
-def test_unphysical_poisson_ratio_on_request():
-    scene = mc.load_scene("settle").with_changes(
-        {"cells.allow_unphysical_poisson": True, "cells.poisson": 0.75}
-    )
-    assert scene.cells.poisson == 0.75

@@ -1,20 +1,17 @@
 """The cell cycle in phases, death by the clock, and the adhesion programme."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from running import refused, within
 from scipy import stats
 
 import multicell as mc
-from multicell.biology.cycle import advance, enter_cycle, parting
+from multicell.biology.cycle import advance, enter_cycle
 from multicell.biology.division import divide
 from multicell.biology.draws import draw_lengths, quantile
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.cells import Phase, State
-from multicell.errors import SceneError
 from multicell.scene.parts import PhaseLength
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_volume
@@ -75,26 +72,17 @@ def test_a_fixed_cycle_doubles_volume_and_number_whatever_the_step(dt):
 
 @pytest.mark.parametrize("dt", [60.0, 600.0, 4 * HOUR])
 def test_a_first_phase_shorter_than_a_step_loses_no_time(dt):
-    """A smooth division begins with M, of 3 min here: the rest of the step belongs to G1."""
-    phases = {"G1": {"duration": "8 h"}, "S": {"duration": "4 h"}, "G2": {"duration": "2 h"},
-              "M": {"duration": "3 min", "grows": False}}  # fmt: skip
-    described = scene(**{"growth.phases": phases, **SMOOTH})
+    """G1 lasts 3 min here: the rest of the step belongs to S."""
+    phases = {"G1": {"duration": "3 min", "grows": False}, "S": {"duration": "8 h"},
+              "G2": {"duration": "4 h"}, "M": {"duration": "2 h"}}  # fmt: skip
+    described = scene(**{"growth.phases": phases, "growth.restriction": False})
     cells, _ = lived(described, cells_of(described, 3), 20, dt)
     assert len(cells) == 6
-    # M and one cycle of 14 h 3 min, and then M and 5 h 54 min of G1
-    assert (cells.phase == Phase.G1).all()
+    # one cycle of 14 h 3 min, and then G1 and 5 h 54 min of S
+    assert (cells.phase == Phase.S).all()
     np.testing.assert_allclose(cells.progress, 5.9 * HOUR, rtol=1e-9)
     birth = birth_volume(described)
     np.testing.assert_allclose(cells.volume, birth * (1 + 5.9 / 14), rtol=1e-9)
-    assert parting(biology_plan(described), cells, dt)[0].size == 0
-
-
-def test_sisters_with_more_progress_than_m_is_long_have_parted():
-    described = scene(**{"growth.phases": FIXED, **SMOOTH})
-    cells = cells_of(described, 2)
-    cells.parent[:] = 7
-    cells.phase[:], cells.phase_length[:], cells.progress[:] = Phase.M, 180.0, 1000.0
-    assert parting(biology_plan(described), cells, 60.0)[1] == pytest.approx(np.zeros((1, 2)))
 
 
 def check_phase_fractions(described, order, hours):
@@ -120,8 +108,6 @@ def test_phase_fractions_are_those_of_the_age_distribution():
             {"distribution": "shifted-gamma", "variation": 0.2, "shift": 0.6},
             stats.gamma(4.0, loc=0.6, scale=0.1),
         ),
-        ({"distribution": "normal", "variation": 0.2}, stats.truncnorm(-3, 3, loc=1, scale=0.2)),
-        ({"distribution": "normal", "variation": 0.45}, stats.truncnorm(-2, 2, loc=1, scale=0.45)),
     ],
 )
 def test_durations_follow_their_distribution(phase, law):
@@ -316,11 +302,6 @@ def test_receptors_follow_concentration_linearly_over_a_step():
             "no phase in which cells grow",
         ),
         (
-            {"growth.phases.S.distribution": "normal", "growth.phases.S.variation": 0.8},
-            "growth.phases.S.variation",
-            "at most 0.5",
-        ),
-        (
             {**ADHESIVE, "types.own.receptor_by": {"oxigen": [[0, 1]]}},
             "types.own.receptor_by.oxigen",
             "Did you mean 'oxygen'",
@@ -335,101 +316,3 @@ def test_receptors_follow_concentration_linearly_over_a_step():
 def test_bad_input(changes, path, words):
     with refused(path, words):
         scene().with_changes(changes)
-
-
-SHORT_PHASES = {
-    **{name: {"duration": "1 h"} for name in ("G1", "S", "G2")},
-    "M": {"duration": "2 h", "grows": False},
-}
-SMOOTH = {"growth.division": "smooth", "growth.restriction": False}
-
-
-def test_smooth_division_conserves_and_parts_over_m():
-    """Daughters begin inside the mother without a force between them, and end at rest."""
-    described = scene(
-        duration="9 h",
-        coupling_step="5 min",
-        contact={"law": "jkr", "surface_energy": 0.05},
-        output__every="5 min",
-        **{
-            "growth.phases": SHORT_PHASES,
-            **SMOOTH,
-        },
-    )
-    simulation = mc.Simulation(described)
-    volume, distance, mother = [], [], None
-    while len(simulation.cells) < 2:
-        mother = simulation.cells
-        simulation.step()
-    pair = simulation.cells
-    assert (pair.phase == Phase.M).all()
-    np.testing.assert_allclose(pair.position.mean(axis=0), mother.position[0], atol=1e-9)
-    pairs, offset = parting(biology_plan(described), pair, 300.0)
-    assert pairs.tolist() == [[0, 1]]
-    gap = np.linalg.norm(pair.position[0] - pair.position[1])
-    modulus = 1.0 / (1.5 * (1 - 0.25))
-    at_rest = described.contact.equilibrium_overlap(modulus, pair.radius[0] / 2)
-    assert 2 * pair.radius[0] - gap - offset[0, 0] == pytest.approx(at_rest, rel=0.02)
-    while (simulation.cells.phase == Phase.M).all():
-        cells = simulation.cells
-        volume.append(cells.volume.sum())
-        distance.append(np.linalg.norm(cells.position[0] - cells.position[1]))
-        simulation.step()
-    assert len(distance) == 24
-    np.testing.assert_allclose(volume, volume[0], rtol=1e-12)
-    # the distance follows the offset: it rises steadily to that of two cells at rest
-    steps = np.diff(distance)
-    assert (steps > 0).all()
-    assert steps.max() < 2.0 * np.median(steps)
-    cells = simulation.cells
-    end = np.linalg.norm(cells.position[0] - cells.position[1])
-    assert end == pytest.approx(2 * cells.radius[0] - at_rest, rel=0.02)
-
-
-STICKY = {
-    "types energies": {"types": {"a": {"surface_energy": {"a": 0.02}}}},
-    "receptors": {
-        "types": {"a": {"receptor": [["0 h", 0.2], ["9 h", 0.9]], "ligand": 0.8}},
-        "adhesion": {"strength": "0.05 kPa"},
-    },
-    "both": {
-        "types": {"a": {"surface_energy": {"a": 0.02}, "receptor": 0.5, "ligand": 0.8}},
-        "adhesion": {"strength": "0.05 kPa"},
-    },
-}
-
-
-@pytest.mark.parametrize(
-    ("name", "law"),
-    [("types energies", "jkr"), ("receptors", "jkr"), ("both", "exact-jkr")],
-)
-def test_sisters_of_a_smooth_division_feel_no_force_whatever_makes_them_stick(name, law):
-    """Their force at birth is zero with the energies of their type and their receptors."""
-    described = scene(
-        **{
-            "initial.count": 1,
-            "cells.young_variation": 0.0,
-            "coupling_step": "5 min",
-            "duration": "12 h",
-            "contact.law": law,
-            "growth.phases": SHORT_PHASES,
-            **STICKY[name],
-            **SMOOTH,
-        },
-    )
-    simulation = mc.Simulation(described)
-    while len(simulation.cells) < 2:
-        simulation.step()
-    system = simulation.prepared()
-    position = simulation.cells.position
-    felt = np.abs(system.force(simulation.time, position)).max()
-    whole = replace(system.motion, offset_pairs=None, offset=None)
-    system.begin(whole)
-    assert felt < 1e-6 * np.abs(system.force(simulation.time, position)).max()
-
-
-def test_smooth_division_keeps_the_age_distribution_and_needs_phases():
-    order = [Phase.M, Phase.G1, Phase.S, Phase.G2]
-    check_phase_fractions(scene(**SMOOTH), order, [1, 6, 5, 3])
-    with pytest.raises(SceneError, match="there are no phases"):
-        mc.load_scene("growth").with_changes({"growth.division": "smooth"})

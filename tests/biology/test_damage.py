@@ -1,4 +1,4 @@
-"""Damage that cells accumulate: closed forms of survival, repair, daughters, files, words."""
+"""Damage that cells accumulate: closed forms of survival, daughters, files, words."""
 
 import numpy as np
 import pytest
@@ -48,32 +48,24 @@ def test_survival_is_that_of_the_tolerances(variation, dt):
 
 def test_the_step_does_not_matter():
     """Each cell dies in the step that its time of death falls into, whatever the length."""
-    death = {"damage_time": "12 h", "damage_variation": 0.5, "damage_repair_time": "30 h"}
+    death = {"damage_time": "30 h", "damage_variation": 0.5}
     fine, coarse = (deaths(starving(death, count=300, dt=dt)) for dt in ("10 min", "4 h"))
     np.testing.assert_allclose(coarse, np.ceil(fine / 4.0 - 1e-9) * 4.0)
     assert 50 < np.isfinite(fine).sum() < 300
 
 
-@pytest.mark.parametrize(
-    ("death", "expected"),
-    [
-        ({"damage_time": "6 h"}, 6.0),
-        ({"damage_time": "6 h", "damage_repair_time": "10 h"}, -10.0 * np.log1p(-6.0 / 10.0)),
-        ({"damage_time": "6 h", "damage_repair_time": "6 h"}, np.inf),
-    ],
-)
-def test_all_die_together_without_variation(death, expected):
-    found = deaths(starving(death, count=20, dt="10 min"))
-    np.testing.assert_allclose(found, np.ceil(expected * 6.0 - 1e-9) / 6.0)
+def test_all_die_together_without_variation():
+    found = deaths(starving({"damage_time": "6 h"}, count=20, dt="10 min"))
+    np.testing.assert_allclose(found, 6.0)
 
 
 def test_damage_is_the_solution_of_its_equation():
     """A medium that comes and goes: the damage is that of an outside solver, cell by cell."""
-    death = {"damage_time": "8 h", "damage_variation": 0.4, "damage_repair_time": "5 h"}
+    death = {"damage_time": "8 h", "damage_variation": 0.4}
     media = [["0 h", 0.01], ["3 h", 0.2], ["9 h", 0.01], ["13 h", 0.2]]
     scene = starving(death, count=60).with_changes({"nutrients.oxygen.media": media})
     simulation = Simulation(scene, threads=1)
-    twin = Simulation(scene.with_changes({"death.damage_repair_time": None}), threads=1)
+    twin = Simulation(scene, threads=1)
     for _ in range(2):
         twin.step()
     tolerance = 2.0 / 8.0 / twin.cells.damage  # of all who live for two hours
@@ -82,7 +74,7 @@ def test_damage_is_the_solution_of_its_equation():
 
     def rate(t, damage):
         starved = 1.0 / 8.0 if (0.0 <= t < 3.0) or (9.0 <= t < 13.0) else 0.0
-        return starved / tolerance[order][alive[order]] - damage / 5.0
+        return starved / tolerance[order][alive[order]]
 
     damage = np.zeros(int(alive.sum()))
     for hour in range(16):

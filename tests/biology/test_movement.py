@@ -1,4 +1,4 @@
-"""Random motion, persistent and biased, chemotaxis and haptotaxis against closed forms."""
+"""Random motion, persistent and biased, and chemotaxis against closed forms."""
 
 import numpy as np
 import pytest
@@ -85,25 +85,6 @@ def test_drift_along_a_gradient_is_force_over_drag():
     np.testing.assert_allclose(away.cells.position - before, -moved, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("landscape", "potential"),
-    [
-        ("gradient", lambda x, L: x[0]),
-        ("stripes", lambda x, L: L / (2 * np.pi) * np.cos(2 * np.pi * x[0] / L)),
-        ("spot", lambda x, L: L * np.exp(0.5 - (x @ x) / (2 * L**2))),
-    ],
-)
-def test_haptotaxis_climbs_its_landscape(landscape, potential):
-    scene = free(haptotaxis={"landscape": landscape, "force": 1.5, "length": "40 um"})
-    cells = initial_cells(scene.with_changes({"initial.count": 30}))
-    force = push(biology_plan(scene), cells, 0.0, {})[:, :3]
-    for place, pull in zip(cells.position, force, strict=True):
-        steps = 1e-4 * np.eye(3)
-        slope = [(potential(place + s, 40.0) - potential(place - s, 40.0)) / 2e-4 for s in steps]
-        np.testing.assert_allclose(pull, 1.5 * np.array(slope), atol=1e-6)
-    assert np.linalg.norm(force, axis=1).max() <= 1.5 * (1 + 1e-12)
-
-
 def test_the_dead_do_not_move_by_themselves_and_types_differ():
     scene = free(
         motility__force=1.0, types__lazy={"motility_scale": 0.25}, types__brisk={"fraction": 1.0}
@@ -116,12 +97,10 @@ def test_the_dead_do_not_move_by_themselves_and_types_differ():
     np.testing.assert_allclose(size[8:], np.where(cells.kind[8:] == 0, 0.25, 1.0))
 
 
-def test_taxis_without_a_field_or_out_of_the_plane_is_refused():
+def test_taxis_without_a_field_is_refused():
     scene = mc.load_scene("spheroid")
     with refused("chemotaxis.oxigen", "is not a field"):
         scene.with_changes({"chemotaxis.oxigen": {}})
-    with refused("haptotaxis.axis", "2 dimensions"):
-        scene.with_changes({"haptotaxis.axis": "z", "dimensions": 2, "nutrients": {}})
 
 
 # biased random motion

@@ -17,7 +17,7 @@ HOUR = 3600.0
 TINY = {"S": {"duration": "1 s"}, "G2": {"duration": "1 s"}, "M": {"duration": "1 s"}}
 PHASES = {
     "G1": {"duration": "9 h", "distribution": "shifted-gamma", "variation": 0.4, "shift": 0.3},
-    "S": {"duration": "7 h", "distribution": "normal", "variation": 0.3},
+    "S": {"duration": "7 h", "distribution": "gamma", "variation": 0.3},
     "G2": {"duration": "4 h", "distribution": "gamma", "variation": 0.7},
     "M": {"duration": "1 h", "grows": False},
 }
@@ -27,14 +27,11 @@ GROWTHS = {
     "gamma 0.5": {"phases": {"G1": {"duration": "24 h", "distribution": "gamma",
                                     "variation": 0.5}, **TINY}},
     "phases": {"phases": PHASES},
-    "smooth": {"phases": PHASES, "division": "smooth"},
     "fixed": {"phases": {name: {"duration": part["duration"]} for name, part in PHASES.items()}},
     "linear": {"cycle_time": "20 h", "cycle_variation": 0.5},
     "exponential": {"cycle_time": "20 h", "cycle_variation": 0.5, "law": "exponential"},
     "relaxation": {"cycle_time": "20 h", "cycle_variation": 0.4, "law": "relaxation",
                    "target": 1.2},
-    "logistic": {"cycle_time": "20 h", "cycle_variation": 0.4, "law": "logistic", "target": 1.5},
-    "gompertz": {"cycle_time": "20 h", "cycle_variation": 0.4, "law": "gompertz", "target": 1.5},
 }  # fmt: skip
 """The cycles of scenes: in phases, and by each law of growth."""
 
@@ -83,7 +80,6 @@ def distributions(growth):
         shape = ((1.0 - shift) / variation) ** 2
         found.append({
             None: stats.uniform(mean, 1e-9),
-            "normal": cut_normal(mean, variation),
             "gamma": stats.gamma(shape, scale=mean / shape),
             "shifted-gamma": stats.gamma(shape, mean * shift, (1.0 - shift) * mean / shape),
         }[kind])  # fmt: skip

@@ -21,7 +21,6 @@ from multicell.simulation import Simulation
 CHUNK, SHARED_CHUNKS = 32, 2
 TISSUE = {"initial.count": 150, "initial.spacing": 0.82, "duration": "2 min"}
 PHASES = {k: {"duration": f"{h} h"} for k, h in (("G1", 12), ("S", 7), ("G2", 4), ("M", 1))}
-"""Phases for smooth division."""
 PHYSICS = {
     "friction": ("settle", {**TISSUE, "friction": {}}),
     "friction, explicit": ("settle", {**TISSUE, "friction": {}, "integrator": "rkc2"}),
@@ -29,15 +28,14 @@ PHYSICS = {
     "receptors": ("sorting-cams", {"duration": "15 min", "types.sticky.receptor": 3.0,
                                    "types.sticky.ligand": 4.0, "initial.count": 150}),
     "types": ("sorting", {"duration": "15 min", "initial.count": 150}),
-    "slack": ("growth", {"initial.count": 150, "initial.stage": "uniform", "duration": "100 min",
-                         "growth.phases": PHASES, "growth.division": "smooth"}),
+    "phases": ("growth", {"initial.count": 150, "initial.stage": "uniform", "duration": "100 min",
+                          "growth.phases": PHASES}),
     "plane": ("settle", {**TISSUE, "dimensions": 2}),
     "walls": ("settle", {**TISSUE, "domain": {axis: [-22, 22] for axis in "xyz"}}),
     "compression": ("settle", {**TISSUE, "initial.spacing": 0.72, "compression": {},
                                "domain": {axis: [-22, 22] for axis in "xyz"}}),
     "driven": ("settle", {**TISSUE, "friction": {},
-                          "motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}},
-                          "forces": {"f": {"cells": [2], "force": [0.1, 0, 0]}}}),
+                          "motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}}}),
     "fields": ("spheroid", {"initial.count": 150, "initial.stage": "uniform",
                             "duration": "40 min", "nutrients.oxygen.regime": "transient"}),
     "death": ("spheroid", {"initial.count": 150, "initial.stage": "uniform", "duration": "2 h",

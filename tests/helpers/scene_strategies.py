@@ -46,13 +46,10 @@ NAMES = {
     "reactions": ("binding", "breakdown"),
     "consumes": FIELDS,
     "produces": FIELDS,
-    "forces": ("tug", "weight"),
     "motions": ("base", "tip"),
     "observables": ("first", "second"),
     "responses": ("kill", "slow", "switch"),
-    "signals": ("stress", "food"),
     "drift": ("young", "cycle_time"),
-    "of": (*FIELDS, "pressure", "age", "neighbours"),
     "radiation": ("course", "boost"),
     "phase_factor": tuple(Phase.__members__),
 }
@@ -60,9 +57,9 @@ NAMES = {
 
 TEXTS = {
     "behaviour": ("growth rate", "rest", "apoptosis rate", "necrosis rate", "damage rate",
-                  "division radius", "entry into S", "speed", "receptors", "Young's modulus",
+                  "entry into S", "speed", "receptors", "Young's modulus",
                   "uptake of oxygen", "change to soft"),
-    "signal": (*FIELDS, "stress", "food", "pressure", "age", "volume", "time", "neighbours",
+    "signal": (*FIELDS, "pressure", "age", "volume", "time", "neighbours",
                "contacts with soft"),
     "cells": TYPES,
     "type": TYPES,
@@ -228,9 +225,6 @@ class Drawer:
 
     def _measure(self, spec, field, path):
         return float(f"{10.0 ** self.draw(st.floats(-8.0, -3.0)):.4g}")
-
-    def _measures(self, spec, field, path):
-        return {name: self._measure(spec, field, path) for name in ("age", *self.some(FIELDS))}
 
     def _measure_points(self, spec, field, path):
         return [[0.0, 0.1], [self._measure(spec, field, path), 0.5]]

@@ -1,7 +1,5 @@
 """Backward Euler as the minimum of an energy, against SciPy's minimisers of the same function."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -133,14 +131,6 @@ def test_the_residual_is_the_slope_of_the_energy_with_every_part(name):
     if system.prescribed is not None:
         free &= ~system.prescribed.held[:, None]
     assert slope_error(system, start, free) < 1e-5
-
-
-def test_sisters_that_part_have_an_energy_too():
-    start, radius, young = cluster(20, 1, spacing=0.7)
-    system = mechanics(radius, young)
-    pairs, offset = np.array([[0, 1], [4, 9]]), np.array([[0.8, -0.01], [0.5, 0.0]])
-    system.begin(replace(system.motion, offset_pairs=pairs, offset=offset))
-    assert slope_error(system, start, np.ones(start.shape)) < 1e-5
 
 
 def slope_error(system, start, free):

@@ -25,22 +25,19 @@ def velocities_of_a_part(source, pairs, is_fast, position, elapsed):
     part = multirate._part(source, pairs, is_fast)
     part.position[:] = position[part.member]
     drifted = multirate.forces.forces(
-        part.cells, part.pairs, part.offsets, source.law, part.position, elapsed, True, part.rows,
+        part.cells, part.pairs, source.law, part.position, elapsed, True, part.rows,
         part.velocity,
     )  # fmt: skip
     return drifted, part.member[: part.fast], part.velocity[: part.fast], part.share
 
 
 def everything(n, position, radius, young, chunk):
-    """Return mechanics with all that compiled loops may meet: growth, bonds, pushes, offsets."""
+    """Return mechanics with all that compiled loops may meet: growth, bonds, pushes."""
     rng = np.random.default_rng(2)
-    near = np.linalg.norm(position[:, None] - position, axis=2) < 8.0
-    pairs = np.argwhere(np.triu(near, 1))[:6]
     system = Mechanics(JKR(surface_energy=0.1), 5.0, bond_strength=0.2, chunk=chunk)
     motion = Motion(
         radius, 0.001 * radius, young, np.full(n, 0.5), 0.0, 100.0, rng.uniform(0.0, 1.0, (n, 4)),
-        rng.normal(0.0, 0.1, (n, 6)), offset_pairs=pairs,
-        offset=np.stack([np.full(len(pairs), 0.8), np.full(len(pairs), -0.01)], axis=1),
+        rng.normal(0.0, 0.1, (n, 6)),
     )  # fmt: skip
     system.begin(motion)
     return system

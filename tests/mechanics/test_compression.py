@@ -29,31 +29,22 @@ def walls(half=HALF):
     return Walls(np.full(3, -half), np.full(3, half), float(compliance(1.0, 0.5)))
 
 
-def dense(
-    n=40, seed=3, *, spacing=0.8, variation=0.2, law=None, half=None, offset=None, felt=FELT, **more
-):
+def dense(n=40, seed=3, *, spacing=0.8, variation=0.2, law=None, half=None, felt=FELT, **more):
     """Return cells of unlike radii, pressed together until most resist, and their places."""
     position, radius, young = cluster(n, seed, spacing=spacing, variation=variation)
     sides = None
     if half is not None:
         position, sides = np.clip(position, 1.0 - half, half - 1.0), walls(half)
     system = Mechanics(law or Hertz(), 5.0, walls=sides, compression=felt, **more)
-    pairs = None if offset is None else np.array([[0, 1], [2, 7]])
-    motion = Motion(
-        radius, np.full(n, 0.001), young, np.full(n, 0.5), 0.0, 50.0,
-        offset_pairs=pairs, offset=offset,
-    )  # fmt: skip
-    system.begin(motion)
+    system.begin(Motion(radius, np.full(n, 0.001), young, np.full(n, 0.5), 0.0, 50.0))
     return system, position
 
 
-def energy_of(position, radius, *, modulus=10.0, onset=1.0, half=None, offset=()):
+def energy_of(position, radius, *, modulus=10.0, onset=1.0, half=None):
     """Return Σ V f(s) by the words of the page, over all pairs."""
     n, volume = len(radius), 4.0 / 3.0 * np.pi * radius**3
     i, j = np.triu_indices(n, 1)
     h = radius[i] + radius[j] - np.linalg.norm(position[j] - position[i], axis=1)
-    for (a, b), amount in offset:
-        h[(i == a) & (j == b)] -= amount
     lens = np.pi * radius[i] * radius[j] / (radius[i] + radius[j]) * np.maximum(h, 0.0) ** 2
     taken = 0.5 * (np.bincount(i, lens, n) + np.bincount(j, lens, n))
     if half is not None:
@@ -75,7 +66,6 @@ CASES = {
     "free": {},
     "walls": {"half": HALF},
     "jkr": {"law": JKR(surface_energy=0.1)},
-    "offset": {"offset": np.array([[1.5, -0.01], [0.4, -0.02]])},
     "chunks": {"half": HALF, "chunk": 16},
 }
 
@@ -86,11 +76,7 @@ def test_forces_are_the_gradient_of_an_energy_written_down_anew(case, time):
     system, position = dense(**CASES[case])
     plain, _ = dense(**CASES[case], felt=None)
     radius = system.motion.radius + 0.001 * time
-    offset = CASES[case].get("offset")
     known = {"half": CASES[case].get("half")}
-    if offset is not None:
-        left = np.maximum(offset[:, 0] + offset[:, 1] * time, 0.0)
-        known["offset"] = list(zip([(0, 1), (2, 7)], left, strict=True))
     exact = energy_of(position, radius, **known)
     assert exact > 10.0
     found = system.energy(time, position) - plain.energy(time, position)
@@ -99,7 +85,7 @@ def test_forces_are_the_gradient_of_an_energy_written_down_anew(case, time):
     for direction in np.random.default_rng(0).normal(size=(6, *position.shape)):
         change = slope(lambda x: energy_of(x, radius, **known), position, direction, 1e-5)
         assert -(force * direction).sum() == pytest.approx(change, rel=1e-6)
-    if case in ("free", "jkr", "offset"):
+    if case in ("free", "jkr"):
         np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-10)
 
 
@@ -158,10 +144,7 @@ def test_preconditioners_are_definite_and_shorten_the_way(name):
 def test_any_number_of_threads_gives_the_same_bits():
     found = []
     for threads in (1, 2):
-        system, position = dense(
-            n=300, half=24.0, threads=threads, chunk=32, shared_chunks=2,
-            offset=np.array([[1.5, -0.01], [0.4, -0.02]]),
-        )  # fmt: skip
+        system, position = dense(n=300, half=24.0, threads=threads, chunk=32, shared_chunks=2)
         v = np.random.default_rng(1).normal(size=position.shape)
         force, pressure = system.force(10.0, position), system.pressure(10.0, position)
         system.linearise(10.0, position)

@@ -232,7 +232,7 @@ def test_diagonal_at_the_linearisation_is_that_of_the_matrix(normal, tangential)
     friction = PairFriction((normal, tangential), 60, system.drag, system.chunk)
     with pytest.raises(RuntimeError, match="measure"):
         friction.diagonal()
-    friction.linearise(system._rows, system._pairs, False, np.empty(0))
+    friction.linearise(system._rows, system._pairs, False)
     full = reference_matrix(position, radius, normal, tangential, system.drag)
     expected = full.diagonal().reshape(3, 60).mean(axis=0)
     np.testing.assert_allclose(friction.diagonal(), expected, rtol=1e-12)

@@ -162,8 +162,8 @@ def test_preconditioners_leave_held_cells_alone(name):
     assert np.linalg.norm(free - exact) < 0.8 * np.linalg.norm(b - exact)
 
 
-def friction_matrix(system, position, offset=None):
-    """Return Γ over all pairs, (3 n, 3 n), written down once more; some feel less overlap."""
+def friction_matrix(system, position):
+    """Return Γ over all pairs, (3 n, 3 n), written down once more."""
     radius, n = system.motion.radius, len(position)
     gamma = np.kron(np.diag(DRAG * radius), np.eye(3))
     normal, tangential = system.friction
@@ -171,7 +171,7 @@ def friction_matrix(system, position, offset=None):
         for j in range(i):
             away = position[j] - position[i]
             d = np.linalg.norm(away)
-            h = radius[i] + radius[j] - d - (offset or {}).get((j, i), 0.0)
+            h = radius[i] + radius[j] - d
             if h <= 0.0:
                 continue
             area = np.pi * radius[i] * radius[j] / (radius[i] + radius[j]) * h

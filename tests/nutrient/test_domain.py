@@ -168,9 +168,13 @@ def until_failure(simulation):
     raise AssertionError("no step failed")
 
 
+def towards(*direction):
+    return {"force": 5.0, "bias": 1.0, "direction": direction}
+
+
 def test_where_nothing_holds_them_a_cell_that_leaves_is_named():
     described = scene(
-        domain={**BOX, "wall": "refuse"}, haptotaxis={"force": 5.0, "axis": "y"},
+        domain={**BOX, "wall": "refuse"}, motility=towards(0, 1, 0),
         initial__count=3, drag__viscosity="0.05 kPa s", coupling_step="5 s",
         integrator={"method": "euler", "step": 1.0},
     )  # fmt: skip
@@ -185,7 +189,7 @@ def test_where_nothing_holds_them_a_cell_that_leaves_is_named():
 
 def test_a_wall_too_soft_to_hold_is_named():
     described = scene(
-        domain={**BOX, "young": "1 Pa"}, haptotaxis={"force": 5.0},
+        domain={**BOX, "young": "1 Pa"}, motility=towards(1, 0, 0),
         initial__count=1, drag__viscosity="0.05 kPa s", coupling_step="5 s",
         integrator={"method": "cvode"},
     )  # fmt: skip
@@ -197,7 +201,7 @@ def test_a_wall_too_soft_to_hold_is_named():
     radius, young = held.cells.radius[0], held.cells.young[0]
     modulus = 1.0 / (compliance(young, 0.5) + compliance(10.0, 0.5))
     depth = (5.0 / (modulus * np.sqrt(radius))) ** (2 / 3)
-    # haptotaxis is a constant force: rest is where Hertz bears it, to the tolerance
+    # the force is constant: rest is where Hertz bears it, to the tolerance
     assert held.cells.position[0, 0] == pytest.approx(65.0 - radius + depth, abs=0.02)
 
 

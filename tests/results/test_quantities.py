@@ -27,11 +27,10 @@ SCENES = {
     "all of biology and nutrients": {
         **SHORT, "initial": {"count": 60, "stage": "asynchronous"},
         "growth": {"phases": PHASES, "critical_pressure": 0.1},
-        "death": {"apoptosis_rate": 1e-4, "necrosis_rate": 1e-3, "core": "fluid"},
-        "surface": {"tension": 0.1},
+        "death": {"apoptosis_rate": 1e-4, "necrosis_rate": 1e-3, "inflow": True},
         "types": {"a": {"receptor": 1.0, "ligand": 1.0}, "b": {"young": 2.0}},
         "adhesion": {"strength": 0.01}, "friction": {},
-        "motility": {}, "chemotaxis": {"oxygen": {}}, "haptotaxis": {},
+        "motility": {}, "chemotaxis": {"oxygen": {}},
         "nutrients": {
             "oxygen": {"quiescence": 0.068, "necrosis": 0.01, "geometry": "radial", "layer": 40.0,
                        "sides": {}},

@@ -189,7 +189,7 @@ def test_deep_nesting_is_refused_with_words():
         {"types": {"a": {"receptor_by": {}, "ligand_by": {}, "surface_energy": {}}}},
         {"adhesion": {}, "types": {"a": {"receptor": [["5 h", 1.0]], "ligand": 1}}},
         {"nutrients": {"o2": {"secretion_from": {}, "uptake_on": {}, "sides": {}}}},
-        {"growth": {}, "death": {}, "friction": {}, "motility": {}, "pull": {}, "haptotaxis": {}},
+        {"growth": {}, "death": {}, "friction": {}, "motility": {}, "pull": {}},
         {"growth": {"phases": {}}, "types": {}, "chemotaxis": {}, "nutrients": {}},
         {"initial": {"jitter": -0.0}, "cells": {"heritable": [], "poisson": -0.0}},
         {"title": "with \"quotes\" \\ # = [x] ''' é"},

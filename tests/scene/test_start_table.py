@@ -96,11 +96,11 @@ def test_radius_age_and_cycle_follow_from_each_other(tmp_path):
     assert cells.cycle_time.tolist() == [36000.0, 72000.0]
 
 
-@pytest.mark.parametrize("law", ["linear", "exponential", "gompertz"])
+@pytest.mark.parametrize("law", ["linear", "exponential", "relaxation"])
 @pytest.mark.parametrize("phases", [False, True], ids=["", "phases"])
 def test_size_alone_tells_age_and_phase(law, phases):
     growth = {"law": law, "cycle_variation": 0.0}
-    if law == "gompertz":
+    if law == "relaxation":
         growth["target"] = 1.3
     if phases:
         growth["phases"] = {name: {**phase, "grows": True} for name, phase in PHASES.items()}
@@ -135,16 +135,9 @@ def test_phases_place_cells_in_their_cycle(tmp_path):
         ("spheroid", {"initial.count": 40, "duration": "10 h", "growth.cycle_time": "9 h"}),
         ("sorting", {"initial.count": 40, "duration": "1 h"}),
         ("growth", {"growth.phases": PHASES, "initial.count": 12, "duration": "14 h"}),
-        (
-            "growth",
-            {
-                "growth": {"phases": PHASES, "division": "smooth"},
-                "initial": {"count": 12, "stage": "uniform"}, "duration": "6 h",
-            },
-        ),
     ],
-    ids=["nutrient", "types", "phases", "smooth"],
-)  # fmt: skip
+    ids=["nutrient", "types", "phases"],
+)
 def test_an_exported_frame_is_a_start(name, changes, tmp_path):
     scene = mc.load_scene(name).with_changes(changes)
     run = mc.run(scene, threads=1)
@@ -160,8 +153,7 @@ def test_an_exported_frame_is_a_start(name, changes, tmp_path):
         for column, values in last.columns():
             if column not in ("parent", "receptor", "ligand"):
                 np.testing.assert_array_equal(getattr(cells, column), values, err_msg=column)
-    parting = scene.growth is not None and scene.growth.division == "smooth"
-    assert (cells.parent >= 0).any() == parting
+    assert (cells.parent == -1).all()
     again = mc.Simulation(scene, cells=run.frames[-1].to_pandas())
     assert set(again.lineage.table()["parent"]) == {-1}
     again.step()

@@ -1,4 +1,4 @@
-"""Runs with forces and prescribed motions on named cells: who is driven, when, and how."""
+"""Runs with prescribed motions of named cells: who is driven, when, and how."""
 
 import json
 
@@ -48,25 +48,6 @@ def course(scene, **options):
 
 def placed(cells):
     return cells.position[np.argsort(cells.id)]
-
-
-def test_a_force_moves_a_free_cell_as_stokes_says():
-    """From 90 s to 400 s, between coupling steps: the way at their ends is exact all the same."""
-    force = {"force": ["2 nN", 0, "-1000 pN"], "cells": [1], "begin": 90, "end": 400}
-    way, _ = course(scene_of(3, 30.0, forces={"tug": force}))
-    time = 60.0 * np.arange(11)
-    acted = np.clip(time, 90, 400) - 90
-    for axis, size in enumerate((2.0, 0.0, -1.0)):
-        exact = way[0, 1, axis] + size * acted / DRAG
-        np.testing.assert_allclose(way[:, 1, axis], exact, atol=1e-9)
-    np.testing.assert_array_equal(way[:, [0, 2]], way[:1, [0, 2]].repeat(11, axis=0))
-
-
-def test_a_force_that_grows_moves_a_cell_by_its_integral():
-    force = {"rate": [0, "0.01 nN/s", 0], "cells": [0], "begin": 30, "end": 330}
-    way, _ = course(scene_of(1, forces={"tug": force}))
-    acted = np.clip(60.0 * np.arange(11), 30, 330) - 30
-    np.testing.assert_allclose(way[:, 0, 1], 0.005 * acted**2 / DRAG, atol=1e-7)
 
 
 @pytest.mark.parametrize("method", ["auto", "euler", "cvode", "rkc2", "rosenbrock", "ab2"])
@@ -125,19 +106,12 @@ def test_all_that_is_held_from_outside_balances():
     assert abs(row["force_base_z"]) > 0.1
 
 
-def growing(division="instant", **parts):
-    phases = {n: {"duration": "30 min"} for n in ("G1", "S", "G2", "M")}
-    growth = {"cycle_time": "2 h", "cycle_variation": 0.0}
-    if division == "smooth":
-        growth = {"phases": phases, "division": "smooth"}
-    return scene_of(4, initial={"count": 4, "spacing": 0.9, "stage": "uniform"}, growth=growth,
-                    duration="3 h", coupling_step="5 min", integrator="cvode", **parts)  # fmt: skip
-
-
-@pytest.mark.parametrize("division", ["instant", "smooth"])
-def test_the_first_daughter_takes_over_and_the_other_is_free(division):
-    scene = growing(division, motions={"held": {"cells": [0, 2]}}, forces={"f": {
-        "force": [0.001, 0, 0], "cells": [1]}})  # fmt: skip
+def test_the_first_daughter_takes_over_and_the_other_is_free():
+    scene = scene_of(
+        4, initial={"count": 4, "spacing": 0.9, "stage": "uniform"},
+        growth={"cycle_time": "2 h", "cycle_variation": 0.0}, duration="3 h",
+        coupling_step="5 min", integrator="cvode", motions={"held": {"cells": [0, 2]}},
+    )  # fmt: skip
     simulation = Simulation(scene, threads=1)
     places = {}
     while not simulation.finished:
@@ -160,15 +134,13 @@ def test_the_first_daughter_takes_over_and_the_other_is_free(division):
 
 def test_a_type_keeps_its_drivers_and_removed_cells_leave_their_list():
     cells = initial_cells(scene_of(6))
-    named = {"forces.f": np.array([1, 3, 5])}
+    named = {"motions.f": np.array([1, 3, 5])}
     after = cells.take(np.array([0, 3, 2, 5, 4]))
     after.id[4], after.parent[4] = 9, 3
     left = pass_on(named, after, 6)
-    np.testing.assert_array_equal(left["forces.f"], [3, 5])
-    scene = scene_of(
-        6, types={"a": {}, "b": {}}, motions={"m": {"type": "b"}},
-        forces={"f": {"force": [1, 0, 0]}},
-    )  # fmt: skip
+    np.testing.assert_array_equal(left["motions.f"], [3, 5])
+    motility = {"force": 1.0, "bias": 1.0, "direction": [1, 0, 0]}
+    scene = scene_of(6, types={"a": {}, "b": {}}, motions={"m": {"type": "b"}}, motility=motility)
     assert named_at_start(biology_plan(scene), initial_cells(scene)) == {}
     way, simulation = course(scene)
     kind = simulation.cells.kind[np.argsort(simulation.cells.id)]
@@ -233,15 +205,13 @@ def test_an_ode_problem_has_driven_cells_as_constants():
 
 
 REFUSED = [
-    ({"forces": {"f": {}}}, "forces.f.force", "is zero"),
-    ({"forces": {"f": {"force": [1, 0]}}}, None, ""),
-    ({"forces": {"f": {"force": [1]}}}, "forces.f.force", "list of three"),
-    ({"forces": {"f": {"force": ["1 um", 0, 0]}}}, "forces.f.force", "must be a force"),
-    ({"forces": {"f": {"force": [1, 0, 0], "cells": []}}}, "forces.f.cells", "list of whole"),
-    ({"forces": {"f": {"force": [1, 0, 0], "cells": [-1]}}}, "forces.f.cells", "from 0 on"),
-    ({"forces": {"f": {"force": [1, 0, 0], "cells": [1, 1]}}}, "forces.f.cells", "twice"),
-    ({"forces": {"f": {"force": [1, 0, 0], "type": "a"}}}, "forces.f.type", "no type"),
-    ({"forces": {"f": {"force": [1, 0, 0], "begin": 9, "end": 9}}}, "forces.f.end", "after begin"),
+    ({"motions": {"m": {"velocity": [1e-3]}}}, "motions.m.velocity", "list of three"),
+    ({"motions": {"m": {"velocity": ["1 um", 0, 0]}}}, "motions.m.velocity", "must be a velocity"),
+    ({"motions": {"m": {"cells": []}}}, "motions.m.cells", "list of whole"),
+    ({"motions": {"m": {"cells": [-1]}}}, "motions.m.cells", "from 0 on"),
+    ({"motions": {"m": {"cells": [1, 1]}}}, "motions.m.cells", "twice"),
+    ({"motions": {"m": {"type": "a"}}}, "motions.m.type", "no type"),
+    ({"motions": {"m": {"begin": 9, "end": 9}}}, "motions.m.end", "after begin"),
     ({"motions": {"m": {"velocity": [0.1, 0, 0]}}}, "motions.m.velocity", "in a coupling step"),
     ({"motions": {"m": {"x": [3, 1]}}}, "motions.m.x", "lower end first"),
     (
@@ -255,10 +225,6 @@ REFUSED = [
 
 @pytest.mark.parametrize(("parts", "path", "words"), REFUSED)
 def test_drivers_without_meaning_are_refused(parts, path, words):
-    if path is None:
-        scene = scene_of(**parts)
-        assert scene.forces["f"].force == (1.0, 0.0, 0.0)
-        return
     with refused(path, words):
         scene_of(**parts)
 
@@ -266,7 +232,7 @@ def test_drivers_without_meaning_are_refused(parts, path, words):
 @pytest.mark.parametrize(
     ("parts", "path", "words"),
     [
-        ({"forces": {"f": {"force": [1, 0, 0], "cells": [99]}}}, "forces.f.cells", "the cell 99"),
+        ({"motions": {"m": {"cells": [99]}}}, "motions.m.cells", "the cell 99"),
         ({"motions": {"m": {"x": [500, 600]}}}, "motions.m", "names no cell"),
         (
             {"motions": {"a": {"cells": [1, 2]}, "b": {"cells": [2], "begin": 60}}},

@@ -13,7 +13,7 @@ from multicell.studies import runs
 from multicell.studies.runs import digest
 
 NAMED = {
-    "types", "nutrients", "reactions", "chemotaxis", "forces", "motions",
+    "types", "nutrients", "reactions", "chemotaxis", "motions",
 }  # fmt: skip
 LAW = """
 import multicell as mc

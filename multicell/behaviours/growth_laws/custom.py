@@ -37,12 +37,11 @@ _CORRECTIONS: Final = 3  # Newton steps that bring the guess to rounding
 class UserGrowthLaw(OwnLaw, GrowthLaw):
     """A law made by :func:`growth_law`; its parameters are the fields of the dataclass.
 
-    The rate is scaled so that the volume doubles in a cycle. What the user gives no closed form of
-    is found from it: shares of a cycle by Gauss–Legendre integration of 1/g, volumes as the root
-    of their share.
+    The rate is scaled so that the volume doubles in a cycle. Shares of a cycle are found by
+    Gauss–Legendre integration of 1/g, volumes as the root of their share.
     """
 
-    _parts: ClassVar[Mapping[str, Callable[..., Any]]]
+    _function: ClassVar[Callable[..., Any]]
 
     def check(self) -> None:
         """Raise ``SceneError`` for parameters with which no cell comes from birth to division."""
@@ -61,8 +60,6 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
     def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
         """Return the volumes after a share of a cycle without limits, (n,)."""
         begin, given = np.broadcast_arrays(np.asarray(volume, dtype=float) / birth, share)
-        if "volume" in self._parts:
-            return birth * self._call("volume", begin, given)
         after, step = begin, given * (self._cycle() / _SUBSTEPS)
         for _ in range(_SUBSTEPS):
             first = self._shape(after)
@@ -78,8 +75,6 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
     def share_at(self, ratio: FloatArray) -> FloatArray:
         """Return the share of a cycle from birth to a volume, (n,)."""
         ratio = np.asarray(ratio, dtype=float)
-        if "share" in self._parts:
-            return self._call("share", ratio)
         return np.asarray(self._time(np.ones_like(ratio), ratio) / self._cycle())
 
     def _cycle(self) -> float:
@@ -93,21 +88,13 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
         return np.asarray(half * (_WEIGHTS / self._shape(points)).sum(axis=-1))
 
     def _shape(self, ratio: FloatArray) -> FloatArray:
-        return self._call("rate", ratio)
-
-    def _call(self, part: str, *arrays: FloatArray) -> FloatArray:
-        """Return what a function of the user's returns, as an array of the arguments' shape."""
+        """Return what the user's function returns, as an array of the argument's shape."""
         with own_code("growth.law"):
-            found = self._parts[part](*arrays, self)
-            return np.broadcast_to(np.asarray(found, dtype=float), arrays[0].shape)
+            found = type(self)._function(ratio, self)
+            return np.broadcast_to(np.asarray(found, dtype=float), ratio.shape)
 
 
-def growth_law(
-    *,
-    parameters: Mapping[str, Any],
-    volume: Callable[..., Any] | None = None,
-    share: Callable[..., Any] | None = None,
-) -> Callable[[Rate], type[UserGrowthLaw]]:
+def growth_law(*, parameters: Mapping[str, Any]) -> Callable[[Rate], type[UserGrowthLaw]]:
     """Make a law of growth of a function that returns how fast a cell of a volume grows.
 
     The function is called as ``rate(volume, p)``: ``volume`` is an array of volumes over that at
@@ -120,11 +107,6 @@ def growth_law(
     parameters
         Name -> ``""`` for each parameter, all numbers without unit; or a declaration of
         :mod:`multicell.schema` such as ``number(default=0.75, above=0.0)``.
-    volume
-        ``volume(begin, share, p)``: volumes after a share of a cycle; absent: found from the rate.
-    share
-        ``share(volume, p)``: the share of a cycle from birth to a volume, the inverse of
-        ``volume``; absent: found from the rate.
 
     Returns
     -------
@@ -143,8 +125,7 @@ def growth_law(
         refuse_names(UserGrowthLaw, parameters)
         if list(signature(rate).parameters) != ["volume", "p"]:
             raise TypeError(f"{rate.__qualname__!r} must have the arguments volume, p")
-        parts = {"rate": rate, "volume": volume, "share": share}
-        given = {name: part for name, part in parts.items() if part is not None}
-        return law_of(UserGrowthLaw, rate, parameters, LAWS, [*given.values()], {"_parts": given})
+        own = {"_function": staticmethod(rate)}
+        return law_of(UserGrowthLaw, rate, parameters, LAWS, [rate], own)
 
     return make

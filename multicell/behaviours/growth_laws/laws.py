@@ -4,18 +4,14 @@ A law is dV/dt = f g(V), with f in [0, 1] what nutrient and pressure leave of gr
 a cell of the birth volume V_b doubles it in its cycle time T where f = 1. f is fixed in a coupling
 step, and only scales time: a step of length t is one of length f t with f = 1. So a law needs no
 time but the *share* of a cycle without limits, s = f t / T. With V_d = 2 V_b the division volume
-and K = ``target`` V_d the volume that a saturating law goes to:
+and K = ``target`` V_d the volume that relaxation goes to:
 
     linear       g = V_b / T                        V(t) = V + g t
     exponential  g = r V           r T = ln 2       V(t) = V e^{rt}
     relaxation   g = r (K - V)     r T = ln [(K - V_b) / (K - V_d)]
                                                     V(t) = K - (K - V) e^{-rt}
-    logistic     g = r V (1 - V/K) r T = ln [(K/V_b - 1) / (K/V_d - 1)]
-                                                    V(t) = K / [1 + (K/V - 1) e^{-rt}]
-    gompertz     g = r V ln(K/V)   r T = ln [ln(K/V_b) / ln(K/V_d)]
-                                                    V(t) = K (V/K)^{exp(-rt)}
 
-A saturating law reaches V_d only if K is above it.
+Relaxation reaches V_d only if K is above it.
 
 References
 ----------
@@ -101,110 +97,40 @@ class Exponential(GrowthLaw):
         return np.asarray(np.log(ratio) / math.log(2.0))
 
 
+@final
 @parameters
-class Saturating(GrowthLaw):
-    """A law by which a cell that does not divide goes to the volume K = ``target`` V_d."""
+class Relaxation(GrowthLaw):
+    """A rate that is proportional to what is missing to the volume K = ``target`` V_d."""
 
     target: float = number(
         above=1,
         at_most=1000,
-        doc="volume that a law which saturates goes to / division volume",
+        doc="volume that cells which do not divide go to / division volume",
         hint="A cell never reaches the division volume otherwise.",
     )
 
-    def largest(self, birth: float = 1.0) -> float:
-        """Return K in the unit of ``birth``."""
-        return 2.0 * birth * self.target
-
-    @property
-    @abstractmethod
-    def exponent(self) -> float:
-        """The product r T."""
-
-    def decay(self, share: FloatArray) -> FloatArray:
-        """Return e^{-rt} after a share of a cycle, (n,)."""
-        return np.asarray(np.exp(-self.exponent * share))
-
-
-@final
-@parameters
-class Relaxation(Saturating):
-    """A rate that is proportional to what is missing to the largest volume."""
-
     @property
     def exponent(self) -> float:
         """The product r T."""
-        largest = self.largest()
+        largest = 2.0 * self.target
         return math.log((largest - 1.0) / (largest - 2.0))
 
     def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
         """Return r T (K - V)."""
-        return np.asarray(self.exponent * (self.largest(birth) - volume))
+        return np.asarray(self.exponent * (2.0 * birth * self.target - volume))
 
     def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
         """Return K - (K - V) e^{-rt}."""
-        largest = self.largest(birth)
-        return np.asarray(largest - (largest - volume) * self.decay(share))
+        largest = 2.0 * birth * self.target
+        return np.asarray(largest - (largest - volume) * np.exp(-self.exponent * share))
 
     def share_at(self, ratio: FloatArray) -> FloatArray:
         """Return ln[(K - V_b)/(K - V)] / r T."""
-        largest = self.largest()
+        largest = 2.0 * self.target
         return np.asarray(np.log((largest - 1.0) / (largest - ratio)) / self.exponent)
 
 
-@final
-@parameters
-class Logistic(Saturating):
-    """Exponential growth that slows down in proportion to the volume."""
-
-    @property
-    def exponent(self) -> float:
-        """The product r T."""
-        largest = self.largest()
-        return math.log((largest - 1.0) / (0.5 * largest - 1.0))
-
-    def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
-        """Return r T V (1 - V/K)."""
-        return np.asarray(self.exponent * volume * (1.0 - volume / self.largest(birth)))
-
-    def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
-        """Return K / [1 + (K/V - 1) e^{-rt}]."""
-        largest = self.largest(birth)
-        return np.asarray(largest / (1.0 + (largest / volume - 1.0) * self.decay(share)))
-
-    def share_at(self, ratio: FloatArray) -> FloatArray:
-        """Return ln[(K/V_b - 1)/(K/V - 1)] / r T."""
-        largest = self.largest()
-        return np.asarray(np.log((largest - 1.0) / (largest / ratio - 1.0)) / self.exponent)
-
-
-@final
-@parameters
-class Gompertz(Saturating):
-    """Exponential growth that slows down with the logarithm of the volume."""
-
-    @property
-    def exponent(self) -> float:
-        """The product r T."""
-        largest = self.largest()
-        return math.log(math.log(largest) / math.log(0.5 * largest))
-
-    def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
-        """Return r T V ln(K/V)."""
-        return np.asarray(self.exponent * volume * np.log(self.largest(birth) / volume))
-
-    def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
-        """Return K (V/K)^{exp(-rt)}."""
-        largest = self.largest(birth)
-        return np.asarray(largest * (volume / largest) ** self.decay(share))
-
-    def share_at(self, ratio: FloatArray) -> FloatArray:
-        """Return ln[ln(K/V_b)/ln(K/V)] / r T."""
-        largest = self.largest()
-        return np.asarray(np.log(math.log(largest) / np.log(largest / ratio)) / self.exponent)
-
-
-LAWS: Final[Laws[GrowthLaw]] = Laws({law.__name__.lower(): law for law in (
-    Linear, Exponential, Relaxation, Logistic, Gompertz,
-)})  # fmt: skip
+LAWS: Final[Laws[GrowthLaw]] = Laws(
+    {"linear": Linear, "exponential": Exponential, "relaxation": Relaxation}
+)
 """All laws by their names in a scene; :func:`multicell.growth_law` enters those of the user's."""

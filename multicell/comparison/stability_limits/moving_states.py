@@ -83,8 +83,7 @@ def growing_state(scene: Scene, threads: int | None = None) -> State:
 
     The scene runs, by the method ``auto``, until its cells are a quarter more than at first; then
     the next coupling step is taken that begins just after a division. If the run ends before, it
-    is the last such step. Radii, bonds and the offsets of sisters go on to change in the trial as
-    they do in the run.
+    is the last such step. Radii and bonds go on to change in the trial as they do in the run.
 
     Raises SceneError if no cell divides; StepFailed if the scene cannot be run.
     """

@@ -259,11 +259,8 @@ def select_cells(motion: Motion, source: IntArray, radius: FloatArray) -> Motion
 
 def motion_at(motion: Motion, time: float) -> Motion:
     """Return a motion whose values at time 0 are given with those at another time, s."""
-    bonds, offset = motion.bonds, motion.offset
+    bonds = motion.bonds
     if bonds is not None:
         bonds = np.hstack([bonds[:, :2] + time * bonds[:, 2:], bonds[:, 2:]])
-    if offset is not None:
-        value = np.maximum(offset[:, 0] + time * offset[:, 1], 0.0)
-        offset = np.stack([value, np.where(value > 0.0, offset[:, 1], 0.0)], axis=1)
     radius = motion.radius + time * motion.radius_rate
-    return replace(motion, radius=radius, bonds=bonds, offset=offset)
+    return replace(motion, radius=radius, bonds=bonds)

@@ -62,7 +62,7 @@ class Part(NamedTuple):
     """The fast cells, and the slow ones that they may touch, as the kernels take them.
 
     ``member`` are the cells' indices, the ``fast`` fast ones first; ``share`` is the part of all
-    pairs. Pairs and offsets count in places of ``member``.
+    pairs. Pairs count in places of ``member``.
     """
 
     member: NDArray[np.int64]
@@ -70,7 +70,6 @@ class Part(NamedTuple):
     share: float
     cells: forces.CellData
     pairs: forces.PairData
-    offsets: forces.OffsetData | None
     rows: FloatArray
     position: FloatArray
     velocity: FloatArray
@@ -91,7 +90,7 @@ def _compiled_most_short_steps(source):
 
 
 @arithmetic
-def _members(is_fast, pairs, offsets):
+def _members(is_fast, pairs):
     """Return the fast cells and then all that they may touch; places; numbers of pairs."""
     n = is_fast.size
     place, member = np.full(n, -1), np.empty(n, np.int64)
@@ -114,13 +113,6 @@ def _members(is_fast, pairs, offsets):
             for k in (i, j):
                 if place[k] < 0:
                     member[count], place[k] = k, count
-                    count += 1
-    if offsets is not None:
-        for k in range(fast):
-            for e in range(offsets.begin[member[k]], offsets.begin[member[k] + 1]):
-                j = offsets.other[e]
-                if place[j] < 0:
-                    member[count], place[j] = j, count
                     count += 1
     return member[:count], fast, place, both, one
 
@@ -175,24 +167,6 @@ def _entries_of(values, member):
     return out
 
 
-@arithmetic
-def _offsets_of(offsets, member, fast, place):
-    """Return the division offsets of the fast cells."""
-    if offsets is None:
-        return None
-    begin = np.zeros(member.size + 1, np.int64)
-    for k in range(member.size):
-        own = offsets.begin[member[k] + 1] - offsets.begin[member[k]] if k < fast else 0
-        begin[k + 1] = begin[k] + own
-    other, value, rate = np.empty(begin[-1], np.int64), np.empty(begin[-1]), np.empty(begin[-1])
-    for k in range(fast):
-        for e in range(begin[k + 1] - begin[k]):
-            at = offsets.begin[member[k]] + e
-            other[begin[k] + e] = place[offsets.other[at]]
-            value[begin[k] + e], rate[begin[k] + e] = offsets.value[at], offsets.rate[at]
-    return forces.OffsetData(begin, other, value, rate, offsets.sticky, offsets.unit, offsets.onset)
-
-
 def _part(source, pairs, is_fast):
     """Return the fast cells with what their velocities depend on; None outside of compiled code."""
 
@@ -200,7 +174,7 @@ def _part(source, pairs, is_fast):
 @overload(_part)
 def _compiled_part(source, pairs, is_fast):
     def run(source, pairs, is_fast):
-        member, fast, place, both, one = _members(is_fast, pairs, source.offsets)
+        member, fast, place, both, one = _members(is_fast, pairs)
         listed, share = _fast_pairs(is_fast, pairs, place, both, one)
         room = np.empty((member.size, 3))
         cells = forces.CellData(
@@ -213,8 +187,8 @@ def _compiled_part(source, pairs, is_fast):
             _rows_if_any(source.cells.push, member),
         )
         return Part(
-            member, fast, share, cells, listed, _offsets_of(source.offsets, member, fast, place),
-            _rows_of(source.rows, member), room, np.empty_like(room),
+            member, fast, share, cells, listed, _rows_of(source.rows, member), room,
+            np.empty_like(room),
         )  # fmt: skip
 
     return run
@@ -270,7 +244,7 @@ def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, step, r
         spent += part.share
         at = elapsed + (k + 1) * short
         if forces.forces(
-            part.cells, part.pairs, part.offsets, source.law, part.position, at, True, part.rows,
+            part.cells, part.pairs, source.law, part.position, at, True, part.rows,
             part.velocity,
         ):  # fmt: skip
             # a cell has left what the list allows: build it where all cells are now

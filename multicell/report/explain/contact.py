@@ -23,7 +23,6 @@ def contact_parts(scene: Scene) -> list[Part]:
     energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
     total = sum(kind.fraction for kind in scene.types.values())
     shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
-    forces = [f"{name}: {math.hypot(*law.force):.3g} nN" for name, law in scene.forces.items()]
     motions = [
         f"{name}: {math.hypot(*law.velocity):.3g} um/s" for name, law in scene.motions.items()
     ]
@@ -51,7 +50,6 @@ def contact_parts(scene: Scene) -> list[Part]:
             and f"outwards with {load.force:g} nN and {load.rate:g} nN/s more; the run ends when "
             "the last contact breaks",
         ),
-        part("forces", "; ".join(forces)),
         part("motions", "; ".join(motions)),
     ]
 

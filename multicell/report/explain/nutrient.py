@@ -168,7 +168,6 @@ def nutrient_notes(scene: Scene) -> list[str]:
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
         read = [*checks.followed(scene), *(part.oxygen for part in scene.radiation.values())]
         read += [signal for effect in effects(scene) for signal in effect.signals]
-        read += [signal for derived in scene.signals.values() for signal in derived.of]
         for other in scene.nutrients.values():
             read += [*other.uptake_on, *(other.secretion_from or ())]
         for reaction in scene.reactions.values():

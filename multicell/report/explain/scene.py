@@ -102,8 +102,7 @@ def _growth_words(scene: Scene) -> str:
     if growth.phases:
         lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
-        parting = ", daughters part during M" if growth.division == "smooth" else ""
-        words += f"; phases {lengths}, rest {rest}{parting}"
+        words += f"; phases {lengths}, rest {rest}"
     return words
 
 
@@ -117,15 +116,11 @@ def _death_words(scene: Scene) -> str:
     if death.damage_time is not None:
         words = f"cells beyond a threshold of necrosis die after {hours(death.damage_time)} of it; "
     if any(effect.behaviour == "damage rate" for effect in effects(scene)):
-        repair = death.damage_repair_time
-        words += f"damage {f'falls to 1/e in {hours(repair)}' if repair else 'stays'}; "
+        words += "damage stays; "
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
-    if death.core == "fluid":
-        words += "keep their place, as fluid"
-    else:
-        words += f"lose their volume in about {hours(death.lysis_time)}"
+    words += f"lose their volume in about {hours(death.lysis_time)}"
     if death.inflow:
         words += "; the medium flows in to what they lose"
     if death.apoptosis_rate > 0.0:
@@ -159,7 +154,7 @@ def _sentence(scene: Scene, effect: Effect) -> str:
 def _law_words(scene: Scene, effect: Effect) -> str:
     law = effect.law
     known = len(effect.signals) == 1
-    unit = signal_unit(effect.signals[0], scene.nutrients, scene.signals, "") if known else ""
+    unit = signal_unit(effect.signals[0], scene.nutrients, "") if known else ""
     if isinstance(law, Threshold):
         return f"at once at {_amount(law.half, unit)}"
     if isinstance(law, Hill):
@@ -196,7 +191,7 @@ def _radiation_words(scene: Scene) -> Iterator[str]:
 
 
 def _taxis(scene: Scene) -> list[Part]:
-    """Return the forces along gradients and landscapes, with the drift of a free cell."""
+    """Return the forces along gradients, with the drift of a free cell."""
     resistance = drag(scene, birth_radius(scene))
     parts = []
     for name, law in scene.chemotaxis.items():
@@ -204,13 +199,6 @@ def _taxis(scene: Scene) -> list[Part]:
         way = "up" if law.force >= 0.0 else "down"
         what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
         parts.append(part(f"chemotaxis.{name}", what))
-    if scene.surface is not None:
-        what = f"{scene.surface.tension:g} nN/um, which presses on a ball of 300 um radius"
-        parts.append(part("surface", f"{what} with {scene.surface.tension / 0.15:.3g} Pa"))
-    if scene.haptotaxis is not None:
-        speed = 3600.0 * scene.haptotaxis.force / resistance
-        what = f"{scene.haptotaxis.landscape}: a free cell drifts at up to {speed:.3g} um/h"
-        parts.append(part("haptotaxis", what))
     return parts
 
 

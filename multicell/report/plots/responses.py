@@ -50,7 +50,7 @@ def response_curves(scene: Scene) -> Figure:
 
 
 def _draw(axes: Axes, scene: Scene, behaviour: str, signal: str, parts: list[Effect]) -> None:
-    unit = signal_unit(signal, scene.nutrients, scene.signals, "")
+    unit = signal_unit(signal, scene.nutrients, "")
     rate = behaviour_named(behaviour, "")[0].unit == "1/s"
     scale, of = (3600.0, ", 1/h") if rate else (1.0, "")
     reach = max(_reach(part) for part in parts)
