@@ -15,13 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_CALLED: Final = {
-    "growing": "growing",
-    "compressed": "compressed",
-    "divided": "freshly divided",
-    "snap": "at the snap",
-}
-
 FILES: Final = ("stability.csv", "limits.csv", "stability.png", "report.html")
 """What a study of stability writes into its folder."""
 
@@ -35,19 +28,16 @@ class StabilityMap(Comparison):
     ----------
     scene : Scene
     table : list of dict
-        One row for each trial: ``state`` (a key of
-        :data:`multicell.comparison.stability_limits.moving_states.STATES`), ``cells``, ``rate``
-        (λ_max, 1/s; of a moving state the largest on the way), ``end_rate`` (λ_max at the end),
-        ``growth_rate`` (μ at the start, 1/s; NaN from a settled state), ``length`` (of a trial, s;
-        NaN from a settled state), ``method``, ``control`` (``"tolerance"`` in mean radii or
-        ``"step"`` in s), ``setting``, ``theory`` (largest stable step, s; infinite for implicit
-        methods, NaN where there is none), ``of_theory``, ``of_euler`` (mean step over 2/λ_max),
+        One row for each trial: ``cells``, ``rate`` (λ_max, 1/s), ``method``, ``control``
+        (``"tolerance"`` in mean radii or ``"step"`` in s), ``setting``, ``theory`` (largest stable
+        step, s; infinite for implicit methods, NaN where there is none), ``of_theory``,
+        ``of_euler`` (mean step over 2/λ_max),
         ``kind`` (a key of :data:`multicell.comparison.stability_limits.trial.KINDS`), ``words``
         (what was seen), ``also`` (what else), ``climb`` (largest rise of the energy over what is
         noticed), ``deviation`` (largest error of a pair distance at the end, mean radii),
         ``steps``, ``wall`` (s).
     facts : dict
-        ``state``, ``precision`` of the bisection, ``wall`` (s), ``versions``.
+        ``precision`` of the bisection, ``wall`` (s), ``versions``.
     """
 
     scene: Scene
@@ -55,12 +45,6 @@ class StabilityMap(Comparison):
     facts: dict[str, Any]
 
     template: ClassVar[str] = "stability.html"
-
-    @property
-    def title(self) -> str:
-        """The scene's title, and its state unless that is the settled one."""
-        state = self.table[0]["state"]
-        return super().title if state == "settled" else f"{super().title}, {_CALLED[state]}"
 
     @property
     def methods(self) -> list[str]:
@@ -82,7 +66,7 @@ class StabilityMap(Comparison):
         Returns
         -------
         list of dict
-            ``state``, ``rate``, ``method``, ``control``, ``limit`` (largest setting that is stable
+            ``rate``, ``method``, ``control``, ``limit`` (largest setting that is stable
             with all smaller ones that were tried; NaN if none is), ``beyond`` (smallest that is
             not; infinite if all are stable), ``theory``, ``of_theory``, ``of_euler`` (mean step at
             the limit over 2/λ_max), ``kind`` (of the failure at ``beyond``, or ``"stable"``),
@@ -123,7 +107,7 @@ def _limit(rows: Sequence[Row]) -> Row:
     failed = first < len(rows)
     last = rows[first - 1] if first else None
     return {
-        **{name: rows[0][name] for name in ("state", "rate", "method", "control")},
+        **{name: rows[0][name] for name in ("rate", "method", "control")},
         "limit": last["setting"] if last else math.nan,
         "beyond": rows[first]["setting"] if failed else math.inf,
         "theory": rows[0]["theory"],
