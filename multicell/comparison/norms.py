@@ -31,12 +31,6 @@ _MOMENTS: Final = {
 }
 """Moment of a norm -> its words for a whole run, and for single steps."""
 
-_SHORT: Final = {
-    "worst": ("worst time", "worst step"),
-    "median": ("median time", "median step"),
-    "last": ("at the end", "last step"),
-}
-
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -79,10 +73,6 @@ class Norm:
         """Return what is measured, of a whole run or of single coupling steps."""
         where = f"{self.quantity}, {_MOMENTS[self.moment][stepwise]}"
         return f"{where} / {self.scale}" if self.scale else where
-
-    def title(self, stepwise: bool = False) -> str:
-        """Return the same in a few words."""
-        return f"{self.quantity}, {_SHORT[self.moment][stepwise]}"
 
 
 def observe(problem: Problem, trajectory: Trajectory) -> Observed:

@@ -50,12 +50,8 @@ def points(result: WorkPrecision, norm: str, cost: str, method: str = "") -> lis
 
 
 def _point(row: Row, norm: str, cost: str) -> Point:
-    # results of earlier versions know the shortest repeat only
-    shortest = row[cost]
-    middle, longest = (row.get(f"{cost}_{which}", math.nan) for which in ("median", "longest"))
-    known = math.isfinite(middle) and math.isfinite(longest)
-    spread = (middle, shortest, longest) if known else (shortest, shortest, shortest)
-    return Point(row["method"], spread[0], row[f"error_{norm}"], *spread[1:])
+    middle, longest = (row.get(f"{cost}_{which}", row[cost]) for which in ("median", "longest"))
+    return Point(row["method"], middle, row[f"error_{norm}"], row[cost], longest)
 
 
 def pareto_front(solves: list[Point]) -> list[Point]:

@@ -43,7 +43,6 @@ def compare(
     metrics: Mapping[str, Metric] | None = None,
     cells: Cells | None = None,
     references: Sequence[tuple[str, float] | tuple[Method, float]] | None = None,
-    cache: str | Path | bool = True,
     repeats: int = 3,
     patience: float = 10.0,
     budget: float | None = None,
@@ -86,13 +85,11 @@ def compare(
     metrics
         Name -> function of the positions of all cells, (n, 3) µm, that returns a number in any
         unit. Its error is the largest difference from the reference over the common times or
-        steps; the name serves as a norm of the result. The reference is then not cached.
+        steps; the name serves as a norm of the result.
     cells
         Cells to start from instead of the scene's initial ones.
     references
         Two methods with their settings (see :func:`multicell.comparison.reference.reference`).
-    cache
-        Folder of cached references; True for the user's own, False for none.
     repeats
         Number of timed solves of each point, of which the fastest counts. The first follows
         the solve that gives the error; the others go round all methods in turns.
@@ -139,8 +136,8 @@ def compare(
     if output is not None:
         remove(make_folder(output, overwrite=overwrite), FILES)
     exact = reference(
-        described, pair=pair, stepwise=count, shift=moved, cells=cells, cache=cache,
-        norms=norms, threads=threads, progress=tell,
+        described, pair=pair, stepwise=count, shift=moved, cells=cells, norms=norms,
+        threads=threads, progress=tell,
     )  # fmt: skip
     decay = stiffness(exact.problem, exact.trajectory)
     left = max(60.0, 10.0 * exact.wall) if budget is None else budget
@@ -181,7 +178,6 @@ def _facts(exact: Reference, decay: float) -> dict[str, Any]:
         "threads": int(getattr(problem.template, "threads", 1)),
         "reference": exact.words,
         "reference_wall": exact.wall,
-        "reference_cached": exact.cached,
         "versions": versions(),
     }
 

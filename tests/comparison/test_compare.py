@@ -51,7 +51,7 @@ class NotANumber:
 @pytest.fixture(scope="module")
 def exact():
     """Return the exact solution as a reference."""
-    return reference(PAIR, cache=False, pair=method_pair(BOTH_EXACT, PAIR, 1.0))
+    return reference(PAIR, pair=method_pair(BOTH_EXACT, PAIR, 1.0))
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_euler_has_order_one_on_two_cells():
 
 def test_cvode_follows_its_tolerance():
     ladder = {"tolerance": [1e-3, 1e-5, 1e-7]}
-    result = compare(PAIR, ["cvode"], ladder, cache=False, references=BOTH_EXACT, repeats=1)
+    result = compare(PAIR, ["cvode"], ladder, references=BOTH_EXACT, repeats=1)
     for row in result.table:
         assert row["error_position"] < 30.0 * row["setting"]
         assert row["linear_iterations"] > 0
@@ -191,9 +191,6 @@ def test_the_curves_are_those_of_the_table(failing):
     band = next(p for p in axes["position_final time"].patches if p.get_label() == "_uncertainty")
     top = max(band.get_path().transformed(band.get_patch_transform()).vertices[:, 1])
     assert top == pytest.approx(failing.uncertainty["position_final"])
-    assert {f"{norm} time" for norm in NORMS} <= {
-        a.get_label() for a in failing.norms_figure().axes
-    }
 
 
 def test_the_fastest_is_the_least_time_of_those_that_reach_the_error(failing):
@@ -343,18 +340,18 @@ def test_the_bound_on_decay_rates_is_above_the_true_rate(exact):
 )
 def test_bad_input_is_refused_before_anything_is_written(methods, given, match, tmp_path):
     with pytest.raises(SceneError, match=match):
-        compare(PAIR, methods, output=tmp_path / "out", **given, cache=False, references=BOTH_EXACT)
+        compare(PAIR, methods, output=tmp_path / "out", **given, references=BOTH_EXACT)
     assert not list((tmp_path / "out").glob("*"))
 
 
 def test_no_methods_are_refused():
     with pytest.raises(ValueError, match="methods is empty"):
-        compare(PAIR, [], cache=False)
+        compare(PAIR, [])
 
 
 def test_every_method_there_is_meets_the_exact_solution():
     ladder = {"tolerance": [1e-6], "step": [0.5]}
-    result = compare(PAIR, None, ladder, cache=False, references=BOTH_EXACT, repeats=1)
+    result = compare(PAIR, None, ladder, references=BOTH_EXACT, repeats=1)
     assert result.methods == list(METHODS)
     assert result.facts["named"] == []
     assert result.failures() == []
@@ -372,12 +369,12 @@ def test_the_folder_holds_table_pictures_and_page(failing, tmp_path):
     assert [math.isnan(float(r["wall"])) for r in rows] == [
         r["status"] != "done" for r in failing.table
     ]
-    for name in ("workprecision.png", "worst-cell.png", "norms.png"):
+    for name in ("workprecision.png", "worst-cell.png"):
         assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
     assert "out of &lt;steps&gt;" in page
     assert "out of <steps>" not in page
     assert "Two Hertz cells &lt;b&gt;part&lt;/b&gt;" in page
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == 2
     # pictures are written in letters that hold "http" now and then, but no colon
     assert "://" not in page
 
@@ -400,7 +397,7 @@ def test_a_scene_is_compared_from_its_file_and_nothing_is_overwritten(tmp_path):
 def test_a_comparison_may_start_from_given_cells():
     cells = cells_at([[0.0, 0, 0], [7.0, 0, 0], [0.0, 7.5, 0]], radius=4.0)
     result = compare(
-        PAIR, ["euler"], {"step": [10.0]}, cells=cells, cache=False, repeats=1,
+        PAIR, ["euler"], {"step": [10.0]}, cells=cells, repeats=1,
         references=[("euler", 1.0), ("euler", 2.0)],
     )  # fmt: skip
     assert result.facts["cells"] == [3, 3]
@@ -444,14 +441,12 @@ def test_a_metric_of_ones_own_is_a_norm():
         assert row["error_gap"] == pytest.approx(2.0 * length, rel=1e-6)
     assert result.order(method.name, "gap") == pytest.approx(1.0)
     assert result.norms["gap"] == "gap, largest over the common times"
-    assert len(result.norms_figure().axes) == len(NORMS) + len(metrics)
-    again = WorkPrecision.from_json(result.to_json())
+    again = WorkPrecision.from_dict(result.to_dict())
     assert again.fastest(0.03, "gap")["error_gap"] <= 0.03
 
 
 def test_tables_are_handed_out_with_their_columns():
     result = compared([EXACT, step_method(lambda s: Planted(shift=s), "off")], [2.0, 1.0])
-    np.testing.assert_array_equal(result.columns()["setting"], [2.0, 1.0, 2.0, 1.0])
     table = result.to_pandas()
     assert list(table.columns) == list(result.table[0])
     assert table["setting"].tolist() == [2.0, 1.0, 2.0, 1.0]

@@ -50,18 +50,17 @@ def panels(figure):
 @pytest.mark.parametrize("count", [1, 9])
 def test_at_most_eight_series_are_coloured_and_all_are_drawn(count):
     result = crowd(count)
-    for figure in (result.figure(), result.norms_figure()):
-        for axes in panels(figure):
-            lines = series(axes)
-            assert set(lines) == set(result.methods)
-            coloured = [n for n, line in lines.items() if to_hex(line.get_color()) != PALE]
-            assert len(coloured) == min(count, MAX_COLOURED)
-            colours = {to_hex(line.get_color()) for line in lines.values()}
-            assert len(colours) == len(coloured) + (count > MAX_COLOURED)
-            assert all(distance(a, b) >= APART for a, b in itertools.combinations(colours, 2))
-            front = min(line.get_zorder() for n, line in lines.items() if n in coloured)
-            pale = [line.get_zorder() for n, line in lines.items() if n not in coloured]
-            assert all(zorder < front for zorder in pale)
+    for axes in panels(result.figure()):
+        lines = series(axes)
+        assert set(lines) == set(result.methods)
+        coloured = [n for n, line in lines.items() if to_hex(line.get_color()) != PALE]
+        assert len(coloured) == min(count, MAX_COLOURED)
+        colours = {to_hex(line.get_color()) for line in lines.values()}
+        assert len(colours) == len(coloured) + (count > MAX_COLOURED)
+        assert all(distance(a, b) >= APART for a, b in itertools.combinations(colours, 2))
+        front = min(line.get_zorder() for n, line in lines.items() if n in coloured)
+        pale = [line.get_zorder() for n, line in lines.items() if n not in coloured]
+        assert all(zorder < front for zorder in pale)
 
 
 def test_the_front_is_what_no_other_solve_beats():
@@ -151,21 +150,20 @@ def test_axes_end_where_the_data_end_and_decades_are_squares(uncertainty):
     result = result_of(
         ladders(["a", "b"]), [("a", 1e-6), ("b", 1e5), ("b", 2.0)], uncertainty=uncertainty
     )
-    figures = [result.figure(), *([result.norms_figure()] if uncertainty > 0.0 else [])]
-    for figure in figures:
-        for axes in panels(figure):
-            x, y = (
-                np.concatenate(part) for part in zip(*map(data, series(axes).values()), strict=True)
-            )
-            for values, ends in ((x, axes.get_xlim()), (y, axes.get_ylim())):
-                assert 1.0 <= values.min() / ends[0] < 1.5
-                assert 1.0 <= ends[1] / values.max() < 1.5
-            figure.draw_without_rendering()
-            box = axes.get_window_extent()
-            wide, high = (math.log10(b / a) for a, b in (axes.get_xlim(), axes.get_ylim()))
-            assert box.width / wide == pytest.approx(box.height / high, rel=1e-6)
-            assert 0.0 < box.x0 < box.x1 < figure.bbox.width
-            assert 0.0 < box.y0 < box.y1 < figure.bbox.height
+    figure = result.figure()
+    for axes in panels(figure):
+        x, y = (
+            np.concatenate(part) for part in zip(*map(data, series(axes).values()), strict=True)
+        )
+        for values, ends in ((x, axes.get_xlim()), (y, axes.get_ylim())):
+            assert 1.0 <= values.min() / ends[0] < 1.5
+            assert 1.0 <= ends[1] / values.max() < 1.5
+        figure.draw_without_rendering()
+        box = axes.get_window_extent()
+        wide, high = (math.log10(b / a) for a, b in (axes.get_xlim(), axes.get_ylim()))
+        assert box.width / wide == pytest.approx(box.height / high, rel=1e-6)
+        assert 0.0 < box.x0 < box.x1 < figure.bbox.width
+        assert 0.0 < box.y0 < box.y1 < figure.bbox.height
 
 
 def data(line):
@@ -200,7 +198,6 @@ def test_failures_only_and_exact_zeros_are_drawn():
         assert [text.get_text() for text in axes.texts] == ["no error above zero"]
     for result in (failures, zeros):
         assert any(result.page()["verdicts"]["position"].values()) == (result is zeros)
-        result.norms_figure()
 
 
 # spread of the repeats
