@@ -41,6 +41,11 @@ class Comparison(ABC):
         """The title of the scene."""
         return self.scene.title or "Untitled scene"
 
+    @property
+    def methods(self) -> list[str]:
+        """Names of the methods in the order of the table."""
+        return self.column("method")
+
     @abstractmethod
     def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return the tables to write: name of a CSV file -> rows."""

@@ -23,7 +23,6 @@ from multicell.report.wording import cell_count, time_unit
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.comparison.conditioning import Conditioning
     from multicell.comparison.result import WorkPrecision
 
 _Range = tuple[float, float]  # smallest and largest value on a logarithmic axis
@@ -58,7 +57,14 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
     height = decade * _decades(errors)
     lines = _legend_lines(styles) + bool(result.failures())
     tall = max(top + strip + height + _BOTTOM, top + 0.6 + 0.24 * lines)
-    figure = _comparison_figure(result, result.norms[norm], tall)
+    facts = result.facts
+    first, last = facts["cells"]
+    count = cell_count(last) if first == last else f"{first:,} to {cell_count(last)}"
+    time = time_unit(facts["time"]).text(facts["time"])
+    figure = blank(result.title, f"{count}, {time} · {result.norms[norm]}", (_WIDTH, tall))
+    if result.stepwise:
+        text = f"{facts['mode']}, each from the same recorded state for every method; cost summed"
+        figure.text(0.04, 1.0 - 0.825 / tall, text, fontsize=10.5, color=QUIET, va="center")
     left, base = _LEFT, tall - top - strip - height
     for cost, span in zip(costs, spans, strict=True):
         width = decade * _decades(span)
@@ -74,25 +80,11 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
                 place = (left / _WIDTH, (base + height) / tall, width / _WIDTH, strip / tall)
                 _draw_failures(figure.add_axes(place, label="failures"), result, styles, span)
         else:
-            _name_floor(axes, result, norm)
             axes.tick_params(labelleft=False)
         left += width + _GAP
     corner = ((left - 0.1) / _WIDTH, 1.0 - (top - 0.1) / tall)
     _draw_legend(figure, styles, corner, failures=bool(result.failures()))
     _footnote(figure, result, norm, errors)
-    return figure
-
-
-def _comparison_figure(result: WorkPrecision, subtitle: str, tall: float) -> Figure:
-    """Return an empty figure, so many inches high, that says what was computed."""
-    facts = result.facts
-    first, last = facts["cells"]
-    count = cell_count(last) if first == last else f"{first:,} to {cell_count(last)}"
-    time = time_unit(facts["time"]).text(facts["time"])
-    figure = blank(result.title, f"{count}, {time} · {subtitle}", (_WIDTH, tall))
-    if result.stepwise:
-        text = f"{facts['mode']}, each from the same recorded state for every method; cost summed"
-        figure.text(0.04, 1.0 - 0.825 / tall, text, fontsize=10.5, color=QUIET, va="center")
     return figure
 
 
@@ -136,34 +128,20 @@ def _panel(
     _draw_band(axes, result.uncertainty[norm], _UNCERTAIN, "_uncertainty", known is not None)
 
 
-def _floor(known: Conditioning) -> str:
-    """Return what the floor of a chart is."""
-    return f"shift of {known.shift:g} µm ends so far off"
-
-
-def _name_floor(axes: Axes, result: WorkPrecision, norm: str) -> None:
-    """Write beside the floor what it is, where the axis shows it."""
-    known = result.conditioning
-    low, high = axes.get_ylim()
-    if known is not None and known.floor[norm] > low:
-        axes.text(
-            0.98, min(known.floor[norm], high), _floor(known), ha="right", va="top", fontsize=9,
-            transform=axes.get_yaxis_transform(), color=QUIET,
-        )  # fmt: skip
-
-
 def _footnote(figure: Figure, result: WorkPrecision, norm: str, errors: _Range) -> None:
-    """Say how far the reference is known, and where the floor is that no axis shows."""
-    known, uncertainty = result.conditioning, result.uncertainty[norm]
-    said = []
-    if math.isfinite(uncertainty) and uncertainty > 0.0:
-        where = "grey band" if uncertainty > errors[0] else "below this chart"
-        said.append(f"reference known to {uncertainty:.0e}: {where}")
-    if known is not None and 0.0 < known.floor[norm] <= errors[0]:
-        said.append(f"{_floor(known)}, {known.floor[norm]:.0e}: below this chart")
-    if said:
-        height = 0.16 / figure.get_figheight()
-        figure.text(0.985, height, " · ".join(said), fontsize=9, color=QUIET, ha="right")
+    """Say how far the reference is known and what a shift does, of which bands are drawn."""
+    bands = [("grey band", "reference known to", result.uncertainty[norm])]
+    known = result.conditioning
+    if known is not None:
+        words = f"a shift of {known.shift:g} µm moves the end by"
+        bands.append(("yellow band", words, known.floor[norm]))
+    said = [
+        f"{words} {value:.0e}: {band if value > errors[0] else 'below this chart'}"
+        for band, words, value in bands
+        if math.isfinite(value) and value > 0.0
+    ]
+    height = 0.16 / figure.get_figheight()
+    figure.text(0.985, height, " · ".join(said), fontsize=9, color=QUIET, ha="right")
 
 
 def _log_range(values: Iterable[float], least: float = _SHORTEST) -> _Range:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
-from multicell.cells import Cells
 from multicell.comparison.conditioning import SHIFT, Conditioning, conditioning_of, shift_starts
 from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.norms import NORMS, Norm, Observed, errors, observe
@@ -65,7 +64,6 @@ def reference(
     pair: Pair | None = None,
     stepwise: int | None = None,
     shift: float = SHIFT,
-    cells: Cells | None = None,
     norms: Mapping[str, Norm] = NORMS,
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
@@ -85,9 +83,9 @@ def reference(
     Raises StepFailed if one of the two cannot be computed.
     """
     tell = progress or (lambda _: None)
-    unsolved = unsolved_problem(scene, cells, threads)
+    unsolved = unsolved_problem(scene, threads)
     shift = 0.0 if stepwise is None else shift
-    recording = {"samples": stepwise, "cells": cells, "threads": threads}
+    recording = {"samples": stepwise, "threads": threads}
     sampled: tuple[Problem, Trajectory] | None = None
     pairs = default_pairs(scene, unsolved, stepwise) if pair is None else [pair]
     for k, chosen in enumerate(pairs):
@@ -135,10 +133,10 @@ def method_pair(
     return first, second
 
 
-def unsolved_problem(scene: Scene, cells: Cells | None, threads: int | None) -> Problem:
+def unsolved_problem(scene: Scene, threads: int | None) -> Problem:
     """Return the problem before anything has moved: it has no steps yet."""
     # the scene's own method moves nothing here, and may be one that is not at hand
-    simulation = Simulation(scene, threads=threads, cells=cells, integrator=Euler(1.0))
+    simulation = Simulation(scene, threads=threads, integrator=Euler(1.0))
     cells = simulation.cells
     return Problem(scene, simulation.prepared(), cells.position, cells.radius)
 

@@ -149,11 +149,6 @@ class WorkPrecision(Comparison):
         """Return all norms of the table by their names, those of the user's own among them."""
         return NORMS | {name: described(name) for name in self.facts.get("metrics", ())}
 
-    @property
-    def methods(self) -> list[str]:
-        """Names of the methods in the order of the table."""
-        return self.column("method")
-
     def rows(self, method: str, status: str = DONE) -> list[Row]:
         """Return the rows of a method that have a status."""
         return self.with_values(method=method, status=status)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import pytest
-from synthetic import cells_at
 from two_cells import (
     BOTH_EXACT,
     EXACT,
@@ -26,7 +25,7 @@ from two_cells import (
 import multicell.comparison.measure as measure
 from multicell import OutputError, SceneError
 from multicell.comparison.ladders import find_method, settings, stiffness, weighted_cost
-from multicell.comparison.norms import NORMS, errors, observe, pair_distances
+from multicell.comparison.norms import NORMS
 from multicell.comparison.record import record
 from multicell.comparison.reference import method_pair, reference
 from multicell.comparison.replay import Trajectory, replay
@@ -68,7 +67,7 @@ def test_a_planted_shift_is_found_in_the_positions_only(size):
     row = only(result)
     for norm in ("position", "position_median", "position_final"):
         assert row[f"error_{norm}"] == pytest.approx(size, rel=1e-6)
-    for norm in ("energy", "gyration", "pair_distance"):
+    for norm in ("energy", "gyration"):
         assert row[f"error_{norm}"] == pytest.approx(0.0, abs=1e-12)
 
 
@@ -77,23 +76,12 @@ def test_cells_drawn_apart_are_found_in_every_norm(size):
     row = only(compared([step_method(lambda s: Planted(apart=s * RADIUS))], [size]))
     # each of the two cells is off by half of what they are apart
     assert row["error_position"] == pytest.approx(0.5 * size, rel=1e-6)
-    assert row["error_pair_distance"] == pytest.approx(size, rel=1e-6)
     closest = apart_after(60.0) / RADIUS
     assert row["error_gyration"] == pytest.approx(size / closest, rel=1e-6)
     overlap = 2.0 * RADIUS - apart_after(60.0 * np.arange(1, 6))
     loss = np.maximum(overlap - size * RADIUS, 0.0) ** 2.5 - overlap**2.5
     expected = np.abs(loss).max() / (overlap**2.5).max()
     assert row["error_energy"] == pytest.approx(expected, rel=1e-6)
-
-
-def test_wasserstein_distance_agrees_with_scipy(exact):
-    from scipy.stats import wasserstein_distance
-
-    rng = np.random.default_rng(2)
-    a = Trajectory([*exact.trajectory.positions[:-1], rng.normal(0, 5, (2, 3))])
-    error = errors(exact.problem, observe(exact.problem, a), exact.observed)["pair_distance"]
-    distances = pair_distances(a.positions[-1]), exact.observed.distances
-    assert error == pytest.approx(wasserstein_distance(*distances) / RADIUS, rel=1e-12)
 
 
 @pytest.mark.parametrize("order", [1, 2, 4])
@@ -382,7 +370,7 @@ def test_the_folder_holds_table_pictures_and_page(failing, tmp_path):
 def test_a_scene_is_compared_from_its_file_and_nothing_is_overwritten(tmp_path):
     path = tmp_path / "pair.toml"
     path.write_text(PAIR.with_changes({"duration": "120 s"}).to_toml())
-    options = {"ladder": {"euler": [30.0]}, "references": BOTH_EXACT, "cache": False}
+    options = {"ladder": {"euler": [30.0]}, "references": BOTH_EXACT}
     options |= {"methods": ["euler"], "output": tmp_path / "out"}
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "notes.txt").write_text("mine")
@@ -392,17 +380,6 @@ def test_a_scene_is_compared_from_its_file_and_nothing_is_overwritten(tmp_path):
     assert result.facts["coupling_steps"] == 2
     assert (tmp_path / "out" / "report.html").exists()
     assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
-
-
-def test_a_comparison_may_start_from_given_cells():
-    cells = cells_at([[0.0, 0, 0], [7.0, 0, 0], [0.0, 7.5, 0]], radius=4.0)
-    result = compare(
-        PAIR, ["euler"], {"step": [10.0]}, cells=cells, repeats=1,
-        references=[("euler", 1.0), ("euler", 2.0)],
-    )  # fmt: skip
-    assert result.facts["cells"] == [3, 3]
-    assert result.facts["mean_radius"] == 4.0
-    assert 0.0 < result.uncertainty["position"] < result.table[0]["error_position"]
 
 
 def test_what_is_compiled_at_a_finer_setting_is_not_held_against_the_method():

@@ -69,7 +69,7 @@ def test_the_next_pair_is_tried_where_the_best_one_cannot_hold_the_scene(monkeyp
 )
 def test_cvode_as_reference_is_as_tight_as_the_scene_allows(name, changes, tolerance):
     scene = load_scene(name).with_changes(changes)
-    *_, last = references.default_pairs(scene, references.unsolved_problem(scene, None, 1))
+    *_, last = references.default_pairs(scene, references.unsolved_problem(scene, 1))
     assert [(method.name, setting) for method, setting in last] == [
         ("cvode", tolerance),
         ("cvode", 10.0 * tolerance),
@@ -78,9 +78,7 @@ def test_cvode_as_reference_is_as_tight_as_the_scene_allows(name, changes, toler
 
 def test_methods_of_two_families_check_each_other():
     def best(scene, stepwise=None):
-        return references.default_pairs(
-            scene, references.unsolved_problem(scene, None, 1), stepwise
-        )[0]
+        return references.default_pairs(scene, references.unsolved_problem(scene, 1), stepwise)[0]
 
     assert [(method.name, setting) for method, setting in best(PAIR)] == [
         ("scipy-dop853", 1e-12),

@@ -30,7 +30,6 @@ from multicell.comparison.stability_limits.trial import (
     WRONG,
     judge,
     run_trial,
-    turned_pairs,
 )
 from multicell.integrators.base import Outcome
 from multicell.integrators.rkc import Rkc2
@@ -188,7 +187,7 @@ def settles_wrongly(system, position, outcome):
 
 SAID = {
     "alternates": "alternate",
-    "swaps": "changed sides",
+    "swaps": "pair distances differ",
     "separates": "pair distances differ",
     "squeezed": "energy ends",
 }
@@ -222,36 +221,6 @@ def test_a_method_that_takes_too_long_is_a_stall(small):
     trace = run_trial(small, planted("slow", None, 0.0), small.stiff_limit, patience=0.0)
     assert len(trace.times) == 2
     assert judge(small, trace).kind == STALL
-
-
-def test_a_swap_under_error_control_is_seen_and_a_true_turn_is_not(small):
-    def swaps_once(system, position, outcome):
-        after = outcome.position.copy()
-        if index_of(system) == 2:
-            i, j = system.contacts(system.motion.begin, position)[0]
-            after[[i, j]] = after[[j, i]]
-        return Outcome(outcome.time, after)
-
-    method = planted("swaps", swaps_once, 0.0, "tolerance")
-    verdict = judge(small, run_trial(small, method, 1e-3))
-    assert verdict.kind == WRONG
-    assert "changed sides" in verdict.words
-    known = replace(small, known=[])
-    # what the reference does as well is no failure: plant the swap in the reference
-    length = 2000.0 / (8 * small.rate)
-    trace = run_trial(known, method, 1e-3)
-    true = replace(small, known=[(k * length, x) for k, x in enumerate(trace.positions)])
-    assert run_trial(true, method, 1e-3).turned == []
-    assert len(trace.turned) >= 1
-
-
-def test_a_line_turned_by_exactly_what_is_asked():
-    before = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    pairs = np.array([[0, 1]])
-    for degrees, found in ((0, 0), (89, 0), (91, 1), (180, 1)):
-        angle = math.radians(degrees)
-        after = np.array([[0.0, 0.0, 0.0], [math.cos(angle), math.sin(angle), 0.0]])
-        assert len(turned_pairs(before, after, pairs)) == found
 
 
 @pytest.fixture(scope="module")
@@ -353,9 +322,9 @@ def test_limits_follow_the_viscosity():
 
 @pytest.mark.parametrize("true", [1e-3, 0.7, 5.0, 300.0])
 def test_bisection_ends_within_three_per_cent_below_the_limit(true):
-    found = bracket(lambda s: s <= true, 1.0, 1000.0, 0.03)
+    found = bracket(lambda s: s <= true, 1.0, 1000.0)
     assert true / 1.03 <= found <= true
-    assert 2.0 / 1.01 <= bisect(lambda s: s <= 2.0, 1.0, 8.0, 0.01) <= 2.0
+    assert 2.0 / 1.03 <= bisect(lambda s: s <= 2.0, 1.0, 8.0) <= 2.0
 
 
 def test_files_hold_what_was_found(tmp_path):

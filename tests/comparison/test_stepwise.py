@@ -44,7 +44,7 @@ def test_an_error_of_each_step_is_found_and_not_carried_on():
         assert apart[f"error_{norm}"] == pytest.approx(1e-3, rel=1e-6)
     assert whole["error_position"] == pytest.approx(5e-3, rel=1e-6)
     assert whole["error_position_median"] == pytest.approx(3e-3, rel=1e-6)
-    for norm in ("energy", "gyration", "pair_distance"):
+    for norm in ("energy", "gyration"):
         assert apart[f"error_{norm}"] == pytest.approx(0.0, abs=1e-9)
 
 

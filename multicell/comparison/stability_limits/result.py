@@ -33,9 +33,7 @@ class StabilityMap(Comparison):
         step, s; infinite for implicit methods, NaN where there is none), ``of_theory``,
         ``of_euler`` (mean step over 2/λ_max),
         ``kind`` (a key of :data:`multicell.comparison.stability_limits.trial.KINDS`), ``words``
-        (what was seen), ``also`` (what else), ``climb`` (largest rise of the energy over what is
-        noticed), ``deviation`` (largest error of a pair distance at the end, mean radii),
-        ``steps``, ``wall`` (s).
+        (what was seen), ``also`` (what else), ``steps``, ``wall`` (s).
     facts : dict
         ``precision`` of the bisection, ``wall`` (s), ``versions``.
     """
@@ -45,11 +43,6 @@ class StabilityMap(Comparison):
     facts: dict[str, Any]
 
     template: ClassVar[str] = "stability.html"
-
-    @property
-    def methods(self) -> list[str]:
-        """Names of the methods in the order of the table."""
-        return self.column("method")
 
     @property
     def kinds(self) -> list[str]:
@@ -76,7 +69,20 @@ class StabilityMap(Comparison):
 
     def limit(self, method: str) -> Row:
         """Return the limit of one method."""
-        return _limit(self.rows(method))
+        rows = self.rows(method)
+        first = next((k for k, row in enumerate(rows) if row["kind"] != STABLE), len(rows))
+        failed = first < len(rows)
+        last = rows[first - 1] if first else None
+        return {
+            **{name: rows[0][name] for name in ("rate", "method", "control")},
+            "limit": last["setting"] if last else math.nan,
+            "beyond": rows[first]["setting"] if failed else math.inf,
+            "theory": rows[0]["theory"],
+            "of_theory": last["of_theory"] if last else math.nan,
+            "of_euler": last["of_euler"] if last else math.nan,
+            "kind": rows[first]["kind"] if failed else STABLE,
+            "kinds": "; ".join(dict.fromkeys(r["kind"] for r in rows if r["kind"] != STABLE)),
+        }
 
     def figure(self) -> Figure:
         """Draw how each method goes over its step or tolerance."""
@@ -99,20 +105,3 @@ class StabilityMap(Comparison):
         from multicell.comparison.stability_limits.charts import context
 
         return context(self)
-
-
-def _limit(rows: Sequence[Row]) -> Row:
-    """Return what the trials of one method say of its limit."""
-    first = next((k for k, row in enumerate(rows) if row["kind"] != STABLE), len(rows))
-    failed = first < len(rows)
-    last = rows[first - 1] if first else None
-    return {
-        **{name: rows[0][name] for name in ("rate", "method", "control")},
-        "limit": last["setting"] if last else math.nan,
-        "beyond": rows[first]["setting"] if failed else math.inf,
-        "theory": rows[0]["theory"],
-        "of_theory": last["of_theory"] if last else math.nan,
-        "of_euler": last["of_euler"] if last else math.nan,
-        "kind": rows[first]["kind"] if failed else STABLE,
-        "kinds": "; ".join(dict.fromkeys(r["kind"] for r in rows if r["kind"] != STABLE)),
-    }

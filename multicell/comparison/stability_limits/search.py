@@ -21,6 +21,8 @@ from multicell.scene.scene import Scene, load_scene
 LOOSEST_TOLERANCE: Final = 0.1
 """Loosest tolerance that is tried, in mean radii; one that loose asks for hardly anything."""
 
+PRECISION: Final = 0.03  # relative distance at which bisection ends
+
 _TIGHTEST = 1e-8
 _EXTRA = ("rkc2-5", "rkc2-10")
 _FIRST, _MAX_STEP = 0.45, 1000.0  # first and longest step that are tried, over Euler's limit
@@ -36,7 +38,6 @@ def stability(
     output: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
     *,
-    precision: float = 0.03,
     patience: float = 20.0,
     threads: int | None = None,
     overwrite: bool = False,
@@ -61,8 +62,6 @@ def stability(
         Folder for the files of :meth:`StabilityMap.save`.
     progress
         Called with a line of words for everything that is begun.
-    precision
-        Relative distance at which bisection ends.
     patience
         Wall time in s after which a trial counts as a stall.
     threads
@@ -89,16 +88,16 @@ def stability(
     table: list[Row] = []
     for method in chosen:
         tell(method.name)
-        table += _rows(begun, method, precision, patience)
+        table += _rows(begun, method, patience)
     wall = clock.perf_counter() - begin
-    facts = {"precision": precision, "wall": wall, "versions": versions()}
+    facts = {"precision": PRECISION, "wall": wall, "versions": versions()}
     result = StabilityMap(described, table, facts)
     if output is not None:
         result.save(output)
     return result
 
 
-def _rows(state: State, method: Method, precision: float, patience: float) -> list[Row]:
+def _rows(state: State, method: Method, patience: float) -> list[Row]:
     """Return the rows of one method: those of the search, and those around it."""
     rows: dict[float, Row] = {}
     theory = method.info.stable / state.rate
@@ -109,12 +108,12 @@ def _rows(state: State, method: Method, precision: float, patience: float) -> li
         return bool(rows[setting]["kind"] == STABLE)
 
     if method.control == "tolerance":
-        _search_up(stable, precision)
+        _search_up(stable)
         more: Sequence[float] = _TOLERANCES
     else:
         # the search starts well below Euler's limit and knows nothing of the theory
         ceiling = _MAX_STEP * state.stiff_limit
-        limit = bracket(stable, _FIRST * state.stiff_limit, ceiling, precision)
+        limit = bracket(stable, _FIRST * state.stiff_limit, ceiling)
         more = [f * limit for f in _BEYOND if f * limit <= ceiling]
     for setting in more:
         # next to a setting of the search there is nothing new
@@ -124,7 +123,7 @@ def _rows(state: State, method: Method, precision: float, patience: float) -> li
     return [{**place, **rows[setting]} for setting in sorted(rows)]
 
 
-def bracket(stable: Trial, guess: float, ceiling: float, precision: float) -> float:
+def bracket(stable: Trial, guess: float, ceiling: float) -> float:
     """Bracket the largest stable step and bisect; return it, or the ceiling."""
     low = high = guess
     factor = 1.5
@@ -139,10 +138,10 @@ def bracket(stable: Trial, guess: float, ceiling: float, precision: float) -> fl
             if low <= floor:
                 return low
             high, low, factor = low, low / factor, min(1.5 * factor, 8.0)
-    return bisect(stable, low, high, precision)
+    return bisect(stable, low, high)
 
 
-def _search_up(stable: Trial, precision: float) -> None:
+def _search_up(stable: Trial) -> None:
     """Try tolerances from tight to loose, then bisect below the first one that is not stable.
 
     What is stable does not always hang together here: all of them are tried.
@@ -150,12 +149,12 @@ def _search_up(stable: Trial, precision: float) -> None:
     ladder = (_TIGHTEST, *_TOLERANCES) if not stable(_TOLERANCES[0]) else _TOLERANCES
     failed = next((k for k, good in enumerate(map(stable, ladder)) if not good), len(ladder))
     if 0 < failed < len(ladder):
-        bisect(stable, ladder[failed - 1], ladder[failed], precision)
+        bisect(stable, ladder[failed - 1], ladder[failed])
 
 
-def bisect(stable: Trial, low: float, high: float, precision: float) -> float:
+def bisect(stable: Trial, low: float, high: float) -> float:
     """Halve, geometrically, what lies between a stable and an unstable setting."""
-    while high > (1.0 + precision) * low:
+    while high > (1.0 + PRECISION) * low:
         middle = math.sqrt(low * high)
         low, high = (middle, high) if stable(middle) else (low, middle)
     return low
@@ -177,8 +176,6 @@ def _row(state: State, method: Method, setting: float, theory: float, patience: 
         "kind": verdict.kind,
         "also": "; ".join(verdict.also),
         "words": verdict.words,
-        "climb": verdict.climb,
-        "deviation": verdict.deviation,
         "steps": len(trace.times) - 1 if fixed else trace.steps,
         "wall": trace.wall,
     }

@@ -120,8 +120,18 @@ def settled_state(scene: Scene, threads: int | None = None) -> State:
     Raises SceneError if the scene starts with less than two cells, or none of them touch;
     StepFailed if the reference method cannot settle them.
     """
-    template, motion, position = first_cells(scene, threads)
-    blank = State(scene, template, motion, position, np.nan, np.nan)
+    if scene.initial.count < 2:
+        raise SceneError(
+            "initial.count",
+            f"is {scene.initial.count}: the stability of motion needs two cells at least",
+            "For example --set initial.count=60 --set initial.spacing=0.85",
+        )
+    # the scene's own method moves nothing here, and may be one that is not at hand
+    simulation = Simulation(scene, threads=threads, integrator=Cvode())
+    cells = simulation.cells
+    motion = simulation._motion(0.0, 0.0, cells.radius)
+    motion = replace(motion, push=None, held=None, velocity=None)
+    blank = State(scene, simulation.mechanics, motion, cells.position, np.nan, np.nan)
     rest = rest_positions(blank)
     rate, mode = largest_decay(blank.system(0.0, 1.0), rest, scene.dimensions == 2)
     overlap = _strained_overlap(blank, rest, mode)
@@ -138,22 +148,6 @@ def _strained_overlap(state: State, position: FloatArray, mode: FloatArray) -> f
     most = int(np.abs(strain).argmax())
     overlap = state.motion.radius[pairs[most]].sum() - distance[most]
     return float(max(overlap, 1e-4 * state.radius))
-
-
-def first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, FloatArray]:
-    """Return mechanics, motion and positions of the cells that a scene starts with."""
-    if scene.initial.count < 2:
-        raise SceneError(
-            "initial.count",
-            f"is {scene.initial.count}: the stability of motion needs two cells at least",
-            "For example --set initial.count=60 --set initial.spacing=0.85",
-        )
-    # the scene's own method moves nothing here, and may be one that is not at hand
-    simulation = Simulation(scene, threads=threads, integrator=Cvode())
-    cells = simulation.cells
-    motion = simulation._motion(0.0, 0.0, cells.radius)
-    motion = replace(motion, push=None, held=None, velocity=None)
-    return simulation.mechanics, motion, cells.position
 
 
 def rest_positions(state: State) -> FloatArray:

@@ -1,7 +1,7 @@
 """One trial of a method: its steps are recorded, and the kind of failure is named.
 
 There are three kinds of failure. A *blow-up* and a *stall* end a trial; a *wrong state* is one that
-the true motion does not come to, whether it was seen on the way or at the end.
+the true motion does not come to, whether that was seen on the way or at the end.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ KINDS: Final = {
     BLOW_UP: "positions or energy grow beyond all bounds or are no numbers, or a step is refused "
     "because it would throw a cell away",
     STALL: "the end is not reached within the allowed steps",
-    WRONG: "cells pass through each other, displacements alternate from step to step, the energy "
-    "rises, or the end is not that of the reference",
+    WRONG: "displacements alternate from step to step, the energy rises, or the end is not that of "
+    "the reference",
 }
 """How a trial ends -> what that means. Where several apply, blow-up or stall counts first."""
 
@@ -56,8 +56,6 @@ class Trace:
     - ``energy``, list of float, fJ: at every time; infinite where cells are out of bounds or on top
       of others
     - ``end``, float, s: when it should end
-    - ``turned``, list of (k, i, j): the line between cells i and j, which touched, turned by more
-      than 90° from the state k that was looked at to the next
     - ``problem``, str: why it ended early, in words
     - ``out_of_bounds``, bool: whether it ended because positions or energy left all bounds
     - ``steps``, int: steps that the method took
@@ -69,7 +67,6 @@ class Trace:
     positions: list[FloatArray]
     energy: list[float]
     end: float
-    turned: list[tuple[int, int, int]]
     problem: str = ""
     out_of_bounds: bool = False
     steps: int = 0
@@ -85,16 +82,11 @@ class Verdict:
     - ``kind``, str: a key of :data:`KINDS`
     - ``words``, str: what was seen
     - ``also``, tuple of str: what else was seen, in words
-    - ``climb``, float: largest rise of the energy over what is noticed
-    - ``deviation``, float: largest error of a pair distance at the end, in mean radii; NaN without
-      an end
     """
 
     kind: str
     words: str
     also: tuple[str, ...]
-    climb: float
-    deviation: float
 
 
 def run_trial(state: State, method: Method, setting: float, patience: float = 20.0) -> Trace:
@@ -118,7 +110,7 @@ def run_trial(state: State, method: Method, setting: float, patience: float = 20
     system = state.system(0.0, times[0])
     touching = at_start = system.contacts(0.0, state.start)
     energy = system.energy(0.0, state.start)
-    trace = Trace([0.0], [state.start], [energy], times[-1], [], late=max(3, count // 4))
+    trace = Trace([0.0], [state.start], [energy], times[-1], late=max(3, count // 4))
     for k, end in enumerate(times):
         first = 0 if again else k
         state.ready(system, trace.times[first], end, touching if first else at_start)
@@ -126,7 +118,6 @@ def run_trial(state: State, method: Method, setting: float, patience: float = 20
         trace.steps = system.work.steps
         if trace.problem:
             break
-        trace.turned += _turns(state, trace, end, position, touching, fixed)
         trace.times.append(end)
         trace.positions.append(position)
         trace.energy.append(_energy(state, system, end, position))
@@ -151,26 +142,6 @@ def _energy(state: State, system: Mechanics, time: float, position: FloatArray) 
         return np.inf
 
 
-def turned_pairs(before: FloatArray, after: FloatArray, pairs: IntArray) -> IntArray:
-    """Return those of some pairs whose line turns by more than 90° between two states."""
-    first, second = pairs[:, 0], pairs[:, 1]
-    old, new = before[second] - before[first], after[second] - after[first]
-    return np.asarray(pairs[np.einsum("ij,ij->i", old, new) < 0.0])
-
-
-def _turns(
-    state: State, trace: Trace, end: float, after: FloatArray, touching: IntArray, fixed: bool
-) -> list[tuple[int, int, int]]:
-    """Return the pairs whose line turned since the last state, other than by the true motion."""
-    pairs = {(int(i), int(j)) for i, j in turned_pairs(trace.positions[-1], after, touching)}
-    if pairs and not fixed:
-        # a coupling step may be long enough for the true motion to turn a pair
-        true = [state.at(time) for time in (trace.times[-1], end)]
-        really = turned_pairs(true[0], true[1], np.array(sorted(pairs)))
-        pairs -= {(int(i), int(j)) for i, j in really}
-    return [(len(trace.times) - 1, i, j) for i, j in sorted(pairs)]
-
-
 def judge(state: State, trace: Trace) -> Verdict:
     """Say how a trial went, by comparing it with the reference."""
     problem = trace.problem
@@ -178,22 +149,17 @@ def judge(state: State, trace: Trace) -> Verdict:
     rest = state.energy(trace.end, true_end)
     released = max(trace.energy[0] - rest, 0.0)
     noticed = max(_RISE_NOTICED * released, 1e-12 * state.energy_unit)
-    climb = _climb(trace.energy) / noticed
     found: list[tuple[str, str]] = []
     if trace.out_of_bounds or _THROWN.search(problem):
         found.append((BLOW_UP, problem or "positions or energy left all bounds"))
     elif problem:
         found.append((STALL, problem))
-    if trace.turned:
-        k, i, j = trace.turned[0]
-        found.append((WRONG, f"cells {i} and {j} changed sides in step {k + 1}"))
-    deviation = np.nan
     if not problem and not trace.out_of_bounds:
         deviation = pair_deviation(state, trace.positions[-1], true_end, trace.end)
-        excess = (trace.energy[-1] - rest) / noticed
+        excess, climb = (trace.energy[-1] - rest) / noticed, _climb(trace.energy) / noticed
         found += [(WRONG, said) for said in _wrong(state, trace, climb, excess, deviation)]
     kind, words = found[0] if found else (STABLE, "")
-    return Verdict(kind, words, tuple(words for _, words in found[1:]), climb, deviation)
+    return Verdict(kind, words, tuple(words for _, words in found[1:]))
 
 
 def pair_deviation(state: State, position: FloatArray, true: FloatArray, time: float) -> float:
