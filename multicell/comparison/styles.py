@@ -49,8 +49,10 @@ def points(result: WorkPrecision, norm: str, cost: str, method: str = "") -> lis
 
 
 def _point(row: Row, norm: str, cost: str) -> Point:
-    middle, longest = (row.get(f"{cost}_{which}", row[cost]) for which in ("median", "longest"))
-    return Point(row["method"], middle, row[f"error_{norm}"], row[cost], longest)
+    # counts are the same in every repeat
+    shortest: float = row[cost]
+    middle, longest = (row.get(f"{cost}_{which}", shortest) for which in ("median", "longest"))
+    return Point(row["method"], middle, row[f"error_{norm}"], shortest, longest)
 
 
 def pareto_front(solves: list[Point]) -> list[Point]:
