@@ -27,7 +27,6 @@ import numpy as np
 
 import multicell as mc
 from multicell.cells import Cells, FloatArray
-from multicell.comparison.cache import cache_folder
 from multicell.comparison.conditioning import shift_starts
 from multicell.comparison.ladders import capable_methods, find_method
 from multicell.comparison.null_methods import MotionScale
@@ -239,7 +238,8 @@ def reference(
 
 def _path(folder: Path | None, kind: str, about: list[Any]) -> Path:
     own = hashlib.sha256(Path(__file__).read_bytes() + json.dumps([kind, about]).encode())
-    return (cache_folder() / "tiles" if folder is None else folder) / f"{own.hexdigest()[:32]}.npz"
+    place = Path.home() / ".cache/multicell/tiles" if folder is None else folder
+    return place / f"{own.hexdigest()[:32]}.npz"
 
 
 def _load(path: Path) -> dict[str, Any]:

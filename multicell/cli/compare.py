@@ -87,18 +87,11 @@ def compare(scene: Scene, stepwise: int | None, quiet: bool, as_json: bool, **op
 
 @click.command()
 @_comparing
-@shared.valued(
-    "--state",
-    metavar="STATE",
-    default="settled",
-    help="What the cells start from: settled, growing, compressed, divided, or snap (exact JKR).",
-)
 def stability(scene: Scene, quiet: bool, as_json: bool, **options: Any) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
-    Limits are compared with theory. From another --state than settled each method solves one
-    coupling step, and a method that suppresses unstable modes of the true motion is reported to
-    damp a real instability.
+    Limits are compared with theory. The cells settle first: how methods do in tissue that moves is
+    what compare --stepwise shows.
     """
     from multicell.comparison.stability_limits.search import stability as limits_of
 

@@ -7,9 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from multicell.host.extras import needs
 from multicell.results.folder import file_errors, write_text
 from multicell.scene.scene import Scene
@@ -44,6 +41,11 @@ class Comparison(ABC):
         """The title of the scene."""
         return self.scene.title or "Untitled scene"
 
+    @property
+    def methods(self) -> list[str]:
+        """Names of the methods in the order of the table."""
+        return self.column("method")
+
     @abstractmethod
     def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return the tables to write: name of a CSV file -> rows."""
@@ -59,10 +61,6 @@ class Comparison(ABC):
     def column(self, name: str) -> list[Any]:
         """Return the different entries of a column, in the order of the table."""
         return list(dict.fromkeys(row[name] for row in self.table))
-
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the table as one array for each column."""
-        return {name: np.array([row[name] for row in self.table]) for name in self.table[0]}
 
     def with_values(self, **values: Any) -> list[Row]:
         """Return the rows of the table whose columns have these values."""

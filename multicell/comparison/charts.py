@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator
 
-from multicell.comparison.styles import Point, Style, appearance, points
+from multicell.comparison.styles import Style, appearance, points
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import QUIET, RED, blank, few_decades, styled
 from multicell.report.wording import cell_count, time_unit
@@ -23,7 +23,6 @@ from multicell.report.wording import cell_count, time_unit
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.comparison.conditioning import Conditioning
     from multicell.comparison.result import WorkPrecision
 
 _Range = tuple[float, float]  # smallest and largest value on a logarithmic axis
@@ -38,7 +37,6 @@ _LABELS: Final = {
     "cost": "evaluations, or equal work",
 }
 _NOTE: Final[dict[str, Any]] = {"fontsize": 9, "color": QUIET, "ha": "center", "va": "center"}
-_NARROW: Final = 0.9  # inches of a panel below which labels of all decades overlap
 _SLIMMEST: Final = 0.42  # width of a panel over its height at least
 _LEFT, _GAP, _LEGEND, _BOTTOM, _STRIP = 0.95, 0.4, 2.1, 0.95, 0.5  # inches
 _WIDTH, _TALLEST, _DECADE = 10.0, 6.2, 1.7  # inches: figure, tallest panel, longest decade
@@ -59,7 +57,14 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
     height = decade * _decades(errors)
     lines = _legend_lines(styles) + bool(result.failures())
     tall = max(top + strip + height + _BOTTOM, top + 0.6 + 0.24 * lines)
-    figure = _comparison_figure(result, result.norms[norm], tall)
+    facts = result.facts
+    first, last = facts["cells"]
+    count = cell_count(last) if first == last else f"{first:,} to {cell_count(last)}"
+    time = time_unit(facts["time"]).text(facts["time"])
+    figure = blank(result.title, f"{count}, {time} · {result.norms[norm]}", (_WIDTH, tall))
+    if result.stepwise:
+        text = f"{facts['mode']}, each from the same recorded state for every method; cost summed"
+        figure.text(0.04, 1.0 - 0.825 / tall, text, fontsize=10.5, color=QUIET, va="center")
     left, base = _LEFT, tall - top - strip - height
     for cost, span in zip(costs, spans, strict=True):
         width = decade * _decades(span)
@@ -73,60 +78,13 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
             axes.set_ylabel("error")
             if strip:
                 place = (left / _WIDTH, (base + height) / tall, width / _WIDTH, strip / tall)
-                _failures(figure.add_axes(place, label="failures"), result, styles, span)
+                _draw_failures(figure.add_axes(place, label="failures"), result, styles, span)
         else:
-            _name_floor(axes, result, norm)
             axes.tick_params(labelleft=False)
         left += width + _GAP
     corner = ((left - 0.1) / _WIDTH, 1.0 - (top - 0.1) / tall)
     _draw_legend(figure, styles, corner, failures=bool(result.failures()))
     _footnote(figure, result, norm, errors)
-    return figure
-
-
-@styled
-def norms(result: WorkPrecision) -> Figure:
-    """Draw error over time in every norm."""
-    columns = 3
-    measured = result.measures()
-    rows = -(-len(measured) // columns)
-    first, step = (1.45 if result.stepwise else 1.3), 3.75
-    tall = first - 0.3 + step * rows
-    left_open = "every norm; grey: uncertainty of the reference"
-    if result.conditioning is not None:
-        left_open = f"grey: uncertainty of the reference; yellow: {_floor(result.conditioning)}"
-    figure = _comparison_figure(result, left_open, tall)
-    styles = appearance(result)
-    every = (point for name in measured for point in points(result, name, result.clock))
-    span = _log_range(end for point in every for end in (point.shortest, point.longest))
-    for k, (name, norm) in enumerate(measured.items()):
-        row, column = divmod(k, columns)
-        errors = _log_range(point.error for point in points(result, name, result.clock))
-        decade = min(1.9 / _decades(span), 2.75 / _decades(errors))
-        width, height = decade * _decades(span), decade * _decades(errors)
-        left, base = 0.7 + 2.62 * column, tall - first - step * row - height
-        place = (left / _WIDTH, base / tall, width / _WIDTH, height / tall)
-        axes = figure.add_axes(place, label=f"{name} time")
-        _panel(axes, result, name, result.clock, (span, errors), styles, size=3.5)
-        if width < _NARROW:
-            axes.xaxis.set_major_locator(LogLocator(100.0))
-        axes.set_title(norm.title(result.stepwise), fontsize=10)
-        axes.tick_params(labelsize=8.5)
-        axes.set_xlabel(_LABELS[result.clock], fontsize=9)
-    _draw_legend(figure, styles, (0.82, 1.0 - (first - 0.3) / tall), failures=False)
-    return figure
-
-
-def _comparison_figure(result: WorkPrecision, subtitle: str, tall: float) -> Figure:
-    """Return an empty figure, so many inches high, that says what was computed."""
-    facts = result.facts
-    first, last = facts["cells"]
-    count = cell_count(last) if first == last else f"{first:,} to {cell_count(last)}"
-    time = time_unit(facts["time"]).text(facts["time"])
-    figure = blank(result.title, f"{count}, {time} · {subtitle}", (_WIDTH, tall))
-    if result.stepwise:
-        text = f"{facts['mode']}, each from the same recorded state for every method; cost summed"
-        figure.text(0.04, 1.0 - 0.825 / tall, text, fontsize=10.5, color=QUIET, va="center")
     return figure
 
 
@@ -140,14 +98,28 @@ def _costs(result: WorkPrecision, norm: str, cost: str) -> list[float]:
 
 def _panel(
     axes: Axes, result: WorkPrecision, norm: str, cost: str,
-    ends: tuple[_Range, _Range], styles: Mapping[str, Style], size: float = 6.0,
+    ends: tuple[_Range, _Range], styles: Mapping[str, Style],
 ) -> None:  # fmt: skip
     """Draw the curves of one norm over one cost, with decades of the same length.
 
-    Errors within the uncertainty of the reference, and within the effect of a shift, are shaded.
+    Thin bars go from the shortest to the longest repeat. Errors within the uncertainty of the
+    reference, and within the effect of a shift, are shaded.
     """
-    series = {method: points(result, norm, cost, method) for method in styles}
-    _draw_curves(axes, series, styles, size)
+    for method, (colour, marker, line) in styles.items():
+        found = points(result, norm, cost, method)
+        if not found:
+            continue
+        pale = colour == PALE
+        axes.plot(
+            [p.cost for p in found], [p.error for p in found], line, color=colour, marker=marker,
+            ms=3.6 if pale else 6.0, lw=0.9 if pale else 1.5, label=method,
+            zorder=1.5 if pale else 2.5,
+        )  # fmt: skip
+        spread = [p for p in found if p.longest > p.shortest]
+        axes.hlines(
+            [p.error for p in spread], [p.shortest for p in spread], [p.longest for p in spread],
+            color=colour, lw=0.8, zorder=1.4 if pale else 2.4,
+        )  # fmt: skip
     _set_limits(axes, *ends)
     axes.set_aspect("equal")
     known = result.conditioning
@@ -156,47 +128,20 @@ def _panel(
     _draw_band(axes, result.uncertainty[norm], _UNCERTAIN, "_uncertainty", known is not None)
 
 
-def _floor(known: Conditioning) -> str:
-    """Return what the floor of a chart is."""
-    return f"shift of {known.shift:g} µm ends so far off"
-
-
-def _name_floor(axes: Axes, result: WorkPrecision, norm: str) -> None:
-    """Write beside the floor what it is, where the axis shows it."""
-    known = result.conditioning
-    low, high = axes.get_ylim()
-    if known is not None and known.floor[norm] > low:
-        axes.text(
-            0.98, min(known.floor[norm], high), _floor(known), ha="right", va="top", fontsize=9,
-            transform=axes.get_yaxis_transform(), color=QUIET,
-        )  # fmt: skip
-
-
 def _footnote(figure: Figure, result: WorkPrecision, norm: str, errors: _Range) -> None:
-    """Say how far the reference is known, and where the floor is that no axis shows."""
-    known, uncertainty = result.conditioning, result.uncertainty[norm]
-    said = []
-    if math.isfinite(uncertainty) and uncertainty > 0.0:
-        where = "grey band" if uncertainty > errors[0] else "below this chart"
-        said.append(f"reference known to {uncertainty:.0e}: {where}")
-    if known is not None and 0.0 < known.floor[norm] <= errors[0]:
-        said.append(f"{_floor(known)}, {known.floor[norm]:.0e}: below this chart")
-    if said:
-        height = 0.16 / figure.get_figheight()
-        figure.text(0.985, height, " · ".join(said), fontsize=9, color=QUIET, ha="right")
-
-
-def _failures(
-    strip: Axes, result: WorkPrecision, styles: Mapping[str, Style], span: _Range
-) -> None:
-    """Draw the failed solves of all methods."""
-    spent = {
-        method: [row["spent"] for row in rows if row["spent"] > 0.0]
-        for method in result.methods
-        if (rows := result.rows(method, "failed"))
-    }
-    _draw_failures(strip, spent, styles, span)
-    strip.set_ylabel("failed", fontsize=9, color=RED, rotation=0, ha="right", va="center")
+    """Say how far the reference is known and what a shift does, of which bands are drawn."""
+    bands = [("grey band", "reference known to", result.uncertainty[norm])]
+    known = result.conditioning
+    if known is not None:
+        words = f"a shift of {known.shift:g} µm moves the end by"
+        bands.append(("yellow band", words, known.floor[norm]))
+    said = [
+        f"{words} {value:.0e}: {band if value > errors[0] else 'below this chart'}"
+        for band, words, value in bands
+        if math.isfinite(value) and value > 0.0
+    ]
+    height = 0.16 / figure.get_figheight()
+    figure.text(0.985, height, " · ".join(said), fontsize=9, color=QUIET, ha="right")
 
 
 def _log_range(values: Iterable[float], least: float = _SHORTEST) -> _Range:
@@ -228,30 +173,6 @@ def _set_limits(axes: Axes, costs: _Range, errors: _Range) -> None:
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _draw_curves(
-    axes: Axes,
-    series: Mapping[str, Sequence[Point]],
-    styles: Mapping[str, Style],
-    size: float = 6.0,
-) -> None:
-    """Draw one line for each method, and thin bars from the shortest to the longest repeat."""
-    for method, (colour, marker, line) in styles.items():
-        found = series.get(method)
-        if not found:
-            continue
-        pale = colour == PALE
-        axes.plot(
-            [p.cost for p in found], [p.error for p in found], line, color=colour, marker=marker,
-            ms=0.6 * size if pale else size, lw=0.9 if pale else 1.5, label=method,
-            zorder=1.5 if pale else 2.5,
-        )  # fmt: skip
-        spread = [p for p in found if p.longest > p.shortest]
-        axes.hlines(
-            [p.error for p in spread], [p.shortest for p in spread], [p.longest for p in spread],
-            color=colour, lw=0.8, zorder=1.4 if pale else 2.4,
-        )  # fmt: skip
-
-
 def _draw_band(axes: Axes, value: float, colour: str, label: str, order: int = 0) -> None:
     """Shade the errors below a value, as far as the axis goes, which ends where data end."""
     if not (math.isfinite(value) and value > 0.0):
@@ -264,12 +185,17 @@ def _draw_band(axes: Axes, value: float, colour: str, label: str, order: int = 0
 
 
 def _draw_failures(
-    strip: Axes, spent: Mapping[str, Sequence[float]], styles: Mapping[str, Style], span: _Range
+    strip: Axes, result: WorkPrecision, styles: Mapping[str, Style], span: _Range
 ) -> None:
     """Draw every failed solve as a cross at the time that it had taken.
 
     One that failed sooner or later than the axis goes is a triangle at its end.
     """
+    spent = {
+        method: [row["spent"] for row in rows if row["spent"] > 0.0]
+        for method in result.methods
+        if (rows := result.rows(method, "failed"))
+    }
     for level, (method, times) in enumerate(spent.items()):
         height = 1.0 - (level + 0.5) / len(spent)
         style: dict[str, Any] = {"color": styles[method].colour}
@@ -287,7 +213,8 @@ def _draw_failures(
     strip.grid(visible=False)
     strip.spines["left"].set_visible(False)
     strip.tick_params(axis="x", which="both", labelbottom=False, length=0)
-    strip.set_facecolor("#faf3f1" if spent else "white")
+    strip.set_facecolor("#faf3f1")
+    strip.set_ylabel("failed", fontsize=9, color=RED, rotation=0, ha="right", va="center")
 
 
 def _legend_lines(styles: Mapping[str, Style]) -> float:

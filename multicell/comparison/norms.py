@@ -1,8 +1,8 @@
 """How far a trajectory is from the reference, in several norms.
 
 Positions of single cells are the sharpest measure, but in a cluster where contacts form and
-break single cells diverge below any tolerance. Energy, size and pair distances still show whether
-the population is right. The median over time does not depend on one cell that settles elsewhere
+break single cells diverge below any tolerance. Energy and size still show whether the population
+is right. The median over time does not depend on one cell that settles elsewhere
 shortly before the end. The root mean square over the cells hides a single stray cell, so the error
 of the worst cell is given as well.
 """
@@ -23,19 +23,12 @@ Metric = Callable[[FloatArray], float]
 """A quantity of the user's own: positions of all cells, (n, 3) µm -> a number in any unit."""
 
 _ENERGIES = 100  # common times at which the energy is taken
-_CELLS = 1500  # cells among which distances are taken
 _MOMENTS: Final = {
     "worst": ("largest over the common times", "largest over the steps"),
     "median": ("median over the common times", "median over the steps"),
     "last": ("at the end", "after the last step"),
 }
 """Moment of a norm -> its words for a whole run, and for single steps."""
-
-_SHORT: Final = {
-    "worst": ("worst time", "worst step"),
-    "median": ("median time", "median step"),
-    "last": ("at the end", "last step"),
-}
 
 
 @final
@@ -47,14 +40,11 @@ class Observed:
     - ``energy``, (k,) float64, fJ: contact energy at up to 100 common times, the last one among
       them
     - ``gyration``, (m,) float64, µm: radius of gyration at every common time
-    - ``distances``, (p,) float64, µm: sorted distances of pairs at the end, among at most 1,500
-      cells
     """
 
     positions: list[FloatArray]
     energy: FloatArray
     gyration: FloatArray
-    distances: FloatArray
 
 
 @final
@@ -80,20 +70,12 @@ class Norm:
         where = f"{self.quantity}, {_MOMENTS[self.moment][stepwise]}"
         return f"{where} / {self.scale}" if self.scale else where
 
-    def title(self, stepwise: bool = False) -> str:
-        """Return the same in a few words."""
-        return f"{self.quantity}, {_SHORT[self.moment][stepwise]}"
-
 
 def observe(problem: Problem, trajectory: Trajectory) -> Observed:
     """Return what is compared of a trajectory that reached the end."""
     positions = trajectory.positions
-    return Observed(
-        positions,
-        _energies(problem, positions),
-        np.array([gyration(position) for position in positions]),
-        pair_distances(positions[-1]),
-    )
+    sizes = np.array([gyration(position) for position in positions])
+    return Observed(positions, _energies(problem, positions), sizes)
 
 
 def errors(
@@ -132,17 +114,6 @@ def described(name: str, metric: Metric | None = None) -> Norm:
 def gyration(position: FloatArray) -> float:
     """Return the root mean square distance of the centres from their centroid, µm."""
     return float(_rms(position, position.mean(axis=0)))
-
-
-def pair_distances(position: FloatArray) -> FloatArray:
-    """Return the sorted distances of all pairs among at most 1,500 cells, (p,) µm.
-
-    The cells are taken evenly from the order of the array, which is spatial.
-    """
-    from scipy.spatial.distance import pdist
-
-    every = -(-len(position) // _CELLS)
-    return np.asarray(np.sort(pdist(position[::every])))
 
 
 def _energies(problem: Problem, positions: list[FloatArray]) -> FloatArray:
@@ -203,12 +174,6 @@ def _gyration(found: Observed, exact: Observed, radius: float) -> float:
     return float((np.abs(found.gyration - exact.gyration) / size).max())
 
 
-def _pair_distance(found: Observed, exact: Observed, radius: float) -> float:
-    # equally many samples: the distance of the distributions is that of the sorted samples
-    distance = np.abs(found.distances - exact.distances)
-    return float(distance.mean()) / radius if len(distance) else 0.0
-
-
 NORMS: Final[dict[str, Norm]] = {
     norm.name: norm
     for norm in (
@@ -221,9 +186,6 @@ NORMS: Final[dict[str, Norm]] = {
         ),
         Norm("energy", "contact energy", "worst", "its largest value", _energy),
         Norm("gyration", "radius of gyration", "worst", "itself", _gyration),
-        Norm(
-            "pair_distance", "pair distances", "last", "mean radius (Wasserstein)", _pair_distance
-        ),
     )
 }
 """Name of each norm -> the norm. Of positions: root mean square over the cells."""

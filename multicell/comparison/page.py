@@ -33,8 +33,6 @@ CAPTIONS: Final = {
     "tolerance or step, a cross is a solve that failed, placed at the time it had taken. "
     "Time is the median of the repeats, with a thin bar from the shortest to the longest.",
     "worst-cell.png": "The same solves, judged by the one cell that is furthest from its place.",
-    "norms.png": "The same solves in every norm. Where single cells settle in another pocket the "
-    "positions differ, while size, energy and pair distances may still be right.",
 }
 
 

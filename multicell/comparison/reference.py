@@ -11,11 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final, final
 
-from multicell.cells import Cells
-from multicell.comparison import cache as reference_cache
 from multicell.comparison.conditioning import SHIFT, Conditioning, conditioning_of, shift_starts
 from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.norms import NORMS, Norm, Observed, errors, observe
@@ -46,7 +43,6 @@ class Reference:
       :data:`multicell.comparison.norms`
     - ``wall``, float, s: what it cost when it was computed
     - ``words``, str: how the two were computed
-    - ``cached``, bool: whether it comes from the cache
     - ``conditioning``, Conditioning or None: what a shift at the beginning of each coupling step
       does to its end; None of a whole run, or if it was not asked for
     - ``norms``, name -> Norm: in which errors are measured
@@ -58,7 +54,6 @@ class Reference:
     uncertainty: dict[str, float]
     wall: float
     words: str
-    cached: bool
     conditioning: Conditioning | None = None
     norms: Mapping[str, Norm] = field(default_factory=lambda: NORMS)
 
@@ -69,13 +64,11 @@ def reference(
     pair: Pair | None = None,
     stepwise: int | None = None,
     shift: float = SHIFT,
-    cells: Cells | None = None,
-    cache: str | Path | bool = True,
     norms: Mapping[str, Norm] = NORMS,
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Reference:
-    """Return the reference solution of a scene, from the cache if it is there.
+    """Return the reference solution of a scene.
 
     - ``pair``: two methods with their settings, by default :func:`default_pairs`. The first one
       records the events and gives the reference, the second one replays them. Step-wise both solve
@@ -85,47 +78,27 @@ def reference(
       ``cvode`` leads to with a tolerance of a hundredth of a cell radius.
     - ``shift``: size in µm of the shift that shows the conditioning of single steps, root mean
       square of each coordinate; 0 to leave it out
-    - ``cache``: folder of the cache; True for that of the user
-      (:func:`multicell.comparison.cache.cache_folder`), False for none
-    - ``norms``: in which errors are measured; a reference with a norm of the user's own is not
-      kept, since what it measures has no name
+    - ``norms``: in which errors are measured
 
-    Raises StepFailed if one of the two cannot be computed; OutputError if the cache cannot be
-    written.
+    Raises StepFailed if one of the two cannot be computed.
     """
     tell = progress or (lambda _: None)
-    folder = reference_cache.cache_folder() if cache is True else Path(cache or "")
-    stored = cache is not False and norms.keys() == NORMS.keys()
-    unsolved = unsolved_problem(scene, cells, threads)
+    unsolved = unsolved_problem(scene, threads)
     shift = 0.0 if stepwise is None else shift
-    recording = {"samples": stepwise, "cells": cells, "threads": threads}
+    recording = {"samples": stepwise, "threads": threads}
     sampled: tuple[Problem, Trajectory] | None = None
     pairs = default_pairs(scene, unsolved, stepwise) if pair is None else [pair]
     for k, chosen in enumerate(pairs):
-        path = folder / f"{key(scene, cells, chosen, stepwise, shift)}.npz"
-        held = reference_cache.load(path, unsolved) if stored else None
-        if held is not None:
-            problem, ends, about = held
-            tell("reference: from the cache")
-            about["conditioning"] = Conditioning.from_dict(about["conditioning"])
-            return Reference(problem, ends, observe(problem, ends), **about, cached=True)
         try:
             if stepwise is not None and sampled is None:
                 name, tolerance = _RECORDED
                 leading = find_method(name, scene, unsolved.mean_radius)
                 sampled = _record(unsolved, leading, tolerance, recording, tell)
-            solved = _solve(unsolved, chosen, sampled, shift, norms, recording, tell)
+            return _solve(unsolved, chosen, sampled, shift, norms, recording, tell)
         except StepFailed as error:
             if k + 1 == len(pairs):
                 raise
             tell(f"reference: {error}")
-            continue
-        if stored:
-            known = {name: getattr(solved, name) for name in ("uncertainty", "wall", "words")}
-            shifted = solved.conditioning
-            known["conditioning"] = None if shifted is None else shifted.to_dict()
-            reference_cache.save(path, solved.problem, solved.trajectory, known)
-        return solved
     raise AssertionError("there is always a pair")
 
 
@@ -160,19 +133,10 @@ def method_pair(
     return first, second
 
 
-def key(
-    scene: Scene, cells: Cells | None, pair: Pair, stepwise: int | None = None, shift: float = SHIFT
-) -> str:
-    """Return what a reference depends on as one hash (:func:`multicell.comparison.cache.key`)."""
-    solved_by = [(method.name, method.control, setting) for method, setting in pair]
-    recorded = None if stepwise is None else [stepwise, *_RECORDED, shift]
-    return reference_cache.key(scene, cells, [solved_by, recorded])
-
-
-def unsolved_problem(scene: Scene, cells: Cells | None, threads: int | None) -> Problem:
+def unsolved_problem(scene: Scene, threads: int | None) -> Problem:
     """Return the problem before anything has moved: it has no steps yet."""
     # the scene's own method moves nothing here, and may be one that is not at hand
-    simulation = Simulation(scene, threads=threads, cells=cells, integrator=Euler(1.0))
+    simulation = Simulation(scene, threads=threads, integrator=Euler(1.0))
     cells = simulation.cells
     return Problem(scene, simulation.prepared(), cells.position, cells.radius)
 
@@ -213,10 +177,7 @@ def _solve(
         ends = _replay(moved, method, setting, f"reference after a shift of {shift:g} um", tell)
         conditioning = conditioning_of(problem, shift, observe(problem, ends), observed, norms)
     text = f"{method.name} at {setting:g}, checked by {checking.name} at {other:g}"
-    return Reference(
-        problem, found, observed, uncertainty, wall, text, cached=False, conditioning=conditioning,
-        norms=norms,
-    )  # fmt: skip
+    return Reference(problem, found, observed, uncertainty, wall, text, conditioning, norms)
 
 
 def _record(

@@ -13,12 +13,10 @@ import numpy as np
 
 from multicell.comparison.base import DONE, FAILED, Comparison, Pictures, Row
 from multicell.comparison.conditioning import Conditioning
-from multicell.comparison.norms import NORMS, WORST_CELL, Norm, described
+from multicell.comparison.norms import NORMS, Norm, described
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.results.documents import read_table, write_table
-from multicell.results.folder import to_json
-from multicell.results.records import parse_table
 from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -32,7 +30,6 @@ FILES: Final = (
     "conditioning.csv",
     "workprecision.png",
     "worst-cell.png",
-    "norms.png",
     "report.html",
 )
 """What a comparison writes into its folder; of a whole run there is no ``conditioning.csv``."""
@@ -82,24 +79,21 @@ class WorkPrecision(Comparison):
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Self:
-        """Return what :meth:`to_dict` has described; norms of later versions are NaN.
+        """Return what :meth:`to_dict` has described, with NaN where JSON has null.
 
         Raises
         ------
         KeyError, ValueError
             If the table describes something else.
         """
-        late = (*(f"error_{norm}" for norm in NORMS), *WORST_CELL.values(), "worst_cell_over_shift")
-        unknown = dict.fromkeys(late, math.nan)
-        (uncertainty,) = _rows_from([table["uncertainty"]])
-        return cls(
-            Scene.from_dict(table["scene"]),
-            [row | unknown | row for row in _rows_from(table["table"])],
-            dict.fromkeys(NORMS, math.nan) | uncertainty,
-            table["facts"],
-            table["clock"],
-            Conditioning.from_dict(table.get("conditioning")),
+        rows = [table["uncertainty"], *table["table"]]
+        uncertainty, *solves = (
+            {key: math.nan if x is None else x for key, x in row.items()} for row in rows
         )
+        return cls(
+            Scene.from_dict(table["scene"]), solves, uncertainty, table["facts"], table["clock"],
+            Conditioning.from_dict(table["conditioning"]),
+        )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
         """Return table, uncertainty, facts and scene as numbers, text and lists."""
@@ -113,23 +107,6 @@ class WorkPrecision(Comparison):
             "table": self.table,
         }
 
-    def to_json(self) -> str:
-        """Return the result as JSON; NaN becomes null."""
-        return to_json(self.to_dict())
-
-    @classmethod
-    def from_json(cls, text: str) -> Self:
-        """Return what :meth:`to_json` has written, in this or an earlier version.
-
-        Raises
-        ------
-        OutputError
-            If the text is no JSON table.
-        KeyError, ValueError
-            If the table describes something else.
-        """
-        return cls.from_dict(parse_table(text))
-
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Return the result in a JSON file of :meth:`save`, checked by the checksum in it.
@@ -137,8 +114,7 @@ class WorkPrecision(Comparison):
         Raises
         ------
         OutputError
-            If the file is not there or is not what was written. Files of earlier versions have no
-            checksum: :meth:`from_json` reads their text.
+            If the file is not there or is not what was written.
         KeyError, ValueError
             If it describes something else.
         """
@@ -172,11 +148,6 @@ class WorkPrecision(Comparison):
     def measures(self) -> dict[str, Norm]:
         """Return all norms of the table by their names, those of the user's own among them."""
         return NORMS | {name: described(name) for name in self.facts.get("metrics", ())}
-
-    @property
-    def methods(self) -> list[str]:
-        """Names of the methods in the order of the table."""
-        return self.column("method")
 
     def rows(self, method: str, status: str = DONE) -> list[Row]:
         """Return the rows of a method that have a status."""
@@ -278,12 +249,6 @@ class WorkPrecision(Comparison):
         self._check(norm)
         return workprecision(self, norm)
 
-    def norms_figure(self) -> Figure:
-        """Draw error over time in every norm."""
-        from multicell.comparison.charts import norms
-
-        return norms(self)
-
     def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return all solves, and the conditioning of single steps."""
         found: dict[str, Sequence[Row]] = {"workprecision.csv": self.table}
@@ -292,13 +257,12 @@ class WorkPrecision(Comparison):
         return found
 
     def pictures(self) -> Pictures:
-        """Return error over cost for all cells and the worst one, and all norms."""
+        """Return error over cost, for all cells and for the worst one."""
         from multicell.comparison.page import CAPTIONS
 
         draw: dict[str, Callable[[], Figure]] = {
             "workprecision.png": self.figure,
             "worst-cell.png": partial(self.figure, "worst_cell"),
-            "norms.png": self.norms_figure,
         }
         return {name: (drawn, CAPTIONS[name]) for name, drawn in draw.items()}
 
@@ -311,8 +275,3 @@ class WorkPrecision(Comparison):
     def _check(self, norm: str) -> None:
         if norm not in self.uncertainty:
             raise ValueError(f"there is no norm {norm!r}: choose from {', '.join(self.norms)}")
-
-
-def _rows_from(table: Sequence[Row]) -> list[Row]:
-    """Return the rows of a table in JSON, in which NaN was written as null."""
-    return [{key: math.nan if x is None else x for key, x in row.items()} for row in table]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -50,12 +49,10 @@ def points(result: WorkPrecision, norm: str, cost: str, method: str = "") -> lis
 
 
 def _point(row: Row, norm: str, cost: str) -> Point:
-    # results of earlier versions know the shortest repeat only
-    shortest = row[cost]
-    middle, longest = (row.get(f"{cost}_{which}", math.nan) for which in ("median", "longest"))
-    known = math.isfinite(middle) and math.isfinite(longest)
-    spread = (middle, shortest, longest) if known else (shortest, shortest, shortest)
-    return Point(row["method"], spread[0], row[f"error_{norm}"], *spread[1:])
+    # counts are the same in every repeat
+    shortest: float = row[cost]
+    middle, longest = (row.get(f"{cost}_{which}", shortest) for which in ("median", "longest"))
+    return Point(row["method"], middle, row[f"error_{norm}"], shortest, longest)
 
 
 def pareto_front(solves: list[Point]) -> list[Point]:
@@ -71,32 +68,20 @@ def in_colour(result: WorkPrecision, norm: str) -> list[str]:
     """Return the at most eight methods that a chart shows in colour.
 
     First those on the Pareto front of error over the time that judges, then those that the user
-    named, the scene's own method and ``auto``, the front of error over evaluations, and then the
-    others: outside references, and those without a point in the chart, last. Of a front of more
-    than eight methods those stay that lower the error by most decades.
+    named, the scene's own method and ``auto``, and then the others: outside references, and those
+    without a point in the chart, last.
     """
-    named = result.facts.get("named", [])
-    own = [result.scene.integrator.method, "auto"]
-    drawn = {point.method for point in points(result, norm, result.clock)}
+    solves = points(result, norm, result.clock)
+    drawn = {point.method for point in solves}
     others = sorted(result.methods, key=lambda name: (name not in drawn, _info(name).outside))
-    fronts = (_by_decades(points(result, norm, cost)) for cost in (result.clock, "cost"))
-    ranked = dict.fromkeys([*next(fronts), *named, *own, *next(fronts), *others])
+    front = [point.method for point in pareto_front(solves)]
+    named = [*result.facts.get("named", []), result.scene.integrator.method, "auto"]
+    ranked = dict.fromkeys([*front, *named, *others])
     return [name for name in ranked if name in result.methods][:MAX_COLOURED]
 
 
 def _info(name: str) -> MethodInfo:
     return find(name) or MethodInfo(name)
-
-
-def _by_decades(solves: list[Point]) -> list[str]:
-    """Return the methods on the Pareto front, those first that lower the error by most decades."""
-    front = pareto_front(solves)
-    decades: dict[str, float] = {}
-    above = front[0].error * 10.0 if front else 1.0
-    for point in front:
-        decades[point.method] = decades.get(point.method, 0.0) + math.log10(above / point.error)
-        above = point.error
-    return sorted(decades, key=lambda name: -decades[name])
 
 
 def appearance(result: WorkPrecision, norm: str = "position") -> dict[str, Style]:

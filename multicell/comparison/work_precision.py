@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from multicell.cells import Cells
 from multicell.comparison.base import CLOCKS, Row
 from multicell.comparison.conditioning import SHIFT
 from multicell.comparison.ladders import (
@@ -41,9 +40,7 @@ def compare(
     shift: float | str = SHIFT,
     clock: str = "cpu",
     metrics: Mapping[str, Metric] | None = None,
-    cells: Cells | None = None,
     references: Sequence[tuple[str, float] | tuple[Method, float]] | None = None,
-    cache: str | Path | bool = True,
     repeats: int = 3,
     patience: float = 10.0,
     budget: float | None = None,
@@ -86,13 +83,9 @@ def compare(
     metrics
         Name -> function of the positions of all cells, (n, 3) µm, that returns a number in any
         unit. Its error is the largest difference from the reference over the common times or
-        steps; the name serves as a norm of the result. The reference is then not cached.
-    cells
-        Cells to start from instead of the scene's initial ones.
+        steps; the name serves as a norm of the result.
     references
         Two methods with their settings (see :func:`multicell.comparison.reference.reference`).
-    cache
-        Folder of cached references; True for the user's own, False for none.
     repeats
         Number of timed solves of each point, of which the fastest counts. The first follows
         the solve that gives the error; the others go round all methods in turns.
@@ -131,7 +124,7 @@ def compare(
         raise SceneError("shift", f"is {shift!r}, must be 0 um or more")
     tell = progress or (lambda _: None)
     norms = norms_with(metrics)
-    radius = unsolved_problem(described, cells, threads).mean_radius
+    radius = unsolved_problem(described, threads).mean_radius
     asked = capable_methods(described) if methods is None else methods
     chosen = select_methods(asked, described, radius)
     pair = None if references is None else method_pair(references, described, radius)
@@ -139,8 +132,8 @@ def compare(
     if output is not None:
         remove(make_folder(output, overwrite=overwrite), FILES)
     exact = reference(
-        described, pair=pair, stepwise=count, shift=moved, cells=cells, cache=cache,
-        norms=norms, threads=threads, progress=tell,
+        described, pair=pair, stepwise=count, shift=moved, norms=norms, threads=threads,
+        progress=tell,
     )  # fmt: skip
     decay = stiffness(exact.problem, exact.trajectory)
     left = max(60.0, 10.0 * exact.wall) if budget is None else budget
@@ -181,7 +174,6 @@ def _facts(exact: Reference, decay: float) -> dict[str, Any]:
         "threads": int(getattr(problem.template, "threads", 1)),
         "reference": exact.words,
         "reference_wall": exact.wall,
-        "reference_cached": exact.cached,
         "versions": versions(),
     }
 

@@ -51,19 +51,13 @@ class AdaptiveAdams(ErrorControl):
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        return self.attempt(system, position)[0]
-
-    def attempt(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, float]:
-        """Integrate; return also how many evaluations were expected where it gave up, or 0."""
-        from multicell.integrators import driver, stepping
+        from multicell.integrators import driver
         from multicell.integrators.loops.adams_bashforth import adaptive_adams
 
         control = driver.control(self, system, 3.0, lower=2)
-        outcome, report = driver.adaptive(
+        return driver.adaptive(
             system, position, adaptive_adams, control, self.patience, passes=True
         )
-        long = report is not None and report.status == stepping.TOO_LONG
-        return outcome, float(report.moved) if report is not None and long else 0.0
 
 
 METHODS = (AdamsBashforth2, AdaptiveAdams)

@@ -120,7 +120,10 @@ class Auto(ErrorControl):
         return outcome
 
     def choose(self, system: Mechanics, position: FloatArray) -> Choice:
-        """Return what to do in a coupling step; λ is not measured in one that is surely mild."""
+        """Return what to do in the coupling step of ``system``, as at its beginning.
+
+        λ is not measured in one that is surely mild.
+        """
         from multicell.integrators.limits import stiffness_scale
 
         rate = stiffness_scale(system)
@@ -140,7 +143,33 @@ class Auto(ErrorControl):
             )
         ):
             return Choice(scale, _first(mild, able))
-        return choose(system, position, self.rtol, self.atol, able=able)
+        return self.by_measured_rate(system, position)
+
+    def by_measured_rate(self, system: Mechanics, position: FloatArray) -> Choice:
+        """Return the method that is cheapest for λ as measured."""
+        from multicell.integrators.driver import needs_python
+        from multicell.integrators.limits import stiffness_scale
+
+        able = candidates(system)
+        tolerance = _tolerance(system, self.rtol, self.atol)
+        rate, grows = largest_rate(system, position)
+        length = system.motion.end - system.motion.begin
+        z = rate * length
+        if z <= EXACT_TO and tolerance <= exact_below(z):
+            return Choice(z, _first(EXACT, able))
+        shaken = 1.0
+        if z > _STILL * MILD_TO:
+            shaken = _shaken(system, position, rate, tolerance)
+        # contacts that are just forming grow faster than any relax, which limits no explicit step
+        mild = min(z, stiffness_scale(system) * length) if grows else z
+        if mild <= MILD_TO * _STILL ** (1.0 - shaken):
+            return Choice(z, _first(MILD, able))
+        implicit = z > implicit_from(len(system), shaken, python=needs_python(system))
+        stable = [name for name in _STABLE if name in able and CANDIDATES[name].info.implicit]
+        # with compression Rosenbrock's solves take three times as many products as CVODE's
+        first = -1 if system.compression is not None else 0
+        name = stable[first] if implicit and stable else Rkc2.info.name
+        return Choice(z, _first(name, able), float(_AS_EXACT**shaken))
 
     def method(self, name: str, finer: float = 1.0, cells: int = 1) -> Integrator:
         """Return a candidate with these options; an implicit one with finer tolerances."""
@@ -186,43 +215,6 @@ def _count(system: Mechanics, name: str, before: int) -> None:
 def _tolerance(system: Mechanics, rtol: float, atol: float) -> float:
     """Return the tolerance of a cell of mean radius, µm."""
     return atol + rtol * float(system.motion.radius.mean() if len(system) else 1.0)
-
-
-def choose(
-    system: Mechanics,
-    position: FloatArray,
-    rtol: float,
-    atol: float,
-    *,
-    able: Collection[str] | None = None,
-) -> Choice:
-    """Return the cheapest method for the coupling step of ``system`` at its beginning.
-
-    ``able`` are the :func:`candidates`, if they are known.
-    """
-    from multicell.integrators.driver import needs_python
-    from multicell.integrators.limits import stiffness_scale
-
-    able = candidates(system) if able is None else able
-    tolerance = _tolerance(system, rtol, atol)
-    rate, grows = largest_rate(system, position)
-    length = system.motion.end - system.motion.begin
-    z = rate * length
-    if z <= EXACT_TO and tolerance <= exact_below(z):
-        return Choice(z, _first(EXACT, able))
-    shaken = 1.0
-    if z > _STILL * MILD_TO:
-        shaken = _shaken(system, position, rate, tolerance)
-    # contacts that are just forming grow faster than any relax, which limits no explicit step
-    mild = min(z, stiffness_scale(system) * length) if grows else z
-    if mild <= MILD_TO * _STILL ** (1.0 - shaken):
-        return Choice(z, _first(MILD, able))
-    implicit = z > implicit_from(len(system), shaken, python=needs_python(system))
-    stable = [name for name in _STABLE if name in able and CANDIDATES[name].info.implicit]
-    # with compression Rosenbrock's solves take three times as many products as CVODE's
-    first = -1 if system.compression is not None else 0
-    name = stable[first] if implicit and stable else Rkc2.info.name
-    return Choice(z, _first(name, able), float(_AS_EXACT**shaken))
 
 
 def exact_below(z: float) -> float:

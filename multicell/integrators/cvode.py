@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, final
 
-import numpy as np
-
 from multicell.integrators.base import ErrorControl, MethodInfo, Outcome
 
 if TYPE_CHECKING:
@@ -34,7 +32,6 @@ class Cvode(ErrorControl):
       asks for it (``jok`` is zero)
     - ``far``: see ``refresh``, in mean radii
     - ``max_order``: highest order
-    - ``linear``: Krylov method: ``"gmres"``, ``"bicgstab"`` or ``"tfqmr"``
     - ``newton``: most Newton iterations in a step
     - ``softening``: Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope
       tends to -∞ at first contact); infinite for the true slope. It leaves the solution as it is.
@@ -61,7 +58,6 @@ class Cvode(ErrorControl):
     refresh: str = "moved"
     far: float = 0.003
     max_order: int = 5
-    linear: str = "gmres"
     newton: int = 3
     softening: float = 0.5
     formula: str = "BDF"
@@ -74,10 +70,7 @@ class Cvode(ErrorControl):
         from multicell.integrators.cvode_solver import Krylov, UnpreconditionedCvode
         from multicell.integrators.restarts import Run
 
-        run = Run(
-            system, np.array(position), self.max_steps, self.max_displacement, self.atol, self.rtol,
-            each_cell=self.each_cell, part=self.part,
-        )  # fmt: skip
+        run = Run(self, system, position, each_cell=self.each_cell, part=self.part)
         mild = self.light
 
         def start(run: Run, ceiling: float) -> Krylov | UnpreconditionedCvode:

@@ -65,7 +65,7 @@ class _Session:
         self.solver = CVODE(
             self._predictor.velocity, method=method.formula, rtol=run.share * method.rtol,
             atol=run.share * method.atol, max_order=method.max_order,
-            max_nonlin_iters=method.newton, linsolver=method.linear, **options,
+            max_nonlin_iters=method.newton, linsolver="gmres", **options,
         )  # fmt: skip
         self.solver.init_step(0.0, run.position.ravel())
 
@@ -148,8 +148,7 @@ class UnpreconditionedCvode(_Session):
         work = self.run.system.work
         others, self._others = direct - self._others, direct
         work.newton_iterations += others if len(self._counts) > 1 else 1
-        if self.method.linear == "gmres":
-            work.linear_iterations += work.evaluations - self._counts[-1] - others
+        work.linear_iterations += work.evaluations - self._counts[-1] - others
         self._counts.append(work.evaluations)
 
 
@@ -216,7 +215,7 @@ class Krylov(_Session):
         self, t: float, y: FloatArray, yp: FloatArray, v: FloatArray, jv: FloatArray
     ) -> None:
         """Jacobian times vector."""
-        self.system.work.linear_iterations += self.method.linear == "gmres"
+        self.system.work.linear_iterations += 1
         self.system.jacobian_product(v.reshape(-1, 3), jv.reshape(-1, 3), self._linear)
 
     def setup(

@@ -73,7 +73,7 @@ def equal_steps(
     """Run a loop with equal steps no longer than ``method.step``; see :class:`Integrator`."""
     steps = base.equal_steps(system.motion.end - system.motion.begin, method.step)
     allowed = method.max_displacement
-    return _run(system, position, loop, (steps, allowed, *settings), allowed, _STEP_HINT, 0.0)[0]
+    return _run(system, position, loop, (steps, allowed, *settings), allowed, _STEP_HINT, 0.0)
 
 
 def adaptive(
@@ -83,8 +83,8 @@ def adaptive(
     control: stepping.Control,
     *settings: Any,
     passes: bool = False,
-) -> tuple[Outcome, stepping.Report | None]:
-    """Run a loop under error control; return also its report, if it ran.
+) -> Outcome:
+    """Run a loop under error control.
 
     ``passes`` says whether it uses those of :mod:`.fused`.
     """
@@ -104,16 +104,16 @@ def _run(
     atol: float,
     *,
     passes: bool = False,
-) -> tuple[Outcome, stepping.Report | None]:
+) -> Outcome:
     """Run a loop on a copy of the positions; count its work; put its end into words."""
     motion = system.motion
     length = motion.end - motion.begin
     state = np.array(position, dtype=float, order="C")
     if len(system) == 0 or length <= 0.0:
-        return Outcome(motion.end, state), None
+        return Outcome(motion.end, state)
     refused = beyond(system, state, atol)
     if refused is not None:
-        return refused, None
+        return refused
     counts = np.zeros(5, dtype=np.int64)
     common = (state, length, motion.radius, counts)
     if needs_python(system):
@@ -130,8 +130,8 @@ def _run(
     work.steps += int(counts[stepping.STEPS])
     work.rejections += int(counts[stepping.REJECTIONS])
     if report.status == stepping.DONE:
-        return Outcome(motion.end, state), report
-    return _failure(motion.begin, state, report, source, max_displacement, hint), report
+        return Outcome(motion.end, state)
+    return _failure(motion.begin, state, report, source, max_displacement, hint)
 
 
 def _failure(
@@ -161,15 +161,10 @@ def _failure(
         words = getattr(source, "problem", "") or "cells lie on top of each other"
         problem = f"in a {step} {words}"
     else:
-        cell = _worst(state) if cell is None else cell
+        lost = ~np.isfinite(state).all(axis=1)
+        cell = int(lost.argmax()) if cell is None and lost.any() else cell
         problem = f"in a {step} a position is not a number"
     return Outcome(begin + report.elapsed, state, problem, hint, cell)
-
-
-def _worst(state: FloatArray) -> int | None:
-    """Return the first cell that is nowhere, if there is one."""
-    lost = ~np.isfinite(state).all(axis=1)
-    return int(lost.argmax()) if lost.any() else None
 
 
 def source_of(

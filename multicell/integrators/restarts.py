@@ -19,8 +19,10 @@ import math
 from collections.abc import Callable
 from typing import Any, Protocol, final
 
+import numpy as np
+
 from multicell.cells import FloatArray
-from multicell.integrators.base import Outcome
+from multicell.integrators.base import ErrorControl, Outcome
 from multicell.integrators.limits import beyond, norm_share
 from multicell.integrators.stepping import furthest_move, largest_length
 from multicell.mechanics.motion import StateRejected
@@ -85,25 +87,19 @@ class Run:
 
     def __init__(
         self,
+        method: ErrorControl,
         system: Mechanics,
         position: FloatArray,
-        max_steps: int,
-        max_displacement: float,
-        atol: float = 0.0,
-        rtol: float = 0.0,
         *,
-        each_cell: bool = False,
+        each_cell: bool = True,
         part: float = 1.0,
     ) -> None:
-        self.system = system
-        self.position = position
-        self.max_steps = max_steps
-        self.max_displacement = max_displacement
-        self.atol = atol
+        self.method, self.system = method, system
+        self.position = np.array(position)
         self.share, self._most_error = 1.0, math.inf
         if each_cell and len(system):
             self.share = part * norm_share(len(system))
-            self._most_error = atol + rtol * float(system.motion.radius.mean())
+            self._most_error = method.atol + method.rtol * float(system.motion.radius.mean())
         self.length = system.motion.end - system.motion.begin
         self.elapsed = 0.0
         self.offset = 0.0
@@ -131,7 +127,7 @@ class Run:
         """Step to the end of the interval, starting again where that helps."""
         if len(self.system) == 0:
             return Outcome(self.system.motion.end, self.position)
-        refused = beyond(self.system, self.position, self.atol)
+        refused = beyond(self.system, self.position, self.method.atol)
         if refused is not None:
             return refused
         ceiling = 0.0
@@ -175,7 +171,7 @@ class Run:
         """Step until the end, or until the ceiling may be lifted (then return True)."""
         held = 0
         while self.elapsed < self.length:
-            if self.steps >= self.max_steps:
+            if self.steps >= self.method.max_steps:
                 self.problem = f"{self.steps} internal steps did not reach the end"
                 self.hint = (
                     "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
@@ -201,10 +197,10 @@ class Run:
             raise Restart
         cell, moved = furthest_move(self.position, moved_to, self.system.motion.radius)
         # a move that is no number is the largest
-        if not moved <= self.max_displacement:
+        if not moved <= self.method.max_displacement:
             raise _Refused(
                 f"a step of {reached - before:.3g} s would move the cell by {moved:.3g} of its "
-                f"radius (allowed: {self.max_displacement:g})", reached - before, cell,
+                f"radius (allowed: {self.method.max_displacement:g})", reached - before, cell,
             )  # fmt: skip
         self.position = moved_to
         self.elapsed = self.length if reached >= self.left else self.offset + reached

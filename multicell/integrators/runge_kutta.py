@@ -102,7 +102,7 @@ class _Adaptive(ErrorControl):
         from multicell.integrators.loops.runge_kutta import adaptive_runge_kutta
 
         control = driver.control(self, system, self.estimate, self.lower)
-        return driver.adaptive(system, position, adaptive_runge_kutta, control, self.tableau)[0]
+        return driver.adaptive(system, position, adaptive_runge_kutta, control, self.tableau)
 
 
 @final
@@ -221,7 +221,7 @@ class MultirateEuler(ErrorControl):
         from multicell.integrators.loops.multirate import adaptive_multirate
 
         control = driver.control(self, system, 2.0, lower=1)
-        return driver.adaptive(system, position, adaptive_multirate, control)[0]
+        return driver.adaptive(system, position, adaptive_multirate, control)
 
 
 METHODS = (Euler, AdaptiveEuler, Heun, RungeKutta4, AdaptiveRungeKutta4, Dopri5, MultirateEuler)

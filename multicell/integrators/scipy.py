@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from multicell.errors import SceneError
-from multicell.integrators.base import MethodInfo, Outcome, hold
+from multicell.integrators.base import ErrorControl, MethodInfo, Outcome, hold
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -52,21 +52,15 @@ _INFOS = {
 
 @final
 @dataclass(frozen=True)
-class Scipy:
+class Scipy(ErrorControl):
     """A method of SciPy with its error control, and the analytic Jacobian where it takes one.
 
     - ``name``: of SciPy's class: ``"RK45"``, ``"DOP853"``, ``"LSODA"``, ``"Radau"`` or ``"BDF"``
-    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
-      :class:`~multicell.integrators.cvode.Cvode`
 
     Raises SceneError for a relative tolerance below what SciPy carries.
     """
 
-    name: str
-    rtol: float = 1e-6
-    atol: float = 1e-2
-    max_steps: int = 10_000
-    max_displacement: float = 0.5
+    name: str = field(kw_only=True)
 
     @property
     def info(self) -> MethodInfo:
@@ -74,6 +68,7 @@ class Scipy:
         return _INFOS[self.name]
 
     def __post_init__(self) -> None:
+        ErrorControl.__post_init__(self)
         if self.rtol < _LEAST_RTOL:
             raise SceneError(
                 "integrator.rtol",
@@ -89,10 +84,7 @@ class Scipy:
         from multicell.integrators.restarts import Run
 
         hold(self.info, system)
-        run = Run(
-            system, np.array(position), self.max_steps, self.max_displacement, self.atol, self.rtol,
-            each_cell=True,
-        )  # fmt: skip
+        run = Run(self, system, position)
         return run.integrate(lambda run, ceiling: _Stepped(self, run, ceiling))
 
 
@@ -152,6 +144,6 @@ class _Stepped:
 
 
 METHODS = tuple(
-    replace(info, control="tolerance", outside=True, atol=0.01, make=partial(Scipy, name))
+    replace(info, control="tolerance", outside=True, atol=0.01, make=partial(Scipy, name=name))
     for name, info in _INFOS.items()
 )

@@ -81,7 +81,7 @@ def largest_growth_rate(
         return GrowthRate(0.0, 0.0, 0)
     system.linearise(time, position)
     size = dimensions * len(system)
-    product = _symmetric(system, dimensions)
+    product = symmetric_product(system, dimensions)
     if size <= products:
         matrix = np.stack([product(unit) for unit in np.eye(size)], axis=1)
         values = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
@@ -112,7 +112,7 @@ def largest_decay_rate(
         return 0.0
     system.linearise(time, position)
     size = dimensions * len(system)
-    inner = _symmetric(system, dimensions)
+    inner = symmetric_product(system, dimensions)
     friction = max(system.friction) > 0.0
 
     def product(vector: FloatArray) -> FloatArray:
@@ -172,7 +172,7 @@ def _by_arnoldi(
     return GrowthRate(float(values.real.max()), float("nan"), products)
 
 
-def _symmetric(system: Mechanics, dimensions: int) -> Callable[[FloatArray], FloatArray]:
+def symmetric_product(system: Mechanics, dimensions: int) -> Callable[[FloatArray], FloatArray]:
     """Return v -> Γ^{1/2} J Γ^{-1/2} v, (d n,) 1/s, at the system's last linearisation."""
     # the constant 6πη of the drag cancels
     root = np.sqrt(system.rows[:, 3])[:, None]

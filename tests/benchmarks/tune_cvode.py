@@ -129,7 +129,6 @@ def variants(atol):
         "krylov_dim": [3, 5, 12, 20],
         "refresh": ["asked"],
         "far": [0.001, 0.01, 0.05],
-        "linear": ["bicgstab"],
         "max_order": [1, 2, 3],
         "newton": [4, 6],
         "softening": [0.1, 1.0, np.inf],

@@ -57,7 +57,7 @@ def test_the_measured_table_is_at_the_defaults_of_the_code():
 @pytest.fixture(scope="module")
 def shocked():
     scene = load_scene("division-shock").with_changes({"duration": "40 min"})
-    return reference(scene, stepwise=4, threads=1, cache=False)
+    return reference(scene, stepwise=4, threads=1)
 
 
 @pytest.mark.parametrize("name", ["auto", "cvode", "rosenbrock", "rkc2", "dopri5"])

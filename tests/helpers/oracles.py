@@ -35,6 +35,6 @@ def reference(system, position, tolerance=1e-13):
     """Return where DOP853 leads the cells of a system, in steps that may throw none away."""
     from multicell.integrators.scipy import Scipy
 
-    outcome = Scipy("DOP853", 3e-14, tolerance).integrate(system, position)
+    outcome = Scipy(3e-14, tolerance, name="DOP853").integrate(system, position)
     assert outcome.done
     return outcome.position

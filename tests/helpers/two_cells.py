@@ -97,7 +97,7 @@ BOTH_EXACT = [(EXACT, 1.0), (EXACT, 1.0)]
 def compared(methods, ladder, scene=PAIR, **options):
     # however slow a busy machine is, no setting is left out
     patient = {"patience": 1e6, "budget": 1e9}
-    options = {"cache": False, "references": BOTH_EXACT, "repeats": 1, **patient, **options}
+    options = {"references": BOTH_EXACT, "repeats": 1, **patient, **options}
     return compare(scene, methods, {"step": ladder}, **options)
 
 

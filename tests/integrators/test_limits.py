@@ -10,6 +10,7 @@ import multicell as mc
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
 from multicell.integrators import limits
+from multicell.integrators.cvode import Cvode
 from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.restarts import Run
 from multicell.mechanics import blocks
@@ -186,7 +187,7 @@ def test_blocks_are_inverted_at_any_stiffness(stiffness, contacts):
 
 def test_a_solver_that_cannot_be_made_is_a_named_failure():
     system = mechanics(np.full(2, 5.0), np.ones(2))
-    run = Run(system, np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]]), 100, 0.5)
+    run = Run(Cvode(max_steps=100), system, np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]]))
 
     def start(run, ceiling):
         raise StateRejected("a position is not a number")

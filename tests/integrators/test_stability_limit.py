@@ -203,5 +203,5 @@ def test_methods_without_a_fixed_step_are_not_looked_at():
 def test_comparisons_study_steps_beyond_the_limit(tmp_path):
     """Whatever a method does there is what they are for."""
     scene = mc.load_scene("settle").with_changes({"initial.count": 20, "duration": "20 min"})
-    found = mc.compare(scene, methods=["euler"], ladder={"euler": [300.0]}, cache=False)
+    found = mc.compare(scene, methods=["euler"], ladder={"euler": [300.0]})
     assert [row["setting"] for row in found.table] == [300.0]

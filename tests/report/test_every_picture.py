@@ -111,7 +111,6 @@ PICTURES = {
                lambda: study(*AXES).curves("diameter")],
     "workprecision": [lambda: comparison(3, failed=False).figure(),
                       lambda: comparison(20).figure()],
-    "norms": [lambda: comparison(20).norms_figure()],
     "stability_map": [lambda: mc.stability(FEW, ["euler"], threads=1).figure()],
     "indices": [lambda: sensitivity().plot("diameter")],
     "data": [lambda: fit().data()],

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from multicell.comparison.stability_limits.moving_states import STATES
-from multicell.comparison.stability_limits.trial import BLOW_UP, DAMPED, KINDS, STABLE, STALL, WRONG
+from multicell.comparison.stability_limits.trial import BLOW_UP, KINDS, STABLE, STALL, WRONG
 from multicell.report.plots.style import INK, blank, few_decades, styled
 from multicell.report.wording import cell_count, clock
 
@@ -32,7 +31,6 @@ COLOURS: Final = {
     BLOW_UP: "#8f1d14",
     STALL: "#5c6166",
     WRONG: "#e69f00",
-    DAMPED: "#1565c0",
 }
 """Kind of end -> its colour."""
 
@@ -43,12 +41,10 @@ _OVERHANG: Final = 1.35  # of the first and last strip beyond its setting
 def stability_map(result: StabilityMap) -> Figure:
     """Draw one strip for each method, coloured by what happens at each step or tolerance."""
     first = result.table[0]
-    growth = first["growth_rate"]
-    grows = f" · μ = {growth:.3g}/s" if growth > 0.0 else ""
     figure = blank(
         f"{result.title}: stability",
         f"{cell_count(first['cells'])} · λmax = {first['rate']:.3g}/s, Euler's limit 2/λmax = "
-        f"{2.0 / first['rate']:.3g} s{grows}",
+        f"{2.0 / first['rate']:.3g} s",
     )
     groups: dict[str, dict[str, list[Row]]] = {}
     for control in ("step", "tolerance"):
@@ -107,13 +103,12 @@ def context(result: StabilityMap) -> dict[str, Any]:
     failures = sum(row["kind"] != STABLE for row in result.table)
     return {
         "title": f"{result.title}: stability",
-        "subtitle": STATES[first["state"]],
+        "subtitle": "The cells settle, are pushed a little along their stiffest mode, and must "
+        "come to rest again.",
         "tiles": {
-            "state": first["state"],
             "cells": f"{first['cells']:,}",
             "largest decay rate λmax": f"{first['rate']:.3g}/s",
             "Euler's limit 2/λmax": f"{2.0 / first['rate']:.3g} s",
-            **_moving_tiles(first),
             "methods": f"{len(result.methods)}",
             "trials that failed": f"{failures} of {len(result.table):,}",
             "wall time": clock(result.facts["wall"]),
@@ -121,15 +116,4 @@ def context(result: StabilityMap) -> dict[str, Any]:
         "colours": COLOURS,
         "kinds": KINDS,
         "failed": [row for row in result.table if row["kind"] != STABLE],
-    }
-
-
-def _moving_tiles(row: Row) -> dict[str, str]:
-    """Return the tiles of a moving state."""
-    if row["state"] == "settled":
-        return {}
-    return {
-        "2/λmax at the end": f"{2.0 / row['end_rate']:.3g} s" if row["end_rate"] else "no contacts",
-        "largest growth rate μ": f"{row['growth_rate']:.3g}/s",
-        "length of a trial": f"{row['length']:.4g} s",
     }

@@ -15,13 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_CALLED: Final = {
-    "growing": "growing",
-    "compressed": "compressed",
-    "divided": "freshly divided",
-    "snap": "at the snap",
-}
-
 FILES: Final = ("stability.csv", "limits.csv", "stability.png", "report.html")
 """What a study of stability writes into its folder."""
 
@@ -35,19 +28,14 @@ class StabilityMap(Comparison):
     ----------
     scene : Scene
     table : list of dict
-        One row for each trial: ``state`` (a key of
-        :data:`multicell.comparison.stability_limits.moving_states.STATES`), ``cells``, ``rate``
-        (λ_max, 1/s; of a moving state the largest on the way), ``end_rate`` (λ_max at the end),
-        ``growth_rate`` (μ at the start, 1/s; NaN from a settled state), ``length`` (of a trial, s;
-        NaN from a settled state), ``method``, ``control`` (``"tolerance"`` in mean radii or
-        ``"step"`` in s), ``setting``, ``theory`` (largest stable step, s; infinite for implicit
-        methods, NaN where there is none), ``of_theory``, ``of_euler`` (mean step over 2/λ_max),
+        One row for each trial: ``cells``, ``rate`` (λ_max, 1/s), ``method``, ``control``
+        (``"tolerance"`` in mean radii or ``"step"`` in s), ``setting``, ``theory`` (largest stable
+        step, s; infinite for implicit methods, NaN where there is none), ``of_theory``,
+        ``of_euler`` (mean step over 2/λ_max),
         ``kind`` (a key of :data:`multicell.comparison.stability_limits.trial.KINDS`), ``words``
-        (what was seen), ``also`` (what else), ``climb`` (largest rise of the energy over what is
-        noticed), ``deviation`` (largest error of a pair distance at the end, mean radii),
-        ``steps``, ``wall`` (s).
+        (what was seen), ``also`` (what else), ``steps``, ``wall`` (s).
     facts : dict
-        ``state``, ``precision`` of the bisection, ``wall`` (s), ``versions``.
+        ``precision`` of the bisection, ``wall`` (s), ``versions``.
     """
 
     scene: Scene
@@ -55,17 +43,6 @@ class StabilityMap(Comparison):
     facts: dict[str, Any]
 
     template: ClassVar[str] = "stability.html"
-
-    @property
-    def title(self) -> str:
-        """The scene's title, and its state unless that is the settled one."""
-        state = self.table[0]["state"]
-        return super().title if state == "settled" else f"{super().title}, {_CALLED[state]}"
-
-    @property
-    def methods(self) -> list[str]:
-        """Names of the methods in the order of the table."""
-        return self.column("method")
 
     @property
     def kinds(self) -> list[str]:
@@ -82,7 +59,7 @@ class StabilityMap(Comparison):
         Returns
         -------
         list of dict
-            ``state``, ``rate``, ``method``, ``control``, ``limit`` (largest setting that is stable
+            ``rate``, ``method``, ``control``, ``limit`` (largest setting that is stable
             with all smaller ones that were tried; NaN if none is), ``beyond`` (smallest that is
             not; infinite if all are stable), ``theory``, ``of_theory``, ``of_euler`` (mean step at
             the limit over 2/λ_max), ``kind`` (of the failure at ``beyond``, or ``"stable"``),
@@ -92,7 +69,20 @@ class StabilityMap(Comparison):
 
     def limit(self, method: str) -> Row:
         """Return the limit of one method."""
-        return _limit(self.rows(method))
+        rows = self.rows(method)
+        first = next((k for k, row in enumerate(rows) if row["kind"] != STABLE), len(rows))
+        failed = first < len(rows)
+        last = rows[first - 1] if first else None
+        return {
+            **{name: rows[0][name] for name in ("rate", "method", "control")},
+            "limit": last["setting"] if last else math.nan,
+            "beyond": rows[first]["setting"] if failed else math.inf,
+            "theory": rows[0]["theory"],
+            "of_theory": last["of_theory"] if last else math.nan,
+            "of_euler": last["of_euler"] if last else math.nan,
+            "kind": rows[first]["kind"] if failed else STABLE,
+            "kinds": "; ".join(dict.fromkeys(r["kind"] for r in rows if r["kind"] != STABLE)),
+        }
 
     def figure(self) -> Figure:
         """Draw how each method goes over its step or tolerance."""
@@ -115,20 +105,3 @@ class StabilityMap(Comparison):
         from multicell.comparison.stability_limits.charts import context
 
         return context(self)
-
-
-def _limit(rows: Sequence[Row]) -> Row:
-    """Return what the trials of one method say of its limit."""
-    first = next((k for k, row in enumerate(rows) if row["kind"] != STABLE), len(rows))
-    failed = first < len(rows)
-    last = rows[first - 1] if first else None
-    return {
-        **{name: rows[0][name] for name in ("state", "rate", "method", "control")},
-        "limit": last["setting"] if last else math.nan,
-        "beyond": rows[first]["setting"] if failed else math.inf,
-        "theory": rows[0]["theory"],
-        "of_theory": last["of_theory"] if last else math.nan,
-        "of_euler": last["of_euler"] if last else math.nan,
-        "kind": rows[first]["kind"] if failed else STABLE,
-        "kinds": "; ".join(dict.fromkeys(r["kind"] for r in rows if r["kind"] != STABLE)),
-    }

@@ -11,9 +11,8 @@ from typing import Final
 from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method, capable_methods, select_methods
 from multicell.comparison.replay import solve_compiled
-from multicell.comparison.stability_limits.moving_states import check, state_of
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
-from multicell.comparison.stability_limits.state import State
+from multicell.comparison.stability_limits.state import State, settled_state
 from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
 from multicell.integrators.base import Integrator
 from multicell.results.folder import make_folder, remove, versions
@@ -21,6 +20,8 @@ from multicell.scene.scene import Scene, load_scene
 
 LOOSEST_TOLERANCE: Final = 0.1
 """Loosest tolerance that is tried, in mean radii; one that loose asks for hardly anything."""
+
+PRECISION: Final = 0.03  # relative distance at which bisection ends
 
 _TIGHTEST = 1e-8
 _EXTRA = ("rkc2-5", "rkc2-10")
@@ -37,11 +38,9 @@ def stability(
     output: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
     *,
-    precision: float = 0.03,
     patience: float = 20.0,
     threads: int | None = None,
     overwrite: bool = False,
-    state: str = "settled",
 ) -> StabilityMap:
     """Find the largest step, or the loosest tolerance, at which each method stays stable.
 
@@ -49,9 +48,7 @@ def stability(
     fastest, and each method must let them come to rest again: a fixed step for 200 steps, a
     method under error control for 2000 / λ_max. The limit is found by bisection and set beside
     the theory; how a method fails beyond is named
-    (:data:`multicell.comparison.stability_limits.trial.KINDS`). With ``state`` the cells start
-    from something else than rest, each method goes over one coupling step, and the theory takes
-    the stiffest moment of the true course.
+    (:data:`multicell.comparison.stability_limits.trial.KINDS`).
 
     Parameters
     ----------
@@ -65,21 +62,12 @@ def stability(
         Folder for the files of :meth:`StabilityMap.save`.
     progress
         Called with a line of words for everything that is begun.
-    precision
-        Relative distance at which bisection ends.
     patience
         Wall time in s after which a trial counts as a stall.
     threads
         Number of threads, by default all.
     overwrite
         Whether the folder may hold something: files of an earlier map are replaced.
-    state
-        What the cells start from, a key of
-        :data:`multicell.comparison.stability_limits.moving_states.STATES`: ``"settled"``,
-        ``"growing"`` (a coupling step of the growing tissue right after a division),
-        ``"compressed"`` (settled, positions scaled by 0.9), ``"divided"`` (settled, every tenth
-        cell just divided) or ``"snap"`` (settled, pulled until a contact of exact JKR is near its
-        turning point).
 
     Raises
     ------
@@ -92,68 +80,50 @@ def stability(
     tell = progress or (lambda _: None)
     names = [*capable_methods(described), *_EXTRA] if methods is None else methods
     chosen = select_methods(names, described, 0.9 * described.cells.division_radius)
-    check(state, described)
     if output is not None:
         remove(make_folder(output, overwrite=overwrite), FILES)
     begin = clock.perf_counter()
     tell("settling")
-    begun = state_of(state, described, threads)
+    begun = settled_state(described, threads)
     table: list[Row] = []
     for method in chosen:
         tell(method.name)
-        table += _rows(begun, method, precision, patience)
-    facts = {
-        "state": state,
-        "precision": precision,
-        "wall": clock.perf_counter() - begin,
-        "versions": versions(),
-    }
+        table += _rows(begun, method, patience)
+    wall = clock.perf_counter() - begin
+    facts = {"precision": PRECISION, "wall": wall, "versions": versions()}
     result = StabilityMap(described, table, facts)
     if output is not None:
         result.save(output)
     return result
 
 
-def _rows(state: State, method: Method, precision: float, patience: float) -> list[Row]:
+def _rows(state: State, method: Method, patience: float) -> list[Row]:
     """Return the rows of one method: those of the search, and those around it."""
     rows: dict[float, Row] = {}
     theory = method.info.stable / state.rate
 
     def stable(setting: float) -> bool:
-        if method.control == "step" and not state.settled:
-            # whole steps make up the trial
-            setting = state.length / math.ceil(state.length / setting * (1.0 - 1e-9))
         if setting not in rows:
             rows[setting] = _row(state, method, setting, theory, patience)
         return bool(rows[setting]["kind"] == STABLE)
 
     if method.control == "tolerance":
-        _search_up(stable, precision)
+        _search_up(stable)
         more: Sequence[float] = _TOLERANCES
     else:
         # the search starts well below Euler's limit and knows nothing of the theory
         ceiling = _MAX_STEP * state.stiff_limit
-        if not state.settled:
-            ceiling = min(ceiling, state.length)
-        limit = bracket(stable, _FIRST * state.stiff_limit, ceiling, precision)
+        limit = bracket(stable, _FIRST * state.stiff_limit, ceiling)
         more = [f * limit for f in _BEYOND if f * limit <= ceiling]
     for setting in more:
         # next to a setting of the search there is nothing new
         if not any(abs(math.log(setting / tried)) < 0.1 for tried in rows):
             stable(setting)
-    unstable = state.unstable
-    place = {
-        "state": state.kind,
-        "cells": len(state.start),
-        "rate": state.rate,
-        "end_rate": state.rate if state.settled else state.end_rate,
-        "growth_rate": math.nan if unstable is None else unstable.rate,
-        "length": state.length,
-    }
+    place = {"cells": len(state.start), "rate": state.rate}
     return [{**place, **rows[setting]} for setting in sorted(rows)]
 
 
-def bracket(stable: Trial, guess: float, ceiling: float, precision: float) -> float:
+def bracket(stable: Trial, guess: float, ceiling: float) -> float:
     """Bracket the largest stable step and bisect; return it, or the ceiling."""
     low = high = guess
     factor = 1.5
@@ -168,10 +138,10 @@ def bracket(stable: Trial, guess: float, ceiling: float, precision: float) -> fl
             if low <= floor:
                 return low
             high, low, factor = low, low / factor, min(1.5 * factor, 8.0)
-    return bisect(stable, low, high, precision)
+    return bisect(stable, low, high)
 
 
-def _search_up(stable: Trial, precision: float) -> None:
+def _search_up(stable: Trial) -> None:
     """Try tolerances from tight to loose, then bisect below the first one that is not stable.
 
     What is stable does not always hang together here: all of them are tried.
@@ -179,12 +149,12 @@ def _search_up(stable: Trial, precision: float) -> None:
     ladder = (_TIGHTEST, *_TOLERANCES) if not stable(_TOLERANCES[0]) else _TOLERANCES
     failed = next((k for k, good in enumerate(map(stable, ladder)) if not good), len(ladder))
     if 0 < failed < len(ladder):
-        bisect(stable, ladder[failed - 1], ladder[failed], precision)
+        bisect(stable, ladder[failed - 1], ladder[failed])
 
 
-def bisect(stable: Trial, low: float, high: float, precision: float) -> float:
+def bisect(stable: Trial, low: float, high: float) -> float:
     """Halve, geometrically, what lies between a stable and an unstable setting."""
-    while high > (1.0 + precision) * low:
+    while high > (1.0 + PRECISION) * low:
         middle = math.sqrt(low * high)
         low, high = (middle, high) if stable(middle) else (low, middle)
     return low
@@ -206,8 +176,6 @@ def _row(state: State, method: Method, setting: float, theory: float, patience: 
         "kind": verdict.kind,
         "also": "; ".join(verdict.also),
         "words": verdict.words,
-        "climb": verdict.climb,
-        "deviation": verdict.deviation,
-        "steps": len(trace.times) - 1 if fixed and state.settled else trace.steps,
+        "steps": len(trace.times) - 1 if fixed else trace.steps,
         "wall": trace.wall,
     }

@@ -1,22 +1,22 @@
 """Where stability is measured: a state of the cells, its largest decay rate, its true course.
 
-Nothing but contacts (and walls) acts, and radii are constant unless the state is that of a growing
-tissue, so that the energy can only fall: a method under which it rises is wrong.
+Nothing but contacts (and walls) acts, and radii are constant, so that the energy can only fall: a
+method under which it rises is wrong.
 """
 
 from __future__ import annotations
 
 import bisect
-import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, final
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigs, eigsh
 
 from multicell.cells import FloatArray, IntArray
-from multicell.comparison.stability_limits.modes import Unstable, largest_decay
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.cvode import Cvode
+from multicell.mechanics.growth_rate import symmetric_product
 from multicell.mechanics.motion import Motion, Work
 from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
@@ -27,12 +27,6 @@ PUSH: Final = 0.005
 the contact that this mode strains most."""
 
 MIN_NOTICED: Final = 0.035  # motion that counts as instability, over the same overlap
-
-MAX_UNNOTICED: Final = 0.02
-"""Displacement of cells that have divided that must not matter, in radii."""
-
-_TWINS = 3
-_HALVINGS = 15  # of the length of a trial, to the first moment at which it is looked at
 
 _AT_REST = 1e-10  # speed of a cluster at rest, in radii times the largest decay rate
 _DOUBLINGS = 16
@@ -49,24 +43,10 @@ class State:
     - ``template``, Mechanics: each trial works on a copy
     - ``motion``, Motion: radii, which are constant, and moduli; its times mean nothing
     - ``start``, (n, 3) float64, µm: positions at time 0
-    - ``rate``, float, 1/s: largest decay rate λ_max of the Jacobian at the state (before the push,
-      if there is one)
+    - ``rate``, float, 1/s: largest decay rate λ_max of the Jacobian before the push
     - ``noticed``, float, µm: motion of a cell that counts as instability
-    - ``share``, float: rise of the energy that is noticed, over the energy that the reference
-      releases
-    - ``twins``, tuple of State: states that differ a little. Where cells are pressed apart they may
-      end in one pocket or another: what differs among the true courses of twins is no failure of a
-      method.
     - ``known``, list of (time, positions): what has been computed of the true course, by CVODE at a
       tight tolerance
-    - ``kind``, str: a key of :data:`multicell.comparison.stability_limits.moving_states.STATES`
-    - ``length``, float, s: length of a trial of a moving state; NaN where it follows from the
-      setting of the method, for states that are close to rest
-    - ``unstable``, Unstable or None: the unstable modes at the start of a moving state
-    - ``end_rate``, float, 1/s: largest decay rate at the end of the trial of such a state; ``rate``
-      is then the largest on the way
-    - ``rise``, float, fJ: largest rise of the energy along the true course, which is none while
-      radii are constant
     """
 
     scene: Scene
@@ -75,24 +55,7 @@ class State:
     start: FloatArray
     rate: float
     noticed: float
-    share: float
-    twins: tuple[State, ...] = ()
     known: list[tuple[float, FloatArray]] = field(default_factory=list)
-    kind: str = "settled"
-    length: float = math.nan
-    unstable: Unstable | None = None
-    end_rate: float = math.nan
-    rise: float = 0.0
-
-    @property
-    def settled(self) -> bool:
-        """Whether the cells start near rest, and a trial is as long as its steps ask for."""
-        return math.isnan(self.length)
-
-    @property
-    def observation_times(self) -> list[float]:
-        """Times in s at which the true course of a moving state is computed: halves of halves."""
-        return [self.length * 0.5**k for k in range(_HALVINGS, -1, -1)]
 
     @property
     def radius(self) -> float:
@@ -123,10 +86,6 @@ class State:
         ``touching`` are the pairs in contact at the first, where the law asks for them.
         """
         motion = replace(self.motion, begin=begin, end=end)
-        if not self.settled:
-            # a trial is one coupling step: contacts are remembered from its start
-            touching = None
-            motion = motion_at(motion, begin)
         if motion.touching is not None and touching is not None:
             motion = replace(motion, touching=touching)
         system.begin(motion)
@@ -161,41 +120,6 @@ def settled_state(scene: Scene, threads: int | None = None) -> State:
     Raises SceneError if the scene starts with less than two cells, or none of them touch;
     StepFailed if the reference method cannot settle them.
     """
-    template, motion, position = first_cells(scene, threads)
-    share = (MIN_NOTICED / PUSH) ** 2
-    blank = State(scene, template, motion, position, math.nan, math.nan, share)
-    rest = rest_positions(blank)
-    rate, mode = largest_decay(blank.system(0.0, 1.0), rest, scene.dimensions == 2)
-    overlap = _strained_overlap(blank, rest, mode)
-    mode *= PUSH * overlap / np.sqrt(np.square(mode).sum(axis=1)).max()
-    return replace(blank, start=rest + mode, rate=rate, noticed=MIN_NOTICED * overlap, known=[])
-
-
-def twins_of(state: State, shift: float | None = None) -> tuple[State, ...]:
-    """Return states whose cells are displaced at random by what must not matter, or ``shift`` µm.
-
-    That is the root mean square of a cell's displacement.
-    """
-    random = np.random.default_rng(0)
-    free = np.array([1.0, 1.0, float(state.scene.dimensions == 3)])
-    shifts = [random.normal(size=state.start.shape) * free for _ in range(_TWINS)]
-    size = (state.noticed if shift is None else shift) / math.sqrt(3.0)
-    return tuple(replace(state, start=state.start + size * shift, known=[]) for shift in shifts)
-
-
-def _strained_overlap(state: State, position: FloatArray, mode: FloatArray) -> float:
-    """Return the overlap in µm of the pair in contact that a mode strains most."""
-    pairs = state.system(0.0, 1.0).contacts(0.0, position)
-    line = position[pairs[:, 1]] - position[pairs[:, 0]]
-    distance = np.linalg.norm(line, axis=1)
-    strain = np.einsum("ij,ij->i", mode[pairs[:, 1]] - mode[pairs[:, 0]], line) / distance
-    most = int(np.abs(strain).argmax())
-    overlap = state.motion.radius[pairs[most]].sum() - distance[most]
-    return float(max(overlap, 1e-4 * state.radius))
-
-
-def first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, FloatArray]:
-    """Return mechanics, motion and positions of the cells that a scene starts with."""
     if scene.initial.count < 2:
         raise SceneError(
             "initial.count",
@@ -207,13 +131,23 @@ def first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, F
     cells = simulation.cells
     motion = simulation._motion(0.0, 0.0, cells.radius)
     motion = replace(motion, push=None, held=None, velocity=None)
-    return simulation.mechanics, motion, cells.position
+    blank = State(scene, simulation.mechanics, motion, cells.position, np.nan, np.nan)
+    rest = rest_positions(blank)
+    rate, mode = largest_decay(blank.system(0.0, 1.0), rest, scene.dimensions == 2)
+    overlap = _strained_overlap(blank, rest, mode)
+    mode *= PUSH * overlap / np.sqrt(np.square(mode).sum(axis=1)).max()
+    return replace(blank, start=rest + mode, rate=rate, noticed=MIN_NOTICED * overlap, known=[])
 
 
-def innermost(position: FloatArray) -> IntArray:
-    """Return the cells by distance from the one that is nearest to the centroid."""
-    middle = np.square(position - position.mean(axis=0)).sum(axis=1).argmin()
-    return np.argsort(np.square(position - position[middle]).sum(axis=1), kind="stable")
+def _strained_overlap(state: State, position: FloatArray, mode: FloatArray) -> float:
+    """Return the overlap in µm of the pair in contact that a mode strains most."""
+    pairs = state.system(0.0, 1.0).contacts(0.0, position)
+    line = position[pairs[:, 1]] - position[pairs[:, 0]]
+    distance = np.linalg.norm(line, axis=1)
+    strain = np.einsum("ij,ij->i", mode[pairs[:, 1]] - mode[pairs[:, 0]], line) / distance
+    most = int(np.abs(strain).argmax())
+    overlap = state.motion.radius[pairs[most]].sum() - distance[most]
+    return float(max(overlap, 1e-4 * state.radius))
 
 
 def rest_positions(state: State) -> FloatArray:
@@ -250,17 +184,45 @@ def _advance(system: Mechanics, position: FloatArray) -> FloatArray:
     return outcome.position
 
 
-def select_cells(motion: Motion, source: IntArray, radius: FloatArray) -> Motion:
-    """Return the motion of cells that descend from those at ``source``."""
-    columns = {name: getattr(motion, name) for name in ("young", "poisson", "bonds", "kind")}
-    taken: dict[str, Any] = {n: None if x is None else x[source] for n, x in columns.items()}
-    return replace(motion, radius=radius, radius_rate=np.zeros(len(radius)), **taken)
+def largest_decay(
+    system: Mechanics, position: FloatArray, flat: bool = False, dense: int = 150
+) -> tuple[float, FloatArray]:
+    """Return the largest decay rate of the linearised motion, 1/s, and its mode, (n, 3).
 
+    Without friction between cells Γ^½ J Γ^-½ is symmetric, with the drag coefficients Γ. Below
+    ``dense`` cells all its eigenvalues are computed, above the extreme one by Lanczos' method from
+    products J v. With friction products are known to 1e-4, and so is the rate.
 
-def motion_at(motion: Motion, time: float) -> Motion:
-    """Return a motion whose values at time 0 are given with those at another time, s."""
-    bonds = motion.bonds
-    if bonds is not None:
-        bonds = np.hstack([bonds[:, :2] + time * bonds[:, 2:], bonds[:, 2:]])
-    radius = motion.radius + time * motion.radius_rate
-    return replace(motion, radius=radius, bonds=bonds)
+    - ``system``: mechanics that have been made ready for a step
+    - ``position``: positions, (n, 3) µm, at the step's beginning
+    - ``flat``: whether motion out of the plane z = 0 is left out
+    - ``dense``: number of cells from which only the extreme eigenvalue is computed
+
+    Raises SceneError if nothing decays: no cells touch.
+    """
+    system.linearise(system.motion.begin, position)
+    dimensions = 2 if flat else 3
+    growth = symmetric_product(system, dimensions)
+    symmetric, size = max(system.friction) == 0.0, dimensions * len(position)
+
+    def product(vector: FloatArray) -> FloatArray:
+        return -growth(np.ravel(vector))
+
+    values: Any
+    if len(position) >= dense:
+        operator = LinearOperator((size, size), matvec=product, dtype=float)
+        # a fixed start: the same state gives the same mode
+        start = np.random.default_rng(0).normal(size=size)
+        find, which, tol = (eigsh, "LA", 1e-8) if symmetric else (eigs, "LR", 1e-4)
+        values, modes = find(operator, k=1, which=which, v0=start, tol=tol)
+    else:
+        matrix = np.stack([product(column) for column in np.eye(size)], axis=1)
+        find = np.linalg.eigh if symmetric else np.linalg.eig
+        values, modes = find(0.5 * (matrix + matrix.T) if symmetric else matrix)
+    last = int(values.real.argmax())
+    value = float(values[last].real)
+    if not value > 0.0:
+        raise SceneError("", "no cells touch: there is no motion whose stability can be lost")
+    mode = np.zeros_like(position)
+    mode[:, :dimensions] = modes[:, last].real.reshape(-1, dimensions)
+    return value, mode / np.sqrt(system.motion.radius)[:, None]
