@@ -207,14 +207,12 @@ def make_runs(
 
 def write_result(fit: Fit, folder: Path) -> None:
     """Write what was found: ``result.json``, ``best.toml`` and the tables."""
-    from multicell.calibration.run_table import rows as run_rows
-
     about = {**versions(), **{name: package_version(name) for name in _PACKAGES}}
     write_table(folder / "result.json", {**fit.summary(), "versions": about})
     best = with_copy(fit.best.scene, folder)
     write_text(folder / "best.toml", best.to_toml(beside=folder))
     write_text(folder / "residuals.csv", table_text(fit.rows()))
-    write_text(folder / "runs.csv", table_text(run_rows(fit)))
+    write_text(folder / "runs.csv", table_text(fit.run_rows()))
     if fit.sample is not None:
         frame = fit.posterior
         units = frame.attrs["units"]

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from multicell.calibration.data import Datum
     from multicell.calibration.fitted import Fit
     from multicell.studies.axes import Range
-    from multicell.studies.plots import StudyPlots
 
 _COLOURS: Final = (
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
@@ -50,13 +49,6 @@ class FitPlots:
     def parameters(self) -> Figure:
         """Draw the posterior: each parameter, and each pair of them."""
         return parameters(self._fit)
-
-    @property
-    def runs(self) -> StudyPlots:
-        """Pictures of all runs as those of a study, ``fit.plot.runs.response("diameter")``."""
-        from multicell.studies.plots import StudyPlots
-
-        return StudyPlots(self._fit.to_xarray(), self._fit.scene.title or "Fit")
 
     def profiles(self) -> Figure:
         """Draw the profile likelihood of each parameter, and what runs say at its ends."""

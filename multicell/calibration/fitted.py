@@ -27,19 +27,19 @@ from multicell.calibration.verdict import (
 )
 from multicell.errors import FitFailed, SceneError
 from multicell.host.extras import needs
+from multicell.report.wording import time_unit
 from multicell.schema import chosen
 from multicell.studies.limits import whole
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray
 
+    from multicell.calibration.data import Datum
     from multicell.calibration.emulator import Emulator
     from multicell.calibration.fit_plots import FitPlots
     from multicell.calibration.likelihood import Likelihood
     from multicell.calibration.predictive import PredictiveCheck
     from multicell.scene.scene import Scene
-    from multicell.studies.study import Study
 
 
 @final
@@ -289,26 +289,6 @@ class Fit:
         needs("pandas")
         return predictive_check(self)
 
-    def to_arviz(self) -> Any:
-        """Return the fit for ArviZ, an ``InferenceData``.
-
-        Groups are ``posterior`` and ``prior`` (draws in base units, of equal weight),
-        ``observed_data``, ``posterior_predictive`` (data replicated from the posterior) and
-        ``log_likelihood``: ``ln p(y_i | y_-i, θ)``, as data scatter together, so that ``arviz.loo``
-        leaves out one datum.
-
-        Raises
-        ------
-        MissingPackage
-            Without ArviZ, which ``multicell[export]`` has.
-        FitFailed
-            If there is no posterior.
-        """
-        from multicell.calibration.run_table import to_arviz
-
-        needs("arviz")
-        return to_arviz(self)
-
     @property
     def unknown_scatter(self) -> dict[str, list[float]]:
         """Unknown scatter by observable, as parts of the values: 95 % interval round the median."""
@@ -362,34 +342,30 @@ class Fit:
         it), ``condition``, ``seed``, the parameters, a column for each reading as
         ``diameter at 48 h``, and ``reason`` where a run failed; base units.
         """
-        from multicell.calibration.run_table import rows
-
         needs("pandas")
         import pandas
 
-        return pandas.DataFrame(rows(self))
+        return pandas.DataFrame(self.run_rows())
 
-    def to_xarray(self) -> xarray.Dataset:
-        """Return all runs in the form of a study's table, for its pictures and for analyses.
-
-        Dimensions are ``point`` (a set of parameters under a condition), ``seed`` and ``time``;
-        see :mod:`multicell.studies.table`.
-        """
-        from multicell.calibration.run_table import dataset
-
-        needs("xarray")
-        return dataset(self)
-
-    def to_study(self, folder: str | Path) -> Study:
-        """Write a study of the sets of parameters that were tried, under all conditions.
-
-        A fit keeps readings only. The study's runs, which are made when it is run, are whole ones:
-        with frames, histories and pictures. It can be widened as others can. Raises
-        ``OutputError`` if the folder cannot be used.
-        """
-        from multicell.calibration.run_table import to_study
-
-        return to_study(self, folder)
+    def run_rows(self) -> list[dict[str, Any]]:
+        """Return the runs one by one; see :attr:`runs`."""
+        problem, found = self.problem, []
+        columns = list(dict.fromkeys(map(_title, problem.measured.data)))
+        numbers: dict[tuple[float, ...], int] = {}
+        for (shares, condition, seed), reading in self.readings.items():
+            values = problem.values(shares)
+            row: dict[str, Any] = {
+                "point": numbers.setdefault(shares, len(numbers)),
+                "stage": "search" if seed in problem.seeds else "fresh",
+                "condition": problem.measured.conditions[condition].label,
+                "seed": seed,
+                **{free.name: values[free.key] for free in problem.ranges},
+                **dict.fromkeys(columns, np.nan),
+            }
+            titles = map(_title, problem.measured.of(condition))
+            row.update(zip(titles, reading.values, strict=True))
+            found.append({**row, "reason": reading.reason})
+        return found
 
     @property
     def notes(self) -> list[str]:
@@ -529,3 +505,14 @@ class Fit:
                 "too few points were tried for a posterior", "A larger budget continues the fit."
             )
         return self.sample
+
+
+def _title(datum: Datum) -> str:
+    """Return the title of the readings of a datum."""
+    deep = "" if datum.depth is None else f" {datum.depth:g} um deep"
+    name = f"{datum.observable}{deep}"
+    if datum.at is not None:
+        return f"{name} at {datum.at[0]} = {datum.at[1]:g}"
+    if datum.time is None:
+        return f"{name} at the end"
+    return f"{name} at {time_unit(datum.time).text(datum.time)}"

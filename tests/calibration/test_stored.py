@@ -99,39 +99,6 @@ def test_every_run_is_a_row(stored):
     assert "cycle_time" in titles
 
 
-def test_runs_have_the_form_of_a_study_for_pictures_and_salib(stored):
-    rbd_fast = pytest.importorskip("SALib.analyze.rbd_fast")
-    found, _ = stored
-    table = found.to_xarray()
-    assert table.diameter.dims == ("point", "seed", "time")
-    assert table.diameter.attrs["units"] == "um"
-    assert table.cycle_time.attrs["key"] == CYCLE
-    assert (table.state == "done").sum() == 88
-    assert table.time.values.tolist() == [36_000.0, 72_000.0]
-    assert found.plot.runs.response("diameter").axes
-    frame = found.runs[found.runs.stage == "search"]
-    frame = frame[frame.condition == frame.condition.iloc[0]]
-    ranges = found.problem.ranges
-    known = {"num_vars": 2, "names": [r.name for r in ranges],
-             "bounds": [[r.low, r.high] for r in ranges]}  # fmt: skip
-    parameters = frame[known["names"]].to_numpy()
-    indices = rbd_fast.analyze(known, parameters, frame["diameter at 20 h"].to_numpy(), seed=1)
-    assert max(indices["S1"]) > 0.3
-
-
-def test_a_study_of_the_sets_of_parameters_has_the_same_runs(stored, tmp_path):
-    found, _ = stored
-    made = found.to_study(tmp_path / "study")
-    again = mc.load_study(tmp_path / "study")
-    assert len(again.plan.points) == 2 * len(found.evaluations)
-    assert again.plan.names == made.plan.names
-    run = again.runs[1]  # the second condition of the first set
-    history = mc.run(run.scene, threads=1).history
-    value = float(np.interp(20 * 3600.0, history["time"], history["diameter"]))
-    shares = tuple(found.evaluations[0].shares.tolist())
-    assert found.readings[shares, 1, run.scene.seed].values[0] == pytest.approx(value, rel=1e-12)
-
-
 def test_a_fit_of_other_data_takes_over_the_runs(stored, tmp_path, monkeypatch):
     found, folder = stored
     calls, usual = [], SceneSimulator.__call__
