@@ -112,7 +112,7 @@ def fit_coarse_first(
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="multicell-")))
         else:
             folder = Path(output)
-        first = fitted("coarse", coarse, repeats=MIN_REPEATS, profile_runs=0)
+        first = fitted("coarse", coarse, repeats=MIN_REPEATS)
         simulators = {"fine": fine, "coarse": coarse}
         runs = _pairs(first, simulators, folder / "coarse", note, cores, scheduler)
         seeds, ratios = plan.problem.seeds, _ratios(runs)

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
-from multicell.calibration.fit_plan import FitPlan, Progress, fresh_runs, make_runs, write_result
+from multicell.calibration.fit_plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitted import Fit
-from multicell.calibration.likelihood import DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
+from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
 from multicell.calibration.noise import SCATTERS
 from multicell.calibration.pool import open_pool
 from multicell.calibration.problem import Problem, free_of, problem_of
-from multicell.calibration.profiles import MIN_RUNS
 from multicell.calibration.stored import reusable
 from multicell.errors import SceneError
 from multicell.host.extras import needs
@@ -39,7 +38,6 @@ def fit(
     output: str | Path | None = None,
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
-    profile_runs: int = 0,
     budget: int | str | None = None,
     start: float | str | None = None,
     sd: float = ASSUMED,
@@ -77,9 +75,6 @@ def fit(
     repeats
         Runs with fresh random numbers at the best point, from which the intervals of a search have
         the scatter of runs; 8 to 16 are sensible.
-    profile_runs
-        Runs at each end of each parameter's profile interval, which check the emulator there; 4 are
-        sensible, by default none. They may be added to a fit that is done.
     budget
         Number of runs, or a time such as ``"2 h"``, in all. By default as many runs as the number
         of free parameters asks for.
@@ -128,8 +123,8 @@ def fit(
         If no run gives anything to compare, or a budget ends before there is a result.
     """
     plan = plan_of(
-        scene, data, free, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
-        budget=budget, start=start, sd=sd, specimens=specimens, scatter=scatter,
+        scene, data, free, seeds=seeds, repeats=repeats, budget=budget,
+        start=start, sd=sd, specimens=specimens, scatter=scatter,
         constraints=constraints, reuse=reuse, coarse=coarse, simulator=simulator,
     )  # fmt: skip
     return carry_out(
@@ -145,7 +140,6 @@ def plan_of(
     *,
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
-    profile_runs: int = 0,
     budget: int | str | None = None,
     start: float | str | None = None,
     sd: float = ASSUMED,
@@ -166,16 +160,12 @@ def plan_of(
     whole(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
-    if profile_runs:
-        hint = "It is the number of runs at each end of an interval; 0 makes none."
-        whole("profile_runs", profile_runs, MIN_RUNS, repeats, hint)
     table = read_table(data, MAX_BYTES)
     measured = read_data(table, scene, start=start, sd=sd, specimens=specimens)
     ranges, prior = free_of(free, measured, constraints)
     check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
-    fresh = fresh_runs(repeats, profile_runs, problem)
-    points, seconds = _spend(problem, budget, fresh)
+    points, seconds = _spend(problem, budget, repeats + CHECKS)
     if coarse != 1.0:
         from multicell.calibration.coarse_to_fine import coarse_simulator
 
@@ -187,8 +177,7 @@ def plan_of(
     if reuse is not None:
         adopted = reusable(problem, reuse)
     return FitPlan(
-        problem, scene, table, points, seconds, sd, repeats, specimens, profile_runs, request,
-        adopted, coarse,
+        problem, scene, table, points, seconds, sd, repeats, specimens, request, adopted, coarse,
     )  # fmt: skip
 
 

@@ -53,7 +53,6 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         notes=fit.notes,
         emulated=fit.sample is not None,
         rows=_rows(fit),
-        ends=_ends(fit),
         checked=_checked(fit),
     )
 
@@ -72,24 +71,11 @@ def _checked(fit: Fit) -> str:
     )
 
 
-def _ends(fit: Fit) -> list[dict[str, str]]:
-    """Return what runs say at the ends of profile intervals in words."""
-    rows = []
-    for end in fit.ends:
-        profile, free = fit.profiles[end.number], fit.problem.ranges[end.number]
-        value = free.value(float(profile.ends[end.side, end.number]))
-        rows.append({
-            "key": free.key, "value": in_words(value, free.unit),
-            "claimed": f"{end.claimed:.3g}", "found": f"{end.found:.3g} ± {end.error:.2g}",
-        })  # fmt: skip
-    return rows
-
-
 def _tiles(fit: Fit) -> dict[str, str]:
     best = {f"best {key}": words for key, words in list(fit.best.words.items())[:4]}
     conditions = len(fit.problem.measured.conditions)
     runs = fit.facts["sets_of_parameters"] * len(fit.problem.tasks())
-    runs += (fit.facts["fresh_runs"] + fit.facts["profile_runs"]) * conditions
+    runs += fit.facts["fresh_runs"] * conditions
     return {
         **best,
         "χ² per datum": f"{fit.best.per_datum:.3g}",

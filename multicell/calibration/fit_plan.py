@@ -70,7 +70,6 @@ class FitPlan:
     sd: float
     repeats: int
     specimens: str = "same"
-    profile_runs: int = 0
     request: Mapping[str, Any] = field(default_factory=dict)
     adopted: Sequence[Mapping[str, Any]] = ()
     coarse: float = 1.0
@@ -78,9 +77,8 @@ class FitPlan:
     @property
     def runs(self) -> int:
         """How many runs there will be at most."""
-        fresh = fresh_runs(self.repeats, self.profile_runs, self.problem)
         searched = self.points * len(self.problem.tasks())
-        return searched + fresh * len(self.problem.measured.conditions)
+        return searched + (self.repeats + CHECKS) * len(self.problem.measured.conditions)
 
     def describe(self) -> dict[str, Any]:
         """Return what decides all numbers of the fit; a fit of anything else is another one."""
@@ -160,11 +158,6 @@ class FitPlan:
             yield folder
 
 
-def fresh_runs(repeats: int, profile_runs: int, problem: Problem) -> int:
-    """Return how many runs of each condition have fresh seeds."""
-    return repeats + 2 * len(problem.ranges) * profile_runs + CHECKS
-
-
 def make_runs(
     plan: FitPlan,
     folder: Path | None,
@@ -174,7 +167,6 @@ def make_runs(
 ) -> Fit:
     """Make all runs of a fit that are not there; without facts they are those of these runs."""
     from multicell.calibration.fitted import Fit
-    from multicell.calibration.profiles import check_ends
     from multicell.calibration.search import Search
 
     begin = clock.monotonic()
@@ -186,8 +178,6 @@ def make_runs(
     )  # fmt: skip
     note = partial(progress, "fresh runs")
     again = fresh(plan.problem, search, pool, search.emulator(), plan.repeats, note)
-    note = partial(progress, "runs at the ends of profiles")
-    ends = check_ends(plan.problem, search, pool, again, plan.profile_runs, note)
     own = {
         "sd": plan.sd,
         "specimens": plan.specimens,
@@ -197,12 +187,9 @@ def make_runs(
         "sets_of_parameters": len(evaluations) - search.reused,
         "reused": search.reused,
         "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
-        "profile_runs": len(ends) * plan.profile_runs,
         "seconds": clock.monotonic() - begin,
     }
-    return Fit(
-        plan.problem, plan.scene, evaluations, folder, facts or own, again, ends, search.readings
-    )
+    return Fit(plan.problem, plan.scene, evaluations, folder, facts or own, again, search.readings)
 
 
 def write_result(fit: Fit, folder: Path) -> None:

@@ -51,7 +51,7 @@ class FitPlots:
         return parameters(self._fit)
 
     def profiles(self) -> Figure:
-        """Draw the profile likelihood of each parameter, and what runs say at its ends."""
+        """Draw the profile likelihood of each parameter."""
         return profiles(self._fit)
 
 
@@ -226,8 +226,6 @@ def profiles(fit: Fit) -> Figure:
     found = fit.profiles
     columns = max(min(len(found), 3), 1)
     subtitle = "least -2 ln (likelihood · prior) over the other parameters; dotted: 95 % interval"
-    if fit.ends:
-        subtitle += "; red: runs at its ends"
     height = 1.25 + 3.3 * max(-(-len(found) // columns), 1)
     figure, grid = panels(_title(fit), subtitle, len(found), columns, height)
     for k, (axes, profile) in enumerate(zip(grid, found, strict=True)):
@@ -238,8 +236,6 @@ def profiles(fit: Fit) -> Figure:
         for x, is_open in zip(ends, profile.open, strict=True):
             if not is_open:
                 axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
-        for end in (end for end in fit.ends if end.number == profile.number):
-            axes.errorbar(ends[end.side], end.found, end.error, fmt="o", color=RED, capsize=3)
         axes.set_ylim(0.0, 3.0 * profile.limit)
         axes.set_xlabel(_named(free.name, _unit(free)[0]))
         if k % columns == 0:

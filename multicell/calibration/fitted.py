@@ -14,7 +14,7 @@ from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.likelihood import Fresh
 from multicell.calibration.noise import Array
 from multicell.calibration.problem import ABSENT, Problem, misfit
-from multicell.calibration.profiles import POINTS, End, Profile, profiles
+from multicell.calibration.profiles import Profile, profiles
 from multicell.calibration.search import Evaluation, Run, emulator_of
 from multicell.calibration.simulator import Reading
 from multicell.calibration.verdict import (
@@ -25,11 +25,10 @@ from multicell.calibration.verdict import (
     quantiles,
     undetermined,
 )
-from multicell.errors import FitFailed, SceneError
+from multicell.errors import FitFailed
 from multicell.host.extras import needs
 from multicell.report.wording import time_unit
 from multicell.schema import chosen
-from multicell.studies.limits import whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,8 +87,6 @@ class Fit:
     - ``facts``: how the fit was made: numbers of runs, seconds
     - ``fresh``: what runs with fresh seeds have shown at the best point and at draws from the
       intervals
-    - ``ends``: what runs have shown at the ends of profile intervals; empty without
-      ``profile_runs``
     - ``readings``: what each run of the search and each fresh one has in place of its data, by
       place in the ranges, condition and seed; :attr:`runs` is a table of them
     """
@@ -100,7 +97,6 @@ class Fit:
     folder: Path | None
     facts: Mapping[str, Any]
     fresh: Fresh
-    ends: Sequence[End] = ()
     readings: Mapping[Run, Reading] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -175,30 +171,26 @@ class Fit:
         found = self.likelihood
         return [] if found is None else profiles(found, range(len(self.problem.ranges)))
 
-    def profile(self, key: str, points: int = POINTS, level: float = 0.95) -> pd.DataFrame:
+    def profile(self, key: str) -> pd.DataFrame:
         """Return the profile likelihood of a parameter, by the emulator.
 
         Parameters
         ----------
         key
             Of the parameter, or its short name.
-        points
-            Values of it, over somewhat more than its interval.
-        level
-            Of the interval.
 
         Returns
         -------
         DataFrame
-            One row for each value: the best parameters with it in base units, and ``rise``, by how
-            much -2 ln of likelihood and prior are above their least value. ``attrs`` hold units,
-            ``level``, ``limit`` (the rise at the ends of the interval), ``interval``, and
-            ``open``: whether its ends are those of the range.
+            One row for each of 15 values of it, over somewhat more than its 95 % interval: the best
+            parameters with it in base units, and ``rise``, by how much -2 ln of likelihood and
+            prior are above their least value. ``attrs`` hold units, ``limit`` (the rise at the ends
+            of the interval), ``interval``, and ``open``: whether its ends are those of the range.
 
         Raises
         ------
         SceneError
-            For an unknown key, fewer than three points or a level that is none.
+            For an unknown key.
         FitFailed
             Without an emulator: too few points were tried.
         """
@@ -208,22 +200,13 @@ class Fit:
         known = {name: k for k, free in enumerate(self.problem.ranges)
                  for name in (free.key, free.name)}  # fmt: skip
         number = known[chosen(key, known, "key")]
-        whole("points", points, 3, 1000, "It is the number of values of the parameter.")
-        if not 0.0 < level < 1.0:
-            raise SceneError("level", f"is {level!r}, must be between 0 and 1")
-        likelihood = self.likelihood
-        if likelihood is None:
+        if not self.profiles:
             hint = "A larger budget has one."
             raise FitFailed("there is no emulator that a profile could be of", hint)
-        if (points, level) == (POINTS, 0.95):
-            found = self.profiles[number]
-        else:
-            (found,) = profiles(likelihood, [number], points, level)
-        free = self.problem.ranges[number]
+        found, free = self.profiles[number], self.problem.ranges[number]
         frame = pandas.DataFrame({**self.problem.columns(found.shares), "rise": found.rises})
         frame.attrs = {
             "units": self.problem.parameter_units,
-            "level": level,
             "limit": found.limit,
             "interval": [free.value(float(x)) for x in found.ends[:, number]],
             "open": list(found.open),
@@ -422,13 +405,6 @@ class Fit:
             )
             return notes
         off = np.flatnonzero(self.fresh.checks.off)
-        for end in self.ends:
-            if end.off:
-                side, free = ("lower", "upper")[end.side], self.problem.ranges[end.number]
-                notes.append(
-                    f"At the {side} end of the profile interval of {free.name} runs give a rise of "
-                    f"{end.found:.3g} ± {end.error:.2g}, the emulator {end.claimed:.3g}."
-                )
         if len(off):
             data = self.problem.measured.data
             ratio = self.fresh.checks.found / self.fresh.checks.expected

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 FACTS: Final = (
     "sd", "specimens", "scatter", "seeds", "repeats", "sets_of_parameters", "reused",
-    "fresh_runs", "profile_runs", "seconds", "coarse",
+    "fresh_runs", "seconds", "coarse",
 )  # fmt: skip
 
 
@@ -93,7 +93,6 @@ def stored_plan(folder: Path, result: dict[str, Any] | None = None) -> FitPlan:
         plan = FitPlan(
             stated, scene, table, int(known.get("sets_of_parameters", 0)), float("inf"),
             float(problem["sd"]), int(known.get("repeats", 0)), problem["specimens"],
-            int(known.get("profile_runs", 0)) // (2 * len(ranges)),
         )  # fmt: skip
     except MulticellError as error:
         raise OutputError(f"'{folder}' holds a fit that cannot be opened: {error}") from error

@@ -57,11 +57,6 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     default=12,
     help="Runs with fresh seeds at the best point, from which intervals have the scatter of runs.",
 )
-@shared.valued(
-    "--profile-runs",
-    default=0,
-    help="Runs at each end of each parameter's profile interval, which check the emulator there.",
-)
 @click.option(
     "--budget",
     callback=_budget,

@@ -44,8 +44,7 @@ def same(one, other):
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit") / "first"
-    found = mc.fit(SCENE, DATA, FREE, constraints=BOUND, output=folder, profile_runs=3,
-                   **{**FEW, "budget": 88})  # fmt: skip
+    found = mc.fit(SCENE, DATA, FREE, constraints=BOUND, output=folder, **FEW)
     return found, folder
 
 
@@ -54,7 +53,6 @@ def test_a_fit_is_opened_from_its_folder_without_a_run(stored, monkeypatch):
     monkeypatch.setattr(SceneSimulator, "__call__", None)
     again = mc.load_fit(folder)
     assert same(again, found)
-    assert again.ends == found.ends
     assert again.readings == found.readings
     assert again.problem.prior == found.problem.prior
     assert again.best.scene == found.best.scene
@@ -86,7 +84,7 @@ def test_folders_that_hold_no_fit_that_is_done_are_refused(stored, tmp_path):
 def test_every_run_is_a_row(stored):
     found, folder = stored
     frame = found.runs
-    assert len(frame) == len(found.readings) == 88
+    assert len(frame) == len(found.readings) == 64
     assert set(frame.stage) == {"search", "fresh"}
     conditions = found.problem.measured.conditions
     assert set(frame.condition) == {c.label for c in conditions}
@@ -95,7 +93,7 @@ def test_every_run_is_a_row(stored):
     again = found.problem.simulator(shares, 1, int(row.seed))
     assert row["diameter at 20 h"] == pytest.approx(again.values[0], rel=1e-9)
     titles, *lines = (folder / "runs.csv").read_text().splitlines()
-    assert len(lines) == 88
+    assert len(lines) == 64
     assert "cycle_time" in titles
 
 
