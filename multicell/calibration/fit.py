@@ -15,7 +15,6 @@ from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEAT
 from multicell.calibration.noise import SCATTERS
 from multicell.calibration.pool import open_pool
 from multicell.calibration.problem import Problem, free_of, problem_of
-from multicell.calibration.stored import reusable
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
@@ -44,7 +43,6 @@ def fit(
     specimens: str = "same",
     scatter: str = "stated",
     constraints: Sequence[str] = (),
-    reuse: str | Path | None = None,
     coarse: float = 1.0,
     cores: int | None = None,
     scheduler: str | None = None,
@@ -90,10 +88,6 @@ def fit(
         parameters, relative to the values of each observable.
     constraints
         What must hold between free parameters, as ``"death.necrosis < 0.5 * KEY"``.
-    reuse
-        Folder of another fit of the same scene and free parameters, whose search serves this one
-        too; its data are at least these, with whatever values and ranges. What is tried comes on
-        top of that.
     coarse
         Search with runs of the scene that is coarse by this factor (:func:`multicell.coarsen`),
         corrected by fine runs at draws from the intervals; runs with fresh seeds are fine. See
@@ -125,7 +119,7 @@ def fit(
     plan = plan_of(
         scene, data, free, seeds=seeds, repeats=repeats, budget=budget,
         start=start, sd=sd, specimens=specimens, scatter=scatter,
-        constraints=constraints, reuse=reuse, coarse=coarse, simulator=simulator,
+        constraints=constraints, coarse=coarse, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -146,7 +140,6 @@ def plan_of(
     specimens: str = "same",
     scatter: str = "stated",
     constraints: Sequence[str] = (),
-    reuse: str | Path | None = None,
     coarse: float = 1.0,
     simulator: Simulator | None = None,
 ) -> FitPlan:
@@ -169,15 +162,12 @@ def plan_of(
     if coarse != 1.0:
         from multicell.calibration.coarse_to_fine import coarse_simulator
 
-        if isinstance(budget, str) or reuse is not None:
-            raise SceneError("coarse", "needs a budget in runs, and no other fit to reuse")
+        if isinstance(budget, str):
+            raise SceneError("coarse", "needs a budget in runs")
         coarse_simulator(problem.simulator, coarse)
     request = {"start": start, "constraints": list(constraints)}
-    adopted: Sequence[Mapping[str, Any]] = ()
-    if reuse is not None:
-        adopted = reusable(problem, reuse)
     return FitPlan(
-        problem, scene, table, points, seconds, sd, repeats, specimens, request, adopted, coarse,
+        problem, scene, table, points, seconds, sd, repeats, specimens, request, coarse=coarse,
     )  # fmt: skip
 
 

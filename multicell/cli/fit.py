@@ -88,11 +88,6 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     help="unknown: estimate what data scatter beyond runs and their stated errors.",
 )
 @shared.observable_option
-@click.option(
-    "--reuse",
-    metavar="FOLDER",
-    help="Another fit of the same scene and free parameters, whose runs serve this one too.",
-)
 @studies.cores_option
 @studies.scheduler_option
 @studies.yes_option

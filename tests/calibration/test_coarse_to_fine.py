@@ -110,8 +110,6 @@ def test_runs_are_counted(corrected):
     stored = mc.load_fit(folder / "fine")
     assert stored.best.values == found.best.values
     assert stored.facts["coarse"] == account
-    with pytest.raises(mc.SceneError, match="coarse runs"):
-        plan_of(SCENE, data(0), FREE, reuse=folder / "fine")
     # nothing is run twice
     again = asked(output=folder, budget=110)
     assert not FINE
@@ -155,7 +153,6 @@ def test_expected_cost_is_that_of_coarse_runs():
     ("changes", "path", "said"),
     [
         ({"budget": "1 h"}, "coarse", "budget in runs"),
-        ({"reuse": "elsewhere"}, "coarse", "no other fit"),
         ({"simulator": lambda *_: None}, "coarse", "simulator of one's own"),
         ({"coarse": 0.5}, "factor", "from 1 to 10"),
         ({"coarse": 9}, "initial.count", "cannot stand for"),

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 
-import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.calibration.fit import plan_of
 from multicell.calibration.simulator import SceneSimulator
 from multicell.results.folder import to_json
 
@@ -95,63 +92,3 @@ def test_every_run_is_a_row(stored):
     titles, *lines = (folder / "runs.csv").read_text().splitlines()
     assert len(lines) == 64
     assert "cycle_time" in titles
-
-
-def test_a_fit_of_other_data_takes_over_the_runs(stored, tmp_path, monkeypatch):
-    found, folder = stored
-    calls, usual = [], SceneSimulator.__call__
-    monkeypatch.setattr(
-        SceneSimulator, "__call__", lambda self, *more: (calls.append(more), usual(self, *more))[1]
-    )
-    fewer = {key: column[:2] for key, column in DATA.items()}
-    fewer["diameter / um"] = [25.0, 29.0]
-    free = {CYCLE: FREE[CYCLE], RADIUS: "5:9.5 um"}
-    again = mc.fit(SCENE, fewer, free, output=tmp_path / "second", reuse=folder,
-                   **{**FEW, "budget": 20})  # fmt: skip
-    low, high = (1.0 / 6.0, 5.5 / 6.0)
-    within = [e for e in found.evaluations if low <= e.shares[1] <= high]
-    assert again.facts["reused"] == len(within) > 10
-    assert 16 < len(calls) <= 20  # a point may be there already
-    assert again.facts["sets_of_parameters"] == 10
-    assert len(again.evaluations) == len(within) + 10
-    reading = again.problem.simulator(again.evaluations[0].shares, 0, SCENE.seed)
-    np.testing.assert_allclose(again.evaluations[0].misfit.means[0], reading.values[0], rtol=1e-9)
-    calls.clear()
-    once_more = mc.fit(SCENE, fewer, free, output=tmp_path / "second", **{**FEW, "budget": 20})
-    assert calls == []
-    assert once_more.best.values == again.best.values
-    opened = mc.load_fit(tmp_path / "second")
-    assert calls == []
-    assert same(opened, once_more)
-
-
-LONGER = {**DATA, "time / h": [12, 24, 24]}
-REFUSED = [
-    ({"free": {CYCLE: "8:30 h"}}, "whose free parameters are others"),
-    ({"scene": SCENE.with_changes({"initial.count": 5})}, "whose scene is another one"),
-    ({"seeds": 2}, "whose runs have other seeds"),
-    ({"data": LONGER}, "whose runs did not keep 'diameter' of "),
-    ({"data": {**DATA, "growth.cycle_variation": [0.2, 0.2, 0.4]}},
-     "whose scene is another one under the condition"),
-    ({"data": {**DATA, "diameter / um": [26.0, 90.0, 29.0]}},
-     "whose runs may have ended before 'diameter' was as large"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("wrong", "words"), REFUSED)
-def test_runs_that_cannot_serve_are_refused(wrong, words, stored, monkeypatch):
-    monkeypatch.setattr(SceneSimulator, "__call__", None)
-    options = {"scene": SCENE, "data": DATA, "free": FREE, **FEW, "reuse": stored[1], **wrong}
-    options.pop("cores")
-    with pytest.raises(mc.SceneError) as caught:
-        plan_of(**options)
-    assert words in str(caught.value)
-
-
-def test_folders_without_runs_to_reuse_are_refused(tmp_path):
-    few = {key: value for key, value in FEW.items() if key != "cores"}
-    with pytest.raises(mc.OutputError, match="holds no fit"):
-        plan_of(SCENE, DATA, FREE, reuse=tmp_path / "none", **few)
-    (tmp_path / "fit.json").write_text(json.dumps({"problem": 3}))
-    with pytest.raises(mc.OutputError):
-        plan_of(SCENE, DATA, FREE, reuse=tmp_path, **few)
