@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -42,7 +42,6 @@ def fit(
     sd: float = ASSUMED,
     specimens: str = "same",
     scatter: str = "stated",
-    constraints: Sequence[str] = (),
     coarse: float = 1.0,
     cores: int | None = None,
     scheduler: str | None = None,
@@ -86,8 +85,6 @@ def fit(
     scatter
         ``"unknown"``: what data scatter beyond runs and their stated errors is estimated with the
         parameters, relative to the values of each observable.
-    constraints
-        What must hold between free parameters, as ``"death.necrosis < 0.5 * KEY"``.
     coarse
         Search with runs of the scene that is coarse by this factor (:func:`multicell.coarsen`),
         corrected by fine runs at draws from the intervals; runs with fresh seeds are fine. See
@@ -119,7 +116,7 @@ def fit(
     plan = plan_of(
         scene, data, free, seeds=seeds, repeats=repeats, budget=budget,
         start=start, sd=sd, specimens=specimens, scatter=scatter,
-        constraints=constraints, coarse=coarse, simulator=simulator,
+        coarse=coarse, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -139,7 +136,6 @@ def plan_of(
     sd: float = ASSUMED,
     specimens: str = "same",
     scatter: str = "stated",
-    constraints: Sequence[str] = (),
     coarse: float = 1.0,
     simulator: Simulator | None = None,
 ) -> FitPlan:
@@ -155,7 +151,7 @@ def plan_of(
     )
     table = read_table(data, MAX_BYTES)
     measured = read_data(table, scene, start=start, sd=sd, specimens=specimens)
-    ranges, prior = free_of(free, measured, constraints)
+    ranges, prior = free_of(free, measured)
     check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
     points, seconds = _spend(problem, budget, repeats + CHECKS)
@@ -165,9 +161,9 @@ def plan_of(
         if isinstance(budget, str):
             raise SceneError("coarse", "needs a budget in runs")
         coarse_simulator(problem.simulator, coarse)
-    request = {"start": start, "constraints": list(constraints)}
     return FitPlan(
-        problem, scene, table, points, seconds, sd, repeats, specimens, request, coarse=coarse,
+        problem, scene, table, points, seconds, sd, repeats, specimens, {"start": start},
+        coarse=coarse,
     )  # fmt: skip
 
 

@@ -180,8 +180,7 @@ def least_residuals(fit: Fit, predictive: Predictive) -> Array:
         r = known.predict(shares)[0]
         return np.asarray(np.einsum("si,ij,sj->s", r, predictive.precision, r))
 
-    given = fit.problem.prior
-    flat = Prior(given.dimensions, given.ranges, (), given.constraints)
+    flat = Prior(len(fit.problem.ranges))
     best = best_of(loss, flat, draws(loss, flat, seed=0, count=FEW))
     return np.asarray(known.predict(best[None])[0][0])
 

@@ -166,13 +166,11 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
     return ranges
 
 
-def free_of(
-    free: Mapping[str, Any], measured: Measured, constraints: Sequence[str] = ()
-) -> tuple[tuple[Range, ...], Prior]:
+def free_of(free: Mapping[str, Any], measured: Measured) -> tuple[tuple[Range, ...], Prior]:
     """Return the ranges and the prior of free parameters, some of which have distributions."""
     plain, densities = split_free(free, measured.conditions[0].scene)
     ranges = ranges_of(plain, measured)
-    return ranges, prior_of(ranges, list(densities.values()), constraints)
+    return ranges, prior_of(ranges, list(densities.values()))
 
 
 def problem_of(

@@ -35,7 +35,7 @@ class Profile:
 
     - ``number``: of the parameter
     - ``shares``, (p, d): the best parameters with each value, places in the ranges
-    - ``rises``, (p,): D; inf where constraints allow nothing
+    - ``rises``, (p,): D; inf where the prior is zero
     - ``limit``: D at the ends of its interval
     - ``ends``, (2, d): the best parameters at its ends
     - ``open``: whether the interval ends at the lower and upper end of the range
@@ -87,7 +87,7 @@ class _Course:
         return self._likelihood.loss(shares) + self._prior.loss(shares)
 
     def at(self, value: float) -> tuple[Array, float]:
-        """Return the best parameters with a value, and D there; inf where nothing is allowed."""
+        """Return the best parameters with a value, and D there; inf where the prior is zero."""
         near = np.argsort(np.abs(self._drawn[:, self._number] - value))[:20]
         starts = np.vstack([*self._known, self._drawn[near]])
         starts[:, self._number] = value
@@ -110,7 +110,7 @@ class _Course:
             outer = self._beyond(centre, side, limit)
             opens.append(self.at(outer)[1] <= limit)
             if not opens[-1]:
-                # in √D, which is linear as far as the model is; beyond constraints D is infinite
+                # √D is linear as far as the model is; D is infinite where the prior is zero
                 outer = brentq(
                     lambda x: min(math.sqrt(self.at(x)[1]), 1e3) - math.sqrt(limit),
                     centre, outer, xtol=1e-6, rtol=1e-6,

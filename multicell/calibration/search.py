@@ -183,13 +183,8 @@ class Search:
             )
         for shares in proposed:
             study.enqueue_trial(dict(zip(names, shares, strict=True)))
-        random = np.random.default_rng((self._seed, known))
-        prior, points = self._problem.prior, []
-        for _ in range(count):
-            trial = study.ask(space)
-            point = [trial.params[name] for name in names]
-            points.append(point if prior.allows(point) else prior.draw(random, 1)[0].tolist())
-        return points
+        trials = [study.ask(space) for _ in range(count)]
+        return [[trial.params[name] for name in names] for trial in trials]
 
     @property
     def _first_points(self) -> int:
@@ -211,12 +206,9 @@ class Search:
     def _sobol(self) -> Array:
         from scipy.stats import qmc
 
-        prior, wanted = self._problem.prior, self._first_points + BATCH
-        power, found = max(math.ceil(math.log2(wanted)), 6), np.empty((0, prior.dimensions))
-        while len(found) < wanted:  # constraints leave some of them
-            sequence = qmc.Sobol(prior.dimensions, rng=self._seed)
-            found, power = prior.places(np.asarray(sequence.random_base2(power))), power + 1
-        return found
+        power = max(math.ceil(math.log2(self._first_points + BATCH)), 6)
+        sequence = qmc.Sobol(len(self._problem.ranges), rng=self._seed)
+        return self._problem.prior.places(np.asarray(sequence.random_base2(power)))
 
     def _runs(self, points: Sequence[Point]) -> list[Run]:
         """Return the runs that some points of the search take."""

@@ -74,7 +74,7 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
         ranges = ranges_of(given, measured)
         known_of = problem.get("densities", {})
         densities = [Density.of(*known_of[r.key]) if r.key in known_of else None for r in ranges]
-        prior = prior_of(ranges, densities, request.get("constraints", ()))
+        prior = prior_of(ranges, densities)
         seeds = problem["seeds"]
         stated = problem_of(
             measured, ranges, len(seeds), seeds[0], scatter=problem["scatter"], prior=prior

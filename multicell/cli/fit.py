@@ -38,14 +38,6 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     "'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
 )
 @studies.free_option
-@click.option(
-    "--constraint",
-    "constraints",
-    multiple=True,
-    metavar="LEFT<RIGHT",
-    help="What must hold between free parameters, as 'KEY < 0.5 * KEY' or 'KEY + KEY < 20 h'. May "
-    "be given several times.",
-)
 @shared.output_option("Folder of the fit; the same fit there is continued.")
 @shared.valued(
     "--seeds",

@@ -24,7 +24,6 @@ DATA = {
 CYCLE, RADIUS = "growth.cycle_time", "cells.division_radius"
 FREE = {CYCLE: "norm(16 h, 3 h) in 10:30 h", RADIUS: "4:10 um"}
 FEW = {"seeds": 1, "cores": 1, "repeats": 4, "budget": 64, "start": "2 h"}
-BOUND = [f"{RADIUS} < 9 um"]
 
 
 def same(one, other):
@@ -41,7 +40,7 @@ def same(one, other):
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit") / "first"
-    found = mc.fit(SCENE, DATA, FREE, constraints=BOUND, output=folder, **FEW)
+    found = mc.fit(SCENE, DATA, FREE, output=folder, **FEW)
     return found, folder
 
 
