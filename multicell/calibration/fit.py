@@ -62,8 +62,7 @@ def fit(
         Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values, in which
         all values are equally likely beforehand (on a logarithmic range: all ratios); or its
         distribution, as ``"norm(18 h, 2 h)"``, ``"lognorm(median=0.02 mM/s, sigma=0.3)"``,
-        ``"norm(18 h, 2 h) in 10:30 h"``, ``(scipy.stats.norm(18, 2), "h")``: see
-        :mod:`multicell.calibration.priors`.
+        ``"norm(18 h, 2 h) in 10:30 h"``: see :mod:`multicell.calibration.priors`.
     output
         Folder for everything. The same fit in the same folder continues: nothing is run twice,
         and a larger budget adds to what is there.

@@ -37,8 +37,6 @@ from multicell.units import shown, to_base
 
 _CALL: Final = re.compile(r"\s*([A-Za-z]\w*)\s*\((.*)\)\s*(?:in\s+(.+?))?\s*", re.DOTALL)
 _TAIL: Final = 0.0005  # of a distribution, beyond each end of a range that nobody stated
-_RANGES: Final = {"uniform": "'8:25 h'", "loguniform": "'log 1e-3:1 1/s'",
-                  "reciprocal": "'log 1e-3:1 1/s'"}  # fmt: skip
 _HINT: Final = "For example 'norm(18 h, 2 h)' or 'lognorm(median=0.02 mM/s, sigma=0.3)'."
 
 
@@ -168,18 +166,14 @@ def split_free(
     for name, given in free.items():
         ranges[name], densities[name] = given, None
         call = _CALL.fullmatch(given) if isinstance(given, str) else None
-        frozen = isinstance(given, tuple | list) and any(hasattr(x, "dist") for x in given[:1])
-        if call is None and not frozen:
+        if call is None:
             continue
         key = key_of(scene, name)
         if not is_numeric(key) or key.spec.kind == "count":
             problem = "is no real number, so it cannot have a distribution"
             raise SceneError(key.name, problem, "Give whole numbers a range, such as '2:9'.")
-        if call is not None:
-            density, ends = _from_call(key, call[1], call[2]), call[3]
-        else:
-            density, ends = _from_frozen(key, given), given[2] if len(given) > 2 else None
-        ranges[name], densities[name] = _range(key, density, ends), density
+        density = _from_call(key, call[1], call[2])
+        ranges[name], densities[name] = _range(key, density, call[3]), density
     return ranges, densities
 
 
@@ -196,24 +190,15 @@ def prior_of(ranges: Sequence[Range], densities: Sequence[Density | None]) -> Pr
     return Prior(len(ranges), tuple(ranges), tuple(densities))
 
 
-def _family(key: Key, name: str) -> Any:
-    """Return a distribution of SciPy's by its name."""
+def _from_call(key: Key, name: str, text: str) -> Density:
+    """Return the density that a call in words describes."""
     from scipy import stats
 
-    if name in _RANGES:
-        problem = f"has the distribution '{name}', which is a range"
-        raise SceneError(key.name, problem, f"Write its ends, such as {_RANGES[name]}.")
     family = getattr(stats, name, None)
     if not isinstance(family, stats.rv_continuous):
         known = [n for n in dir(stats) if isinstance(getattr(stats, n), stats.rv_continuous)]
         problem = f"has the distribution '{name}', which scipy.stats does not have"
         raise SceneError(key.name, problem, near_miss(name, known, listed=False) or _HINT)
-    return family
-
-
-def _from_call(key: Key, name: str, text: str) -> Density:
-    """Return the density that a call in words describes."""
-    family = _family(key, name)
     shapes = family.shapes.replace(",", " ").split() if family.shapes else []
     order = [*shapes, "loc", "scale"]
     items = [[word.strip() for word in item.split("=", 1)] for item in text.split(",")]
@@ -233,7 +218,12 @@ def _from_call(key: Key, name: str, text: str) -> Density:
     if missing:
         raise SceneError(key.name, f"has '{name}({text})' without {missing}", _HINT)
     given = {"loc": 0.0, "scale": 1.0, **given}
-    return _checked(key, Density.of(name, *(given[word] for word in order)))
+    density = Density.of(name, *(given[word] for word in order))
+    if not np.isfinite(density.frozen.ppf([_TAIL, 1.0 - _TAIL])).all():
+        numbers = ", ".join(f"{given[word]:g}" for word in order)
+        problem = f"has '{name}' with arguments that scipy.stats refuses ({numbers})"
+        raise SceneError(key.name, problem, "A scale must be above zero.")
+    return density
 
 
 def _number(key: Key, text: str, bare: bool) -> float:
@@ -254,32 +244,10 @@ def _number(key: Key, text: str, bare: bool) -> float:
         return float(key.plain(text))  # a pressure, or a part of air
 
 
-def _from_frozen(key: Key, given: Sequence[Any]) -> Density:
-    """Return the density of a frozen distribution and its unit."""
-    frozen, unit = given[0], given[1] if len(given) > 1 else ""
-    if len(given) > 3 or not isinstance(unit, str) or bool(unit) != bool(key.unit):
-        problem = "must be a frozen distribution and its unit, and perhaps a range"
-        raise SceneError(key.name, problem, "For example (scipy.stats.norm(18, 2), 'h').")
-    family = _family(key, frozen.dist.name)
-    size = to_base(f"1 {unit}", key.unit, key.name) if unit else 1.0
-    shapes, loc, scale = family._parse_args(*frozen.args, **frozen.kwds)
-    return _checked(key, Density.of(family.name, *shapes, loc * size, scale * size))
-
-
-def _checked(key: Key, density: Density) -> Density:
-    """Refuse arguments that SciPy refuses."""
-    if not np.isfinite(density.frozen.ppf([_TAIL, 1.0 - _TAIL])).all():
-        arguments = ", ".join(f"{x:g}" for x in (*density.shapes, density.loc, density.scale))
-        problem = f"has '{density.name}' with arguments that scipy.stats refuses ({arguments})"
-        raise SceneError(key.name, problem, "A scale must be above zero.")
-    return density
-
-
-def _range(key: Key, density: Density, ends: Any) -> Any:
+def _range(key: Key, density: Density, ends: str | None) -> Any:
     """Return the range that a distribution is cut to, as :func:`parse_range` takes it."""
     if ends is not None:
-        log = isinstance(ends, str) and density.name == "lognorm" and not ends.startswith("log")
-        return f"log {ends}" if log else ends
+        return f"log {ends}" if density.name == "lognorm" and not ends.startswith("log") else ends
     low, high = map(float, density.frozen.ppf([_TAIL, 1.0 - _TAIL]))
     try:
         low, high = float(key.plain(low)), float(key.plain(high))

@@ -38,7 +38,7 @@ def priors(free):
         ("norm(18 h, 2 h)", stats.norm(64800.0, 7200.0), False),
         ("lognorm(median=18 h, sigma=0.3)", stats.lognorm(0.3, scale=64800.0), True),
         ("lognorm(0.3, scale=1080 min)", stats.lognorm(0.3, scale=64800.0), True),
-        ((stats.gamma(9, scale=2), "h"), stats.gamma(9, scale=7200.0), False),
+        ("gamma(9, scale=2 h)", stats.gamma(9, scale=7200.0), False),
     ],
 )
 def test_a_distribution_is_scipys_with_units(text, expected, log):
@@ -127,12 +127,10 @@ REFUSED = [
     ("norm(loc=18 h, loc=2 h)", "an argument is given twice"),
     ("norm(18 h, -2 h)", "has 'norm' with arguments that scipy.stats refuses (64800, -7200)"),
     ("nrom(18 h, 2 h)", "has the distribution 'nrom', which scipy.stats does not have"),
-    ("uniform(8 h, 25 h)", "has the distribution 'uniform', which is a range. Write its ends"),
     ("lognorm(median=18 h, sigma=0.3 h)", "has '0.3 h' in its distribution, must have no unit"),
     ("norm(18 h, 10 h)", "(a thousandth beyond). Cut the distribution"),
     ("norm(18 h, 2 h) in 100:200 h", "next to nothing in 360000 to 720000 s"),
     ("__import__('os')", "must be two numbers with a colon and a unit"),
-    ((stats.norm(18, 2),), "must be a frozen distribution and its unit"),
 ]
 
 
