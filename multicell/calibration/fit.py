@@ -42,7 +42,6 @@ def fit(
     sd: float = ASSUMED,
     specimens: str = "same",
     scatter: str = "stated",
-    coarse: float = 1.0,
     cores: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -84,10 +83,6 @@ def fit(
     scatter
         ``"unknown"``: what data scatter beyond runs and their stated errors is estimated with the
         parameters, relative to the values of each observable.
-    coarse
-        Search with runs of the scene that is coarse by this factor (:func:`multicell.coarsen`),
-        corrected by fine runs at draws from the intervals; runs with fresh seeds are fine. See
-        :mod:`multicell.calibration.coarse_to_fine`; 1: all runs are fine.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -113,9 +108,8 @@ def fit(
         If no run gives anything to compare, or a budget ends before there is a result.
     """
     plan = plan_of(
-        scene, data, free, seeds=seeds, repeats=repeats, budget=budget,
-        start=start, sd=sd, specimens=specimens, scatter=scatter,
-        coarse=coarse, simulator=simulator,
+        scene, data, free, seeds=seeds, repeats=repeats, budget=budget, start=start, sd=sd,
+        specimens=specimens, scatter=scatter, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -135,7 +129,6 @@ def plan_of(
     sd: float = ASSUMED,
     specimens: str = "same",
     scatter: str = "stated",
-    coarse: float = 1.0,
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
@@ -154,15 +147,8 @@ def plan_of(
     check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
     points, seconds = _spend(problem, budget, repeats + CHECKS)
-    if coarse != 1.0:
-        from multicell.calibration.coarse_to_fine import coarse_simulator
-
-        if isinstance(budget, str):
-            raise SceneError("coarse", "needs a budget in runs")
-        coarse_simulator(problem.simulator, coarse)
     return FitPlan(
-        problem, scene, table, points, seconds, sd, repeats, specimens, {"start": start},
-        coarse=coarse,
+        problem, scene, table, points, seconds, sd, repeats, specimens, {"start": start}
     )  # fmt: skip
 
 
@@ -200,13 +186,6 @@ def carry_out(
 ) -> Fit:
     """Carry out a fit that was checked; parameters as of :func:`fit`."""
     needs("optuna", "distributed", "pandas", "sklearn")
-    if plan.coarse != 1.0:
-        from multicell.calibration.coarse_to_fine import fit_coarse_first
-
-        return fit_coarse_first(
-            plan, carry_out, output, cores=cores, scheduler=scheduler, overwrite=overwrite,
-            progress=progress,
-        )  # fmt: skip
     with ExitStack() as stack:
         folder = None
         if output is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -43,9 +43,6 @@ FILES: Final = (
     *COPIES,
 )  # fmt: skip
 _PACKAGES: Final = ("optuna", "distributed", "pandas", "scikit-learn")
-PAIRS: Final = 8  # draws at which fine runs correct coarse ones
-BESIDE: Final = 2  # coarse runs beside each of them
-FURTHER: Final = 3  # one in so many points of the search is tried once more, after the correction
 _SEARCHED: Final = 0.8  # part of a budget of time that the search takes; the rest is for fresh runs
 
 Progress = Callable[[str, int, int], None]
@@ -59,7 +56,6 @@ class FitPlan:
 
     - ``points``: sets of parameters that the search will try
     - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
-    - ``coarse``: factor of the coarse runs that search first; 1 where there are none
     """
 
     problem: Problem
@@ -71,8 +67,6 @@ class FitPlan:
     repeats: int
     specimens: str = "same"
     request: Mapping[str, Any] = field(default_factory=dict)
-    adopted: Sequence[Mapping[str, Any]] = ()
-    coarse: float = 1.0
 
     @property
     def runs(self) -> int:
@@ -83,7 +77,7 @@ class FitPlan:
     def describe(self) -> dict[str, Any]:
         """Return what decides all numbers of the fit; a fit of anything else is another one."""
         problem, table = self.problem, self.table
-        found = {
+        return {
             "model": MODEL_VERSION,
             "scene": canonical(self.scene),
             "data": {"titles": list(table.titles), "rows": [list(row) for row in table.rows]},
@@ -98,35 +92,21 @@ class FitPlan:
             "specimens": self.specimens,
             "scatter": problem.scatter,
         }
-        stated = getattr(problem.simulator, "stated", None)
-        return found | ({"simulator": stated} if stated else {})
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
         """Return how many runs are left at most, and the time on one core in s that they take."""
-        conditions, fine = len(self.problem.measured.conditions), self.seconds_a_run(1.0)
-        if self.coarse == 1.0:
-            count = max(0, self.runs - (0 if folder is None else self._done(Path(folder))))
-            return count, fine * count
-        searched = self.runs + self.runs // FURTHER + PAIRS * BESIDE * conditions
-        again = PAIRS * conditions + self.runs - self.points * len(self.problem.tasks())
-        return searched + again, searched * self.seconds_a_run(self.coarse) + again * fine
-
-    def seconds_a_run(self, factor: float) -> float:
-        """Return the time on one core in s that a run is expected to take, coarse by a factor."""
-        from multicell.scene.coarsening import coarsen
         from multicell.studies.cost import cost_of
 
-        scenes = [condition.scene for condition in self.problem.measured.conditions]
-        scenes = [s if factor == 1.0 else coarsen(s, factor) for s in scenes]
-        return sum(cost_of(scene).seconds for scene in scenes) / len(scenes)
+        costs = [cost_of(condition.scene) for condition in self.problem.measured.conditions]
+        count = max(0, self.runs - (0 if folder is None else self._done(Path(folder))))
+        return count, count * sum(cost.seconds for cost in costs) / len(costs)
 
     def _done(self, folder: Path) -> int:
         """Return how many runs of the fit a folder has; nothing of another fit counts."""
         known = _read_fit(folder)
         if known is None or known.get("problem") != json.loads(to_json(self.describe())):
             return 0
-        entries = Lines(folder / SEARCH).entries
-        return sum("values" in e and not e.get("reused") for e in entries)
+        return sum("values" in entry for entry in Lines(folder / SEARCH).entries)
 
     @contextmanager
     def open_folder(self, place: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
@@ -171,7 +151,6 @@ def make_runs(
 
     begin = clock.monotonic()
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
-    search.adopt(plan.adopted)
     evaluations = search.run(
         pool, plan.points, deadline=begin + _SEARCHED * plan.seconds,
         progress=partial(progress, "runs of the search"),
@@ -184,8 +163,7 @@ def make_runs(
         "scatter": plan.problem.scatter,
         "seeds": list(plan.problem.seeds),
         "repeats": plan.repeats,
-        "sets_of_parameters": len(evaluations) - search.reused,
-        "reused": search.reused,
+        "sets_of_parameters": len(evaluations),
         "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
         "seconds": clock.monotonic() - begin,
     }

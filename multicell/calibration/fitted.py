@@ -377,8 +377,6 @@ class Fit:
                 f"{several} of {len(data)} data are means of several tissues. These count as the "
                 "same ones at all times, so that their scatter is correlated as that of runs is."
             )
-        if "coarse" in self.facts:
-            notes.append(self.facts["coarse"]["words"])
         if self.sample is None:
             notes.append("Too few points were tried for intervals.")
         else:

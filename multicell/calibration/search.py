@@ -73,7 +73,6 @@ class Search:
         self._points: list[Point] = []
         self._readings: dict[Run, Reading] = {}
         self._known: dict[int, Evaluation] = {}
-        self.reused = 0  # points of another fit, whose runs were adopted
         self._lines = None if path is None else Lines(path)
         for entry in () if self._lines is None else self._lines.entries:
             try:
@@ -85,14 +84,6 @@ class Search:
     def readings(self) -> Mapping[Run, Reading]:
         """All runs that are known."""
         return self._readings
-
-    def adopt(self, entries: Sequence[Mapping[str, Any]]) -> None:
-        """Take over points and runs of another fit where nothing is known yet."""
-        if not self._points and entries:
-            if self._lines is not None:
-                self._lines.append(entries)
-            for entry in entries:
-                self._take(entry)
 
     def evaluations(self) -> list[Evaluation]:
         """Return all that is known, in order."""
@@ -112,7 +103,7 @@ class Search:
         """Go on until there are so many points; return all of them.
 
         - ``pool``: where runs are made
-        - ``points``: number of points that are wanted in all, besides those of another fit
+        - ``points``: number of points that are wanted in all
         - ``deadline``: time (as of ``time.monotonic``) after which no batch is begun
         - ``progress``: called with the numbers of runs done and wanted after each run
         """
@@ -120,7 +111,6 @@ class Search:
 
         with quiet("optuna"), warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            points += self.reused
             self._finish(pool, progress, points)
             while (known := len(self.evaluations())) < points and clock.monotonic() < deadline:
                 self._refuse_failures()
@@ -233,7 +223,12 @@ class Search:
             (run, self._problem.simulator, (list(run[0]), run[1], run[2])) for run in missing
         ]
         for run, reading in pool.results(calls):
-            self._note(entry_of(run, reading))
+            shares, condition, seed = run
+            self._note({
+                "shares": list(shares), "condition": condition, "seed": seed,
+                "values": [None if v != v else v for v in reading.values],
+                "reason": reading.reason,
+            })  # fmt: skip
             done += 1
             if progress is not None:
                 progress(done, wanted)
@@ -247,7 +242,6 @@ class Search:
     def _take(self, entry: Mapping[str, Any]) -> None:
         if "points" in entry:
             self._points += map(_point, entry["points"])
-            self.reused += len(entry["points"]) if entry.get("reused") else 0
             return
         values = tuple(math.nan if v is None else float(v) for v in entry["values"])
         run = _point(entry["shares"]), int(entry["condition"]), int(entry["seed"])
@@ -293,13 +287,6 @@ def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator
         noise=problem.noise,
         prior=problem.prior,
     )
-
-
-def entry_of(run: Run, reading: Reading, **more: Any) -> dict[str, Any]:
-    """Return a run as an entry of a search's log."""
-    (shares, condition, seed), values = run, [None if v != v else v for v in reading.values]
-    known = {"shares": list(shares), "condition": condition, "seed": seed, "values": values}
-    return {**known, "reason": reading.reason, **more}
 
 
 def _point(shares: Sequence[float]) -> Point:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, final
 
 import numpy as np
@@ -62,26 +62,11 @@ class SceneSimulator:
     - ``scenes``: the scene of each condition
     - ``data``: the data of each condition
     - ``ranges``: the free parameters
-    - ``coarse``: factor by which cells of the runs are wider than the scene's
     """
 
     scenes: tuple[PlainScene, ...]
     data: tuple[tuple[Datum, ...], ...]
     ranges: tuple[Range, ...]
-    coarse: float = 1.0
-
-    @property
-    def stated(self) -> dict[str, Any]:
-        """What decides its readings besides scenes, data and ranges."""
-        return {} if self.coarse == 1.0 else {"coarse": self.coarse}
-
-    def made_coarse(self, factor: float) -> SceneSimulator:
-        """Return the simulator of runs with cells so many times as wide; data count the tissue."""
-        from multicell.scene.coarsening import coarsen
-
-        for scene in self.scenes:
-            coarsen(scene.load(), factor)
-        return replace(self, coarse=factor)
 
     @classmethod
     def of(cls, measured: Measured, ranges: Sequence[Range]) -> SceneSimulator:
@@ -107,10 +92,6 @@ class SceneSimulator:
             for free, share in zip(self.ranges, shares, strict=True)
         }
         scene = self.scenes[condition].load().with_changes({**changes, "seed": seed})
-        if self.coarse != 1.0:
-            from multicell.scene.coarsening import coarsen
-
-            scene = coarsen(scene, self.coarse)
         simulation = Simulation(scene, threads=1)
         watch = _Watch(data)
         watch.add(simulation)

@@ -18,8 +18,7 @@ from multicell.results.folder import to_json
 from multicell.tables.columns import read_table
 
 FACTS: Final = (
-    "sd", "specimens", "scatter", "seeds", "repeats", "sets_of_parameters", "reused",
-    "fresh_runs", "seconds", "coarse",
+    "sd", "specimens", "scatter", "seeds", "repeats", "sets_of_parameters", "fresh_runs", "seconds",
 )  # fmt: skip
 
 
@@ -87,7 +86,6 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
         raise OutputError(f"'{folder}' holds a fit that cannot be opened: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise OutputError(f"'{folder}' holds a damaged fit: {error!r}") from error
-    own = {name: value for name, value in problem.items() if name != "simulator"}
-    if json.loads(to_json(plan.describe())) != own:
+    if json.loads(to_json(plan.describe())) != problem:
         raise OutputError(f"'{folder}' holds a fit that its scene or data have been changed in")
     return plan

@@ -55,12 +55,6 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     metavar="RUNS|TIME",
     help="Number of runs, or a time such as '2 h', in all.",
 )
-@click.option(
-    "--coarse",
-    default=1.0,
-    metavar="FACTOR",
-    help="Search with cells so many times as wide, corrected by a few runs of the scene itself.",
-)
 @click.option("--start", metavar="TIME", help="Time of the data at which runs begin, as '102 h'.")
 @shared.valued(
     "--sd",
