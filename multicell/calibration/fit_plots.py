@@ -256,8 +256,7 @@ def _window(fit: Fit, k: int) -> tuple[float, float]:
     """Return the part of a range that is drawn: all of it, or where the posterior is."""
     if fit.sample is None:
         return 0.0, 1.0
-    shares, weights = fit.sample
-    low, high = quantiles(shares[:, k], weights, (0.001, 0.999))
+    low, high = quantiles(fit.sample[:, k], (0.001, 0.999))
     free = fit.problem.ranges[k]
     best = free.share(fit.best.values[free.key])
     low, high = min(low, best), max(high, best)
@@ -276,12 +275,11 @@ def _marginal(
     axes: Axes, fit: Fit, free: Range, k: int, sample: Any, window: tuple[float, float]
 ) -> None:
     if sample is not None:
-        shares, weights = sample
         edges = np.linspace(*window, 33)
-        heights, _ = np.histogram(shares[:, k], edges, weights=weights)
-        heights = heights / (weights.sum() * (edges[1] - edges[0]))
+        heights, _ = np.histogram(sample[:, k], edges)
+        heights = heights / (len(sample) * (edges[1] - edges[0]))
         axes.stairs(heights, _at(free, edges), fill=True, color=BLUE, alpha=0.55)
-        ends = quantiles(shares[:, k], weights, (0.025, 0.975))
+        ends = quantiles(sample[:, k], (0.025, 0.975))
         for x in _at(free, ends):
             axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
         axes.set_title(
@@ -300,9 +298,8 @@ def _pair(
     axes: Axes, fit: Fit, pair: tuple[Range, Range], places: tuple[int, int], sample: Any
 ) -> None:
     if sample is not None:
-        shares, weights = sample
-        chosen = np.random.default_rng(0).choice(len(weights), 600, p=weights / weights.sum())
-        x, y = (_at(free, shares[chosen, k]) for free, k in zip(pair, places, strict=True))
+        chosen = np.random.default_rng(0).choice(sample, 600)
+        x, y = (_at(free, chosen[:, k]) for free, k in zip(pair, places, strict=True))
         axes.plot(x, y, ".", color=BLUE, alpha=0.3, markersize=4, markeredgewidth=0)
     at = [fit.best.values[free.key] / _unit(free)[1] for free in pair]
     axes.plot(*at, "x", color=RED, markersize=9, markeredgewidth=2.0, clip_on=False)

@@ -15,7 +15,7 @@ from multicell.calibration.likelihood import Fresh
 from multicell.calibration.noise import Array
 from multicell.calibration.problem import ABSENT, Problem, misfit
 from multicell.calibration.profiles import Profile, profiles
-from multicell.calibration.search import Evaluation, Run, emulator_of
+from multicell.calibration.search import Evaluation, Run
 from multicell.calibration.simulator import Reading
 from multicell.calibration.verdict import (
     Interval,
@@ -34,9 +34,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from multicell.calibration.data import Datum
-    from multicell.calibration.emulator import Emulator
     from multicell.calibration.fit_plots import FitPlots
-    from multicell.calibration.likelihood import Likelihood
+    from multicell.calibration.likelihood import Checks
     from multicell.calibration.predictive import PredictiveCheck
     from multicell.scene.scene import Scene
 
@@ -129,46 +128,38 @@ class Fit:
         )
 
     @cached_property
-    def sample(self) -> tuple[Array, Array] | None:
-        """Draws from the posterior as places in the ranges (k, d), and their weights (k,).
+    def sample(self) -> Array | None:
+        """Draws from the posterior as places in the ranges, (k, d).
 
-        By the emulator of the search and fresh runs; None where too few points were tried.
+        By the emulator of the search and fresh runs; None where too few points were tried, or
+        fresh runs failed.
         """
-        found = self.likelihood
-        if found is None:
-            return None
-        shares = draws_of(found.loss, self.problem.prior, seed=0)
-        return shares, np.full(len(shares), 1.0 / len(shares))
-
-    @cached_property
-    def likelihood(self) -> Likelihood | Emulator | None:
-        """What the intervals of a search come from; where fresh runs failed its emulator alone."""
-        if self.fresh.likelihood is not None:
-            return self.fresh.likelihood
-        return emulator_of(self.problem, self.evaluations)
+        found = self.fresh.likelihood
+        return None if found is None else draws_of(found.loss, self.problem.prior, seed=0)
 
     @property
     def posterior(self) -> pd.DataFrame:
-        """Weighted draws: a column for each parameter in base units, and ``weight``.
+        """Draws: a column for each parameter in base units, and ``weight``, which is the same.
 
         Its ``attrs`` hold the units.
         """
         needs("pandas")
         import pandas
 
-        shares, weights = self.some_sample()
-        frame = pandas.DataFrame({**self.problem.columns(shares), "weight": weights})
+        shares = self.some_sample()
+        columns = self.problem.columns(shares)
+        frame = pandas.DataFrame({**columns, "weight": np.full(len(shares), 1.0 / len(shares))})
         frame.attrs = {"units": self.problem.parameter_units}
         return frame
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
-        return intervals(self.problem.ranges, *self.some_sample(), level)
+        return intervals(self.problem.ranges, self.some_sample(), level)
 
     @cached_property
     def profiles(self) -> list[Profile]:
         """The profile likelihoods of all parameters by the emulator; none without one."""
-        found = self.likelihood
+        found = self.fresh.likelihood
         return [] if found is None else profiles(found, range(len(self.problem.ranges)))
 
     def profile(self, key: str) -> pd.DataFrame:
@@ -192,7 +183,7 @@ class Fit:
         SceneError
             For an unknown key.
         FitFailed
-            Without an emulator: too few points were tried.
+            If there is no posterior.
         """
         needs("pandas")
         import pandas
@@ -200,9 +191,7 @@ class Fit:
         known = {name: k for k, free in enumerate(self.problem.ranges)
                  for name in (free.key, free.name)}  # fmt: skip
         number = known[chosen(key, known, "key")]
-        if not self.profiles:
-            hint = "A larger budget has one."
-            raise FitFailed("there is no emulator that a profile could be of", hint)
+        self.some_sample()
         found, free = self.profiles[number], self.problem.ranges[number]
         frame = pandas.DataFrame({**self.problem.columns(found.shares), "rise": found.rises})
         frame.attrs = {
@@ -218,36 +207,27 @@ class Fit:
         """What the data do not determine; empty if they determine all."""
         if self.sample is None:
             return []
-        return undetermined(self.problem.ranges, *self.sample, self.problem.prior)
+        return undetermined(self.problem.ranges, self.sample, self.problem.prior)
 
     def predicted(self, levels: Sequence[float] = (0.025, 0.5, 0.975)) -> Array:
         """Return quantiles of what a tissue shows in place of each datum: (levels, n), base units.
 
         Over the posterior and over the scatter of runs; errors of measurement are not in it.
         """
-        problem = self.problem
-        emulated = self.likelihood
-        if emulated is None:
+        problem, known = self.problem, self.fresh.likelihood
+        if known is None:
             return np.full((len(levels), len(problem.observed)), np.nan)
-        found, weights = emulated.predict(self.some_sample()[0])[0], self.some_sample()[1]
-        random = np.random.default_rng(0)
-        found = found + self._scatter * random.standard_normal(found.shape)
-        found = np.maximum(found, problem.lowest)
-        scaled = problem.observed + found * problem.sigma
-        rows = quantiles(scaled, weights, levels)
-        return np.array([problem.unscale(row) for row in rows])
+        found = known.predict(self.some_sample())[0]
+        found = found + self._scatter * np.random.default_rng(0).standard_normal(found.shape)
+        scaled = problem.observed + np.maximum(found, problem.lowest) * problem.sigma
+        return np.array([problem.unscale(row) for row in quantiles(scaled, levels)])
 
     @property
     def _scatter(self) -> Array:
         """Standard deviation of one run, in σ of the data, (n,)."""
-        if self.fresh.scatter is not None:
-            return np.asarray(np.sqrt(self.fresh.scatter.variance))
-        emulated = emulator_of(self.problem, self.evaluations)
-        if emulated is None:
+        if self.fresh.scatter is None:
             return np.full(len(self.problem.observed), np.nan)
-        # that of tissues, without that of the mean of some runs
-        more = 1.0 / self.problem.tissues + 1.0 / len(self.problem.seeds)
-        return np.asarray(np.sqrt(emulated.scatter / more))
+        return np.asarray(np.sqrt(self.fresh.scatter.variance))
 
     @cached_property
     def _emulator_errors(self) -> tuple[Array, Array]:
@@ -256,7 +236,7 @@ class Fit:
         if self.fresh.likelihood is None or self.sample is None:
             return none, none
         assert self.fresh.checks is not None
-        own = np.sqrt(self.fresh.likelihood.predict(self.sample[0])[1].mean(axis=0))
+        own = np.sqrt(self.fresh.likelihood.predict(self.sample)[1].mean(axis=0))
         return own, self.fresh.checks.found
 
     def predictive_check(self) -> PredictiveCheck:
@@ -377,10 +357,10 @@ class Fit:
                 f"{several} of {len(data)} data are means of several tissues. These count as the "
                 "same ones at all times, so that their scatter is correlated as that of runs is."
             )
-        if self.sample is None:
-            notes.append("Too few points were tried for intervals.")
+        if self.fresh.checks is None:
+            notes.append(f"There are no intervals: {self._lacking}.")
         else:
-            notes += self._emulator_notes()
+            notes += _emulator_notes(self.fresh.checks, data)
         if self.fresh.reasons:
             count = len(self.fresh.reasons)
             notes.append(f"{count} fresh runs failed, for example: {self.fresh.reasons[0]}.")
@@ -391,28 +371,6 @@ class Fit:
         absent = int((self.best.residuals == ABSENT).sum())
         if absent:
             notes.append(f"The best runs have nothing in place of {absent} of the data.")
-        return notes
-
-    def _emulator_notes(self) -> list[str]:
-        """Return what is known of intervals that an emulator gives."""
-        notes = ["Intervals are those of Gaussian processes through the runs of the search."]
-        if self.fresh.likelihood is None or self.fresh.checks is None:
-            notes.append(
-                "The scatter of runs is known from the seeds of the search alone, since fresh runs "
-                "at the best point failed: intervals are too narrow where runs scatter."
-            )
-            return notes
-        off = np.flatnonzero(self.fresh.checks.off)
-        if len(off):
-            data = self.problem.measured.data
-            ratio = self.fresh.checks.found / self.fresh.checks.expected
-            worst = data[int(off[np.argmax(ratio[off])])]
-            notes.append(
-                f"At {len(off)} of {len(data)} data runs at draws from the intervals are further "
-                "from the emulator than its error and scatter explain, most at "
-                f"'{worst.observable}' of {worst.place}: intervals were widened by that. A larger "
-                "budget makes them narrower."
-            )
         return notes
 
     @property
@@ -472,13 +430,35 @@ class Fit:
             **self.facts,
         }
 
-    def some_sample(self) -> tuple[Array, Array]:
-        """Return the draws and weights of :attr:`sample`; raises FitFailed where there are none."""
+    def some_sample(self) -> Array:
+        """Return the draws of :attr:`sample`; raises FitFailed where there are none."""
         if self.sample is None:
-            raise FitFailed(
-                "too few points were tried for a posterior", "A larger budget continues the fit."
-            )
+            hint = "A larger budget continues the fit."
+            raise FitFailed(f"there is no posterior: {self._lacking}", hint)
         return self.sample
+
+    @property
+    def _lacking(self) -> str:
+        """Why there is no posterior."""
+        if self.fresh.scatter is None:
+            return "fresh runs at the best point failed"
+        return "too few points were tried"
+
+
+def _emulator_notes(checks: Checks, data: Sequence[Datum]) -> list[str]:
+    """Return what is known of intervals that an emulator gives."""
+    notes = ["Intervals are those of Gaussian processes through the runs of the search."]
+    off = np.flatnonzero(checks.off)
+    if len(off):
+        ratio = checks.found / checks.expected
+        worst = data[int(off[np.argmax(ratio[off])])]
+        notes.append(
+            f"At {len(off)} of {len(data)} data runs at draws from the intervals are further "
+            "from the emulator than its error and scatter explain, most at "
+            f"'{worst.observable}' of {worst.place}: intervals were widened by that. A larger "
+            "budget makes them narrower."
+        )
+    return notes
 
 
 def _title(datum: Datum) -> str:

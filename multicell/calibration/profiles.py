@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
-from multicell.calibration.emulator import FEW, Emulator, best_of, descend, draws
+from multicell.calibration.emulator import FEW, best_of, descend
 from multicell.calibration.likelihood import Likelihood
 from multicell.calibration.noise import Array
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 POINTS: Final = 15  # values of a profile
-_EXACT: Final = 1e6  # degrees of freedom from which Student's distribution is normal
 
 
 @final
@@ -49,25 +48,19 @@ class Profile:
     open: tuple[bool, bool]
 
 
-def limit_of(likelihood: Likelihood | Emulator, level: float) -> float:
+def limit_of(likelihood: Likelihood, level: float) -> float:
     """Return D at the ends of an interval."""
     from scipy import stats
 
-    if isinstance(likelihood, Emulator) or likelihood.freedom >= _EXACT:
-        return float(stats.chi2.ppf(level, 1))
     freedom, count = likelihood.freedom, likelihood.directions.shape[1]
     quantile = stats.t.ppf(0.5 + 0.5 * level, freedom)
     return float((freedom + count) * math.log1p(quantile**2 / freedom))
 
 
-def profiles(
-    likelihood: Likelihood | Emulator, numbers: Sequence[int], level: float = 0.95
-) -> list[Profile]:
+def profiles(likelihood: Likelihood, numbers: Sequence[int], level: float = 0.95) -> list[Profile]:
     """Return the profile likelihoods of some parameters, with intervals of a level."""
-    emulator = likelihood if isinstance(likelihood, Emulator) else likelihood.emulator
-    prior = emulator.prior
-    drawn = draws(likelihood.loss, prior, seed=0, count=FEW)
-    best = best_of(likelihood.loss, prior, drawn)
+    drawn = likelihood.draws(FEW)
+    best = best_of(likelihood.loss, likelihood.emulator.prior, drawn)
     return [_Course(likelihood, drawn, best, k).profile(level) for k in numbers]
 
 
@@ -75,11 +68,9 @@ def profiles(
 class _Course:
     """The search for the least loss where one parameter is fixed."""
 
-    def __init__(
-        self, likelihood: Likelihood | Emulator, drawn: Array, best: Array, number: int
-    ) -> None:
-        emulator = likelihood if isinstance(likelihood, Emulator) else likelihood.emulator
-        self._likelihood, self._prior, self._number = likelihood, emulator.prior, number
+    def __init__(self, likelihood: Likelihood, drawn: Array, best: Array, number: int) -> None:
+        self._likelihood, self._prior = likelihood, likelihood.emulator.prior
+        self._number = number
         self._drawn, self._known, self._best = drawn, [best], best
         self._least = float(self._loss(best[None])[0])
 

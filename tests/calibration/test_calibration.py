@@ -36,17 +36,15 @@ ALWAYS = ("kink",)
 
 
 def sampled(problem):
-    """Return weighted draws of a fit, as places in the ranges."""
+    """Return draws of a fit, as places in the ranges."""
     search = Search(problem, None)
     search.run(Pool(), 30)
-    found = fresh(problem, search, Pool(), search.emulator())
-    shares = found.likelihood.draws()
-    return shares, np.full(len(shares), 1.0 / len(shares))
+    return fresh(problem, search, Pool(), search.emulator()).likelihood.draws()
 
 
 def covered(problem, sample, truth):
     """Return whether 80 and 95 % intervals hold the truth, (2, parameters)."""
-    found = [intervals(problem.ranges, *sample, level) for level in (0.8, 0.95)]
+    found = [intervals(problem.ranges, sample, level) for level in (0.8, 0.95)]
     return [[x in f[r.name] for r, x in zip(problem.ranges, truth, strict=True)] for f in found]
 
 

@@ -56,8 +56,7 @@ def correlated(count=20_000):
     precision = np.linalg.inv(covariance)
     after = np.linalg.inv(a.T @ precision @ a + np.linalg.inv(wide))
     theta = rng.multivariate_normal(after @ a.T @ precision @ y, after, count)
-    even = np.full(count, 1.0 / count)
-    found = Predictive(theta @ a.T - y, even, covariance, np.zeros(12))
+    found = Predictive(theta @ a.T - y, covariance, np.zeros(12))
     return found, y, a @ wide @ a.T + covariance
 
 
@@ -82,8 +81,7 @@ def test_one_draw_far_out_does_not_decide_a_score():
 def test_checks_are_the_probabilities_of_their_closed_forms():
     covariance = np.array([[1.0, 0.6], [0.6, 2.0]])
     off = np.array([1.2, -0.7])
-    found = Predictive(np.tile(off, (40_000, 1)), np.full(40_000, 1 / 40_000), covariance,
-                       np.zeros(2))  # fmt: skip
+    found = Predictive(np.tile(off, (40_000, 1)), covariance, np.zeros(2))
     chi, largest = found.check()
     assert chi == pytest.approx(stats.chi2.sf(off @ np.linalg.solve(covariance, off), 2))
     # both within the larger deviation, 1.2 of the first

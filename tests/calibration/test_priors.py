@@ -105,11 +105,10 @@ def test_what_the_data_leave_as_it_was_beforehand_is_said_to_be_open():
     problem = with_prior(problem, None, PULL)
     drawn = problem.prior.draw(np.random.default_rng(0), 4000)
     drawn[:, 0] = 0.5 + 0.01 * np.random.default_rng(1).standard_normal(4000)
-    even = np.full(4000, 1 / 4000)
-    (entry,) = undetermined(problem.ranges, drawn, even, problem.prior)
+    (entry,) = undetermined(problem.ranges, drawn, problem.prior)
     assert (entry.names, entry.kind) == (("p1",), "open")
     assert "of its range, 16 % beforehand" in str(entry)
-    assert undetermined(problem.ranges, drawn, even) == []
+    assert undetermined(problem.ranges, drawn) == []
 
 
 def test_another_prior_is_another_fit():

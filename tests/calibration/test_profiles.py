@@ -10,6 +10,8 @@ from cheap_fits import MATRIX, exact, fitted, linear, through
 from scipy import stats
 
 import multicell as mc
+from multicell.calibration.emulator import best_of, draws
+from multicell.calibration.likelihood import likelihood, scatter_of
 from multicell.calibration.priors import Density, Prior
 from multicell.calibration.profiles import profiles
 
@@ -17,10 +19,12 @@ VALUES = [0.45, 0.6, 1.0, -0.2]
 
 
 def of_runs(problem, prior=None):
-    """Return an emulator through exact runs of a linear problem."""
+    """Return the likelihood of exact runs of a linear problem, which do not scatter."""
     shares = np.random.default_rng(5).random((40, len(problem.ranges)))
     runs = np.array([problem.simulator(x, 0, 0).values for x in shares])
-    return through(shares, (runs - problem.observed) / problem.sigma, prior=prior)
+    model = through(shares, (runs - problem.observed) / problem.sigma, prior=prior)
+    best = best_of(model.loss, model.prior, draws(model.loss, model.prior, seed=0, count=300))
+    return likelihood(model, problem.noise, best, scatter_of(model.means(np.tile(best, (12, 1)))))
 
 
 def test_the_profile_of_a_linear_model_is_the_parabola_of_its_closed_form():
@@ -66,5 +70,5 @@ def test_a_profile_is_a_table_with_units_and_bad_input_is_refused():
     assert table.attrs["open"] == [False, False]
     with pytest.raises(mc.SceneError, match=r"key: is 'toy\.p7', must be one of"):
         found.profile("toy.p7")
-    with pytest.raises(mc.errors.FitFailed, match="no emulator that a profile could be of"):
+    with pytest.raises(mc.errors.FitFailed, match="too few points were tried"):
         fitted(linear(MATRIX, VALUES, 0.05), points=3).profile("p0")
