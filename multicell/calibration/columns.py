@@ -36,7 +36,7 @@ class Column:
     """One column.
 
     - ``kind``: ``"time"``, ``"start"``, ``"at"``, ``"depth"``, ``"specimen"``, ``"value"``,
-      ``"sd"``, ``"sem"``, ``"n"``, ``"condition"``, ``"label"`` or ``"remark"``
+      ``"sd"``, ``"sem"``, ``"n"``, ``"condition"`` or ``"label"``
     - ``name``: of the observable or the field, or key of the scene
     - ``unit``: as the title states it
     - ``base``: base unit of the numbers
@@ -114,7 +114,7 @@ def columns_of(table: Table, scene: Scene) -> list[Column]:
     seen: dict[tuple[str, str], str] = {}
     for column in columns:
         key = column.kind, column.name
-        if column.kind != "remark" and key in seen:
+        if key in seen:
             problem = f"says the same as '{seen[key]}'"
             raise DataError(f"{table.name}, '{column.title}'", problem)
         seen[key] = column.title
@@ -133,8 +133,6 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> C
     """Return what one column holds; ``before``: those to its left."""
     place = f"{table}, '{title}'"
     name, unit = split_title(title)
-    if title.startswith("#"):
-        return Column("remark", title, "", "", title)
     if not name:
         raise DataError(place, "is a column without a name")
     if title.endswith("/"):

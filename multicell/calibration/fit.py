@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -20,7 +19,6 @@ from multicell.host.extras import needs
 from multicell.schema import chosen
 from multicell.studies.limits import MAX_RUNS, check_runs, check_seeds, whole
 from multicell.tables.columns import read_table
-from multicell.units import to_base
 
 if TYPE_CHECKING:
     from multicell.calibration.simulator import Simulator
@@ -37,7 +35,7 @@ def fit(
     output: str | Path | None = None,
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
-    budget: int | str | None = None,
+    budget: int | None = None,
     start: float | str | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
@@ -71,8 +69,7 @@ def fit(
         Runs with fresh random numbers at the best point, from which the intervals of a search have
         the scatter of runs; 8 to 16 are sensible.
     budget
-        Number of runs, or a time such as ``"2 h"``, in all. By default as many runs as the number
-        of free parameters asks for.
+        Number of runs in all; by default as many as the number of free parameters asks for.
     start
         Time of the data at which runs begin, where no column ``start`` says so.
     sd
@@ -124,7 +121,7 @@ def plan_of(
     *,
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
-    budget: int | str | None = None,
+    budget: int | None = None,
     start: float | str | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
@@ -146,22 +143,16 @@ def plan_of(
     ranges, prior = free_of(free, measured)
     check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
-    points, seconds = _spend(problem, budget, repeats + CHECKS)
+    points = _points(problem, budget, repeats + CHECKS)
     return FitPlan(
-        problem, scene, table, points, seconds, sd, repeats, specimens, {"start": start}
+        problem, scene, table, points, sd, repeats, specimens, {"start": start}
     )  # fmt: skip
 
 
-def _spend(problem: Problem, budget: int | str | None, fresh: int) -> tuple[int, float]:
-    """Return sets of parameters of the search, and s."""
-    points = 20 + 15 * len(problem.ranges)
+def _points(problem: Problem, budget: int | None, fresh: int) -> int:
+    """Return how many sets of parameters a search tries."""
     if budget is None:
-        return points, math.inf
-    if isinstance(budget, str):
-        seconds = to_base(budget, "s", "budget")
-        if seconds <= 0.0:
-            raise SceneError("budget", f"is {budget!r}, must be above 0")
-        return 10 * points, seconds
+        return 20 + 15 * len(problem.ranges)
     whole("budget", budget, 1, MAX_RUNS, "It is the number of runs in all.")
     conditions, each = len(problem.measured.conditions), len(problem.tasks())
     left = max(0, budget - fresh * conditions)
@@ -172,7 +163,7 @@ def _spend(problem: Problem, budget: int | str | None, fresh: int) -> tuple[int,
             f"of parameters, {each} runs each"
         )
         raise SceneError("budget", words, f"It takes at least {_LEAST} sets.")
-    return points, math.inf
+    return points
 
 
 def carry_out(

@@ -43,7 +43,6 @@ FILES: Final = (
     *COPIES,
 )  # fmt: skip
 _PACKAGES: Final = ("optuna", "distributed", "pandas", "scikit-learn")
-_SEARCHED: Final = 0.8  # part of a budget of time that the search takes; the rest is for fresh runs
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how much of it is done and how much is wanted."""
@@ -55,14 +54,12 @@ class FitPlan:
     """A fit that was checked and not begun.
 
     - ``points``: sets of parameters that the search will try
-    - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
     """
 
     problem: Problem
     scene: Scene
     table: Table
     points: int
-    seconds: float
     sd: float
     repeats: int
     specimens: str = "same"
@@ -151,10 +148,7 @@ def make_runs(
 
     begin = clock.monotonic()
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
-    evaluations = search.run(
-        pool, plan.points, deadline=begin + _SEARCHED * plan.seconds,
-        progress=partial(progress, "runs of the search"),
-    )  # fmt: skip
+    evaluations = search.run(pool, plan.points, partial(progress, "runs of the search"))
     note = partial(progress, "fresh runs")
     again = fresh(plan.problem, search, pool, search.emulator(), plan.repeats, note)
     own = {

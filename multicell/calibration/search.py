@@ -14,7 +14,6 @@ batch.
 from __future__ import annotations
 
 import math
-import time as clock
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -96,15 +95,12 @@ class Search:
         self,
         pool: Pool,
         points: int,
-        *,
-        deadline: float = math.inf,
         progress: Callable[[int, int], None] | None = None,
     ) -> list[Evaluation]:
         """Go on until there are so many points; return all of them.
 
         - ``pool``: where runs are made
         - ``points``: number of points that are wanted in all
-        - ``deadline``: time (as of ``time.monotonic``) after which no batch is begun
         - ``progress``: called with the numbers of runs done and wanted after each run
         """
         import optuna
@@ -112,7 +108,7 @@ class Search:
         with quiet("optuna"), warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             self._finish(pool, progress, points)
-            while (known := len(self.evaluations())) < points and clock.monotonic() < deadline:
+            while (known := len(self.evaluations())) < points:
                 self._refuse_failures()
                 width = max(BATCH, math.ceil(pool.count / len(self._problem.tasks())))
                 # one entry: a search that is stopped here has none of the batch, or all of it

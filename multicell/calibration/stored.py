@@ -79,7 +79,7 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
             measured, ranges, len(seeds), seeds[0], scatter=problem["scatter"], prior=prior
         )
         plan = FitPlan(
-            stated, scene, table, int(result.get("sets_of_parameters", 0)), float("inf"),
+            stated, scene, table, int(result.get("sets_of_parameters", 0)),
             float(problem["sd"]), int(result.get("repeats", 0)), problem["specimens"],
         )  # fmt: skip
     except MulticellError as error:

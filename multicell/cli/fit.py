@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-def _budget(context: click.Context, option: click.Parameter, value: str | None) -> int | str | None:
-    if value is None:
-        return None
-    return int(value) if value.strip().isdigit() else value
-
-
 @click.command()
 @shared.of_scene
 @click.option(
@@ -49,12 +43,7 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     default=12,
     help="Runs with fresh seeds at the best point, from which intervals have the scatter of runs.",
 )
-@click.option(
-    "--budget",
-    callback=_budget,
-    metavar="RUNS|TIME",
-    help="Number of runs, or a time such as '2 h', in all.",
-)
+@click.option("--budget", type=int, metavar="RUNS", help="Number of runs in all.")
 @click.option("--start", metavar="TIME", help="Time of the data at which runs begin, as '102 h'.")
 @shared.valued(
     "--sd",
@@ -133,7 +122,6 @@ def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
     from multicell.studies.cost import StudyCost, cost_of
 
     runs, core_seconds = plan.left(folder)
-    core_seconds = min(core_seconds, plan.seconds * (cores or 1))
     memory = max(cost_of(c.scene).memory for c in plan.problem.measured.conditions)
     many = cores or 1
     return StudyCost(runs, core_seconds, core_seconds / many, memory * many, disk=0.0)

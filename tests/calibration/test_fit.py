@@ -255,8 +255,6 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
 
 
 def test_budgets_are_shared_out():
-    plan = plan_of(SMALL, DATA, FREE, budget="2 h")
-    assert plan.seconds == 7200.0
     assert plan_of(SMALL, DATA, FREE, budget=41 + 12 + 6).points == 20
     assert plan_of(SMALL, DATA, FREE, budget=41 + 8 + 6, repeats=8).points == 20
     assert plan_of(SMALL, DATA, FREE).left(None)[1] > 0.0
