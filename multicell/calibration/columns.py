@@ -25,6 +25,7 @@ from multicell.units import to_base
 _ERRORS: Final = ("sd", "sem")
 NUMBERS: Final = ("time", "start", "at", "depth", "value", *_ERRORS, "n")
 """Kinds of columns that hold numbers."""
+MAX_BYTES: Final = 10_000_000  # of a file of measured data
 _NO_CONDITIONS: Final = ("title", "seed")
 _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 """Units of times by titles without one."""

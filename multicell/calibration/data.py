@@ -47,7 +47,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, final
 
-from multicell.calibration.columns import NUMBERS, Column, columns_of, fields_of
+from multicell.calibration.columns import MAX_BYTES, NUMBERS, Column, columns_of, fields_of
 from multicell.calibration.noise import group
 from multicell.errors import DataError, SceneError
 from multicell.results.observable import represented
@@ -56,8 +56,6 @@ from multicell.schema import chosen, leaves
 from multicell.studies.readings import at_the_end, in_history, suggest
 from multicell.tables.columns import Table, read_table
 from multicell.units import to_base
-
-MAX_BYTES: Final = 10_000_000  # of a file of measured data
 
 ASSUMED: Final = 0.1
 """Relative standard deviation of data that come without one, unless another one is given."""

@@ -7,7 +7,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
+from multicell.calibration.columns import MAX_BYTES
+from multicell.calibration.data import ASSUMED, read_data
 from multicell.calibration.fit_plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitted import Fit
 from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS

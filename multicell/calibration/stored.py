@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from multicell.calibration.data import MAX_BYTES, read_data
+from multicell.calibration.columns import MAX_BYTES
+from multicell.calibration.data import read_data
 from multicell.calibration.fit_plan import FIT, FitPlan, make_runs
 from multicell.calibration.fitted import Fit
 from multicell.calibration.pool import Pool
