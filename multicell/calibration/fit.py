@@ -37,7 +37,6 @@ def fit(
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
     budget: int | None = None,
-    start: float | str | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
     scatter: str = "stated",
@@ -71,8 +70,6 @@ def fit(
         the scatter of runs; 8 to 16 are sensible.
     budget
         Number of runs in all; by default as many as the number of free parameters asks for.
-    start
-        Time of the data at which runs begin, where no column ``start`` says so.
     sd
         Relative standard deviation of data that come without one.
     specimens
@@ -106,7 +103,7 @@ def fit(
         If no run gives anything to compare, or a budget ends before there is a result.
     """
     plan = plan_of(
-        scene, data, free, seeds=seeds, repeats=repeats, budget=budget, start=start, sd=sd,
+        scene, data, free, seeds=seeds, repeats=repeats, budget=budget, sd=sd,
         specimens=specimens, scatter=scatter, simulator=simulator,
     )  # fmt: skip
     return carry_out(
@@ -123,7 +120,6 @@ def plan_of(
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
     budget: int | None = None,
-    start: float | str | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
     scatter: str = "stated",
@@ -140,14 +136,12 @@ def plan_of(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
     table = read_table(data, MAX_BYTES)
-    measured = read_data(table, scene, start=start, sd=sd, specimens=specimens)
+    measured = read_data(table, scene, sd=sd, specimens=specimens)
     ranges, prior = free_of(free, measured)
     check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
     points = _points(problem, budget, repeats + CHECKS)
-    return FitPlan(
-        problem, scene, table, points, sd, repeats, specimens, {"start": start}
-    )  # fmt: skip
+    return FitPlan(problem, scene, table, points, sd, repeats, specimens)
 
 
 def _points(problem: Problem, budget: int | None, fresh: int) -> int:

@@ -49,7 +49,6 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         },
         parameters=parameters_in_words(fit),
         undetermined=[str(entry) for entry in fit.undetermined],
-        asked=fit.sample is not None,
         notes=fit.notes,
         emulated=fit.sample is not None,
         rows=_rows(fit),

@@ -6,7 +6,7 @@ import json
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -63,7 +63,6 @@ class FitPlan:
     sd: float
     repeats: int
     specimens: str = "same"
-    request: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def runs(self) -> int:
@@ -125,12 +124,10 @@ class FitPlan:
             if overwrite:
                 remove(folder, FILES)
             if _read_fit(folder) is None:
-                entry = {
-                    "multicell": package_version(), "problem": asked, "request": self.request
-                }  # fmt: skip
                 kept = with_copy(self.scene, folder)
                 write_text(folder / "scene.toml", kept.to_toml(beside=folder))
                 write_text(folder / "data.csv", csv_text(self.table.titles, self.table.rows))
+                entry = {"multicell": package_version(), "problem": asked}
                 write_table(folder / FIT, entry)  # the last: then all is there
             yield folder
 

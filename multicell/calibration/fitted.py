@@ -49,7 +49,6 @@ class Best:
     finding it.
 
     - ``values``: by key of the scene, in base units
-    - ``units``: base unit by key; empty for a number without
     - ``words``: by key: value and unit for people, ``"15.2 h"``
     - ``readings``, (n,): what fresh runs have in place of each datum (their mean), base units
     - ``residuals``, (n,): in standard deviations; positive where the runs have more
@@ -59,7 +58,6 @@ class Best:
     """
 
     values: Mapping[str, float]
-    units: Mapping[str, str]
     words: Mapping[str, str]
     readings: Array
     residuals: Array
@@ -117,7 +115,6 @@ class Fit:
         settings = {free.key: free.setting(values[free.key]) for free in problem.ranges}
         return Best(
             values=values,
-            units=units,
             words={key: in_words(value, units[key]) for key, value in values.items()},
             readings=problem.unscale(there.means),
             residuals=there.residuals,

@@ -43,14 +43,12 @@ BATCH: Final = 5  # points that are tried together, at least
 class Evaluation:
     """What was found for one set of parameters.
 
-    - ``number``: in the order in which they were asked for
     - ``shares``, (d,): places in the ranges
     - ``misfit``: of its runs
     - ``loss``: -2 ln of likelihood and prior density
     - ``reasons``: why runs failed; empty if none did
     """
 
-    number: int
     shares: Array
     misfit: Misfit
     loss: float
@@ -88,7 +86,7 @@ class Search:
         """Return all that is known, in order."""
         for number, shares in enumerate(self._points):
             if number not in self._known and not self._missing(self._runs([shares])):
-                self._known[number] = self._evaluation(number, shares)
+                self._known[number] = self._evaluation(shares)
         return [self._known[number] for number in sorted(self._known)]
 
     def run(
@@ -243,7 +241,7 @@ class Search:
         run = _point(entry["shares"]), int(entry["condition"]), int(entry["seed"])
         self._readings[run] = Reading(values, str(entry["reason"]))
 
-    def _evaluation(self, number: int, shares: Point) -> Evaluation:
+    def _evaluation(self, shares: Point) -> Evaluation:
         """Return what a point has come to."""
         tasks = self._problem.tasks()
         readings = {(k, seed): self._readings[shares, k, seed] for k, seed in tasks}
@@ -251,7 +249,7 @@ class Search:
         reasons = tuple(reading.reason for reading in readings.values() if reading.reason)
         misfit, place = self._problem.misfit(known), np.array(shares)
         loss = misfit.loss + float(self._problem.prior.loss(place[None])[0])
-        return Evaluation(number, place, misfit, loss, reasons)
+        return Evaluation(place, misfit, loss, reasons)
 
     def _refuse_failures(self) -> None:
         """Refuse to continue where no run succeeds."""

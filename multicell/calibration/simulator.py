@@ -7,9 +7,9 @@ and back comes one number for each datum.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,17 +41,12 @@ class Reading:
     reason: str = ""
 
 
-class Simulator(Protocol):
-    """Anything that stands for the runs of a scene. It must be able to travel to workers."""
+Simulator = Callable[[Sequence[float], int, int], Reading]
+"""What stands for the runs of a scene: returns what a run gives.
 
-    def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:
-        """Return what a run gives.
-
-        - ``shares``: place of each free parameter in its range, from 0 to 1
-        - ``condition``: number of the condition
-        - ``seed``: of the run's random numbers
-        """
-        ...
+Its arguments are the place of each free parameter in its range, from 0 to 1, the number of the
+condition, and the seed of the run's random numbers. It must be able to travel to workers.
+"""
 
 
 @final

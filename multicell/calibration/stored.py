@@ -62,13 +62,9 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
         raise OutputError(f"'{folder}' holds no fit")
     try:
         problem = entry["problem"]
-        request = entry.get("request", {})
         scene = load_scene(folder / "scene.toml")
         table = read_table(folder / "data.csv", MAX_BYTES)
-        measured = read_data(
-            table, scene, start=request.get("start"), sd=problem["sd"],
-            specimens=problem["specimens"],
-        )  # fmt: skip
+        measured = read_data(table, scene, sd=problem["sd"], specimens=problem["specimens"])
         given = {key: (r["low"], r["high"], *(["log"] if r["log"] else []))
                  for key, r in problem["free"].items()}  # fmt: skip
         ranges = ranges_of(given, measured)

@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     help="Runs with fresh seeds at the best point, from which intervals have the scatter of runs.",
 )
 @click.option("--budget", type=int, metavar="RUNS", help="Number of runs in all.")
-@click.option("--start", metavar="TIME", help="Time of the data at which runs begin, as '102 h'.")
 @shared.valued(
     "--sd",
     default=0.1,

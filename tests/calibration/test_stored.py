@@ -15,6 +15,7 @@ SCENE = mc.load_scene("growth").with_changes(
     {"duration": "30 h", "initial.count": 6, "coupling_step": "2 h"}
 )
 DATA = {
+    "start / h": [2, 2, 2],
     "time / h": [12, 22, 22],
     "diameter / um": [26.0, 30.0, 29.0],
     "diameter sd / um": [1.0, 1.0, 1.0],
@@ -23,7 +24,7 @@ DATA = {
 }
 CYCLE, RADIUS = "growth.cycle_time", "cells.division_radius"
 FREE = {CYCLE: "norm(16 h, 3 h) in 10:30 h", RADIUS: "4:10 um"}
-FEW = {"seeds": 1, "cores": 1, "repeats": 4, "budget": 64, "start": "2 h"}
+FEW = {"seeds": 1, "cores": 1, "repeats": 4, "budget": 64}
 
 
 def same(one, other):
