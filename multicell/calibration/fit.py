@@ -14,7 +14,8 @@ from multicell.calibration.fitted import Fit
 from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
 from multicell.calibration.noise import SCATTERS
 from multicell.calibration.pool import open_pool
-from multicell.calibration.problem import Problem, free_of, problem_of
+from multicell.calibration.problem import Problem, free_of
+from multicell.calibration.simulator import SceneSimulator
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
@@ -139,7 +140,9 @@ def plan_of(
     measured = read_data(table, scene, sd=sd, specimens=specimens)
     ranges, prior = free_of(free, measured)
     check_runs(len(measured.conditions), seeds)
-    problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
+    simulator = simulator or SceneSimulator.of(measured, ranges)
+    numbers = tuple(range(scene.seed, scene.seed + seeds))
+    problem = Problem(measured, ranges, simulator, numbers, scatter, prior)
     points = _points(problem, budget, repeats + CHECKS)
     return FitPlan(problem, scene, table, points, sd, repeats, specimens)
 

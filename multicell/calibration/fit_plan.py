@@ -147,7 +147,7 @@ def make_runs(
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
     evaluations = search.run(pool, plan.points, partial(progress, "runs of the search"))
     note = partial(progress, "fresh runs")
-    again = fresh(plan.problem, search, pool, search.emulator(), plan.repeats, note)
+    again = fresh(plan.problem, search, pool, plan.repeats, note)
     own = {
         "sd": plan.sd,
         "specimens": plan.specimens,

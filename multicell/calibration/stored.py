@@ -12,7 +12,8 @@ from multicell.calibration.fit_plan import FIT, FitPlan, make_runs
 from multicell.calibration.fitted import Fit
 from multicell.calibration.pool import Pool
 from multicell.calibration.priors import Density, prior_of
-from multicell.calibration.problem import problem_of, ranges_of
+from multicell.calibration.problem import Problem, ranges_of
+from multicell.calibration.simulator import SceneSimulator
 from multicell.errors import MulticellError, OutputError
 from multicell.results.documents import read_table as read_document
 from multicell.results.folder import to_json
@@ -71,10 +72,8 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
         known_of = problem.get("densities", {})
         densities = [Density.of(*known_of[r.key]) if r.key in known_of else None for r in ranges]
         prior = prior_of(ranges, densities)
-        seeds = problem["seeds"]
-        stated = problem_of(
-            measured, ranges, len(seeds), seeds[0], scatter=problem["scatter"], prior=prior
-        )
+        simulator, seeds = SceneSimulator.of(measured, ranges), tuple(problem["seeds"])
+        stated = Problem(measured, ranges, simulator, seeds, problem["scatter"], prior)
         plan = FitPlan(
             stated, scene, table, int(result.get("sets_of_parameters", 0)),
             float(problem["sd"]), int(result.get("repeats", 0)), problem["specimens"],

@@ -200,5 +200,5 @@ def fitted(problem, points=30):
     search = Search(problem, None, seed=1)
     known = search.run(Pool(), points)
     facts = {"sd": 0.1, "seconds": 1.0, "sets_of_parameters": points}
-    again = fresh(problem, search, Pool(), search.emulator())
+    again = fresh(problem, search, Pool())
     return Fit(problem, SCENE, known, None, facts, again)
