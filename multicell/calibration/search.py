@@ -144,7 +144,21 @@ class Search:
 
     def emulator(self) -> Emulator | None:
         """Return an emulator through the best points, None while there are too few."""
-        return emulator_of(self._problem, self.evaluations())
+        known, problem = self.evaluations(), self._problem
+        if not known:
+            return None
+        misfits, sigma = [e.misfit for e in known], problem.sigma
+        more = 1.0 / problem.tissues + 1.0 / len(problem.seeds)
+        return emulator(
+            np.array([e.shares for e in known]),
+            np.array([(m.means - problem.observed) / sigma for m in misfits]),
+            np.array([m.scatter for m in misfits]) * more / sigma**2,
+            np.array([m.loss for m in misfits]),
+            observables=[datum.observable for datum in problem.measured.data],
+            lowest=problem.lowest,
+            noise=problem.noise,
+            prior=problem.prior,
+        )
 
     def _next(self, count: int) -> list[list[float]]:
         """Return the points of the next batch."""
@@ -262,25 +276,6 @@ class Search:
             f"no run of the first {len(known)} sets of parameters gives any of the data: {said}",
             "See whether the scene runs as it is, and whether the ranges make sense.",
         )
-
-
-def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator | None:
-    """Return an emulator through the best of some evaluations, None if there are too few."""
-    if not evaluations:
-        return None
-    misfits = [e.misfit for e in evaluations]
-    sigma = problem.sigma
-    more = 1.0 / problem.tissues + 1.0 / len(problem.seeds)
-    return emulator(
-        np.array([e.shares for e in evaluations]),
-        np.array([(m.means - problem.observed) / sigma for m in misfits]),
-        np.array([m.scatter for m in misfits]) * more / sigma**2,
-        np.array([m.loss for m in misfits]),
-        observables=[datum.observable for datum in problem.measured.data],
-        lowest=problem.lowest,
-        noise=problem.noise,
-        prior=problem.prior,
-    )
 
 
 def _point(shares: Sequence[float]) -> Point:
