@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from multicell.calibration.verdict import in_words
 from multicell.errors import OutputError
 from multicell.report.html import write_page
-from multicell.report.wording import clock, time_unit
+from multicell.report.wording import clock, time_unit, written
 
 if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
@@ -110,7 +110,7 @@ def _rows(fit: Fit) -> list[dict[str, Any]]:
     """Return the data one by one in words."""
     rows = fit.rows()
     for row in rows:
-        row["unit"] = row["unit"].replace("um", "µm")
+        row["unit"] = written(row["unit"])
         row["when"] = row["at"] or "at the end"
         if row["time"] == row["time"]:
             row["when"] = time_unit(row["time"]).text(row["time"])

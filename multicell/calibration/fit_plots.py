@@ -13,8 +13,9 @@ from multicell.calibration.noise import Array
 from multicell.calibration.priors import values_at
 from multicell.calibration.verdict import quantiles
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, counts, styled
-from multicell.report.wording import TimeUnit, time_unit
+from multicell.report.wording import TimeUnit, time_unit, written
 from multicell.results.quantities import unit_of
+from multicell.studies.picture_data import with_unit, words
 from multicell.studies.pictures import panels, with_heading
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def data(fit: Fit) -> Figure:
     band = fit.predicted(_BAND)
     for axes, (name, over, numbers) in zip(grid, shown, strict=True):
         unit = fit.problem.measured.units[name]
-        axes.set_title(_named(name, unit))
+        axes.set_title(with_unit(words(name), written(unit)))
         if over:
             _over_axis(axes, fit, numbers, band)
         else:
@@ -184,7 +185,7 @@ def _place(fit: Fit, datum: Datum) -> str:
 def _when(datum: Datum) -> str:
     """Return when a datum was measured, in words."""
     if datum.at is not None:
-        unit = unit_of(datum.at[0]).replace("um", "µm")
+        unit = written(unit_of(datum.at[0]))
         return f"at a {datum.at[0].replace('_', ' ')} of {datum.at[1]:g} {unit}".strip()
     return "at the end" if datum.time is None else f"after {time_unit(datum.time).text(datum.time)}"
 
@@ -237,7 +238,7 @@ def profiles(fit: Fit) -> Figure:
             if not is_open:
                 axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
         axes.set_ylim(0.0, 3.0 * profile.limit)
-        axes.set_xlabel(_named(free.name, _unit(free)[0]))
+        axes.set_xlabel(_label(free))
         if k % columns == 0:
             axes.set_ylabel("rise of -2 ln L")
         axes.xaxis.set_major_locator(MaxNLocator(4))
@@ -249,7 +250,11 @@ def _unit(free: Range) -> tuple[str, float]:
     if free.unit == "s":
         unit = time_unit(free.high)
         return unit.name, unit.seconds
-    return free.unit.replace("um", "µm"), 1.0
+    return written(free.unit), 1.0
+
+
+def _label(free: Range) -> str:
+    return with_unit(words(free.name), _unit(free)[0])
 
 
 def _window(fit: Fit, k: int) -> tuple[float, float]:
@@ -324,19 +329,13 @@ def _edges(
         else:
             axis.set_major_locator(MaxNLocator(4, prune="both"))
     if row == count - 1:
-        axes.set_xlabel(_named(ranges[0].name, _unit(ranges[0])[0]), fontsize=10)
+        axes.set_xlabel(_label(ranges[0]), fontsize=10)
     else:
         axes.tick_params(labelbottom=False)
     if column == 0 and row > 0:
-        axes.set_ylabel(_named(ranges[1].name, _unit(ranges[1])[0]), fontsize=10)
+        axes.set_ylabel(_label(ranges[1]), fontsize=10)
     elif row != column:
         axes.tick_params(labelleft=False)
-
-
-def _named(name: str, unit: str) -> str:
-    shown = unit.replace("um", "µm")
-    words = name.replace("_", " ")
-    return f"{words} ({shown})" if shown else words
 
 
 def _title(fit: Fit) -> str:

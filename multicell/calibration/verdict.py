@@ -10,7 +10,7 @@ import numpy as np
 
 from multicell.calibration.noise import Array
 from multicell.calibration.priors import Prior
-from multicell.report.wording import time_unit
+from multicell.report.wording import time_unit, written
 from multicell.studies.axes import Range
 
 OPEN: Final = 0.7
@@ -117,4 +117,4 @@ def in_words(value: float, unit: str) -> str:
     """Return a value in base units in words, times in a unit that suits them."""
     if unit == "s" and value:
         return time_unit(abs(value)).text(value)
-    return f"{value:.4g} {unit}".replace("um", "µm").strip()
+    return f"{value:.4g} {written(unit)}".strip()
