@@ -403,7 +403,8 @@ def descend(loss: Loss, prior: Prior, start: Array, moving: Mask) -> Array:
 
     bounds = [(0.0, 1.0)] * count
     down = minimize(value_and_slope, start[moving], jac=True, method="L-BFGS-B", bounds=bounds)
-    return point(np.clip(down.x, 0.0, 1.0)[None])[0]
+    end: Array = point(np.clip(down.x, 0.0, 1.0)[None])[0]
+    return end
 
 
 def _move(

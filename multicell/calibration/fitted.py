@@ -111,11 +111,10 @@ class Fit:
         again = runs[whole] if whole.any() else runs
         there = misfit(problem.observed, problem.sigma, again, None, problem.noise)
         values = problem.values([float(x) for x in self.fresh.shares])
-        units = {free.key: free.unit for free in problem.ranges}
         settings = {free.key: free.setting(values[free.key]) for free in problem.ranges}
         return Best(
             values=values,
-            words={key: in_words(value, units[key]) for key, value in values.items()},
+            words={free.key: in_words(values[free.key], free.unit) for free in problem.ranges},
             readings=problem.unscale(there.means),
             residuals=there.residuals,
             chi_squared=there.chi_squared,
