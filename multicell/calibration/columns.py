@@ -25,6 +25,7 @@ from multicell.units import to_base
 _ERRORS: Final = ("sd", "sem")
 NUMBERS: Final = ("time", "start", "at", "depth", "value", *_ERRORS, "n")
 """Kinds of columns that hold numbers."""
+MAX_BYTES: Final = 10_000_000  # of a file of measured data
 _NO_CONDITIONS: Final = ("title", "seed")
 _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 """Units of times by titles without one."""
@@ -36,7 +37,7 @@ class Column:
     """One column.
 
     - ``kind``: ``"time"``, ``"start"``, ``"at"``, ``"depth"``, ``"specimen"``, ``"value"``,
-      ``"sd"``, ``"sem"``, ``"n"``, ``"condition"``, ``"label"`` or ``"remark"``
+      ``"sd"``, ``"sem"``, ``"n"``, ``"condition"`` or ``"label"``
     - ``name``: of the observable or the field, or key of the scene
     - ``unit``: as the title states it
     - ``base``: base unit of the numbers
@@ -114,7 +115,7 @@ def columns_of(table: Table, scene: Scene) -> list[Column]:
     seen: dict[tuple[str, str], str] = {}
     for column in columns:
         key = column.kind, column.name
-        if column.kind != "remark" and key in seen:
+        if key in seen:
             problem = f"says the same as '{seen[key]}'"
             raise DataError(f"{table.name}, '{column.title}'", problem)
         seen[key] = column.title
@@ -133,8 +134,6 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> C
     """Return what one column holds; ``before``: those to its left."""
     place = f"{table}, '{title}'"
     name, unit = split_title(title)
-    if title.startswith("#"):
-        return Column("remark", title, "", "", title)
     if not name:
         raise DataError(place, "is a column without a name")
     if title.endswith("/"):

@@ -47,7 +47,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, final
 
-from multicell.calibration.columns import NUMBERS, Column, columns_of, fields_of
+from multicell.calibration.columns import MAX_BYTES, NUMBERS, Column, columns_of, fields_of
 from multicell.calibration.noise import group
 from multicell.errors import DataError, SceneError
 from multicell.results.observable import represented
@@ -55,9 +55,6 @@ from multicell.scene.scene import Scene
 from multicell.schema import chosen, leaves
 from multicell.studies.readings import at_the_end, in_history, suggest
 from multicell.tables.columns import Table, read_table
-from multicell.units import to_base
-
-MAX_BYTES: Final = 10_000_000  # of a file of measured data
 
 ASSUMED: Final = 0.1
 """Relative standard deviation of data that come without one, unless another one is given."""
@@ -171,7 +168,6 @@ def read_data(
     source: Any,
     scene: Scene,
     *,
-    start: float | str | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
 ) -> Measured:
@@ -181,7 +177,6 @@ def read_data(
       titles to columns
     - ``scene``: what is fitted. A condition's runs end with its last datum, be that before the
       scene's end or after it; where a row has no time, with the scene.
-    - ``start``: time of the data at which runs begin, in s or with a unit, where no column says so
     - ``sd``: relative standard deviation of data without one
     - ``specimens``: ``"single"``: each row is another specimen, measured once
     """
@@ -190,13 +185,7 @@ def read_data(
     table = source if isinstance(source, Table) else read_table(source, MAX_BYTES)
     chosen(specimens, SPECIMENS, "specimens")
     columns = columns_of(table, scene)
-    if start is not None and any(column.kind == "start" for column in columns):
-        raise DataError("start", "is given twice: there is a column 'start' too")
-    try:
-        begin = to_base(0.0 if start is None else start, "s", "start")
-    except SceneError as error:
-        raise DataError("start", error.problem, error.hint) from None
-    rows = _Rows(table, columns, scene, begin, float(sd), single=specimens == "single")
+    rows = _Rows(table, columns, scene, float(sd), single=specimens == "single")
     for number in range(len(table.rows)):
         rows.read(number)
     return rows.measured()
@@ -215,7 +204,6 @@ class _Rows:
         table: Table,
         columns: Sequence[Column],
         scene: Scene,
-        start: float,
         sd: float,
         *,
         single: bool,
@@ -225,7 +213,6 @@ class _Rows:
         self._relative = {_key(column) for column in columns if column.relative}
         self._scene = scene
         self._sd = sd
-        self._start = start
         self._has_specimens = single or any(column.kind == "specimen" for column in columns)
         self._keys: dict[tuple[tuple[str, Any], ...], int] = {}
         self._labels: list[str] = []
@@ -342,7 +329,7 @@ class _Rows:
         value = numbers[_key(moments[0])]
         if moments[0].kind == "at":
             return None, (moments[0].name, value)
-        start = numbers.get(("start", "start"), self._start)
+        start = numbers.get(("start", "start"), 0.0)
         if value < start:
             problem = f"was measured at {value:g} s, before the run begins at {start:g} s"
             raise DataError(self._where(row), problem)

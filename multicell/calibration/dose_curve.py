@@ -133,7 +133,7 @@ def _logs(doses: FloatArray) -> FloatArray:
 
 def fit_curve(
     doses: FloatArray, means: FloatArray, counts: FloatArray, draws: FloatArray | None,
-    *, name: str, unit: str, free_top: bool, signed: bool, resamples: int, seed: int,
+    *, name: str, unit: str, free_top: bool, signed: bool, resamples: int, seed: int = 0,
 ) -> DoseCurve:  # fmt: skip
     """Fit Hill's curve to mean responses.
 
@@ -194,8 +194,8 @@ def fit_curve(
 
 
 def draw_means(
-    values: FloatArray, shared: bool, resamples: int, seed: int
-) -> FloatArray | None:  # fmt: skip
+    values: FloatArray, shared: bool, resamples: int, seed: int = 0
+) -> FloatArray | None:
     """Return means of responses as they may have come out with other seeds, (k, m).
 
     None without replicates.

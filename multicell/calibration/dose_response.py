@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.columns import finite
+from multicell.calibration.columns import MAX_BYTES, finite
 from multicell.calibration.dose_curve import DOSES, LEAST, combine, draw_means, fit_curve
 from multicell.calibration.dose_response_result import DoseResponse, Row
 from multicell.errors import DataError, FitFailed, SceneError
@@ -19,7 +19,7 @@ from multicell.host.extras import needs
 from multicell.schema import chosen
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
 from multicell.studies.keys import key_of
-from multicell.studies.limits import check_seeds, whole
+from multicell.studies.limits import check_seeds
 from multicell.studies.picture_data import key_words, words
 from multicell.studies.plan import Plan, make_plan
 from multicell.studies.readings import may_be_negative, observables_of, read_final
@@ -39,15 +39,14 @@ if TYPE_CHECKING:
 LIVING: Final = "proliferating+quiescent"
 """The living cells: columns of the history, added up."""
 RESAMPLES: Final = 1000
-_TOPS: Final = ("control", "free")
+TOPS: Final = ("control", "free")
 _WRITTEN: Final = ("viability", "run", "reason")
 """Further columns of the table that an analysis writes."""
-_MAX_BYTES: Final = 10_000_000
 
 
 def dose_response(
     scene: Scene | str | Path | None = None,
-    dose: str | Sequence[str] | None = None,
+    dose: str | None = None,
     doses: Any = None,
     *,
     combine: Sequence[str] | None = None,
@@ -55,8 +54,6 @@ def dose_response(
     seeds: int = 5,
     data: Any = None,
     top: str = "control",
-    resamples: int = RESAMPLES,
-    resample_seed: int = 0,
     output: str | Path | None = None,
     overwrite: bool = False,
     cores: int | None = None,
@@ -75,8 +72,8 @@ def dose_response(
     scene
         A scene, the name of a built-in one, or a path; None for measured data.
     dose
-        The key that is the dose, ``"nutrients.drug.boundary"``, or several that all take it. Of a
-        schedule, ``"nutrients.drug.media"``, every concentration above zero does.
+        The key that is the dose, ``"nutrients.drug.boundary"``. Of a schedule,
+        ``"nutrients.drug.media"``, every concentration above zero takes it.
     doses
         0, the control, and at least four rising doses, as ``"0, log 0.01:10:8 uM"`` or a list.
     combine
@@ -93,8 +90,6 @@ def dose_response(
         ``response`` and, where the same replicate is found at all doses, ``replicate``.
     top
         ``"control"``: the curve goes through the control (three parameters); ``"free"``: four.
-    resamples, resample_seed
-        Fits for the intervals, and the seed of NumPy's default generator.
     output
         Folder; by default ``dose-response`` for runs and none for data.
     overwrite
@@ -118,17 +113,18 @@ def dose_response(
     MissingPackage, OutputError, ClusterError
         As for :func:`multicell.sensitivity`.
     """
-    options = Options(top, resamples, resample_seed)
     if data is not None:
         if any(given is not None for given in (scene, dose, doses, combine)):
             raise SceneError("data", "stands in place of a scene and doses", "Give one of them.")
-        result = replace(of_table(data, options), folder=None if output is None else Path(output))
+        result = replace(of_table(data, top), folder=None if output is None else Path(output))
     else:
-        plan = plan_of(scene, dose, doses, combine=combine, observable=observable, seeds=seeds)
+        plan = plan_of(
+            scene, dose, doses, combine=combine, observable=observable, seeds=seeds, top=top
+        )
         folder = Path("dose-response" if output is None else output)
         write_study(plan.study, folder, overwrite=overwrite)
         how = {"cores": cores, "scheduler": scheduler, "progress": progress, "retry": retry}
-        result = carry_out(plan, folder, options, **how)
+        result = carry_out(plan, folder, **how)
     if report and result.folder is not None:
         result.report()
     return result
@@ -136,25 +132,10 @@ def dose_response(
 
 @final
 @dataclass(frozen=True)
-class Options:
-    """How curves are fitted: see :func:`dose_response`."""
-
-    top: str = "control"
-    resamples: int = RESAMPLES
-    resample_seed: int = 0
-
-    def __post_init__(self) -> None:
-        chosen(self.top, _TOPS, "top")
-        whole("resamples", self.resamples, 100, 100_000)
-        whole("resample_seed", self.resample_seed, 0, 2**63 - 1)
-
-
-@final
-@dataclass(frozen=True)
 class DosePlan:
     """Runs at doses that were checked and not made.
 
-    - ``scene``, ``observable``: as in :func:`dose_response`
+    - ``scene``, ``observable``, ``top``: as in :func:`dose_response`
     - ``names``, ``units``: of the doses of each drug
     - ``points``, (m, k): doses of the points of the study, in these units
     - ``study``: the plan of the runs
@@ -166,16 +147,18 @@ class DosePlan:
     units: tuple[str, ...]
     points: FloatArray
     study: Plan
+    top: str
 
 
 def plan_of(
     scene: Scene | str | Path | None,
-    dose: str | Sequence[str] | None,
+    dose: str | None,
     doses: Any,
     *,
     combine: Sequence[str] | None = None,
     observable: str = LIVING,
     seeds: int = 5,
+    top: str = "control",
 ) -> DosePlan:
     """Return the plan of runs at doses, in which everything is checked.
 
@@ -184,6 +167,7 @@ def plan_of(
     from multicell.scene.scene import load_scene
 
     needs("distributed")
+    chosen(top, TOPS, "top")
     if scene is None or doses is None or (dose is None) == (combine is None):
         problem = "needs a scene, doses, and the key of one drug (dose) or of two (combine)"
         raise SceneError("dose", problem, "Or measured data.")
@@ -192,50 +176,45 @@ def plan_of(
     observables_of(described, observable.split("+"))
     if combine is None:
         assert dose is not None
-        drugs, given = [[dose] if isinstance(dose, str) else list(dose)], [doses]
+        keys, given = [dose], [doses]
     else:
         if isinstance(combine, str) or len(combine) != 2 or combine[0] == combine[1]:
             raise SceneError("combine", f"is {shown(combine)}, must be two keys")
-        drugs = [[key] for key in combine]
+        keys = list(combine)
         given = list(doses) if isinstance(doses, tuple) and len(doses) == 2 else [doses] * 2
-    axes = [_axis(described, keys, values) for keys, values in zip(drugs, given, strict=True)]
+    axes = [_axis(described, key, values) for key, values in zip(keys, given, strict=True)]
     found = [_doses(axis) for axis in axes]
     grid = np.stack(np.meshgrid(*(np.arange(len(d)) for d, _ in found), indexing="ij"), axis=-1)
     places = grid.reshape(-1, len(found))
     table: dict[str, list[Any]] = {}
-    for drug, (keys, axis) in enumerate(zip(drugs, axes, strict=True)):
-        for key in keys:
-            setting = _setting(described, key)
-            table[key] = [setting(axis.values[place]) for place in places[:, drug]]
-    names = tuple(
-        " and ".join(key_words(key, key.rpartition(".")[2]) for key in keys) for keys in drugs
-    )
+    for drug, (key, axis) in enumerate(zip(keys, axes, strict=True)):
+        setting = _setting(described, key)
+        table[key] = [setting(axis.values[place]) for place in places[:, drug]]
+    names = tuple(key_words(key, key.rpartition(".")[2]) for key in keys)
     points = np.stack([d[places[:, k]] for k, (d, _) in enumerate(found)], axis=1)
     study = make_plan(described, points=table, seeds=seeds)
-    return DosePlan(described, observable, names, tuple(unit for _, unit in found), points, study)
+    units = tuple(unit for _, unit in found)
+    return DosePlan(described, observable, names, units, points, study, top)
 
 
-def _axis(scene: Scene, keys: Sequence[str], values: Any) -> Axis:
-    """Return the doses that keys take, which must be a control and rising doses above it."""
-    if not keys:
-        raise SceneError("dose", "names no key", "For example nutrients.drug.boundary.")
-    found = [key_of(scene, key) for key in keys]
-    for key in found:
-        if key.spec.kind != "schedule" and not is_numeric(key):
-            raise SceneError(key.name, "is no number, which a dose must be")
-    first = found[0].name
-    if found[0].spec.kind == "schedule":  # its numbers are as those of the medium at the start
+def _axis(scene: Scene, name: str, values: Any) -> Axis:
+    """Return the doses that a key takes, which must be a control and rising doses above it."""
+    key = key_of(scene, name)
+    first = key.name
+    if key.spec.kind == "schedule":  # its numbers are as those of the medium at the start
         first = f"{first.rpartition('.')[0]}.boundary"
+    elif not is_numeric(key):
+        raise SceneError(key.name, "is no number, which a dose must be")
     axis = parse_axis(first, values, scene)
     numbers = axis.numbers or ()
     hint = "For example '0, log 0.01:10:8 uM'."
     if not numbers or 0.0 not in numbers:
-        raise SceneError(found[0].name, "has no dose 0, the control", hint)
+        raise SceneError(key.name, "has no dose 0, the control", hint)
     if list(numbers) != sorted(numbers) or numbers[0] != 0.0:
-        raise SceneError(found[0].name, "has doses that do not rise from the control, 0", hint)
+        raise SceneError(key.name, "has doses that do not rise from the control, 0", hint)
     if len(numbers) <= LEAST:
         problem = f"has {len(numbers) - 1} doses above the control, must have at least {LEAST}"
-        raise SceneError(found[0].name, problem, hint)
+        raise SceneError(key.name, problem, hint)
     return axis
 
 
@@ -261,7 +240,7 @@ def _setting(scene: Scene, key: str) -> Callable[[Any], Any]:
     return lambda dose: [[time, dose if level > 0.0 else 0.0] for time, level in course]
 
 
-def carry_out(plan: DosePlan, folder: Path, options: Options, **how: Any) -> DoseResponse:
+def carry_out(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
     """Do all runs of a plan that are not done, and return what they show.
 
     - ``how``: as :meth:`multicell.studies.study.Study.run` takes it
@@ -286,26 +265,25 @@ def carry_out(plan: DosePlan, folder: Path, options: Options, **how: Any) -> Dos
         )
     known = "living cells" if plan.observable == LIVING else words(plan.observable)
     return analyse(
-        plan.points, values, rows, options, names=plan.names, units=plan.units, response=known,
+        plan.points, values, rows, plan.top, names=plan.names, units=plan.units, response=known,
         signed=any(may_be_negative(part) for part in parts), shared=True, notes=notes,
         scene=plan.scene, folder=folder, title=plan.scene.title or "Untitled scene",
     )  # fmt: skip
 
 
-def of_table(source: Any, options: Options) -> DoseResponse:
+def of_table(source: Any, top: str = "control") -> DoseResponse:
     """Return the dose response of measured data.
 
     Parameters and errors are those of :func:`dose_response`.
     """
-    table = read_table(source, _MAX_BYTES)
+    chosen(top, TOPS, "top")
+    table = read_table(source, MAX_BYTES)
     known = [split_title(title) for title in table.titles]
     columns = {name: place for place, (name, _) in enumerate(known)}
     pair = "dose A" in columns or "dose B" in columns
     drugs = list(DOSES[2] if pair else DOSES[1])
     allowed = [*drugs, "response", "replicate", *_WRITTEN]
     for (name, _), title in zip(known, table.titles, strict=True):
-        if title.startswith("#"):
-            continue
         if [other for other, _ in known].count(name) > 1:
             raise DataError(f"{table.name}, '{title}'", "is the title of two columns")
         if name not in allowed:
@@ -337,7 +315,7 @@ def of_table(source: Any, options: Options) -> DoseResponse:
     values = np.array([[cells.get((p, label), math.nan) for label in labels] for p in rising])
     rows = [{"replicate": label, "run": "", "reason": ""} for _ in rising for label in labels]
     return analyse(
-        np.array(rising), values, rows, options, names=drugs,
+        np.array(rising), values, rows, top, names=drugs,
         units=[known[columns[name]][1] for name in drugs], response="response",
         signed=bool((values < 0.0).any()), shared=shared, title=table.name,
     )  # fmt: skip
@@ -362,7 +340,7 @@ def _check_points(points: Sequence[tuple[float, ...]], drugs: int, table: str) -
 
 
 def analyse(
-    points: FloatArray, values: FloatArray, rows: Sequence[Row], options: Options, *,
+    points: FloatArray, values: FloatArray, rows: Sequence[Row], top: str, *,
     names: Sequence[str], units: Sequence[str], response: str, signed: bool, shared: bool,
     title: str, notes: Sequence[str] = (), scene: Scene | None = None, folder: Path | None = None,
 ) -> DoseResponse:  # fmt: skip
@@ -389,15 +367,14 @@ def analyse(
         table.append({**doses, "replicate": about["replicate"], **numbers, **about})
     points, values = points[there], values[there]
     counts = np.isfinite(values).sum(axis=1).astype(float)
-    draws = draw_means(values, shared, options.resamples, options.resample_seed)
+    draws = draw_means(values, shared, RESAMPLES)
     curves = []
     for drug, (name, unit) in enumerate(zip(names, units, strict=True)):
         alone = np.flatnonzero(np.delete(points, drug, axis=1).sum(axis=1) == 0.0)
         curve = fit_curve(
             points[alone, drug], means[alone], counts[alone],
             None if draws is None else draws[:, alone], name=name, unit=unit,
-            free_top=options.top == "free", signed=signed, resamples=options.resamples,
-            seed=options.resample_seed,
+            free_top=top == "free", signed=signed, resamples=RESAMPLES,
         )  # fmt: skip
         curves.append(curve)
     pairs: list[Row] = []
@@ -413,6 +390,6 @@ def analyse(
             + (", and there are none of the combinations" if pairs else "")
         )
     return DoseResponse(
-        title, tuple(curves), response, int(counts.max()), table, pairs, totals, found, options.top,
+        title, tuple(curves), response, int(counts.max()), table, pairs, totals, found, top,
         scene, folder,
     )  # fmt: skip

@@ -12,7 +12,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from multicell.calibration.dose_curve import DOSES, TOTALS
 from multicell.report.html import write_page
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, SIZE, save, styled
-from multicell.studies.picture_data import number_text, sentence
+from multicell.report.wording import written
+from multicell.studies.picture_data import number_text, sentence, with_unit
 from multicell.studies.pictures import with_heading
 
 if TYPE_CHECKING:
@@ -116,12 +117,11 @@ def _draw_curve(axes: Axes, result: DoseResponse, drug: int) -> None:
     )
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.xaxis.set_minor_locator(FixedLocator([]))
-    axes.set_xlabel(f"{curve.name}{_unit(curve)}")
+    axes.set_xlabel(_label(curve))
 
 
-def _unit(curve: DoseCurve) -> str:
-    unit = curve.unit.replace("um", "µm").replace("uM", "µM")
-    return f" ({unit})" if unit else ""
+def _label(curve: DoseCurve) -> str:
+    return with_unit(curve.name, written(curve.unit).replace("uM", "µM"))
 
 
 def _mark_half(axes: Axes, curve: DoseCurve, left: float) -> None:
@@ -168,7 +168,7 @@ def _draw_map(axes: Axes, result: DoseResponse, name: str, title: str, neutral: 
         step = -(-len(side) // 10)
         axis.set_ticks([k + 0.5 for k in range(0, len(side), step)],
                        [number_text(v) for v in side[::step]])  # fmt: skip
-        axis.set_label_text(f"{curve.name}{_unit(curve)}")
+        axis.set_label_text(_label(curve))
     axes.grid(False)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)

@@ -381,7 +381,7 @@ def best_of(loss: Loss, prior: Prior, found: Array) -> Array:
 def descend(loss: Loss, prior: Prior, start: Array, moving: Mask) -> Array:
     """Return the parameters of least loss and prior that a descent from some reaches, (d,).
 
-    - ``start``, (d,): parameters that the constraints allow
+    - ``start``, (d,): parameters at which the prior is not zero
     - ``moving``, (d,): which of them may change
     """
     from scipy.optimize import minimize
@@ -401,17 +401,9 @@ def descend(loss: Loss, prior: Prior, start: Array, moving: Mask) -> Array:
         found = loss(points) + prior.density_loss(points)
         return float(found[0]), (found[1:] - found[0]) / steps
 
-    way: dict[str, Any] = {"method": "L-BFGS-B"}
-    if prior.constraints:
-        margins = {"type": "ineq", "fun": lambda x: prior.margins(point(x[None]))[0]}
-        way = {"method": "SLSQP", "constraints": [margins]}
-    down = minimize(
-        value_and_slope, start[moving], jac=True, bounds=[(0.0, 1.0)] * count, **way
-    )  # fmt: skip
+    bounds = [(0.0, 1.0)] * count
+    down = minimize(value_and_slope, start[moving], jac=True, method="L-BFGS-B", bounds=bounds)
     end: Array = point(np.clip(down.x, 0.0, 1.0)[None])[0]
-    back = 1e-9
-    while not np.isfinite(prior.loss(end[None])[0]):  # SLSQP may end just beyond a constraint
-        end, back = start + max(1.0 - back, 0.0) * (end - start), 2.0 * back
     return end
 
 

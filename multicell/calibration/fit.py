@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
-from multicell.calibration.fit_plan import FitPlan, Progress, fresh_runs, make_runs, write_result
+from multicell.calibration.columns import MAX_BYTES
+from multicell.calibration.data import ASSUMED, read_data
+from multicell.calibration.fit_plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitted import Fit
-from multicell.calibration.likelihood import DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
+from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
 from multicell.calibration.noise import SCATTERS
 from multicell.calibration.pool import open_pool
-from multicell.calibration.problem import Problem, free_of, problem_of
-from multicell.calibration.profiles import MIN_RUNS
-from multicell.calibration.stored import reusable
+from multicell.calibration.problem import Problem, free_of
+from multicell.calibration.simulator import SceneSimulator
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen
 from multicell.studies.limits import MAX_RUNS, check_runs, check_seeds, whole
 from multicell.tables.columns import read_table
-from multicell.units import to_base
 
 if TYPE_CHECKING:
     from multicell.calibration.simulator import Simulator
@@ -39,15 +37,10 @@ def fit(
     output: str | Path | None = None,
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
-    profile_runs: int = 0,
-    budget: int | str | None = None,
-    start: float | str | None = None,
+    budget: int | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
     scatter: str = "stated",
-    constraints: Sequence[str] = (),
-    reuse: str | Path | None = None,
-    coarse: float = 1.0,
     cores: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -67,8 +60,7 @@ def fit(
         Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values, in which
         all values are equally likely beforehand (on a logarithmic range: all ratios); or its
         distribution, as ``"norm(18 h, 2 h)"``, ``"lognorm(median=0.02 mM/s, sigma=0.3)"``,
-        ``"norm(18 h, 2 h) in 10:30 h"``, ``(scipy.stats.norm(18, 2), "h")``: see
-        :mod:`multicell.calibration.priors`.
+        ``"norm(18 h, 2 h) in 10:30 h"``: see :mod:`multicell.calibration.priors`.
     output
         Folder for everything. The same fit in the same folder continues: nothing is run twice,
         and a larger budget adds to what is there.
@@ -77,14 +69,8 @@ def fit(
     repeats
         Runs with fresh random numbers at the best point, from which the intervals of a search have
         the scatter of runs; 8 to 16 are sensible.
-    profile_runs
-        Runs at each end of each parameter's profile interval, which check the emulator there; 4 are
-        sensible, by default none. They may be added to a fit that is done.
     budget
-        Number of runs, or a time such as ``"2 h"``, in all. By default as many runs as the number
-        of free parameters asks for.
-    start
-        Time of the data at which runs begin, where no column ``start`` says so.
+        Number of runs in all; by default as many as the number of free parameters asks for.
     sd
         Relative standard deviation of data that come without one.
     specimens
@@ -93,16 +79,6 @@ def fit(
     scatter
         ``"unknown"``: what data scatter beyond runs and their stated errors is estimated with the
         parameters, relative to the values of each observable.
-    constraints
-        What must hold between free parameters, as ``"death.necrosis < 0.5 * KEY"``.
-    reuse
-        Folder of another fit of the same scene and free parameters, whose search serves this one
-        too; its data are at least these, with whatever values and ranges. What is tried comes on
-        top of that.
-    coarse
-        Search with runs of the scene that is coarse by this factor (:func:`multicell.coarsen`),
-        corrected by fine runs at draws from the intervals; runs with fresh seeds are fine. See
-        :mod:`multicell.calibration.coarse_to_fine`; 1: all runs are fine.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -128,9 +104,8 @@ def fit(
         If no run gives anything to compare, or a budget ends before there is a result.
     """
     plan = plan_of(
-        scene, data, free, seeds=seeds, repeats=repeats, profile_runs=profile_runs,
-        budget=budget, start=start, sd=sd, specimens=specimens, scatter=scatter,
-        constraints=constraints, reuse=reuse, coarse=coarse, simulator=simulator,
+        scene, data, free, seeds=seeds, repeats=repeats, budget=budget, sd=sd,
+        specimens=specimens, scatter=scatter, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -145,15 +120,10 @@ def plan_of(
     *,
     seeds: int = 2,
     repeats: int = DEFAULT_REPEATS,
-    profile_runs: int = 0,
-    budget: int | str | None = None,
-    start: float | str | None = None,
+    budget: int | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
     scatter: str = "stated",
-    constraints: Sequence[str] = (),
-    reuse: str | Path | None = None,
-    coarse: float = 1.0,
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
@@ -166,42 +136,21 @@ def plan_of(
     whole(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
-    if profile_runs:
-        hint = "It is the number of runs at each end of an interval; 0 makes none."
-        whole("profile_runs", profile_runs, MIN_RUNS, repeats, hint)
     table = read_table(data, MAX_BYTES)
-    measured = read_data(table, scene, start=start, sd=sd, specimens=specimens)
-    ranges, prior = free_of(free, measured, constraints)
+    measured = read_data(table, scene, sd=sd, specimens=specimens)
+    ranges, prior = free_of(free, measured)
     check_runs(len(measured.conditions), seeds)
-    problem = problem_of(measured, ranges, seeds, scene.seed, simulator, scatter, prior)
-    fresh = fresh_runs(repeats, profile_runs, problem)
-    points, seconds = _spend(problem, budget, fresh)
-    if coarse != 1.0:
-        from multicell.calibration.coarse_to_fine import coarse_simulator
-
-        if isinstance(budget, str) or reuse is not None:
-            raise SceneError("coarse", "needs a budget in runs, and no other fit to reuse")
-        coarse_simulator(problem.simulator, coarse)
-    request = {"start": start, "constraints": list(constraints)}
-    adopted: Sequence[Mapping[str, Any]] = ()
-    if reuse is not None:
-        adopted = reusable(problem, reuse)
-    return FitPlan(
-        problem, scene, table, points, seconds, sd, repeats, specimens, profile_runs, request,
-        adopted, coarse,
-    )  # fmt: skip
+    simulator = simulator or SceneSimulator.of(measured, ranges)
+    numbers = tuple(range(scene.seed, scene.seed + seeds))
+    problem = Problem(measured, ranges, simulator, numbers, scatter, prior)
+    points = _points(problem, budget, repeats + CHECKS)
+    return FitPlan(problem, scene, table, points, sd, repeats, specimens)
 
 
-def _spend(problem: Problem, budget: int | str | None, fresh: int) -> tuple[int, float]:
-    """Return sets of parameters of the search, and s."""
-    points = 20 + 15 * len(problem.ranges)
+def _points(problem: Problem, budget: int | None, fresh: int) -> int:
+    """Return how many sets of parameters a search tries."""
     if budget is None:
-        return points, math.inf
-    if isinstance(budget, str):
-        seconds = to_base(budget, "s", "budget")
-        if seconds <= 0.0:
-            raise SceneError("budget", f"is {budget!r}, must be above 0")
-        return 10 * points, seconds
+        return 20 + 15 * len(problem.ranges)
     whole("budget", budget, 1, MAX_RUNS, "It is the number of runs in all.")
     conditions, each = len(problem.measured.conditions), len(problem.tasks())
     left = max(0, budget - fresh * conditions)
@@ -212,7 +161,7 @@ def _spend(problem: Problem, budget: int | str | None, fresh: int) -> tuple[int,
             f"of parameters, {each} runs each"
         )
         raise SceneError("budget", words, f"It takes at least {_LEAST} sets.")
-    return points, math.inf
+    return points
 
 
 def carry_out(
@@ -226,13 +175,6 @@ def carry_out(
 ) -> Fit:
     """Carry out a fit that was checked; parameters as of :func:`fit`."""
     needs("optuna", "distributed", "pandas", "sklearn")
-    if plan.coarse != 1.0:
-        from multicell.calibration.coarse_to_fine import fit_coarse_first
-
-        return fit_coarse_first(
-            plan, carry_out, output, cores=cores, scheduler=scheduler, overwrite=overwrite,
-            progress=progress,
-        )  # fmt: skip
     with ExitStack() as stack:
         folder = None
         if output is not None:

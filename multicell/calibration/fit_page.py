@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from multicell.calibration.verdict import in_words
 from multicell.errors import OutputError
 from multicell.report.html import write_page
-from multicell.report.wording import clock, time_unit
+from multicell.report.wording import clock, time_unit, written
 
 if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
@@ -49,11 +49,9 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         },
         parameters=parameters_in_words(fit),
         undetermined=[str(entry) for entry in fit.undetermined],
-        asked=fit.sample is not None,
         notes=fit.notes,
         emulated=fit.sample is not None,
         rows=_rows(fit),
-        ends=_ends(fit),
         checked=_checked(fit),
     )
 
@@ -72,24 +70,11 @@ def _checked(fit: Fit) -> str:
     )
 
 
-def _ends(fit: Fit) -> list[dict[str, str]]:
-    """Return what runs say at the ends of profile intervals in words."""
-    rows = []
-    for end in fit.ends:
-        profile, free = fit.profiles[end.number], fit.problem.ranges[end.number]
-        value = free.value(float(profile.ends[end.side, end.number]))
-        rows.append({
-            "key": free.key, "value": in_words(value, free.unit),
-            "claimed": f"{end.claimed:.3g}", "found": f"{end.found:.3g} ± {end.error:.2g}",
-        })  # fmt: skip
-    return rows
-
-
 def _tiles(fit: Fit) -> dict[str, str]:
     best = {f"best {key}": words for key, words in list(fit.best.words.items())[:4]}
     conditions = len(fit.problem.measured.conditions)
     runs = fit.facts["sets_of_parameters"] * len(fit.problem.tasks())
-    runs += (fit.facts["fresh_runs"] + fit.facts["profile_runs"]) * conditions
+    runs += fit.facts["fresh_runs"] * conditions
     return {
         **best,
         "χ² per datum": f"{fit.best.per_datum:.3g}",
@@ -125,7 +110,7 @@ def _rows(fit: Fit) -> list[dict[str, Any]]:
     """Return the data one by one in words."""
     rows = fit.rows()
     for row in rows:
-        row["unit"] = row["unit"].replace("um", "µm")
+        row["unit"] = written(row["unit"])
         row["when"] = row["at"] or "at the end"
         if row["time"] == row["time"]:
             row["when"] = time_unit(row["time"]).text(row["time"])

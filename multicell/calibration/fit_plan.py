@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -43,10 +43,6 @@ FILES: Final = (
     *COPIES,
 )  # fmt: skip
 _PACKAGES: Final = ("optuna", "distributed", "pandas", "scikit-learn")
-PAIRS: Final = 8  # draws at which fine runs correct coarse ones
-BESIDE: Final = 2  # coarse runs beside each of them
-FURTHER: Final = 3  # one in so many points of the search is tried once more, after the correction
-_SEARCHED: Final = 0.8  # part of a budget of time that the search takes; the rest is for fresh runs
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how much of it is done and how much is wanted."""
@@ -58,34 +54,26 @@ class FitPlan:
     """A fit that was checked and not begun.
 
     - ``points``: sets of parameters that the search will try
-    - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
-    - ``coarse``: factor of the coarse runs that search first; 1 where there are none
     """
 
     problem: Problem
     scene: Scene
     table: Table
     points: int
-    seconds: float
     sd: float
     repeats: int
     specimens: str = "same"
-    profile_runs: int = 0
-    request: Mapping[str, Any] = field(default_factory=dict)
-    adopted: Sequence[Mapping[str, Any]] = ()
-    coarse: float = 1.0
 
     @property
     def runs(self) -> int:
         """How many runs there will be at most."""
-        fresh = fresh_runs(self.repeats, self.profile_runs, self.problem)
         searched = self.points * len(self.problem.tasks())
-        return searched + fresh * len(self.problem.measured.conditions)
+        return searched + (self.repeats + CHECKS) * len(self.problem.measured.conditions)
 
     def describe(self) -> dict[str, Any]:
         """Return what decides all numbers of the fit; a fit of anything else is another one."""
         problem, table = self.problem, self.table
-        found = {
+        return {
             "model": MODEL_VERSION,
             "scene": canonical(self.scene),
             "data": {"titles": list(table.titles), "rows": [list(row) for row in table.rows]},
@@ -100,35 +88,21 @@ class FitPlan:
             "specimens": self.specimens,
             "scatter": problem.scatter,
         }
-        stated = getattr(problem.simulator, "stated", None)
-        return found | ({"simulator": stated} if stated else {})
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
         """Return how many runs are left at most, and the time on one core in s that they take."""
-        conditions, fine = len(self.problem.measured.conditions), self.seconds_a_run(1.0)
-        if self.coarse == 1.0:
-            count = max(0, self.runs - (0 if folder is None else self._done(Path(folder))))
-            return count, fine * count
-        searched = self.runs + self.runs // FURTHER + PAIRS * BESIDE * conditions
-        again = PAIRS * conditions + self.runs - self.points * len(self.problem.tasks())
-        return searched + again, searched * self.seconds_a_run(self.coarse) + again * fine
-
-    def seconds_a_run(self, factor: float) -> float:
-        """Return the time on one core in s that a run is expected to take, coarse by a factor."""
-        from multicell.scene.coarsening import coarsen
         from multicell.studies.cost import cost_of
 
-        scenes = [condition.scene for condition in self.problem.measured.conditions]
-        scenes = [s if factor == 1.0 else coarsen(s, factor) for s in scenes]
-        return sum(cost_of(scene).seconds for scene in scenes) / len(scenes)
+        costs = [cost_of(condition.scene) for condition in self.problem.measured.conditions]
+        count = max(0, self.runs - (0 if folder is None else self._done(Path(folder))))
+        return count, count * sum(cost.seconds for cost in costs) / len(costs)
 
     def _done(self, folder: Path) -> int:
         """Return how many runs of the fit a folder has; nothing of another fit counts."""
         known = _read_fit(folder)
         if known is None or known.get("problem") != json.loads(to_json(self.describe())):
             return 0
-        entries = Lines(folder / SEARCH).entries
-        return sum("values" in e and not e.get("reused") for e in entries)
+        return sum("values" in entry for entry in Lines(folder / SEARCH).entries)
 
     @contextmanager
     def open_folder(self, place: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
@@ -150,19 +124,12 @@ class FitPlan:
             if overwrite:
                 remove(folder, FILES)
             if _read_fit(folder) is None:
-                entry = {
-                    "multicell": package_version(), "problem": asked, "request": self.request
-                }  # fmt: skip
                 kept = with_copy(self.scene, folder)
                 write_text(folder / "scene.toml", kept.to_toml(beside=folder))
                 write_text(folder / "data.csv", csv_text(self.table.titles, self.table.rows))
+                entry = {"multicell": package_version(), "problem": asked}
                 write_table(folder / FIT, entry)  # the last: then all is there
             yield folder
-
-
-def fresh_runs(repeats: int, profile_runs: int, problem: Problem) -> int:
-    """Return how many runs of each condition have fresh seeds."""
-    return repeats + 2 * len(problem.ranges) * profile_runs + CHECKS
 
 
 def make_runs(
@@ -174,47 +141,34 @@ def make_runs(
 ) -> Fit:
     """Make all runs of a fit that are not there; without facts they are those of these runs."""
     from multicell.calibration.fitted import Fit
-    from multicell.calibration.profiles import check_ends
     from multicell.calibration.search import Search
 
     begin = clock.monotonic()
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
-    search.adopt(plan.adopted)
-    evaluations = search.run(
-        pool, plan.points, deadline=begin + _SEARCHED * plan.seconds,
-        progress=partial(progress, "runs of the search"),
-    )  # fmt: skip
+    evaluations = search.run(pool, plan.points, partial(progress, "runs of the search"))
     note = partial(progress, "fresh runs")
-    again = fresh(plan.problem, search, pool, search.emulator(), plan.repeats, note)
-    note = partial(progress, "runs at the ends of profiles")
-    ends = check_ends(plan.problem, search, pool, again, plan.profile_runs, note)
+    again = fresh(plan.problem, search, pool, plan.repeats, note)
     own = {
         "sd": plan.sd,
         "specimens": plan.specimens,
         "scatter": plan.problem.scatter,
         "seeds": list(plan.problem.seeds),
         "repeats": plan.repeats,
-        "sets_of_parameters": len(evaluations) - search.reused,
-        "reused": search.reused,
+        "sets_of_parameters": len(evaluations),
         "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
-        "profile_runs": len(ends) * plan.profile_runs,
         "seconds": clock.monotonic() - begin,
     }
-    return Fit(
-        plan.problem, plan.scene, evaluations, folder, facts or own, again, ends, search.readings
-    )
+    return Fit(plan.problem, plan.scene, evaluations, folder, facts or own, again, search.readings)
 
 
 def write_result(fit: Fit, folder: Path) -> None:
     """Write what was found: ``result.json``, ``best.toml`` and the tables."""
-    from multicell.calibration.run_table import rows as run_rows
-
     about = {**versions(), **{name: package_version(name) for name in _PACKAGES}}
     write_table(folder / "result.json", {**fit.summary(), "versions": about})
     best = with_copy(fit.best.scene, folder)
     write_text(folder / "best.toml", best.to_toml(beside=folder))
     write_text(folder / "residuals.csv", table_text(fit.rows()))
-    write_text(folder / "runs.csv", table_text(run_rows(fit)))
+    write_text(folder / "runs.csv", table_text(fit.run_rows()))
     if fit.sample is not None:
         frame = fit.posterior
         units = frame.attrs["units"]

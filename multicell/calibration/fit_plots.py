@@ -13,8 +13,9 @@ from multicell.calibration.noise import Array
 from multicell.calibration.priors import values_at
 from multicell.calibration.verdict import quantiles
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, counts, styled
-from multicell.report.wording import TimeUnit, time_unit
+from multicell.report.wording import TimeUnit, time_unit, written
 from multicell.results.quantities import unit_of
+from multicell.studies.picture_data import with_unit, words
 from multicell.studies.pictures import panels, with_heading
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from multicell.calibration.data import Datum
     from multicell.calibration.fitted import Fit
     from multicell.studies.axes import Range
-    from multicell.studies.pictures import StudyPlots
 
 _COLOURS: Final = (
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
@@ -51,15 +51,8 @@ class FitPlots:
         """Draw the posterior: each parameter, and each pair of them."""
         return parameters(self._fit)
 
-    @property
-    def runs(self) -> StudyPlots:
-        """Pictures of all runs as those of a study, ``fit.plot.runs.response("diameter")``."""
-        from multicell.studies.pictures import StudyPlots
-
-        return StudyPlots(self._fit.to_xarray(), self._fit.scene.title or "Fit")
-
     def profiles(self) -> Figure:
-        """Draw the profile likelihood of each parameter, and what runs say at its ends."""
+        """Draw the profile likelihood of each parameter."""
         return profiles(self._fit)
 
 
@@ -79,7 +72,7 @@ def data(fit: Fit) -> Figure:
     band = fit.predicted(_BAND)
     for axes, (name, over, numbers) in zip(grid, shown, strict=True):
         unit = fit.problem.measured.units[name]
-        axes.set_title(_named(name, unit))
+        axes.set_title(with_unit(words(name), written(unit)))
         if over:
             _over_axis(axes, fit, numbers, band)
         else:
@@ -192,7 +185,7 @@ def _place(fit: Fit, datum: Datum) -> str:
 def _when(datum: Datum) -> str:
     """Return when a datum was measured, in words."""
     if datum.at is not None:
-        unit = unit_of(datum.at[0]).replace("um", "µm")
+        unit = written(unit_of(datum.at[0]))
         return f"at a {datum.at[0].replace('_', ' ')} of {datum.at[1]:g} {unit}".strip()
     return "at the end" if datum.time is None else f"after {time_unit(datum.time).text(datum.time)}"
 
@@ -234,8 +227,6 @@ def profiles(fit: Fit) -> Figure:
     found = fit.profiles
     columns = max(min(len(found), 3), 1)
     subtitle = "least -2 ln (likelihood · prior) over the other parameters; dotted: 95 % interval"
-    if fit.ends:
-        subtitle += "; red: runs at its ends"
     height = 1.25 + 3.3 * max(-(-len(found) // columns), 1)
     figure, grid = panels(_title(fit), subtitle, len(found), columns, height)
     for k, (axes, profile) in enumerate(zip(grid, found, strict=True)):
@@ -246,10 +237,8 @@ def profiles(fit: Fit) -> Figure:
         for x, is_open in zip(ends, profile.open, strict=True):
             if not is_open:
                 axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
-        for end in (end for end in fit.ends if end.number == profile.number):
-            axes.errorbar(ends[end.side], end.found, end.error, fmt="o", color=RED, capsize=3)
         axes.set_ylim(0.0, 3.0 * profile.limit)
-        axes.set_xlabel(_named(free.name, _unit(free)[0]))
+        axes.set_xlabel(_label(free))
         if k % columns == 0:
             axes.set_ylabel("rise of -2 ln L")
         axes.xaxis.set_major_locator(MaxNLocator(4))
@@ -261,15 +250,18 @@ def _unit(free: Range) -> tuple[str, float]:
     if free.unit == "s":
         unit = time_unit(free.high)
         return unit.name, unit.seconds
-    return free.unit.replace("um", "µm"), 1.0
+    return written(free.unit), 1.0
+
+
+def _label(free: Range) -> str:
+    return with_unit(words(free.name), _unit(free)[0])
 
 
 def _window(fit: Fit, k: int) -> tuple[float, float]:
     """Return the part of a range that is drawn: all of it, or where the posterior is."""
     if fit.sample is None:
         return 0.0, 1.0
-    shares, weights = fit.sample
-    low, high = quantiles(shares[:, k], weights, (0.001, 0.999))
+    low, high = quantiles(fit.sample[:, k], (0.001, 0.999))
     free = fit.problem.ranges[k]
     best = free.share(fit.best.values[free.key])
     low, high = min(low, best), max(high, best)
@@ -288,12 +280,11 @@ def _marginal(
     axes: Axes, fit: Fit, free: Range, k: int, sample: Any, window: tuple[float, float]
 ) -> None:
     if sample is not None:
-        shares, weights = sample
         edges = np.linspace(*window, 33)
-        heights, _ = np.histogram(shares[:, k], edges, weights=weights)
-        heights = heights / (weights.sum() * (edges[1] - edges[0]))
+        heights, _ = np.histogram(sample[:, k], edges)
+        heights = heights / (len(sample) * (edges[1] - edges[0]))
         axes.stairs(heights, _at(free, edges), fill=True, color=BLUE, alpha=0.55)
-        ends = quantiles(shares[:, k], weights, (0.025, 0.975))
+        ends = quantiles(sample[:, k], (0.025, 0.975))
         for x in _at(free, ends):
             axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
         axes.set_title(
@@ -312,9 +303,8 @@ def _pair(
     axes: Axes, fit: Fit, pair: tuple[Range, Range], places: tuple[int, int], sample: Any
 ) -> None:
     if sample is not None:
-        shares, weights = sample
-        chosen = np.random.default_rng(0).choice(len(weights), 600, p=weights / weights.sum())
-        x, y = (_at(free, shares[chosen, k]) for free, k in zip(pair, places, strict=True))
+        chosen = np.random.default_rng(0).choice(sample, 600)
+        x, y = (_at(free, chosen[:, k]) for free, k in zip(pair, places, strict=True))
         axes.plot(x, y, ".", color=BLUE, alpha=0.3, markersize=4, markeredgewidth=0)
     at = [fit.best.values[free.key] / _unit(free)[1] for free in pair]
     axes.plot(*at, "x", color=RED, markersize=9, markeredgewidth=2.0, clip_on=False)
@@ -339,19 +329,13 @@ def _edges(
         else:
             axis.set_major_locator(MaxNLocator(4, prune="both"))
     if row == count - 1:
-        axes.set_xlabel(_named(ranges[0].name, _unit(ranges[0])[0]), fontsize=10)
+        axes.set_xlabel(_label(ranges[0]), fontsize=10)
     else:
         axes.tick_params(labelbottom=False)
     if column == 0 and row > 0:
-        axes.set_ylabel(_named(ranges[1].name, _unit(ranges[1])[0]), fontsize=10)
+        axes.set_ylabel(_label(ranges[1]), fontsize=10)
     elif row != column:
         axes.tick_params(labelleft=False)
-
-
-def _named(name: str, unit: str) -> str:
-    shown = unit.replace("um", "µm")
-    words = name.replace("_", " ")
-    return f"{words} ({shown})" if shown else words
 
 
 def _title(fit: Fit) -> str:

@@ -14,8 +14,8 @@ from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.likelihood import Fresh
 from multicell.calibration.noise import Array
 from multicell.calibration.problem import ABSENT, Problem, misfit
-from multicell.calibration.profiles import POINTS, End, Profile, profiles
-from multicell.calibration.search import Evaluation, Run, emulator_of
+from multicell.calibration.profiles import Profile, profiles
+from multicell.calibration.search import Evaluation, Run
 from multicell.calibration.simulator import Reading
 from multicell.calibration.verdict import (
     Interval,
@@ -25,21 +25,19 @@ from multicell.calibration.verdict import (
     quantiles,
     undetermined,
 )
-from multicell.errors import FitFailed, SceneError
+from multicell.errors import FitFailed
 from multicell.host.extras import needs
+from multicell.report.wording import time_unit
 from multicell.schema import chosen
-from multicell.studies.limits import whole
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray
 
-    from multicell.calibration.emulator import Emulator
+    from multicell.calibration.data import Datum
     from multicell.calibration.fit_plots import FitPlots
-    from multicell.calibration.likelihood import Likelihood
+    from multicell.calibration.likelihood import Checks
     from multicell.calibration.predictive import PredictiveCheck
     from multicell.scene.scene import Scene
-    from multicell.studies.study import Study
 
 
 @final
@@ -51,7 +49,6 @@ class Best:
     finding it.
 
     - ``values``: by key of the scene, in base units
-    - ``units``: base unit by key; empty for a number without
     - ``words``: by key: value and unit for people, ``"15.2 h"``
     - ``readings``, (n,): what fresh runs have in place of each datum (their mean), base units
     - ``residuals``, (n,): in standard deviations; positive where the runs have more
@@ -61,7 +58,6 @@ class Best:
     """
 
     values: Mapping[str, float]
-    units: Mapping[str, str]
     words: Mapping[str, str]
     readings: Array
     residuals: Array
@@ -88,8 +84,6 @@ class Fit:
     - ``facts``: how the fit was made: numbers of runs, seconds
     - ``fresh``: what runs with fresh seeds have shown at the best point and at draws from the
       intervals
-    - ``ends``: what runs have shown at the ends of profile intervals; empty without
-      ``profile_runs``
     - ``readings``: what each run of the search and each fresh one has in place of its data, by
       place in the ranges, condition and seed; :attr:`runs` is a table of them
     """
@@ -100,7 +94,6 @@ class Fit:
     folder: Path | None
     facts: Mapping[str, Any]
     fresh: Fresh
-    ends: Sequence[End] = ()
     readings: Mapping[Run, Reading] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -118,12 +111,10 @@ class Fit:
         again = runs[whole] if whole.any() else runs
         there = misfit(problem.observed, problem.sigma, again, None, problem.noise)
         values = problem.values([float(x) for x in self.fresh.shares])
-        units = {free.key: free.unit for free in problem.ranges}
         settings = {free.key: free.setting(values[free.key]) for free in problem.ranges}
         return Best(
             values=values,
-            units=units,
-            words={key: in_words(value, units[key]) for key, value in values.items()},
+            words={free.key: in_words(values[free.key], free.unit) for free in problem.ranges},
             readings=problem.unscale(there.means),
             residuals=there.residuals,
             chi_squared=there.chi_squared,
@@ -133,74 +124,62 @@ class Fit:
         )
 
     @cached_property
-    def sample(self) -> tuple[Array, Array] | None:
-        """Draws from the posterior as places in the ranges (k, d), and their weights (k,).
+    def sample(self) -> Array | None:
+        """Draws from the posterior as places in the ranges, (k, d).
 
-        By the emulator of the search and fresh runs; None where too few points were tried.
+        By the emulator of the search and fresh runs; None where too few points were tried, or
+        fresh runs failed.
         """
-        found = self.likelihood
-        if found is None:
-            return None
-        shares = draws_of(found.loss, self.problem.prior, seed=0)
-        return shares, np.full(len(shares), 1.0 / len(shares))
-
-    @cached_property
-    def likelihood(self) -> Likelihood | Emulator | None:
-        """What the intervals of a search come from; where fresh runs failed its emulator alone."""
-        if self.fresh.likelihood is not None:
-            return self.fresh.likelihood
-        return emulator_of(self.problem, self.evaluations)
+        found = self.fresh.likelihood
+        return None if found is None else draws_of(found.loss, self.problem.prior, seed=0)
 
     @property
     def posterior(self) -> pd.DataFrame:
-        """Weighted draws: a column for each parameter in base units, and ``weight``.
+        """Draws: a column for each parameter in base units, and ``weight``, which is the same.
 
         Its ``attrs`` hold the units.
         """
         needs("pandas")
         import pandas
 
-        shares, weights = self.some_sample()
-        frame = pandas.DataFrame({**self.problem.columns(shares), "weight": weights})
+        shares = self.some_sample()
+        columns = self.problem.columns(shares)
+        frame = pandas.DataFrame({**columns, "weight": np.full(len(shares), 1.0 / len(shares))})
         frame.attrs = {"units": self.problem.parameter_units}
         return frame
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
-        return intervals(self.problem.ranges, *self.some_sample(), level)
+        return intervals(self.problem.ranges, self.some_sample(), level)
 
     @cached_property
     def profiles(self) -> list[Profile]:
         """The profile likelihoods of all parameters by the emulator; none without one."""
-        found = self.likelihood
+        found = self.fresh.likelihood
         return [] if found is None else profiles(found, range(len(self.problem.ranges)))
 
-    def profile(self, key: str, points: int = POINTS, level: float = 0.95) -> pd.DataFrame:
+    def profile(self, key: str) -> pd.DataFrame:
         """Return the profile likelihood of a parameter, by the emulator.
 
         Parameters
         ----------
         key
             Of the parameter, or its short name.
-        points
-            Values of it, over somewhat more than its interval.
-        level
-            Of the interval.
 
         Returns
         -------
         DataFrame
-            One row for each value: the best parameters with it in base units, and ``rise``, by how
-            much -2 ln of likelihood and prior are above their least value. ``attrs`` hold units,
-            ``level``, ``limit`` (the rise at the ends of the interval), ``interval``, and
-            ``open``: whether its ends are those of the range.
+            One row for each of 15 values of it, over somewhat more than its 95 % interval: the best
+            parameters with it in base units, and ``rise``, by how much -2 ln of likelihood and
+            prior are above their least value. ``attrs`` hold units, ``limit`` (the rise at the ends
+            of the interval), ``interval``, and ``open``: whether its ends are those of the range.
 
         Raises
         ------
         SceneError
-            For an unknown key, fewer than three points or a level that is none.
+            For an unknown key.
         FitFailed
-            Without an emulator: too few points were tried.
+            If there is no posterior.
         """
         needs("pandas")
         import pandas
@@ -208,22 +187,11 @@ class Fit:
         known = {name: k for k, free in enumerate(self.problem.ranges)
                  for name in (free.key, free.name)}  # fmt: skip
         number = known[chosen(key, known, "key")]
-        whole("points", points, 3, 1000, "It is the number of values of the parameter.")
-        if not 0.0 < level < 1.0:
-            raise SceneError("level", f"is {level!r}, must be between 0 and 1")
-        likelihood = self.likelihood
-        if likelihood is None:
-            hint = "A larger budget has one."
-            raise FitFailed("there is no emulator that a profile could be of", hint)
-        if (points, level) == (POINTS, 0.95):
-            found = self.profiles[number]
-        else:
-            (found,) = profiles(likelihood, [number], points, level)
-        free = self.problem.ranges[number]
+        self.some_sample()
+        found, free = self.profiles[number], self.problem.ranges[number]
         frame = pandas.DataFrame({**self.problem.columns(found.shares), "rise": found.rises})
         frame.attrs = {
             "units": self.problem.parameter_units,
-            "level": level,
             "limit": found.limit,
             "interval": [free.value(float(x)) for x in found.ends[:, number]],
             "open": list(found.open),
@@ -235,36 +203,27 @@ class Fit:
         """What the data do not determine; empty if they determine all."""
         if self.sample is None:
             return []
-        return undetermined(self.problem.ranges, *self.sample, self.problem.prior)
+        return undetermined(self.problem.ranges, self.sample, self.problem.prior)
 
     def predicted(self, levels: Sequence[float] = (0.025, 0.5, 0.975)) -> Array:
         """Return quantiles of what a tissue shows in place of each datum: (levels, n), base units.
 
         Over the posterior and over the scatter of runs; errors of measurement are not in it.
         """
-        problem = self.problem
-        emulated = self.likelihood
-        if emulated is None:
+        problem, known = self.problem, self.fresh.likelihood
+        if known is None:
             return np.full((len(levels), len(problem.observed)), np.nan)
-        found, weights = emulated.predict(self.some_sample()[0])[0], self.some_sample()[1]
-        random = np.random.default_rng(0)
-        found = found + self._scatter * random.standard_normal(found.shape)
-        found = np.maximum(found, problem.lowest)
-        scaled = problem.observed + found * problem.sigma
-        rows = quantiles(scaled, weights, levels)
-        return np.array([problem.unscale(row) for row in rows])
+        found = known.predict(self.some_sample())[0]
+        found = found + self._scatter * np.random.default_rng(0).standard_normal(found.shape)
+        scaled = problem.observed + np.maximum(found, problem.lowest) * problem.sigma
+        return np.array([problem.unscale(row) for row in quantiles(scaled, levels)])
 
     @property
     def _scatter(self) -> Array:
         """Standard deviation of one run, in σ of the data, (n,)."""
-        if self.fresh.scatter is not None:
-            return np.asarray(np.sqrt(self.fresh.scatter.variance))
-        emulated = emulator_of(self.problem, self.evaluations)
-        if emulated is None:
+        if self.fresh.scatter is None:
             return np.full(len(self.problem.observed), np.nan)
-        # that of tissues, without that of the mean of some runs
-        more = 1.0 / self.problem.tissues + 1.0 / len(self.problem.seeds)
-        return np.asarray(np.sqrt(emulated.scatter / more))
+        return np.asarray(np.sqrt(self.fresh.scatter.variance))
 
     @cached_property
     def _emulator_errors(self) -> tuple[Array, Array]:
@@ -273,7 +232,7 @@ class Fit:
         if self.fresh.likelihood is None or self.sample is None:
             return none, none
         assert self.fresh.checks is not None
-        own = np.sqrt(self.fresh.likelihood.predict(self.sample[0])[1].mean(axis=0))
+        own = np.sqrt(self.fresh.likelihood.predict(self.sample)[1].mean(axis=0))
         return own, self.fresh.checks.found
 
     def predictive_check(self) -> PredictiveCheck:
@@ -288,26 +247,6 @@ class Fit:
 
         needs("pandas")
         return predictive_check(self)
-
-    def to_arviz(self) -> Any:
-        """Return the fit for ArviZ, an ``InferenceData``.
-
-        Groups are ``posterior`` and ``prior`` (draws in base units, of equal weight),
-        ``observed_data``, ``posterior_predictive`` (data replicated from the posterior) and
-        ``log_likelihood``: ``ln p(y_i | y_-i, θ)``, as data scatter together, so that ``arviz.loo``
-        leaves out one datum.
-
-        Raises
-        ------
-        MissingPackage
-            Without ArviZ, which ``multicell[export]`` has.
-        FitFailed
-            If there is no posterior.
-        """
-        from multicell.calibration.run_table import to_arviz
-
-        needs("arviz")
-        return to_arviz(self)
 
     @property
     def unknown_scatter(self) -> dict[str, list[float]]:
@@ -362,34 +301,30 @@ class Fit:
         it), ``condition``, ``seed``, the parameters, a column for each reading as
         ``diameter at 48 h``, and ``reason`` where a run failed; base units.
         """
-        from multicell.calibration.run_table import rows
-
         needs("pandas")
         import pandas
 
-        return pandas.DataFrame(rows(self))
+        return pandas.DataFrame(self.run_rows())
 
-    def to_xarray(self) -> xarray.Dataset:
-        """Return all runs in the form of a study's table, for its pictures and for analyses.
-
-        Dimensions are ``point`` (a set of parameters under a condition), ``seed`` and ``time``;
-        see :mod:`multicell.studies.table`.
-        """
-        from multicell.calibration.run_table import dataset
-
-        needs("xarray")
-        return dataset(self)
-
-    def to_study(self, folder: str | Path) -> Study:
-        """Write a study of the sets of parameters that were tried, under all conditions.
-
-        A fit keeps readings only. The study's runs, which are made when it is run, are whole ones:
-        with frames, histories and pictures. It can be widened as others can. Raises
-        ``OutputError`` if the folder cannot be used.
-        """
-        from multicell.calibration.run_table import to_study
-
-        return to_study(self, folder)
+    def run_rows(self) -> list[dict[str, Any]]:
+        """Return the runs one by one; see :attr:`runs`."""
+        problem, found = self.problem, []
+        columns = list(dict.fromkeys(map(_title, problem.measured.data)))
+        numbers: dict[tuple[float, ...], int] = {}
+        for (shares, condition, seed), reading in self.readings.items():
+            values = problem.values(shares)
+            row: dict[str, Any] = {
+                "point": numbers.setdefault(shares, len(numbers)),
+                "stage": "search" if seed in problem.seeds else "fresh",
+                "condition": problem.measured.conditions[condition].label,
+                "seed": seed,
+                **{free.name: values[free.key] for free in problem.ranges},
+                **dict.fromkeys(columns, np.nan),
+            }
+            titles = map(_title, problem.measured.of(condition))
+            row.update(zip(titles, reading.values, strict=True))
+            found.append({**row, "reason": reading.reason})
+        return found
 
     @property
     def notes(self) -> list[str]:
@@ -418,12 +353,10 @@ class Fit:
                 f"{several} of {len(data)} data are means of several tissues. These count as the "
                 "same ones at all times, so that their scatter is correlated as that of runs is."
             )
-        if "coarse" in self.facts:
-            notes.append(self.facts["coarse"]["words"])
-        if self.sample is None:
-            notes.append("Too few points were tried for intervals.")
+        if self.fresh.checks is None:
+            notes.append(f"There are no intervals: {self._lacking}.")
         else:
-            notes += self._emulator_notes()
+            notes += _emulator_notes(self.fresh.checks, data)
         if self.fresh.reasons:
             count = len(self.fresh.reasons)
             notes.append(f"{count} fresh runs failed, for example: {self.fresh.reasons[0]}.")
@@ -434,35 +367,6 @@ class Fit:
         absent = int((self.best.residuals == ABSENT).sum())
         if absent:
             notes.append(f"The best runs have nothing in place of {absent} of the data.")
-        return notes
-
-    def _emulator_notes(self) -> list[str]:
-        """Return what is known of intervals that an emulator gives."""
-        notes = ["Intervals are those of Gaussian processes through the runs of the search."]
-        if self.fresh.likelihood is None or self.fresh.checks is None:
-            notes.append(
-                "The scatter of runs is known from the seeds of the search alone, since fresh runs "
-                "at the best point failed: intervals are too narrow where runs scatter."
-            )
-            return notes
-        off = np.flatnonzero(self.fresh.checks.off)
-        for end in self.ends:
-            if end.off:
-                side, free = ("lower", "upper")[end.side], self.problem.ranges[end.number]
-                notes.append(
-                    f"At the {side} end of the profile interval of {free.name} runs give a rise of "
-                    f"{end.found:.3g} ± {end.error:.2g}, the emulator {end.claimed:.3g}."
-                )
-        if len(off):
-            data = self.problem.measured.data
-            ratio = self.fresh.checks.found / self.fresh.checks.expected
-            worst = data[int(off[np.argmax(ratio[off])])]
-            notes.append(
-                f"At {len(off)} of {len(data)} data runs at draws from the intervals are further "
-                "from the emulator than its error and scatter explain, most at "
-                f"'{worst.observable}' of {worst.place}: intervals were widened by that. A larger "
-                "budget makes them narrower."
-            )
         return notes
 
     @property
@@ -522,10 +426,43 @@ class Fit:
             **self.facts,
         }
 
-    def some_sample(self) -> tuple[Array, Array]:
-        """Return the draws and weights of :attr:`sample`; raises FitFailed where there are none."""
+    def some_sample(self) -> Array:
+        """Return the draws of :attr:`sample`; raises FitFailed where there are none."""
         if self.sample is None:
-            raise FitFailed(
-                "too few points were tried for a posterior", "A larger budget continues the fit."
-            )
+            hint = "A larger budget continues the fit."
+            raise FitFailed(f"there is no posterior: {self._lacking}", hint)
         return self.sample
+
+    @property
+    def _lacking(self) -> str:
+        """Why there is no posterior."""
+        if self.fresh.scatter is None:
+            return "fresh runs at the best point failed"
+        return "too few points were tried"
+
+
+def _emulator_notes(checks: Checks, data: Sequence[Datum]) -> list[str]:
+    """Return what is known of intervals that an emulator gives."""
+    notes = ["Intervals are those of Gaussian processes through the runs of the search."]
+    off = np.flatnonzero(checks.off)
+    if len(off):
+        ratio = checks.found / checks.expected
+        worst = data[int(off[np.argmax(ratio[off])])]
+        notes.append(
+            f"At {len(off)} of {len(data)} data runs at draws from the intervals are further "
+            "from the emulator than its error and scatter explain, most at "
+            f"'{worst.observable}' of {worst.place}: intervals were widened by that. A larger "
+            "budget makes them narrower."
+        )
+    return notes
+
+
+def _title(datum: Datum) -> str:
+    """Return the title of the readings of a datum."""
+    deep = "" if datum.depth is None else f" {datum.depth:g} um deep"
+    name = f"{datum.observable}{deep}"
+    if datum.at is not None:
+        return f"{name} at {datum.at[0]} = {datum.at[1]:g}"
+    if datum.time is None:
+        return f"{name} at the end"
+    return f"{name} at {time_unit(datum.time).text(datum.time)}"

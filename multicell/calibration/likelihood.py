@@ -317,7 +317,6 @@ def fresh(
     problem: Problem,
     search: Search,
     pool: Pool,
-    emulator: Emulator | None,
     count: int = DEFAULT_REPEATS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fresh:
@@ -325,10 +324,10 @@ def fresh(
 
     - ``search``: of the same problem; keeps the runs
     - ``pool``: where runs are made
-    - ``emulator``: of the search; None where too few points were tried, or none
     - ``count``: runs at the best point
     - ``progress``: called with the numbers of runs done and wanted after each run
     """
+    emulator = search.emulator()
     if emulator is None:
         best = min(search.evaluations(), key=lambda e: e.loss).shares
     else:  # no single lucky run decides it

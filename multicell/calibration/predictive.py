@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from multicell.calibration.emulator import FEW, Emulator, best_of, draws
+from multicell.calibration.emulator import FEW, best_of, draws
 from multicell.calibration.noise import Array
 from multicell.calibration.priors import Prior
 from multicell.calibration.verdict import quantiles
@@ -74,13 +74,11 @@ class Predictive:
     """Draws of a posterior with the errors of what they predict, in σ of the data.
 
     - ``residuals``, (S, n): m(θ) - y
-    - ``weights``, (S,): of the draws; their sum is 1
     - ``covariance``, (n, n): C
     - ``jacobian``, (n,): logarithm of σ, and of the value where logarithms are compared
     """
 
     residuals: Array
-    weights: Array
     covariance: Array
     jacobian: Array
 
@@ -102,7 +100,7 @@ class Predictive:
     def scores(self) -> Array:
         """Return ln p(y_i | y_-i) of all data, (n,)."""
         logs = self.pointwise
-        weights = np.apply_along_axis(_smoothed, 0, np.log(self.weights)[:, None] - logs)
+        weights = np.apply_along_axis(_smoothed, 0, -logs)
         return np.asarray(np.log((weights * np.exp(logs)).sum(axis=0)))
 
     def log_likelihood(self, residuals: Array) -> float:
@@ -125,11 +123,11 @@ class Predictive:
         from scipy import stats
 
         squares = np.einsum("si,ij,sj->s", self.residuals, self.precision, self.residuals)
-        chi = self.weights @ stats.chi2.sf(squares, self.residuals.shape[1])
+        chi = stats.chi2.sf(squares, self.residuals.shape[1]).mean()
         deviation = np.sqrt(np.diag(self.covariance))
         own = np.abs(self.residuals / deviation).max(axis=1)
         other = np.abs(self._errors(seed) / deviation).max(axis=1)
-        return float(chi), float(self.weights @ (other >= own))
+        return float(chi), float((other >= own).mean())
 
 
 def _smoothed(ratios: Array) -> Array:
@@ -155,33 +153,26 @@ def _smoothed(ratios: Array) -> Array:
 
 def predictive_of(fit: Fit) -> Predictive:
     """Return what a fit predicts; raises FitFailed where it has no posterior."""
-    shares, weights = fit.some_sample()
+    shares = fit.some_sample()
     problem = fit.problem
     logs = np.array([math.log(d.value) if d.log else 0.0 for d in problem.measured.data])
     jacobian = np.log(problem.sigma) + logs
-    known = fit.likelihood
+    known = fit.fresh.likelihood
     assert known is not None
-    residuals = known.predict(shares)[0]
-    if isinstance(known, Emulator):
-        error = known.predict(fit.fresh.shares[None])[1][0]
-        covariance = problem.noise.errors + np.diag(known.scatter + error)
-    else:
-        root = np.linalg.inv(known.whitening)
-        covariance = root @ root.T
-    return Predictive(residuals, weights, covariance, jacobian)
+    root = np.linalg.inv(known.whitening)
+    return Predictive(known.predict(shares)[0], root @ root.T, jacobian)
 
 
 def least_residuals(fit: Fit, predictive: Predictive) -> Array:
     """Return m(θ) - y in σ where ln p(y | θ) is largest, (n,)."""
-    known = fit.likelihood
+    known = fit.fresh.likelihood
     assert known is not None
 
     def loss(shares: Array) -> Array:
         r = known.predict(shares)[0]
         return np.asarray(np.einsum("si,ij,sj->s", r, predictive.precision, r))
 
-    given = fit.problem.prior
-    flat = Prior(given.dimensions, given.ranges, (), given.constraints)
+    flat = Prior(len(fit.problem.ranges))
     best = best_of(loss, flat, draws(loss, flat, seed=0, count=FEW))
     return np.asarray(known.predict(best[None])[0][0])
 
@@ -193,8 +184,8 @@ def predictive_check(fit: Fit) -> PredictiveCheck:
     found = predictive_of(fit)
     problem = fit.problem
     again = np.maximum(found.replicate(), problem.lowest)
-    above = found.weights @ (again > 0.0) + 0.5 * (found.weights @ (again == 0.0))
-    rows = quantiles(problem.observed + again * problem.sigma, found.weights, (0.025, 0.5, 0.975))
+    above = (again > 0.0).mean(axis=0) + 0.5 * (again == 0.0).mean(axis=0)
+    rows = quantiles(problem.observed + again * problem.sigma, (0.025, 0.5, 0.975))
     low, median, high = map(problem.unscale, rows)
     about = pandas.DataFrame(fit.rows())[["row", "condition", "observable", "unit", "time", "at"]]
     table = about.assign(

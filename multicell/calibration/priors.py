@@ -1,4 +1,4 @@
-"""What is known of the parameters before the data: distributions, and constraints between them.
+"""What is known of the parameters before the data: ranges and distributions.
 
 A parameter has a range in which all values are equally likely (on a logarithmic one: all ratios),
 or a distribution of SciPy's with units::
@@ -13,9 +13,6 @@ stand the ends of the range that is searched, to which the distribution is cut; 
 the quantiles that leave a thousandth out. Searches, emulators and samplers work in places in the
 ranges (0 to 1; of a log-normal distribution on a logarithmic scale); here is what density they have
 there.
-
-A constraint is ``KEY < KEY``, ``a + b <= 20 h`` or ``a < 0.5 * b``: linear in free parameters.
-Parameters that break one are never run.
 """
 
 from __future__ import annotations
@@ -40,9 +37,6 @@ from multicell.units import shown, to_base
 
 _CALL: Final = re.compile(r"\s*([A-Za-z]\w*)\s*\((.*)\)\s*(?:in\s+(.+?))?\s*", re.DOTALL)
 _TAIL: Final = 0.0005  # of a distribution, beyond each end of a range that nobody stated
-_LEAST: Final = 0.001  # part of the ranges that constraints must leave
-_RANGES: Final = {"uniform": "'8:25 h'", "loguniform": "'log 1e-3:1 1/s'",
-                  "reciprocal": "'log 1e-3:1 1/s'"}  # fmt: skip
 _HINT: Final = "For example 'norm(18 h, 2 h)' or 'lognorm(median=0.02 mM/s, sigma=0.3)'."
 
 
@@ -77,37 +71,20 @@ class Density:
 
 @final
 @dataclass(frozen=True)
-class Constraint:
-    """Σ factors · values < bound.
-
-    - ``text``: as it was given
-    - ``factors``: one for each parameter
-    - ``bound``: base units
-    """
-
-    text: str
-    factors: tuple[float, ...]
-    bound: float
-
-
-@final
-@dataclass(frozen=True)
 class Prior:
     """What is known of the parameters beforehand; by default only that they are in their ranges.
 
     - ``dimensions``: number of parameters
-    - ``ranges``, ``densities``: one for each where one has a density or there are constraints, else
-      empty; a density of None is uniform
-    - ``constraints``: all that hold
+    - ``ranges``, ``densities``: one for each where one has a density, else empty; a density of None
+      is uniform
     """
 
     dimensions: int
     ranges: tuple[Range, ...] = ()
     densities: tuple[Density | None, ...] = ()
-    constraints: tuple[Constraint, ...] = ()
 
     def density_loss(self, shares: Array) -> Array:
-        """Return -2 ln of the density of places in the ranges (k, d), constraints apart: (k,)."""
+        """Return -2 ln of the density of places in the ranges (k, d): (k,)."""
         total = np.zeros(len(shares))
         for k, density in enumerate(self.densities):
             if density is not None:
@@ -117,22 +94,7 @@ class Prior:
     def loss(self, shares: Array) -> Array:
         """Return -2 ln of the density of places in the ranges (k, d): (k,), inf beyond them."""
         inside = ((shares >= 0.0) & (shares <= 1.0)).all(axis=1)
-        if self.constraints:
-            inside &= (self.margins(shares) > 0.0).all(axis=1)
         return np.where(inside, self.density_loss(np.clip(shares, 0.0, 1.0)), np.inf)
-
-    def allows(self, place: Sequence[float]) -> bool:
-        """Return whether a place in the ranges is within them and keeps all constraints."""
-        return bool(np.isfinite(self.loss(np.array([place]))[0]))
-
-    def margins(self, shares: Array) -> Array:
-        """Return by how much of its bound or size each constraint is kept, (k, constraints)."""
-        values = np.stack([values_at(r, x) for r, x in zip(self.ranges, shares.T, strict=True)])
-        ends = np.array([max(abs(r.low), abs(r.high)) for r in self.ranges])
-        factors = np.array([constraint.factors for constraint in self.constraints])
-        bounds = np.array([constraint.bound for constraint in self.constraints])
-        sizes = np.abs(factors) @ ends
-        return np.asarray((bounds - values.T @ factors.T) / sizes)
 
     def places(self, even: Array) -> Array:
         """Return places in the ranges for points of the unit cube (k, d) that fill it evenly."""
@@ -143,15 +105,11 @@ class Prior:
                 low, high = frozen.cdf([free.low, free.high])
                 values = np.clip(frozen.ppf(low + even[:, k] * (high - low)), free.low, free.high)
                 found[:, k] = [free.share(float(value)) for value in values]
-        return found[np.isfinite(self.loss(found))] if self.constraints else found
+        return found
 
     def draw(self, random: np.random.Generator, count: int) -> Array:
         """Return independent draws, (count, d)."""
-        found = self.places(random.random((count, self.dimensions)))
-        while len(found) < count:
-            more = self.places(random.random((count, self.dimensions)))
-            found = np.vstack([found, more])
-        return found[:count]
+        return self.places(random.random((count, self.dimensions)))
 
     def part(self, k: int, level: float) -> float:
         """Return the part of a range that a central interval of its density covers."""
@@ -160,11 +118,11 @@ class Prior:
             return level
         tails = np.full((2, self.dimensions), 0.5)
         tails[:, k] = 0.5 - 0.5 * level, 0.5 + 0.5 * level
-        ends = Prior(self.dimensions, self.ranges, self.densities).places(tails)[:, k]
+        ends = self.places(tails)[:, k]
         return float(ends[1] - ends[0])
 
     def marginal(self, k: int, shares: Array) -> Array:
-        """Return the density of one parameter at places in its range, constraints apart."""
+        """Return the density of one parameter at places in its range."""
         density = self.densities[k] if self.densities else None
         if density is None:
             return np.ones(len(shares))
@@ -180,17 +138,12 @@ class Prior:
 
     def describe(self) -> dict[str, Any]:
         """Return what decides it; empty where it is uniform."""
-        found: dict[str, Any] = {}
         densities = {
             free.key: [density.name, *density.shapes, density.loc, density.scale]
             for free, density in zip(self.ranges, self.densities, strict=False)
             if density is not None
         }
-        if densities:
-            found["densities"] = densities
-        if self.constraints:
-            found["constraints"] = [[*c.factors, c.bound] for c in self.constraints]
-        return found
+        return {"densities": densities} if densities else {}
 
 
 def values_at(free: Range, shares: Array) -> Array:
@@ -213,26 +166,20 @@ def split_free(
     for name, given in free.items():
         ranges[name], densities[name] = given, None
         call = _CALL.fullmatch(given) if isinstance(given, str) else None
-        frozen = isinstance(given, tuple | list) and any(hasattr(x, "dist") for x in given[:1])
-        if call is None and not frozen:
+        if call is None:
             continue
         key = key_of(scene, name)
         if not is_numeric(key) or key.spec.kind == "count":
             problem = "is no real number, so it cannot have a distribution"
             raise SceneError(key.name, problem, "Give whole numbers a range, such as '2:9'.")
-        if call is not None:
-            density, ends = _from_call(key, call[1], call[2]), call[3]
-        else:
-            density, ends = _from_frozen(key, given), given[2] if len(given) > 2 else None
-        ranges[name], densities[name] = _range(key, density, ends), density
+        density = _from_call(key, call[1], call[2])
+        ranges[name], densities[name] = _range(key, density, call[3]), density
     return ranges, densities
 
 
-def prior_of(
-    ranges: Sequence[Range], densities: Sequence[Density | None], constraints: Sequence[str]
-) -> Prior:
+def prior_of(ranges: Sequence[Range], densities: Sequence[Density | None]) -> Prior:
     """Return the prior of free parameters."""
-    if not constraints and not any(densities):
+    if not any(densities):
         return Prior(len(ranges))
     for free, density in zip(ranges, densities, strict=True):
         if density is not None:
@@ -240,36 +187,18 @@ def prior_of(
             if not high - low > 1e-6:
                 ends = f"{free.low:g} to {free.high:g} {free.unit}".strip()
                 raise SceneError(free.key, f"has a distribution with next to nothing in {ends}")
-    found = tuple(_constraint(text, ranges) for text in constraints)
-    prior = Prior(len(ranges), tuple(ranges), tuple(densities), found)
-    if found:
-        even = np.random.default_rng(0).random((20_000, len(ranges)))
-        part = len(prior.places(even)) / len(even)
-        if part < _LEAST:
-            words = "; ".join(c.text for c in found)
-            problem = f"leaves less than a thousandth of the ranges: {words}"
-            raise SceneError("constraint", problem, "Choose ranges in which it may hold.")
-    return prior
+    return Prior(len(ranges), tuple(ranges), tuple(densities))
 
 
-def _family(key: Key, name: str) -> Any:
-    """Return a distribution of SciPy's by its name."""
+def _from_call(key: Key, name: str, text: str) -> Density:
+    """Return the density that a call in words describes."""
     from scipy import stats
 
-    if name in _RANGES:
-        problem = f"has the distribution '{name}', which is a range"
-        raise SceneError(key.name, problem, f"Write its ends, such as {_RANGES[name]}.")
     family = getattr(stats, name, None)
     if not isinstance(family, stats.rv_continuous):
         known = [n for n in dir(stats) if isinstance(getattr(stats, n), stats.rv_continuous)]
         problem = f"has the distribution '{name}', which scipy.stats does not have"
         raise SceneError(key.name, problem, near_miss(name, known, listed=False) or _HINT)
-    return family
-
-
-def _from_call(key: Key, name: str, text: str) -> Density:
-    """Return the density that a call in words describes."""
-    family = _family(key, name)
     shapes = family.shapes.replace(",", " ").split() if family.shapes else []
     order = [*shapes, "loc", "scale"]
     items = [[word.strip() for word in item.split("=", 1)] for item in text.split(",")]
@@ -289,7 +218,12 @@ def _from_call(key: Key, name: str, text: str) -> Density:
     if missing:
         raise SceneError(key.name, f"has '{name}({text})' without {missing}", _HINT)
     given = {"loc": 0.0, "scale": 1.0, **given}
-    return _checked(key, Density.of(name, *(given[word] for word in order)))
+    density = Density.of(name, *(given[word] for word in order))
+    if not np.isfinite(density.frozen.ppf([_TAIL, 1.0 - _TAIL])).all():
+        numbers = ", ".join(f"{given[word]:g}" for word in order)
+        problem = f"has '{name}' with arguments that scipy.stats refuses ({numbers})"
+        raise SceneError(key.name, problem, "A scale must be above zero.")
+    return density
 
 
 def _number(key: Key, text: str, bare: bool) -> float:
@@ -310,32 +244,10 @@ def _number(key: Key, text: str, bare: bool) -> float:
         return float(key.plain(text))  # a pressure, or a part of air
 
 
-def _from_frozen(key: Key, given: Sequence[Any]) -> Density:
-    """Return the density of a frozen distribution and its unit."""
-    frozen, unit = given[0], given[1] if len(given) > 1 else ""
-    if len(given) > 3 or not isinstance(unit, str) or bool(unit) != bool(key.unit):
-        problem = "must be a frozen distribution and its unit, and perhaps a range"
-        raise SceneError(key.name, problem, "For example (scipy.stats.norm(18, 2), 'h').")
-    family = _family(key, frozen.dist.name)
-    size = to_base(f"1 {unit}", key.unit, key.name) if unit else 1.0
-    shapes, loc, scale = family._parse_args(*frozen.args, **frozen.kwds)
-    return _checked(key, Density.of(family.name, *shapes, loc * size, scale * size))
-
-
-def _checked(key: Key, density: Density) -> Density:
-    """Refuse arguments that SciPy refuses."""
-    if not np.isfinite(density.frozen.ppf([_TAIL, 1.0 - _TAIL])).all():
-        arguments = ", ".join(f"{x:g}" for x in (*density.shapes, density.loc, density.scale))
-        problem = f"has '{density.name}' with arguments that scipy.stats refuses ({arguments})"
-        raise SceneError(key.name, problem, "A scale must be above zero.")
-    return density
-
-
-def _range(key: Key, density: Density, ends: Any) -> Any:
+def _range(key: Key, density: Density, ends: str | None) -> Any:
     """Return the range that a distribution is cut to, as :func:`parse_range` takes it."""
     if ends is not None:
-        log = isinstance(ends, str) and density.name == "lognorm" and not ends.startswith("log")
-        return f"log {ends}" if log else ends
+        return f"log {ends}" if density.name == "lognorm" and not ends.startswith("log") else ends
     low, high = map(float, density.frozen.ppf([_TAIL, 1.0 - _TAIL]))
     try:
         low, high = float(key.plain(low)), float(key.plain(high))
@@ -343,55 +255,3 @@ def _range(key: Key, density: Density, ends: Any) -> Any:
         hint = "Cut the distribution: 'norm(18 h, 2 h) in 10:30 h'."
         raise SceneError(key.name, f"{error.problem} (a thousandth beyond)", hint) from None
     return (low, high, "log") if density.name == "lognorm" and low > 0.0 else (low, high)
-
-
-def _constraint(text: str, ranges: Sequence[Range]) -> Constraint:
-    """Return a constraint between free parameters."""
-    hint = "For example 'death.necrosis < 0.5 * nutrients.oxygen.quiescence' or 'a + b < 20 h'."
-    sides = re.split(r"(<=?|>=?)", text) if isinstance(text, str) else []
-    if len(sides) != 3:
-        problem = f"is {shown(text)}, must be two sums with '<' or '>' between them"
-        raise SceneError("constraint", problem, hint)
-    factors, bound = np.zeros(len(ranges)), 0.0
-    units: set[str] = set()
-    quantities: list[tuple[float, str]] = []
-    for sign, side in ((1.0, sides[0]), (-1.0, sides[2])):
-        parts = re.split(r"\s+([+-])\s+", side.strip())
-        for mark, term in zip(["+", *parts[1::2]], parts[::2], strict=True):
-            own = sign if mark == "+" else -sign
-            factor, free = _term(text, term.strip(), ranges, hint)
-            if free is None:
-                quantities.append((own, term.strip()))
-                continue
-            factors[ranges.index(free)] += own * factor
-            units.add(free.unit)
-    if len(units) != 1 or not factors.any():
-        compared = " with ".join(sorted(unit or "a number" for unit in units))
-        problem = f"compares {compared}" if len(units) > 1 else "leaves no free parameter"
-        raise SceneError("constraint", f"'{text}' {problem}", hint)
-    (unit,) = units
-    for sign, quantity in quantities:
-        bare = unit == "" or re.fullmatch(r"0*\.?0*", quantity)
-        bound -= sign * (float(quantity) if bare else to_base(quantity, unit, "constraint"))
-    if sides[1].startswith(">"):
-        factors, bound = -factors, -bound
-    ends = np.array([[free.low, free.high] for free in ranges])
-    least = np.where(factors > 0.0, ends[:, 0], ends[:, 1]) @ factors
-    most = np.where(factors > 0.0, ends[:, 1], ends[:, 0]) @ factors
-    if most < bound or least >= bound:
-        word = "always" if most < bound else "never"
-        raise SceneError("constraint", f"'{text}' {word} holds within the ranges")
-    return Constraint(text, tuple(map(float, factors)), float(bound))
-
-
-def _term(text: str, term: str, ranges: Sequence[Range], hint: str) -> tuple[float, Range | None]:
-    """Return factor and parameter of a term; no parameter where it is a quantity."""
-    known = {free.key: free for free in ranges}
-    names = [part.strip() for part in term.split("*")]
-    for factor, name in (names, names[::-1]) if len(names) == 2 else ((("1", names[0]),)):
-        if name in known and (match := QUANTITY.fullmatch(factor)) and not match[2]:
-            return float(match[1]), known[name]
-    if QUANTITY.fullmatch(term):
-        return 1.0, None
-    problem = f"'{text}' has {shown(term)}, which is neither a free parameter nor a number"
-    raise SceneError("constraint", problem, near_miss(names[-1], list(known), listed=False) or hint)

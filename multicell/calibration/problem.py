@@ -36,7 +36,7 @@ from multicell.calibration.data import Measured
 from multicell.calibration.noise import Array as Array
 from multicell.calibration.noise import Noise
 from multicell.calibration.priors import Prior, prior_of, split_free
-from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
+from multicell.calibration.simulator import Reading, Simulator
 from multicell.errors import SceneError
 from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.readings import may_be_negative
@@ -166,36 +166,11 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
     return ranges
 
 
-def free_of(
-    free: Mapping[str, Any], measured: Measured, constraints: Sequence[str] = ()
-) -> tuple[tuple[Range, ...], Prior]:
+def free_of(free: Mapping[str, Any], measured: Measured) -> tuple[tuple[Range, ...], Prior]:
     """Return the ranges and the prior of free parameters, some of which have distributions."""
     plain, densities = split_free(free, measured.conditions[0].scene)
     ranges = ranges_of(plain, measured)
-    return ranges, prior_of(ranges, list(densities.values()), constraints)
-
-
-def problem_of(
-    measured: Measured,
-    ranges: Sequence[Range],
-    seeds: int,
-    first_seed: int,
-    simulator: Simulator | None = None,
-    scatter: str = "stated",
-    prior: Prior | None = None,
-) -> Problem:
-    """Return the problem of fitting a scene to data.
-
-    - ``measured``, ``ranges``: data and free parameters
-    - ``seeds``: number of runs with different random numbers for each set of parameters
-    - ``first_seed``: of these runs
-    - ``simulator``: what stands for the scene's runs; by default they themselves
-    - ``scatter``: see :class:`Problem`
-    - ``prior``: of the parameters; by default uniform
-    """
-    chosen = SceneSimulator.of(measured, ranges) if simulator is None else simulator
-    numbers = tuple(range(first_seed, first_seed + seeds))
-    return Problem(measured, tuple(ranges), chosen, numbers, scatter, prior)
+    return ranges, prior_of(ranges, list(densities.values()))
 
 
 ABSENT: Final = 100.0

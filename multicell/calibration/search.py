@@ -14,7 +14,6 @@ batch.
 from __future__ import annotations
 
 import math
-import time as clock
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -44,14 +43,12 @@ BATCH: Final = 5  # points that are tried together, at least
 class Evaluation:
     """What was found for one set of parameters.
 
-    - ``number``: in the order in which they were asked for
     - ``shares``, (d,): places in the ranges
     - ``misfit``: of its runs
     - ``loss``: -2 ln of likelihood and prior density
     - ``reasons``: why runs failed; empty if none did
     """
 
-    number: int
     shares: Array
     misfit: Misfit
     loss: float
@@ -73,7 +70,6 @@ class Search:
         self._points: list[Point] = []
         self._readings: dict[Run, Reading] = {}
         self._known: dict[int, Evaluation] = {}
-        self.reused = 0  # points of another fit, whose runs were adopted
         self._lines = None if path is None else Lines(path)
         for entry in () if self._lines is None else self._lines.entries:
             try:
@@ -86,43 +82,31 @@ class Search:
         """All runs that are known."""
         return self._readings
 
-    def adopt(self, entries: Sequence[Mapping[str, Any]]) -> None:
-        """Take over points and runs of another fit where nothing is known yet."""
-        if not self._points and entries:
-            if self._lines is not None:
-                self._lines.append(entries)
-            for entry in entries:
-                self._take(entry)
-
     def evaluations(self) -> list[Evaluation]:
         """Return all that is known, in order."""
         for number, shares in enumerate(self._points):
             if number not in self._known and not self._missing(self._runs([shares])):
-                self._known[number] = self._evaluation(number, shares)
+                self._known[number] = self._evaluation(shares)
         return [self._known[number] for number in sorted(self._known)]
 
     def run(
         self,
         pool: Pool,
         points: int,
-        *,
-        deadline: float = math.inf,
         progress: Callable[[int, int], None] | None = None,
     ) -> list[Evaluation]:
         """Go on until there are so many points; return all of them.
 
         - ``pool``: where runs are made
-        - ``points``: number of points that are wanted in all, besides those of another fit
-        - ``deadline``: time (as of ``time.monotonic``) after which no batch is begun
+        - ``points``: number of points that are wanted in all
         - ``progress``: called with the numbers of runs done and wanted after each run
         """
         import optuna
 
         with quiet("optuna"), warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            points += self.reused
             self._finish(pool, progress, points)
-            while (known := len(self.evaluations())) < points and clock.monotonic() < deadline:
+            while (known := len(self.evaluations())) < points:
                 self._refuse_failures()
                 width = max(BATCH, math.ceil(pool.count / len(self._problem.tasks())))
                 # one entry: a search that is stopped here has none of the batch, or all of it
@@ -160,7 +144,21 @@ class Search:
 
     def emulator(self) -> Emulator | None:
         """Return an emulator through the best points, None while there are too few."""
-        return emulator_of(self._problem, self.evaluations())
+        known, problem = self.evaluations(), self._problem
+        if not known:
+            return None
+        misfits, sigma = [e.misfit for e in known], problem.sigma
+        more = 1.0 / problem.tissues + 1.0 / len(problem.seeds)
+        return emulator(
+            np.array([e.shares for e in known]),
+            np.array([(m.means - problem.observed) / sigma for m in misfits]),
+            np.array([m.scatter for m in misfits]) * more / sigma**2,
+            np.array([m.loss for m in misfits]),
+            observables=[datum.observable for datum in problem.measured.data],
+            lowest=problem.lowest,
+            noise=problem.noise,
+            prior=problem.prior,
+        )
 
     def _next(self, count: int) -> list[list[float]]:
         """Return the points of the next batch."""
@@ -183,13 +181,8 @@ class Search:
             )
         for shares in proposed:
             study.enqueue_trial(dict(zip(names, shares, strict=True)))
-        random = np.random.default_rng((self._seed, known))
-        prior, points = self._problem.prior, []
-        for _ in range(count):
-            trial = study.ask(space)
-            point = [trial.params[name] for name in names]
-            points.append(point if prior.allows(point) else prior.draw(random, 1)[0].tolist())
-        return points
+        trials = [study.ask(space) for _ in range(count)]
+        return [[trial.params[name] for name in names] for trial in trials]
 
     @property
     def _first_points(self) -> int:
@@ -211,12 +204,9 @@ class Search:
     def _sobol(self) -> Array:
         from scipy.stats import qmc
 
-        prior, wanted = self._problem.prior, self._first_points + BATCH
-        power, found = max(math.ceil(math.log2(wanted)), 6), np.empty((0, prior.dimensions))
-        while len(found) < wanted:  # constraints leave some of them
-            sequence = qmc.Sobol(prior.dimensions, rng=self._seed)
-            found, power = prior.places(np.asarray(sequence.random_base2(power))), power + 1
-        return found
+        power = max(math.ceil(math.log2(self._first_points + BATCH)), 6)
+        sequence = qmc.Sobol(len(self._problem.ranges), rng=self._seed)
+        return self._problem.prior.places(np.asarray(sequence.random_base2(power)))
 
     def _runs(self, points: Sequence[Point]) -> list[Run]:
         """Return the runs that some points of the search take."""
@@ -241,7 +231,12 @@ class Search:
             (run, self._problem.simulator, (list(run[0]), run[1], run[2])) for run in missing
         ]
         for run, reading in pool.results(calls):
-            self._note(entry_of(run, reading))
+            shares, condition, seed = run
+            self._note({
+                "shares": list(shares), "condition": condition, "seed": seed,
+                "values": [None if v != v else v for v in reading.values],
+                "reason": reading.reason,
+            })  # fmt: skip
             done += 1
             if progress is not None:
                 progress(done, wanted)
@@ -255,13 +250,12 @@ class Search:
     def _take(self, entry: Mapping[str, Any]) -> None:
         if "points" in entry:
             self._points += map(_point, entry["points"])
-            self.reused += len(entry["points"]) if entry.get("reused") else 0
             return
         values = tuple(math.nan if v is None else float(v) for v in entry["values"])
         run = _point(entry["shares"]), int(entry["condition"]), int(entry["seed"])
         self._readings[run] = Reading(values, str(entry["reason"]))
 
-    def _evaluation(self, number: int, shares: Point) -> Evaluation:
+    def _evaluation(self, shares: Point) -> Evaluation:
         """Return what a point has come to."""
         tasks = self._problem.tasks()
         readings = {(k, seed): self._readings[shares, k, seed] for k, seed in tasks}
@@ -269,7 +263,7 @@ class Search:
         reasons = tuple(reading.reason for reading in readings.values() if reading.reason)
         misfit, place = self._problem.misfit(known), np.array(shares)
         loss = misfit.loss + float(self._problem.prior.loss(place[None])[0])
-        return Evaluation(number, place, misfit, loss, reasons)
+        return Evaluation(place, misfit, loss, reasons)
 
     def _refuse_failures(self) -> None:
         """Refuse to continue where no run succeeds."""
@@ -282,32 +276,6 @@ class Search:
             f"no run of the first {len(known)} sets of parameters gives any of the data: {said}",
             "See whether the scene runs as it is, and whether the ranges make sense.",
         )
-
-
-def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator | None:
-    """Return an emulator through the best of some evaluations, None if there are too few."""
-    if not evaluations:
-        return None
-    misfits = [e.misfit for e in evaluations]
-    sigma = problem.sigma
-    more = 1.0 / problem.tissues + 1.0 / len(problem.seeds)
-    return emulator(
-        np.array([e.shares for e in evaluations]),
-        np.array([(m.means - problem.observed) / sigma for m in misfits]),
-        np.array([m.scatter for m in misfits]) * more / sigma**2,
-        np.array([m.loss for m in misfits]),
-        observables=[datum.observable for datum in problem.measured.data],
-        lowest=problem.lowest,
-        noise=problem.noise,
-        prior=problem.prior,
-    )
-
-
-def entry_of(run: Run, reading: Reading, **more: Any) -> dict[str, Any]:
-    """Return a run as an entry of a search's log."""
-    (shares, condition, seed), values = run, [None if v != v else v for v in reading.values]
-    known = {"shares": list(shares), "condition": condition, "seed": seed, "values": values}
-    return {**known, "reason": reading.reason, **more}
 
 
 def _point(shares: Sequence[float]) -> Point:

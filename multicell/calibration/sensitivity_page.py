@@ -15,7 +15,8 @@ from multicell.calibration.verdict import in_words
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
-from multicell.studies.picture_data import key_words, sentence, words
+from multicell.report.wording import written
+from multicell.studies.picture_data import key_words, sentence, with_unit, words
 from multicell.studies.pictures import with_heading
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def indices(result: Sensitivity, observable: str) -> Figure:
     if morris:
         left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
         _bars(left, rows, [("mu_star", BLUE)])
-        left.set_xlabel(f"mean size of the effect μ*{_unit(rows)}")
+        left.set_xlabel(with_unit("mean size of the effect μ*", written(rows[0]["unit"])))
         _plane(right, rows)
         return figure
     axes = figure.subplots()
@@ -129,11 +130,6 @@ def _subtitle(result: Sensitivity, observable: str) -> str:
         f"{sentence(words(observable))} at the end of each run · {method}, {result.size:,} {what}, "
         f"{seeds} · bars: 95 % intervals"
     )
-
-
-def _unit(rows: list[Row]) -> str:
-    unit = rows[0]["unit"].replace("um", "µm")
-    return f" ({unit})" if unit else ""
 
 
 def _bars(axes: Axes, rows: list[Row], kinds: list[tuple[str, str]]) -> None:
@@ -194,5 +190,5 @@ def _plane(axes: Axes, rows: list[Row]) -> None:
     axes.plot([0.0, top], [0.0, top], "--", color=QUIET, lw=1.0)
     axes.annotate("σ = μ*", (0.93 * top, 0.95 * top), ha="right", fontsize=9, color=QUIET)
     axes.set(xlim=(-0.02 * top, top), ylim=(-0.02 * top, top))
-    axes.set_xlabel(f"μ*{_unit(rows)}")
-    axes.set_ylabel(f"σ: interactions, curvature{_unit(rows)}")
+    axes.set_xlabel(with_unit("μ*", written(rows[0]["unit"])))
+    axes.set_ylabel(with_unit("σ: interactions, curvature", written(rows[0]["unit"])))

@@ -7,9 +7,9 @@ and back comes one number for each datum.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, Protocol, final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,17 +41,12 @@ class Reading:
     reason: str = ""
 
 
-class Simulator(Protocol):
-    """Anything that stands for the runs of a scene. It must be able to travel to workers."""
+Simulator = Callable[[Sequence[float], int, int], Reading]
+"""What stands for the runs of a scene: returns what a run gives.
 
-    def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:
-        """Return what a run gives.
-
-        - ``shares``: place of each free parameter in its range, from 0 to 1
-        - ``condition``: number of the condition
-        - ``seed``: of the run's random numbers
-        """
-        ...
+Its arguments are the place of each free parameter in its range, from 0 to 1, the number of the
+condition, and the seed of the run's random numbers. It must be able to travel to workers.
+"""
 
 
 @final
@@ -62,26 +57,11 @@ class SceneSimulator:
     - ``scenes``: the scene of each condition
     - ``data``: the data of each condition
     - ``ranges``: the free parameters
-    - ``coarse``: factor by which cells of the runs are wider than the scene's
     """
 
     scenes: tuple[PlainScene, ...]
     data: tuple[tuple[Datum, ...], ...]
     ranges: tuple[Range, ...]
-    coarse: float = 1.0
-
-    @property
-    def stated(self) -> dict[str, Any]:
-        """What decides its readings besides scenes, data and ranges."""
-        return {} if self.coarse == 1.0 else {"coarse": self.coarse}
-
-    def made_coarse(self, factor: float) -> SceneSimulator:
-        """Return the simulator of runs with cells so many times as wide; data count the tissue."""
-        from multicell.scene.coarsening import coarsen
-
-        for scene in self.scenes:
-            coarsen(scene.load(), factor)
-        return replace(self, coarse=factor)
 
     @classmethod
     def of(cls, measured: Measured, ranges: Sequence[Range]) -> SceneSimulator:
@@ -107,10 +87,6 @@ class SceneSimulator:
             for free, share in zip(self.ranges, shares, strict=True)
         }
         scene = self.scenes[condition].load().with_changes({**changes, "seed": seed})
-        if self.coarse != 1.0:
-            from multicell.scene.coarsening import coarsen
-
-            scene = coarsen(scene, self.coarse)
         simulation = Simulation(scene, threads=1)
         watch = _Watch(data)
         watch.add(simulation)

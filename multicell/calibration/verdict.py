@@ -10,7 +10,7 @@ import numpy as np
 
 from multicell.calibration.noise import Array
 from multicell.calibration.priors import Prior
-from multicell.report.wording import time_unit
+from multicell.report.wording import time_unit, written
 from multicell.studies.axes import Range
 
 OPEN: Final = 0.7
@@ -57,30 +57,28 @@ class Undetermined:
         return self.words
 
 
-def intervals(
-    ranges: Sequence[Range], shares: Array, weights: Array, level: float = 0.95
-) -> dict[str, Interval]:
-    """Return a central credible interval of each parameter from weighted draws."""
+def intervals(ranges: Sequence[Range], shares: Array, level: float = 0.95) -> dict[str, Interval]:
+    """Return a central credible interval of each parameter from draws, (k, d)."""
     tails = (0.5 - level / 2.0, 0.5, 0.5 + level / 2.0)
     found = {}
     for free, column in zip(ranges, shares.T, strict=True):
-        low, median, high = quantiles(column, weights, tails)
+        low, median, high = quantiles(column, tails)
         ends = [free.value(float(x)) for x in (low, median, high)]
         found[free.name] = Interval(ends[0], ends[1], ends[2], float(high - low))
     return found
 
 
-def quantiles(values: Array, weights: Array, levels: Sequence[float]) -> Array:
-    """Return quantiles of weighted draws (k, ...) over the first axis: (levels, ...)."""
-    return np.quantile(values, levels, axis=0, weights=weights, method="inverted_cdf")
+def quantiles(values: Array, levels: Sequence[float]) -> Array:
+    """Return quantiles of draws (k, ...) over the first axis, draws themselves: (levels, ...)."""
+    return np.asarray(np.quantile(values, levels, axis=0, method="inverted_cdf"))
 
 
 def undetermined(
-    ranges: Sequence[Range], shares: Array, weights: Array, prior: Prior | None = None
+    ranges: Sequence[Range], shares: Array, prior: Prior | None = None
 ) -> list[Undetermined]:
     """Return what the data do not determine: open intervals, ridges, ends of ranges."""
     found = []
-    known = intervals(ranges, shares, weights)
+    known = intervals(ranges, shares)
     prior = Prior(len(ranges)) if prior is None else prior
     for k, (free, column) in enumerate(zip(ranges, shares.T, strict=True)):
         interval, before = known[free.name], prior.part(k, 0.95)
@@ -95,13 +93,13 @@ def undetermined(
             continue
         edges = ("lower", free.low, column < EDGE), ("upper", free.high, column > 1.0 - EDGE)
         for end, value, near in edges:
-            if weights[near].sum() > 0.5 * weights.sum():
+            if near.mean() > 0.5:
                 words = (
                     f"{free.name} lies at the {end} end of its range, {in_words(value, free.unit)}:"
                     " the data may ask for more"
                 )
                 found.append(Undetermined((free.name,), "edge", words))
-    covariance = np.atleast_2d(np.cov(shares.T, aweights=weights))
+    covariance = np.atleast_2d(np.cov(shares.T))
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(spread, spread)
     for i, j in zip(*np.nonzero(np.tril(np.abs(correlation) >= RIDGE, -1)), strict=True):
@@ -119,4 +117,4 @@ def in_words(value: float, unit: str) -> str:
     """Return a value in base units in words, times in a unit that suits them."""
     if unit == "s" and value:
         return time_unit(abs(value)).text(value)
-    return f"{value:.4g} {unit}".replace("um", "µm").strip()
+    return f"{value:.4g} {written(unit)}".strip()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,8 +91,7 @@ def sensitivity(
     "drugs",
     "KEY=DOSES",
     "A dose and its values, the control first: nutrients.drug.boundary='0, log 0.01:10:8 uM' "
-    "(eight with equal ratios). KEY,KEY=DOSES: several keys that all take it. Twice: two drugs, "
-    "all pairs of whose doses run.",
+    "(eight with equal ratios). Twice: two drugs, all pairs of whose doses run.",
 )
 @click.option(
     "--data",
@@ -142,23 +140,23 @@ def dose_response(
     if scene is not None and len(pairs) not in (1, 2):
         raise click.UsageError(f"--dose is given {len(pairs)} times, must be once or twice.")
     described = None if scene is None else shared.scene_of(scene, changes, law)
-    from multicell.calibration.dose_response import LIVING, Options, carry_out, of_table, plan_of
+    from multicell.calibration.dose_response import LIVING, carry_out, of_table, plan_of
 
-    options = Options(top)
     if described is None:
-        result = replace(of_table(data, options), folder=output)
+        result = replace(of_table(data, top), folder=output)
     else:
         keys, doses = list(pairs), tuple(pairs.values())
         with studies.planning():
             plan = plan_of(
                 described,
-                keys[0].replace(" ", "").split(",") if len(keys) == 1 else None,
+                keys[0] if len(keys) == 1 else None,
                 doses[0] if len(keys) == 1 else doses,
                 combine=keys if len(keys) == 2 else None,
                 observable="+".join(observables) or LIVING,
                 seeds=seeds,
+                top=top,
             )
-        result = studies.carry_out_study(plan, output, partial(carry_out, options=options), how)
+        result = studies.carry_out_study(plan, output, carry_out, how)
     if how["no_report"]:
         result.write_tables()
     studies.print_analysis(result, result.table, how)

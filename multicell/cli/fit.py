@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-def _budget(context: click.Context, option: click.Parameter, value: str | None) -> int | str | None:
-    if value is None:
-        return None
-    return int(value) if value.strip().isdigit() else value
-
-
 @click.command()
 @shared.of_scene
 @click.option(
@@ -38,14 +32,6 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     "'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
 )
 @studies.free_option
-@click.option(
-    "--constraint",
-    "constraints",
-    multiple=True,
-    metavar="LEFT<RIGHT",
-    help="What must hold between free parameters, as 'KEY < 0.5 * KEY' or 'KEY + KEY < 20 h'. May "
-    "be given several times.",
-)
 @shared.output_option("Folder of the fit; the same fit there is continued.")
 @shared.valued(
     "--seeds",
@@ -57,24 +43,7 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     default=12,
     help="Runs with fresh seeds at the best point, from which intervals have the scatter of runs.",
 )
-@shared.valued(
-    "--profile-runs",
-    default=0,
-    help="Runs at each end of each parameter's profile interval, which check the emulator there.",
-)
-@click.option(
-    "--budget",
-    callback=_budget,
-    metavar="RUNS|TIME",
-    help="Number of runs, or a time such as '2 h', in all.",
-)
-@click.option(
-    "--coarse",
-    default=1.0,
-    metavar="FACTOR",
-    help="Search with cells so many times as wide, corrected by a few runs of the scene itself.",
-)
-@click.option("--start", metavar="TIME", help="Time of the data at which runs begin, as '102 h'.")
+@click.option("--budget", type=int, metavar="RUNS", help="Number of runs in all.")
 @shared.valued(
     "--sd",
     default=0.1,
@@ -93,11 +62,6 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     help="unknown: estimate what data scatter beyond runs and their stated errors.",
 )
 @shared.observable_option
-@click.option(
-    "--reuse",
-    metavar="FOLDER",
-    help="Another fit of the same scene and free parameters, whose runs serve this one too.",
-)
 @studies.cores_option
 @studies.scheduler_option
 @studies.yes_option
@@ -157,7 +121,6 @@ def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
     from multicell.studies.cost import StudyCost, cost_of
 
     runs, core_seconds = plan.left(folder)
-    core_seconds = min(core_seconds, plan.seconds * (cores or 1))
     memory = max(cost_of(c.scene).memory for c in plan.problem.measured.conditions)
     many = cores or 1
     return StudyCost(runs, core_seconds, core_seconds / many, memory * many, disk=0.0)

@@ -18,9 +18,10 @@ from multicell.calibration.indices import analyse, sample
 from multicell.calibration.likelihood import fresh, likelihood, scatter_of
 from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import problem_of, ranges_of
+from multicell.calibration.problem import Problem, ranges_of
 from multicell.calibration.profiles import profiles
 from multicell.calibration.search import Search
+from multicell.calibration.simulator import SceneSimulator
 from multicell.calibration.verdict import intervals
 
 QUICK = 5
@@ -36,17 +37,15 @@ ALWAYS = ("kink",)
 
 
 def sampled(problem):
-    """Return weighted draws of a fit, as places in the ranges."""
+    """Return draws of a fit, as places in the ranges."""
     search = Search(problem, None)
     search.run(Pool(), 30)
-    found = fresh(problem, search, Pool(), search.emulator())
-    shares = found.likelihood.draws()
-    return shares, np.full(len(shares), 1.0 / len(shares))
+    return fresh(problem, search, Pool()).likelihood.draws()
 
 
 def covered(problem, sample, truth):
     """Return whether 80 and 95 % intervals hold the truth, (2, parameters)."""
-    found = [intervals(problem.ranges, *sample, level) for level in (0.8, 0.95)]
+    found = [intervals(problem.ranges, sample, level) for level in (0.8, 0.95)]
     return [[x in f[r.name] for r, x in zip(problem.ranges, truth, strict=True)] for f in found]
 
 
@@ -91,10 +90,11 @@ def test_intervals_of_the_real_engine_cover_as_often_as_they_say(request):
         measured = read_data(shape, scene)
         ranges = ranges_of(free, measured)
         shares = 0.2 + 0.6 * rng.random(2)
-        tissue = problem_of(measured, ranges, 1, 1).simulator(shares.tolist(), 0, 10**6 + repeat)
+        tissue = SceneSimulator.of(measured, ranges)(shares.tolist(), 0, 10**6 + repeat)
         values = np.array(tissue.values) + sigma * rng.standard_normal(5)
         measured = read_data({**shape, "diameter / um": np.maximum(values, 0.0).tolist()}, scene)
-        problem = problem_of(measured, ranges, 2, 1 + 10**4 * repeat)
+        simulator, first = SceneSimulator.of(measured, ranges), 1 + 10**4 * repeat
+        problem = Problem(measured, ranges, simulator, (first, first + 1))
         truth = [free.value(x) for free, x in zip(ranges, shares, strict=True)]
         hits.append(covered(problem, sampled(problem), truth))
     check(hits)

@@ -83,11 +83,6 @@ def test_a_frame_and_a_mapping_say_the_same_as_a_file(tmp_path):
         assert measured.conditions[0].changes == {"contact.law": "jkr"}
 
 
-def test_the_start_may_be_said_beside_the_table(tmp_path):
-    measured = read("time / h, cells\n148, 1472\n", tmp_path, start="102 h")
-    assert measured.data[0].time == 46 * 3600.0
-
-
 def test_oxygen_may_be_a_pressure_as_in_scenes(tmp_path):
     text = "time / h, cells, nutrients.oxygen.boundary / mmHg\n5, 7, 38\n"
     boundary = read(text, tmp_path).conditions[0].scene.nutrients["oxygen"].boundary
@@ -177,13 +172,8 @@ def test_files_that_cannot_be_read_are_named(tmp_path):
 
 
 def test_bad_options_are_named(tmp_path):
-    text = "start / h, time / h, cells\n1, 5, 7\n"
-    with pytest.raises(DataError, match="start: is given twice"):
-        read(text, tmp_path, start="1 h")
-    with pytest.raises(DataError, match="must be a time"):
-        read("time / h, cells\n5, 7\n", tmp_path, start="1 um")
     with pytest.raises(DataError, match="sd: is 0, must be a relative"):
-        read(text, tmp_path, sd=0)
+        read("time / h, cells\n5, 7\n", tmp_path, sd=0)
 
 
 DRIVEN = mc.Scene.from_dict({

@@ -30,7 +30,7 @@ from multicell.calibration.problem import (
     groups_of,
     misfit,
 )
-from multicell.calibration.search import Search, emulator_of
+from multicell.calibration.search import Search
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed
 
@@ -170,8 +170,9 @@ def test_the_search_finds_the_best_point_in_few_runs(bend):
 def test_scatter_of_runs_widens_what_the_data_leave_open():
     """With many seeds the draws' variance is that of σ² + s²."""
     noisy = linear(MATRIX, [0.45, 0.62, 1.01, -0.21], 0.02, noise=0.04, seeds=60)
-    known = Search(noisy, None, seed=1).run(Pool(), 30)
-    found = emulator_of(noisy, known)
+    search = Search(noisy, None, seed=1)
+    search.run(Pool(), 30)
+    found = search.emulator()
     drawn = draws(found.loss, Prior(2), seed=2, count=3_000)
     _, covariance = exact(noisy)
     np.testing.assert_allclose(drawn.std(axis=0), np.sqrt(np.diag(covariance)), rtol=0.2)

@@ -11,7 +11,7 @@ from cheap_fits import MATRIX, Growing, exact, fitted, growing, linear
 from scipy import stats
 
 import multicell as mc
-from multicell.calibration.predictive import Predictive, predictive_of
+from multicell.calibration.predictive import Predictive
 
 VALUES = [0.45, 0.6, 1.0, -0.2]
 
@@ -56,8 +56,7 @@ def correlated(count=20_000):
     precision = np.linalg.inv(covariance)
     after = np.linalg.inv(a.T @ precision @ a + np.linalg.inv(wide))
     theta = rng.multivariate_normal(after @ a.T @ precision @ y, after, count)
-    even = np.full(count, 1.0 / count)
-    found = Predictive(theta @ a.T - y, even, covariance, np.zeros(12))
+    found = Predictive(theta @ a.T - y, covariance, np.zeros(12))
     return found, y, a @ wide @ a.T + covariance
 
 
@@ -82,8 +81,7 @@ def test_one_draw_far_out_does_not_decide_a_score():
 def test_checks_are_the_probabilities_of_their_closed_forms():
     covariance = np.array([[1.0, 0.6], [0.6, 2.0]])
     off = np.array([1.2, -0.7])
-    found = Predictive(np.tile(off, (40_000, 1)), np.full(40_000, 1 / 40_000), covariance,
-                       np.zeros(2))  # fmt: skip
+    found = Predictive(np.tile(off, (40_000, 1)), covariance, np.zeros(2))
     chi, largest = found.check()
     assert chi == pytest.approx(stats.chi2.sf(off @ np.linalg.solve(covariance, off), 2))
     # both within the larger deviation, 1.2 of the first
@@ -154,23 +152,3 @@ def test_the_model_that_made_the_data_is_chosen(request):
             right[name] += table[name].idxmin() == truth
     print(right)
     assert min(right.values()) >= 0.9 * count
-
-
-def test_a_fit_goes_to_arviz():
-    arviz = pytest.importorskip("arviz")
-    rng = np.random.default_rng(4)
-    problem = linear(4 * MATRIX, 4 * VALUES + 0.05 * rng.standard_normal(16), 0.05)
-    found = fitted(problem)
-    made = found.to_arviz()
-    assert set(made.groups()) == {
-        "posterior", "prior", "posterior_predictive", "log_likelihood", "observed_data"
-    }  # fmt: skip
-    mean, covariance = exact(problem)
-    table = arviz.summary(made, kind="stats")
-    np.testing.assert_allclose(table["mean"], mean, atol=0.005)
-    np.testing.assert_allclose(table["sd"], np.sqrt(np.diag(covariance)), atol=0.003)
-    score = predictive_of(found).scores.sum()
-    assert arviz.loo(made).elpd_loo == pytest.approx(score, abs=0.1)
-    assert made.posterior.p0.attrs["units"] == ""
-    assert made.posterior_predictive.data.shape == (1, 2000, 16)
-    assert made.prior.p1.values.mean() == pytest.approx(0.5, abs=0.03)

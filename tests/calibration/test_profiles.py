@@ -1,9 +1,8 @@
-"""Profile likelihoods: closed forms, priors and constraints, runs at the ends, bad input."""
+"""Profile likelihoods: closed forms, priors, ends of ranges, bad input."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,17 +10,21 @@ from cheap_fits import MATRIX, exact, fitted, linear, through
 from scipy import stats
 
 import multicell as mc
-from multicell.calibration.priors import Constraint, Density, Prior
-from multicell.calibration.profiles import _jackknife, profiles
+from multicell.calibration.emulator import best_of, draws
+from multicell.calibration.likelihood import likelihood, scatter_of
+from multicell.calibration.priors import Density, Prior
+from multicell.calibration.profiles import profiles
 
 VALUES = [0.45, 0.6, 1.0, -0.2]
 
 
 def of_runs(problem, prior=None):
-    """Return an emulator through exact runs of a linear problem."""
+    """Return the likelihood of exact runs of a linear problem, which do not scatter."""
     shares = np.random.default_rng(5).random((40, len(problem.ranges)))
     runs = np.array([problem.simulator(x, 0, 0).values for x in shares])
-    return through(shares, (runs - problem.observed) / problem.sigma, prior=prior)
+    model = through(shares, (runs - problem.observed) / problem.sigma, prior=prior)
+    best = best_of(model.loss, model.prior, draws(model.loss, model.prior, seed=0, count=300))
+    return likelihood(model, problem.noise, best, scatter_of(model.means(np.tile(best, (12, 1)))))
 
 
 def test_the_profile_of_a_linear_model_is_the_parabola_of_its_closed_form():
@@ -50,73 +53,22 @@ def test_a_prior_narrows_a_profile_as_in_closed_form():
     np.testing.assert_allclose(profile.ends[:, 0], [0.5 - reach, 0.5 + reach], atol=1e-3)
 
 
-def test_profiles_end_at_constraints_and_at_the_ends_of_ranges():
+def test_profiles_end_at_the_ends_of_ranges():
     problem = linear([[1.0, 0.0], [0.0, 1.0]], [0.5, 0.5], [0.02, 10.0])
-    order = Constraint("p1 < p0", (-1.0, 1.0), 0.0)
-    prior = Prior(2, problem.ranges, (None, None), (order,))
-    first, second = profiles(of_runs(problem, prior), [0, 1])
+    first, second = profiles(of_runs(problem), [0, 1])
     reach = 0.02 * stats.norm.ppf(0.975)
     assert first.ends[0, 0] == pytest.approx(0.5 - reach, abs=1e-3)
-    assert (first.shares[:, 1] < first.shares[:, 0]).all()
-    assert second.open[0]
-    assert second.ends[0, 1] == 0.0
-    # p0 must be above it, and is no higher than its data allow
-    assert second.ends[1, 1] == pytest.approx(0.5 + reach, abs=1e-3)
-
-
-def test_the_jackknife_takes_out_the_bias_of_a_square():
-    values = np.random.default_rng(3).normal(1.0, 2.0, (12, 1))
-    found, error = _jackknife(lambda x: float(x[0] ** 2), values)
-    mean, variance = values.mean(), values.var(ddof=1) / 12
-    assert found == pytest.approx(mean**2 - variance)
-    assert error == pytest.approx(2.0 * abs(mean) * math.sqrt(variance), rel=0.35)
-    assert math.isnan(_jackknife(lambda x: 0.0, values[:2])[0])
-
-
-def test_runs_at_the_ends_agree_with_a_right_emulator():
-    problem = linear(MATRIX, VALUES, 0.05, noise=0.03, seeds=2)
-    found = fitted(problem, profile_runs=4)
-    assert [(end.number, end.side) for end in found.ends] == [(0, 0), (0, 1), (1, 0), (1, 1)]
-    for end in found.ends:
-        # seeds give the same numbers everywhere: what remains is the emulator's error
-        assert end.found == pytest.approx(end.claimed, abs=0.2)
-        assert not end.off
-    assert found.profile("p0").attrs["limit"] == pytest.approx(found.ends[0].claimed, rel=1e-4)
-
-
-def test_runs_at_the_ends_find_an_emulator_that_is_off():
-    class Bent:
-        """Linear near the middle, where most runs are, and far from that beyond."""
-
-        def __call__(self, shares, condition, seed):
-            from multicell.calibration.simulator import Reading
-
-            noise = 0.02 * np.random.default_rng(seed).standard_normal(1)[0]
-            return Reading((shares[0] + 3.0 * max(0.0, shares[0] - 0.56) + noise,))
-
-    problem = linear([[1.0]], [0.5], 0.05)
-    search = replace(problem, simulator=Bent())
-    found = fitted(problem, points=20, profile_runs=4, checked_by=search)
-    lower, upper = found.ends
-    assert not lower.off
-    assert upper.off
-    assert upper.found > 3.0 * upper.claimed
-    assert "upper end of the profile interval of p0" in "".join(found.notes)
+    assert second.open == (True, True)
+    assert second.ends[:, 1].tolist() == [0.0, 1.0]
 
 
 def test_a_profile_is_a_table_with_units_and_bad_input_is_refused():
     found = fitted(linear(MATRIX, VALUES, 0.05))
-    table = found.profile("toy.p1", points=5, level=0.8)
+    table = found.profile("toy.p1")
     assert list(table.columns) == ["p0", "p1", "rise"]
-    assert len(table) == 5
-    assert table.attrs["level"] == 0.8
+    assert len(table) == 15
     assert table.attrs["open"] == [False, False]
-    for arguments, words in (
-        (("toy.p7",), "key: is 'toy.p7', must be one of"),
-        (("p0", 2), "points: is 2, must be a whole number from 3"),
-        (("p0", 5, 1.0), "level: is 1.0, must be between 0 and 1"),
-    ):
-        with pytest.raises(mc.SceneError, match=words):
-            found.profile(*arguments)
-    with pytest.raises(mc.errors.FitFailed, match="no emulator that a profile could be of"):
+    with pytest.raises(mc.SceneError, match=r"key: is 'toy\.p7', must be one of"):
+        found.profile("toy.p7")
+    with pytest.raises(mc.errors.FitFailed, match="too few points were tried"):
         fitted(linear(MATRIX, VALUES, 0.05), points=3).profile("p0")

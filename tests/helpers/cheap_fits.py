@@ -16,7 +16,6 @@ from multicell.calibration.fitted import Fit
 from multicell.calibration.likelihood import fresh
 from multicell.calibration.pool import Pool
 from multicell.calibration.problem import Problem
-from multicell.calibration.profiles import check_ends
 from multicell.calibration.search import Search
 from multicell.calibration.simulator import Reading, SceneSimulator
 from multicell.studies.axes import Range
@@ -196,12 +195,10 @@ def exact(problem):
     return covariance @ (a.T @ (weights * problem.observed)), covariance
 
 
-def fitted(problem, points=30, profile_runs=0, checked_by=None):
-    """Return the fit of a problem by the best point; ``checked_by`` makes the runs at ends."""
+def fitted(problem, points=30):
+    """Return the fit of a problem by the best point."""
     search = Search(problem, None, seed=1)
     known = search.run(Pool(), points)
     facts = {"sd": 0.1, "seconds": 1.0, "sets_of_parameters": points}
-    again = fresh(problem, search, Pool(), search.emulator())
-    other = search if checked_by is None else Search(checked_by, None, seed=1)
-    ends = check_ends(problem, other, Pool(), again, profile_runs)
-    return Fit(problem, SCENE, known, None, facts, again, ends)
+    again = fresh(problem, search, Pool())
+    return Fit(problem, SCENE, known, None, facts, again)
