@@ -1,7 +1,7 @@
 """Tables in JSON and files of JSON lines, each with its checksum.
 
-A checksum detects an edit, a cut and a flipped bit; files are regular ones of a
-bounded size and depth, or an error in words.
+A checksum detects an edit, a cut and a flipped bit; files are regular ones of a bounded size, or an
+error in words.
 """
 
 from __future__ import annotations
@@ -45,9 +45,10 @@ def read_table(path: Path) -> dict[str, Any] | None:
             return None
     try:
         table = parse_table(text)
-    except OutputError as error:
+        unchanged = table.pop(_CHECKSUM, None) == _checksum(table)
+    except (OutputError, RecursionError) as error:
         raise OutputError(f"'{path}' is damaged: {error}") from error
-    if table.pop(_CHECKSUM, None) != _checksum(table):
+    if not unchanged:
         raise OutputError(f"'{path}' is damaged: it is not what was written there")
     return table
 

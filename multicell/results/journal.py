@@ -38,10 +38,8 @@ NAME: Final = "frames.journal"
 _TAG: Final = b"mcj3"
 PREFIX: Final = struct.Struct("<4sIQIII")  # tag, lengths and checksums of a record: 28 bytes
 
-_MAX_HEADER: Final = 1 << 24
 _LONG: Final = 1 << 18  # bytes of an array that is not copied together with others
 _SYNC_EVERY: Final = 1.0  # s
-_TYPES: Final = ("<f8", "<i8", "<i2", "|i1", "|u1")
 
 
 def array_headers(arrays: Arrays) -> list[list[Any]]:
@@ -221,7 +219,7 @@ class Reader:
                 file.seek(self.end)
                 if not self._next(file, size):
                     break
-        if not self.records or self.records[0].kind != "open":
+        if not self.records:
             raise OutputError(f"'{path}' is damaged at its beginning: nothing in it can be read")
 
     def _next(self, file: Any, size: int) -> bool:
@@ -230,7 +228,7 @@ class Reader:
         if len(head) < PREFIX.size:
             return False
         tag, letters, length, of_text, of_body, of_head = PREFIX.unpack(head)
-        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _MAX_HEADER:
+        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head:
             # after a loss of power the end may be there without what was written to it
             if any(head) or any(file.read(1 << 16)):
                 self.damage = f"the record at byte {self.end} is damaged"
@@ -239,11 +237,10 @@ class Reader:
         if begin + length > size:
             return False
         text = file.read(letters)
-        header = _header(text, length) if zlib.crc32(text) == of_text else None
-        if header is None:
+        if zlib.crc32(text) != of_text:
             self.damage = f"the record at byte {self.end} is damaged"
             return False
-        self.records.append(Record(header, begin, length, of_body))
+        self.records.append(Record(json.loads(text), begin, length, of_body))
         self.end, self.chain = begin + length, of_head
         return True
 
@@ -258,19 +255,3 @@ class Reader:
         if left or digest(arrays) != record.digest:
             raise OutputError(f"the record at byte {record.begin} of '{self.path}' is damaged")
         return arrays
-
-
-def _header(text: bytes, length: int) -> dict[str, Any] | None:
-    """Return the header of a record, or None if they do not fit the length of its body."""
-    try:
-        header = json.loads(text)
-        arrays = header.get("arrays", ())
-        sizes = [
-            int(np.prod(shape, dtype=object)) * np.dtype(kind).itemsize
-            for _, kind, shape in arrays
-            if kind in _TYPES and all(type(n) is int and n >= 0 for n in shape)
-        ]
-        whole = len(sizes) == len(arrays) and sum(sizes) == length
-    except (ValueError, TypeError, AttributeError, RecursionError):
-        return None
-    return header if whole and isinstance(header.get("kind"), str) else None
