@@ -36,13 +36,11 @@ class Sink(io.RawIOBase):
     """A file for HDF5 whose writes never fail: the first refusal is kept for :meth:`check`.
 
     HDF5 keeps a file open that it cannot write, complains at the end of the process, and may
-    crash there. So it is told that all went well. It writes a small file in hundreds of pieces,
-    which are collected in memory up to :data:`_BATCH` bytes.
+    crash there. So it is told that all went well.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._target = file
-        self._file: IO[bytes] = io.BytesIO()
+        self._file = file
         self._place = self._end = 0
         self._trouble: BaseException | None = None
 
@@ -50,13 +48,6 @@ class Sink(io.RawIOBase):
         """Raise what a write was refused with."""
         if self._trouble is not None:
             raise self._trouble
-
-    def finish(self) -> None:
-        """Hand all that is still in memory to the file; raise what a write was refused with."""
-        self._try(self._unload)
-        # what Python flushes when it deletes this is no trouble: that would hold the whole run
-        self._file = io.BytesIO()
-        self.check()
 
     def seek(self, place: int, whence: int = os.SEEK_SET) -> int:
         """Go to a place."""
@@ -66,18 +57,9 @@ class Sink(io.RawIOBase):
 
     def write(self, data: Any) -> int:
         """Write, or note why that is refused."""
-        if self._place > _BATCH:
-            self._try(self._unload)
         length = self._at_place(self._file.write, data)
         self._end = max(self._end, self._place)
         return length
-
-    def _unload(self) -> None:
-        """Write to the file itself from now on."""
-        if isinstance(self._file, io.BytesIO):
-            self._target.write(self._file.getbuffer())
-            self._target.truncate(self._end)
-            self._file = self._target
 
     def readinto(self, target: Any) -> int:
         """Read back what was written; after a refusal there may be nothing."""
@@ -112,7 +94,7 @@ class Sink(io.RawIOBase):
 NAME: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
-_BATCH: Final = 1 << 23  # bytes that are collected before they are written
+_BATCH: Final = 1 << 23  # bytes of rows that are collected before they are written
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
 
@@ -143,7 +125,8 @@ def write(
         except Exception:
             sink.check()  # what HDF5 says after a refused write means nothing
             raise
-        sink.finish()
+        sink.close()  # flushed here, and not when Python deletes it: then the file is closed
+        sink.check()
 
 
 def _fill(

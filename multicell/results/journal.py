@@ -20,7 +20,7 @@ import os
 import struct
 import time as clock
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -38,7 +38,6 @@ NAME: Final = "frames.journal"
 _TAG: Final = b"mcj3"
 PREFIX: Final = struct.Struct("<4sIQIII")  # tag, lengths and checksums of a record: 28 bytes
 
-_LONG: Final = 1 << 18  # bytes of an array that is not copied together with others
 _SYNC_EVERY: Final = 1.0  # s
 
 
@@ -139,7 +138,7 @@ class Journal:
                 os.ftruncate(self._descriptor, self._end)
             self._torn = True
             try:
-                place = self._write(_gather(parts))
+                place = self._write(b"".join(parts))
                 if clock.monotonic() - self._synced > _SYNC_EVERY:
                     self._sync()
             except OSError as error:
@@ -151,14 +150,13 @@ class Journal:
                 raise
             self._end, self._chain, self._torn = place, chain, False
 
-    def _write(self, parts: Iterable[Any]) -> int:
+    def _write(self, data: bytes) -> int:
         place = self._end
         os.lseek(self._descriptor, place, os.SEEK_SET)
-        for part in parts:
-            view = memoryview(part)
-            while view:
-                done = os.write(self._descriptor, view)
-                view, place = view[done:], place + done
+        view = memoryview(data)
+        while view:
+            done = os.write(self._descriptor, view)
+            view, place = view[done:], place + done
         return place
 
     def _sync(self) -> None:
@@ -176,19 +174,6 @@ class Journal:
             descriptor, self._descriptor = self._descriptor, -1
             with file_errors("write", self._path):
                 os.close(descriptor)
-
-
-def _gather(parts: Iterable[Any]) -> Iterator[Any]:
-    """Yield what is to be written in few pieces, without a copy of the long ones."""
-    short: list[Any] = []
-    for part in parts:
-        if len(part) >= _LONG:
-            yield b"".join(short)
-            yield part
-            short.clear()
-        else:
-            short.append(part)
-    yield b"".join(short)
 
 
 def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, list[Any]]:
