@@ -420,7 +420,8 @@ def record_resumed(
             stack.enter_context(lock_folder(folder))
             contents = Contents(folder)  # another run may have come first
         place = _place(contents, frame)
-        _check_damage(contents, frame, here)
+        if frame < 0 or here:  # behind a damaged end a frame is named, and a folder
+            contents.whole()
         scene = _change(recorded_scene(contents), changes or {})
         check_observables(scene)
         simulation = _simulation(scene, contents, place, options)
@@ -466,12 +467,6 @@ def _place(contents: Contents, frame: int) -> int:
         have = f"it has the frames 0 to {count - 1}" if count else "it has no frames"
         raise OutputError(f"the run in '{contents.folder}' has no frame {frame}: {have}")
     return place
-
-
-def _check_damage(contents: Contents, frame: int, here: bool) -> None:
-    """Let a run with a damaged journal go on from a frame that was named, and elsewhere."""
-    if contents.damage is not None and (frame < 0 or here):
-        contents.whole()
 
 
 def _simulation(scene: Scene, contents: Contents, place: int, options: RunOptions) -> Simulation:
