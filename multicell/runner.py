@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
-import numpy as np
-
 from multicell.compiling.threads import thread_count
 from multicell.errors import OutputError, SceneError
 from multicell.host.interrupts import STEP
@@ -27,7 +25,6 @@ from multicell.results.folder import lock_folder
 from multicell.results.frame import Frame
 from multicell.results.measures import check_observables
 from multicell.results.quantities import units_of
-from multicell.results.records import resume_obstacle
 from multicell.scene.scene import Scene, load_scene
 from multicell.simulation import Simulation
 from multicell.units import shown
@@ -423,15 +420,17 @@ def record_resumed(
             stack.enter_context(lock_folder(folder))
             contents = Contents(folder)  # another run may have come first
         place = _place(contents, frame)
-        _check_damage(contents, frame, here)
+        if frame < 0 or here:  # behind a damaged end a frame is named, and a folder
+            contents.whole()
         scene = _change(recorded_scene(contents), changes or {})
         check_observables(scene)
         simulation = _simulation(scene, contents, place, options)
         scene = simulation.scene
-        rows = _rows(contents, simulation.step_index)
+        # all of it is read: what is damaged is better known before the run than after it
+        rows = int((contents.history()["step"] <= simulation.step_index).sum())
         interrupt = stack.enter_context(STEP).deliver
         if here:
-            for k in range(place):  # what is damaged is better known before the run than after it
+            for k in range(place):
                 contents.frame(k)
             last = _last_planned(contents, place, simulation) if planned else place
             store = Store.resume(contents, last, rows, scene)
@@ -470,23 +469,10 @@ def _place(contents: Contents, frame: int) -> int:
     return place
 
 
-def _check_damage(contents: Contents, frame: int, here: bool) -> None:
-    """Let a run with a damaged journal go on from a frame that was named, and elsewhere."""
-    if contents.damage is not None and (frame < 0 or here):
-        contents.whole()
-
-
 def _simulation(scene: Scene, contents: Contents, place: int, options: RunOptions) -> Simulation:
     """Return the simulation at a frame, or state why it cannot continue."""
     scene, own = integrated_by(scene, options.integrator)
     folder, start = contents.folder, contents.frame(place)
-    if start.progress is None:
-        raise OutputError(
-            f"the frame at {start.time:g} s in '{folder}' does not hold what a run needs to go on"
-        )
-    problem = resume_obstacle(start)
-    if problem:
-        raise OutputError(f"no run can go on from the frame at {start.time:g} s: {problem}")
     most = scene.stop_cells
     if most is not None and len(start.cells) > most != recorded_scene(contents).stop_cells:
         raise SceneError(
@@ -509,18 +495,6 @@ def _simulation(scene: Scene, contents: Contents, place: int, options: RunOption
             f"change duration or stop_cells: --set duration='{twice}'"
         )
     return simulation
-
-
-def _rows(contents: Contents, step: int) -> int:
-    """Return how many rows of the history there are up to a step."""
-    steps = contents.history().get("step", np.empty(0))
-    rows = int((steps <= step).sum())
-    if rows != step + 1:
-        raise OutputError(
-            f"the history in '{contents.folder}' has {rows} rows up to step {step}, must have "
-            f"{step + 1}: no run can go on from there"
-        )
-    return rows
 
 
 def _complete(contents: Contents) -> bool:

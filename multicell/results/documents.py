@@ -1,7 +1,7 @@
 """Tables in JSON and files of JSON lines, each with its checksum.
 
-A checksum detects an edit, a cut and a flipped bit; files are regular ones of a
-bounded size and depth, or an error in words.
+A checksum detects an edit, a cut and a flipped bit; files are regular ones of a bounded size, or an
+error in words.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Final, final
 
 from multicell.errors import OutputError
 from multicell.host.files import read_regular
-from multicell.results.folder import file_errors, to_json, write_bytes, write_text
+from multicell.results.folder import file_errors, to_json, write_text
 from multicell.results.records import parse_table
 
 _CHECKSUM: Final = "checksum"
@@ -45,9 +45,10 @@ def read_table(path: Path) -> dict[str, Any] | None:
             return None
     try:
         table = parse_table(text)
-    except OutputError as error:
+        unchanged = table.pop(_CHECKSUM, None) == _checksum(table)
+    except (OutputError, RecursionError) as error:
         raise OutputError(f"'{path}' is damaged: {error}") from error
-    if table.pop(_CHECKSUM, None) != _checksum(table):
+    if not unchanged:
         raise OutputError(f"'{path}' is damaged: it is not what was written there")
     return table
 
@@ -95,7 +96,12 @@ class Lines:
     def append(self, entries: Iterable[Any]) -> None:
         """Add entries at the end; raises OutputError if they cannot be written."""
         entries = list(entries)
-        data, chain = _join(entries, self._chain)
+        lines, chain = [], self._chain
+        for entry in entries:
+            text = json.dumps(entry, separators=(",", ":")).encode()
+            chain = zlib.crc32(text, chain)
+            lines.append(f"{chain:08x} ".encode() + text + b"\n")
+        data = b"".join(lines)
         flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
         with file_errors("write", self._path):
             descriptor = os.open(self._path, flags, 0o666)
@@ -107,19 +113,3 @@ class Lines:
                 os.fsync(descriptor)
         self._end, self._chain = self._end + len(data), chain
         self.entries += entries
-
-    def replace(self, entries: Iterable[Any]) -> None:
-        """Keep these entries only, so that the file is either the old one or complete."""
-        kept = list(entries)
-        data, chain = _join(kept, 0)
-        write_bytes(self._path, data)
-        self.entries, self._end, self._chain = kept, len(data), chain
-
-
-def _join(entries: Iterable[Any], chain: int) -> tuple[bytes, int]:
-    lines = []
-    for entry in entries:
-        text = json.dumps(entry, separators=(",", ":")).encode()
-        chain = zlib.crc32(text, chain)
-        lines.append(f"{chain:08x} ".encode() + text + b"\n")
-    return b"".join(lines), chain

@@ -53,8 +53,7 @@ class Field:
     - ``kind``: ``"box"`` or ``"radial"``
     - ``height``: of the layer in two dimensions, µm; else 0
 
-    :meth:`to_pde` gives it to py-pde. ``plot``, ``interpolate``, ``get_line_data`` and ``to_file``
-    are those of py-pde's field. py-pde is loaded at the first of these calls.
+    :meth:`to_pde` gives it to py-pde, whose fields can be drawn, interpolated and written to files.
 
     Raises ValueError if ``origin`` or ``values`` have the wrong shape, or ``spacing`` is not
     positive.
@@ -106,26 +105,6 @@ class Field:
         from multicell.results.pde_fields import scalar_field
 
         return scalar_field(self)
-
-    def plot(self, *args: Any, **options: Any) -> Any:
-        """Draw it; see ``pde.ScalarField.plot``."""
-        return self.to_pde().plot(*args, **options)
-
-    def interpolate(self, point: FloatArray, **options: Any) -> Any:
-        """Return concentrations in mM at points; see ``pde.ScalarField.interpolate``.
-
-        - ``point``, (..., 3), (..., 2) in a plane, (..., 1) on shells; µm: coordinates of py-pde's
-          grid
-        """
-        return self.to_pde().interpolate(np.asarray(point, dtype=float), **options)
-
-    def get_line_data(self, *args: Any, **options: Any) -> dict[str, Any]:
-        """Return values along a line; see ``pde.ScalarField.get_line_data``."""
-        return dict(self.to_pde().get_line_data(*args, **options))
-
-    def to_file(self, filename: str, **options: Any) -> None:
-        """Write it to a file of py-pde's; see ``pde.ScalarField.to_file``."""
-        self.to_pde().to_file(filename, **options)
 
 
 @final

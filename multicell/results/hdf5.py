@@ -10,7 +10,6 @@ of HDF5, and each frame one of ours over all that it holds. Nothing that leads o
 from __future__ import annotations
 
 import io
-import math
 import os
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -113,8 +112,6 @@ class Sink(io.RawIOBase):
 NAME: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
-_ALWAYS: Final = 1 << 28  # bytes that are read at once whatever the size of the file
-_RATIO: Final = 60  # how much smaller what is read at once may be in the file; 10 is usual
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
@@ -310,17 +307,18 @@ def check_whole(path: Path) -> None:
     if not path.is_file():
         raise OutputError(f"'{path}' is missing")
     with _open_file(path) as file:
-        written = file.attrs.get("format", 0)
-        if np.shape(written) != () or written != FORMAT:
-            raise OutputError(f"'{path}' is no result file that this multicell reads")
+        _check_format(path, file)
 
 
-def _contained(path: Path, group: Any, depth: int) -> dict[str, Any]:
-    """Return the data sets of a group, and of those in it down to a depth, by their paths.
+def _check_format(path: Path, file: Any) -> None:
+    written = file.attrs.get("format", 0)
+    if not np.array_equal(written, FORMAT):
+        problem = f"'{path}' has result format {written}; this multicell reads format {FORMAT}"
+        raise OutputError(problem)
 
-    Raises OutputError for links, deeper groups and data that are kept in another file.
-    """
-    found: dict[str, Any] = {}
+
+def _check_links(path: Path, group: Any, depth: int) -> None:
+    """Refuse links, groups below a depth, and data that are kept in another file."""
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             raise OutputError(f"'{path}' is damaged: {name} is a link")
@@ -328,28 +326,11 @@ def _contained(path: Path, group: Any, depth: int) -> dict[str, Any]:
         if isinstance(entry, h5py.Group):
             if not depth:
                 raise OutputError(f"'{path}' is damaged: {name} is a group")
-            below = _contained(path, entry, depth - 1)
-            found |= {f"{name}/{inner}": column for inner, column in below.items()}
-        elif isinstance(entry, h5py.Dataset):
-            if entry.is_virtual or entry.id.get_create_plist().get_external_count():
-                raise OutputError(f"'{path}' is damaged: {name} keeps its data elsewhere")
-            found[name] = entry
-    return found
-
-
-def _bytes(column: Any, rows: int | None = None) -> int:
-    """Return what all of a data set, or so many rows of it, takes in memory."""
-    size = int(column.size or 0) if rows is None else rows * math.prod(column.shape[1:])
-    return size * int(column.dtype.itemsize)
-
-
-def _check_claim(path: Path, claimed: int) -> None:
-    """Refuse a file whose data would take far more memory than the file has bytes."""
-    size = path.stat().st_size
-    if claimed > max(_ALWAYS, _RATIO * size):
-        raise OutputError(
-            f"'{path}' is damaged: {size / 1e6:,.3g} MB claim to be {claimed / 1e6:,.3g} MB of data"
-        )
+            _check_links(path, entry, depth - 1)
+        elif isinstance(entry, h5py.Dataset) and (
+            entry.is_virtual or entry.id.get_create_plist().get_external_count()
+        ):
+            raise OutputError(f"'{path}' is damaged: {name} keeps its data elsewhere")
 
 
 def _short(error: BaseException) -> str:
@@ -372,29 +353,17 @@ class File:
     def __init__(self, path: Path) -> None:
         self.path = path
         with _open_file(path) as file:
-            self._read_format(file)
-            columns = _contained(path, file, 2)
+            _check_format(path, file)
+            _check_links(path, file, 2)
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
-            sets = {p: k for p, k in layout(self.nutrients).items() if p not in SPARSE or p in file}
-            for name, kind in {"scene": of_rows("|u1"), **sets}.items():
-                if name not in columns:
-                    raise self._damage(f"it has no {name}")
-                if columns[name].dtype.str != kind.dtype:
-                    raise self._damage(f"{name} has type {columns[name].dtype}")
-            whole = ["scene", *_shared(sets)]
-            at_once = [*whole, *(f"history/{name}" for name in self.columns)]
-            _check_claim(path, sum(_bytes(columns[name]) for name in at_once))
-            shared = {name: file[name][()] for name in whole}
+            shared = {p: file[p][()] for p in ("scene", *_shared(layout(self.nutrients)))}
             if digest(shared) != int(file.attrs["digest"]):
-                raise self._damage("its scene, index or lineage is not what was written")
-            for name, kind in sets.items():
-                if name not in shared and kind.pool in shared:  # read a frame at a time
-                    rows = int(np.diff(shared[kind.pool]).max(initial=0))
-                    _check_claim(path, _bytes(columns[name], rows))
+                problem = "its scene, index or lineage is not what was written"
+                raise OutputError(f"'{path}' is damaged: {problem}. Nothing in it can be read")
             self.rows = len(file["history"][self.columns[0]]) if self.columns else 0
             self.identity, self.absorbed = (
-                self._name(file, key) for key in ("identity", "absorbed")
+                file.attrs[key].decode("ascii") for key in ("identity", "absorbed")
             )
         self._offsets = {path: a for path, a in shared.items() if path.endswith("/offset")}
         self.times, self.steps = shared["frames/time"], shared["frames/step"]
@@ -406,23 +375,6 @@ class File:
             for log, columns in COLUMNS.items()
             for name in columns
         }
-
-    def _damage(self, what: str) -> OutputError:
-        return OutputError(f"'{self.path}' is damaged: {what}. Nothing in it can be read")
-
-    def _read_format(self, file: Any) -> None:
-        written = file.attrs.get("format", 0)
-        if np.shape(written) != () or not np.issubdtype(np.asarray(written).dtype, np.integer):
-            raise self._damage("its format is no number")
-        if int(written) != FORMAT:
-            raise OutputError(
-                f"'{self.path}' has result format {int(written)}; "
-                f"this multicell reads format {FORMAT}"
-            )
-
-    def _name(self, file: Any, key: str) -> str:
-        value = file.attrs[key]
-        return bytes(value).decode("ascii", "replace") if isinstance(value, bytes) else ""
 
     def history(self) -> dict[str, NDArray[np.float64]]:
         """Return the history by column, (m,) each."""
@@ -449,6 +401,6 @@ class File:
     def _again(self) -> Iterator[Any]:
         """Open the file once more, and make sure that it still is the same one."""
         with _open_file(self.path) as file:
-            if self._name(file, "identity") != self.identity:
+            if file.attrs["identity"].decode("ascii") != self.identity:
                 raise OutputError(f"'{self.path}' has been replaced since it was opened")
             yield file

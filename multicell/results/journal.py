@@ -20,7 +20,7 @@ import os
 import struct
 import time as clock
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -38,10 +38,7 @@ NAME: Final = "frames.journal"
 _TAG: Final = b"mcj3"
 PREFIX: Final = struct.Struct("<4sIQIII")  # tag, lengths and checksums of a record: 28 bytes
 
-_MAX_HEADER: Final = 1 << 24
-_LONG: Final = 1 << 18  # bytes of an array that is not copied together with others
 _SYNC_EVERY: Final = 1.0  # s
-_TYPES: Final = ("<f8", "<i8", "<i2", "|i1", "|u1")
 
 
 def array_headers(arrays: Arrays) -> list[list[Any]]:
@@ -141,7 +138,7 @@ class Journal:
                 os.ftruncate(self._descriptor, self._end)
             self._torn = True
             try:
-                place = self._write(_gather(parts))
+                place = self._write(b"".join(parts))
                 if clock.monotonic() - self._synced > _SYNC_EVERY:
                     self._sync()
             except OSError as error:
@@ -153,14 +150,13 @@ class Journal:
                 raise
             self._end, self._chain, self._torn = place, chain, False
 
-    def _write(self, parts: Iterable[Any]) -> int:
+    def _write(self, data: bytes) -> int:
         place = self._end
         os.lseek(self._descriptor, place, os.SEEK_SET)
-        for part in parts:
-            view = memoryview(part)
-            while view:
-                done = os.write(self._descriptor, view)
-                view, place = view[done:], place + done
+        view = memoryview(data)
+        while view:
+            done = os.write(self._descriptor, view)
+            view, place = view[done:], place + done
         return place
 
     def _sync(self) -> None:
@@ -178,19 +174,6 @@ class Journal:
             descriptor, self._descriptor = self._descriptor, -1
             with file_errors("write", self._path):
                 os.close(descriptor)
-
-
-def _gather(parts: Iterable[Any]) -> Iterator[Any]:
-    """Yield what is to be written in few pieces, without a copy of the long ones."""
-    short: list[Any] = []
-    for part in parts:
-        if len(part) >= _LONG:
-            yield b"".join(short)
-            yield part
-            short.clear()
-        else:
-            short.append(part)
-    yield b"".join(short)
 
 
 def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, list[Any]]:
@@ -221,7 +204,7 @@ class Reader:
                 file.seek(self.end)
                 if not self._next(file, size):
                     break
-        if not self.records or self.records[0].kind != "open":
+        if not self.records:
             raise OutputError(f"'{path}' is damaged at its beginning: nothing in it can be read")
 
     def _next(self, file: Any, size: int) -> bool:
@@ -230,7 +213,7 @@ class Reader:
         if len(head) < PREFIX.size:
             return False
         tag, letters, length, of_text, of_body, of_head = PREFIX.unpack(head)
-        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _MAX_HEADER:
+        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head:
             # after a loss of power the end may be there without what was written to it
             if any(head) or any(file.read(1 << 16)):
                 self.damage = f"the record at byte {self.end} is damaged"
@@ -239,11 +222,10 @@ class Reader:
         if begin + length > size:
             return False
         text = file.read(letters)
-        header = _header(text, length) if zlib.crc32(text) == of_text else None
-        if header is None:
+        if zlib.crc32(text) != of_text:
             self.damage = f"the record at byte {self.end} is damaged"
             return False
-        self.records.append(Record(header, begin, length, of_body))
+        self.records.append(Record(json.loads(text), begin, length, of_body))
         self.end, self.chain = begin + length, of_head
         return True
 
@@ -258,19 +240,3 @@ class Reader:
         if left or digest(arrays) != record.digest:
             raise OutputError(f"the record at byte {record.begin} of '{self.path}' is damaged")
         return arrays
-
-
-def _header(text: bytes, length: int) -> dict[str, Any] | None:
-    """Return the header of a record, or None if they do not fit the length of its body."""
-    try:
-        header = json.loads(text)
-        arrays = header.get("arrays", ())
-        sizes = [
-            int(np.prod(shape, dtype=object)) * np.dtype(kind).itemsize
-            for _, kind, shape in arrays
-            if kind in _TYPES and all(type(n) is int and n >= 0 for n in shape)
-        ]
-        whole = len(sizes) == len(arrays) and sum(sizes) == length
-    except (ValueError, TypeError, AttributeError, RecursionError):
-        return None
-    return header if whole and isinstance(header.get("kind"), str) else None

@@ -76,11 +76,11 @@ class Lineage:
         return {name: column[begin:end].copy() for name, column in self._logs[log].items()}
 
     @classmethod
-    def of(cls, logs: Mapping[str, Mapping[str, NDArray[Any]]]) -> Lineage:
-        """Return the lineage with these logs."""
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Lineage:
+        """Return the lineage of arrays, log/column -> rows."""
         lineage = cls()
         for log, columns in COLUMNS.items():
-            lineage._note(log, tuple(logs[log][name] for name in columns))
+            lineage._note(log, tuple(arrays[f"{log}/{name}"] for name in columns))
         return lineage
 
     def table(self) -> dict[str, NDArray[Any]]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from multicell.cells import State
 from multicell.results import observables as of
 from multicell.results.observable import Observable, TissueState, find_own
-from multicell.results.observables import counts_contacts, largest_hole
+from multicell.results.observables import counts_contacts
 from multicell.scene.domain import walls
 from multicell.scene.pairs import compression
 
@@ -44,10 +44,6 @@ def _has_walls(scene: Scene) -> bool:
 
 def _has_gel(scene: Scene) -> bool:
     return scene.domain is not None and scene.domain.stiffness is not None
-
-
-def _closes(scene: Scene) -> bool:
-    return scene.dimensions == 3 and scene.death is not None and scene.death.inflow
 
 
 def _walls(state: TissueState) -> Walls | Sphere:
@@ -274,17 +270,6 @@ OBSERVABLES: Final = (
         signed=True,
     ),
     # of the last state only, or of a whole run
-    _at_end(
-        "largest_hole",
-        lambda s: largest_hole(s.cells),
-        unit="um",
-        exists=_closes,
-        absent="without tissue that surrounds anything",
-        shown="{:.1f} µm".format,
-        doc="radius of the largest empty ball within the tissue, which nothing of the size of a "
-        "living cell could come to from outside; with `surface` or `death.inflow` in space, at "
-        "the end of a run",
-    ),
     _at_end("divisions", shown="{:,}".format, shown_if_zero=False),
     _at_end("removals", title="cells removed", shown="{:,}".format, shown_if_zero=False),
     _at_end("volume_released", unit="um^3"),

@@ -14,7 +14,7 @@ from multicell.errors import OutputError
 from multicell.results import hdf5, journal
 from multicell.results.frame import Frame
 from multicell.results.lineage import COLUMNS, Lineage
-from multicell.results.records import Arrays, frame_of, lineage_of
+from multicell.results.records import Arrays, frame_of
 
 _ATTEMPTS: Final = 5  # to open a folder that changes meanwhile
 
@@ -99,79 +99,44 @@ class Contents:
         self._rows = [_Rows(file.rows, file.history)]
 
     def _follow_journal(self, reader: journal.Reader) -> None:
-        """Follow the journal as far as its records follow from each other."""
         self.damage = reader.damage
-        before = None
+        log = None
         for record in reader.records:
-            try:
-                fits = self._follow(record, partial(reader.arrays, record), before)
-            except (KeyError, TypeError, ValueError, AttributeError):
-                fits = False
-            if not fits:
-                self.damage = f"the record at byte {record.begin} does not follow from those before"
-                return
-            before = partial(reader.arrays, record) if record.kind == "lineage" else None
+            header, read = record.header, partial(reader.arrays, record)
+            match record.kind:
+                case "open":
+                    self.identity = header["identity"]
+                    self.nutrients = tuple(sorted(header["nutrients"]))
+                    self._go_back(header)
+                case "back":
+                    self._go_back(header)
+                case "rows":
+                    self._add_rows(header, read)
+                case "lineage":
+                    log = read
+                case "frame":
+                    assert log is not None  # each frame is written behind its lineage
+                    when = header["time"], header["step"]
+                    self.places.append(_Place(*when, record.digest, read, log))
 
-    def _follow(
-        self, record: journal.Record, read: Callable[[], Arrays], log: Callable[[], Arrays] | None
-    ) -> bool:
-        """Follow one record if it fits to what came before; return whether it does.
-
-        ``log`` reads the record before where that was one of the lineage.
-        """
-        header = record.header
-        match record.kind:
-            case "open":
-                return self._begin(header)
-            case "back":
-                return self._go_back(header)
-            case "rows":
-                return self._add_rows(header, read)
-            case "lineage":
-                return bool(header["number"] == len(self.places))
-            case "frame":
-                if log is None or header["number"] != len(self.places):
-                    return False
-                when = float(header["time"]), int(header["step"])
-                self.places.append(_Place(*when, record.digest, read, log))
-                return True
-        return False
-
-    def _begin(self, header: Mapping[str, Any]) -> bool:
-        """Begin where a journal begins: after a frame of the file, or with nothing."""
-        names = tuple(sorted(map(str, header["nutrients"])))
-        if self.identity or (self.file is not None and names != self.nutrients):
-            return False
-        self.identity, self.nutrients = str(header["identity"]), names
-        return self._go_back(header)
-
-    def _go_back(self, header: Mapping[str, Any]) -> bool:
+    def _go_back(self, header: Mapping[str, Any]) -> None:
         """Forget what a run that was resumed from an earlier frame has left behind."""
-        frames, rows, scene = header["frames"], header["rows"], header["scene"]
-        if not (0 <= frames <= len(self.places) and 0 <= rows <= self.rows):
-            return False
-        del self.places[int(frames) :]
+        del self.places[header["frames"] :]
         self._rows, before = [], self._rows
         for part in before:
-            count = min(part.length, int(rows) - self.rows)
+            count = min(part.length, header["rows"] - self.rows)
             self._rows += [part._replace(length=count)] if count > 0 else []
-        self.scene = str(scene)
-        return True
+        self.scene = header["scene"]
 
-    def _add_rows(self, header: Mapping[str, Any], read: Callable[[], Arrays]) -> bool:
-        columns = tuple(map(str, header["columns"]))
-        ((_, _, (length, width)),) = header["arrays"]
-        known = self.columns or columns
-        fits = sorted(columns) == sorted(known) and width == len(set(columns))
-        if not fits or header["start"] != self.rows:
-            return False
-        self.columns = known
+    def _add_rows(self, header: Mapping[str, Any], read: Callable[[], Arrays]) -> None:
+        columns = tuple(header["columns"])
+        self.columns = self.columns or columns
 
         def by_column() -> dict[str, NDArray[np.float64]]:
             return dict(zip(columns, read()["rows"].T, strict=True))
 
-        self._rows.append(_Rows(int(length), by_column))
-        return True
+        ((_, _, (length, _)),) = header["arrays"]
+        self._rows.append(_Rows(length, by_column))
 
     @property
     def rows(self) -> int:
@@ -183,25 +148,17 @@ class Contents:
         try:
             return frame_of(self.places[place].arrays(), self.nutrients)
         except OutputError as error:
-            raise OutputError(
-                f"frame {place} in '{self.folder}' is damaged: {error}. {self._before(place)}"
-            ) from error
-
-    def _before(self, place: int) -> str:
-        """Return in words which earlier frame can be read."""
-        for k in range(place - 1, -1, -1):
-            try:
-                frame_of(self.places[k].arrays(), self.nutrients)
-            except OutputError:
-                continue
-            return f"Frame {k} can be read: continue from it with 'multicell resume --frame {k}'"
-        return "No frame before it can be read"
+            problem = f"frame {place} in '{self.folder}' is damaged: {error}"
+            if place:
+                problem += f". Continue from an earlier one: multicell resume --frame {place - 1}"
+            raise OutputError(problem) from error
 
     def lineage(self, place: int) -> Lineage:
         """Return the lineage up to a frame; raises OutputError if it is damaged."""
         paths = [f"{log}/{name}" for log, columns in COLUMNS.items() for name in columns]
         parts = [entry.log() for entry in self.places[: place + 1]]
-        return lineage_of({path: np.concatenate([part[path] for part in parts]) for path in paths})
+        whole = {path: np.concatenate([part[path] for part in parts]) for path in paths}
+        return Lineage.of(whole)
 
     def history(self, rows: int | None = None) -> dict[str, NDArray[np.float64]]:
         """Return the first rows of the history, by default all, by column."""

@@ -29,7 +29,7 @@ def history_row(scene: Scene, frame: Frame, **found: float) -> dict[str, float]:
     state = TissueState(frame, scene)
     row = {"time": frame.time, "step": float(frame.step)}
     for observable, key in observables_of(scene):
-        if observable.measure is not None and not observable.at_end:
+        if observable.measure is not None:
             row[observable.name.replace("*", key)] = float(observable.value(state, key))
     amiss = _splitting(scene, frame.cells)
     if amiss:

@@ -28,22 +28,14 @@ T = TypeVar("T")
 
 
 def quantity(
-    unit: str,
-    *,
-    default: Any = MISSING,
-    above: float | None = None,
-    at_least: float | None = None,
-    at_most: float | None = None,
-    below: float | None = None,
-    doc: str = "",
-    hint: str = "",
+    unit: str, *, default: Any = MISSING, doc: str = "", hint: str = "", **ends: float
 ) -> Any:
     """Declare a quantity: a number in the base unit or a string with a unit.
 
-    With ``default=None`` the value may be None: the quantity is absent. ``hint`` is given when a
-    value lies outside the bounds.
+    With ``default=None`` the value may be None: the quantity is absent. ``ends`` are those of its
+    :class:`Bounds`; ``hint`` is given when a value lies outside.
     """
-    bounds = Bounds(above, at_least, at_most, below)
+    bounds = Bounds(**ends)
     return declare(
         "quantity", reader(unit, bounds, hint=hint), default, unit=unit, doc=doc, bounds=bounds,
         allowed=bounds.words(unit),
@@ -86,18 +78,9 @@ def measure_points(*, doc: str = "") -> Any:
     return declare("measure_points", convert, None, plain=lists, doc=doc)
 
 
-def number(
-    *,
-    default: Any = MISSING,
-    above: float | None = None,
-    at_least: float | None = None,
-    at_most: float | None = None,
-    below: float | None = None,
-    doc: str = "",
-    hint: str = "",
-) -> Any:
-    """Declare a number without dimension; strings are refused."""
-    bounds = Bounds(above, at_least, at_most, below)
+def number(*, default: Any = MISSING, doc: str = "", hint: str = "", **ends: float) -> Any:
+    """Declare a number without dimension within some :class:`Bounds`; strings are refused."""
+    bounds = Bounds(**ends)
     read = reader("", bounds, "a number without unit and quotes", hint)
     return declare("number", read, default, allowed=bounds.words(), doc=doc, bounds=bounds)
 
@@ -196,11 +179,9 @@ def names(options: Iterable[str], *, doc: str = "") -> Any:
     )
 
 
-def interval(
-    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
-) -> Any:
+def interval(unit: str, *, doc: str = "", **ends: float) -> Any:
     """Declare an optional pair of quantities, the lower one first; stored as a tuple."""
-    bounds = Bounds(at_least=at_least, at_most=at_most)
+    bounds = Bounds(**ends)
     read = reader(unit, bounds)
 
     def convert(value: object, path: str) -> tuple[float, float]:
@@ -275,12 +256,12 @@ def whole(value: object, path: str) -> int:
     return number
 
 
-def course(*, default: float, at_least: float | None = None, doc: str = "") -> Any:
+def course(*, default: float, doc: str = "", **ends: float) -> Any:
     """Declare a number that may change with time: a number, or a list of ``[time, value]``.
 
     The stored value is a tuple of (time in s, value), with times that rise.
     """
-    bounds = Bounds(at_least=at_least)
+    bounds = Bounds(**ends)
     read = reader("", bounds)
 
     def convert(value: object, path: str) -> Curve:
@@ -296,14 +277,12 @@ def course(*, default: float, at_least: float | None = None, doc: str = "") -> A
     return declare("course", convert, ((0.0, default),), plain=to_plain, doc=doc, bounds=bounds)
 
 
-def schedule(
-    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
-) -> Any:
+def schedule(unit: str, *, doc: str = "", **ends: float) -> Any:
     """Declare a list of ``[time, quantity]`` with times that rise, by default None.
 
     The stored value is a tuple of (time in s, value in ``unit``).
     """
-    bounds = Bounds(at_least=at_least, at_most=at_most)
+    bounds = Bounds(**ends)
     read = reader(unit, bounds)
     return declare(
         "schedule", lambda value, path: in_time(value, path, unit, read), None,
@@ -311,12 +290,12 @@ def schedule(
     )  # fmt: skip
 
 
-def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
+def responses(unit: str, *, doc: str = "", **ends: float) -> Any:
     """Declare an optional table of names to curves, lists of ``[quantity, number]``.
 
     The stored curves are tuples of (quantity in ``unit``, number), with quantities that rise.
     """
-    bounds = Bounds(at_least=at_least)
+    bounds = Bounds(**ends)
     x, y = reader(unit, Bounds()), reader("", bounds)
     example = f"[['0 {unit}', 0.2], ['0.02 {unit}', 1]]"
 
@@ -333,11 +312,9 @@ def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any
     )  # fmt: skip
 
 
-def quantities(
-    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
-) -> Any:
+def quantities(unit: str, *, doc: str = "", **ends: float) -> Any:
     """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
-    bounds = Bounds(at_least=at_least, at_most=at_most)
+    bounds = Bounds(**ends)
     read = reader(unit, bounds)
     return declare(
         # an empty table says no more than an absent one, which is how it would be written

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from multicell.errors import DataError
 from multicell.host.extras import needs
-from multicell.tables.text import lines_of, read_bytes, rows_of
+from multicell.tables.text import read_bytes, rows_of
 
 PARQUET: Final = b"PAR1"  # what a Parquet file begins with
 
@@ -39,8 +39,8 @@ class Columns:
 def from_bytes(content: bytes, name: str) -> Columns:
     """Return the columns of a CSV or Parquet file."""
     if content[:4] == PARQUET:
-        return _filled(_parquet(content, name))
-    return _filled(_quick(content, name) or _slow(content, name))
+        return _parquet(content, name)
+    return _filled(_csv(content, name))
 
 
 def from_object(source: Any, name: str) -> Columns:
@@ -120,7 +120,7 @@ def _filled(columns: Columns) -> Columns:
 
 
 def _parquet(content: bytes, name: str) -> Columns:
-    needs("pyarrow")
+    needs("pandas", "pyarrow")
     import pyarrow as arrow
     import pyarrow.parquet
 
@@ -128,56 +128,13 @@ def _parquet(content: bytes, name: str) -> Columns:
         table = arrow.parquet.read_table(arrow.BufferReader(content))
     except (arrow.ArrowException, OSError) as error:
         raise DataError(name, f"is no Parquet file: {error}") from None
-    titles = [str(title).strip() for title in table.column_names]
-    return _gathered(titles, map(_of_arrow, table.columns), name)
+    # without what pandas notes in a file: to it a column may be the index
+    return from_object(table.to_pandas(ignore_metadata=True), name)
 
 
-def _of_arrow(column: Any) -> NDArray[Any]:
-    """Return a column of Arrow as an array; of words that stand by numbers, the words."""
-    from pyarrow import ArrowException, types
-
-    if types.is_dictionary(column.type):  # as arrays those would lose what is missing
-        column = column.cast(column.type.value_type)
-    try:
-        return np.asarray(column.to_numpy())
-    except (ArrowException, TypeError, ValueError):  # types that arrays do not have
-        return np.array(column.to_pylist(), dtype=object)
-
-
-def _quick(content: bytes, name: str) -> Columns | None:
-    """Return the columns of CSV text as NumPy's reader finds them by the types of the first row.
-
-    None where it does not understand the text: then it is read field by field, which knows what is
-    wrong and where. What it does understand it reads as that would.
-    """
-    rows = rows_of(content, name)
-    (_, titles), (_, sample) = next(rows), next(rows, (0, []))
-    _refuse_twins(titles, name)
-    if not sample:
-        return None
-    kinds = [parsed([field]).dtype for field in sample]
-    numbers: list[int] = []
-    try:
-        lines = lines_of(content, numbers)
-        next(lines)
-        found = np.loadtxt(
-            lines, [(f"f{k}", kind) for k, kind in enumerate(kinds)], delimiter=",", ndmin=1,
-            comments=None, quotechar='"',
-        )  # fmt: skip
-    except (ValueError, IndexError):
-        return None
-    if len(numbers) != len(found) + 1:
-        return None  # a field of several lines
-    columns = {}
-    for k, title in enumerate(titles):
-        column = np.ascontiguousarray(found[f"f{k}"])
-        words = column.dtype.kind == "O"
-        columns[title] = np.array([word.strip() for word in column], object) if words else column
-    return Columns(name, columns, np.array(numbers[1:], np.int64))
-
-
-def _slow(content: bytes, name: str) -> Columns:
+def _csv(content: bytes, name: str) -> Columns:
     (_, titles), *rows = rows_of(content, name)
+    _refuse_twins(titles, name)
     fields = zip(*(row for _, row in rows), strict=True) if rows else [()] * len(titles)
     columns = {title: parsed(column) for title, column in zip(titles, fields, strict=True)}
     return Columns(name, columns, np.array([number for number, _ in rows], np.int64))

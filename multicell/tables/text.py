@@ -35,8 +35,12 @@ def rows_of(content: bytes, name: str) -> Iterator[Row]:
     - ``content``: of the file, UTF-8 with or without a byte order mark
     - ``name``: of the file, for errors
     """
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(name, f"is not UTF-8 text (byte {error.start})") from None
     numbers: list[int] = []
-    reader = csv.reader(lines_of(content, numbers), skipinitialspace=True)
+    reader = csv.reader(_lines(text, numbers), skipinitialspace=True)
     width = 0
     try:
         for fields in reader:
@@ -52,25 +56,13 @@ def rows_of(content: bytes, name: str) -> Iterator[Row]:
             yield number, row
     except csv.Error as error:
         raise DataError(f"{name}, line {numbers[reader.line_num - 1]}", str(error)) from None
-    except UnicodeDecodeError as error:
-        raise DataError(name, f"is not UTF-8 text (byte {_broken(content, error)})") from None
     if not width:
         raise DataError(name, "holds no data")
 
 
-def _broken(content: bytes, error: UnicodeDecodeError) -> int:
-    """Return the place of the first byte that is no text: a stream tells it within its buffer."""
-    try:
-        content.decode("utf-8-sig")
-    except UnicodeDecodeError as whole:
-        return whole.start
-    return error.start
-
-
-def lines_of(content: bytes, numbers: list[int]) -> Iterator[str]:
-    """Yield the lines of a file that are no remarks and not blank, and note their numbers."""
-    text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline=None)
-    for number, line in enumerate(text, start=1):
+def _lines(text: str, numbers: list[int]) -> Iterator[str]:
+    """Yield the lines of a text that are no remarks and not blank, and note their numbers."""
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         if line.strip(" \t,\n") and not line.lstrip().startswith("#"):
             numbers.append(number)
             yield line

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from running import finished, refused, within
 
-import multicell as mc
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.biology.states import irradiate
 from multicell.cells import Phase, State
 from multicell.errors import DataError
-from multicell.results.records import arrays_of, frame_of
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
@@ -170,16 +168,6 @@ def test_a_table_of_cells_keeps_how_often_they_may_divide():
                                   start.sort_values("id")["doomed"])  # fmt: skip
     with pytest.raises(DataError, match=r"is 0\.5, must be a whole number from 0 to 100"):
         Simulation(scene, cells=start.assign(doomed=0.5))
-
-
-def test_a_frame_with_an_impossible_count_or_damage_is_refused():
-    simulation = Simulation(growing({"mitotic_divisions": 1}, count=9), threads=1)
-    arrays = arrays_of(simulation.frame(), [])
-    assert frame_of(arrays, []).cells.doomed.any()
-    with pytest.raises(mc.OutputError, match="doomed holds values out of range"):
-        frame_of(arrays | {"cells/doomed": -arrays["cells/doomed"]}, [])
-    with pytest.raises(mc.OutputError, match="damage holds values out of range"):
-        frame_of(arrays | {"cells/damage": np.array([np.nan] * 9)}, [])
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """What a small shift of all positions does to the end of a coupling step, in runs."""
 
-import json
 import math
 
 import numpy as np
@@ -13,7 +12,6 @@ from multicell.comparison.record import record
 from multicell.integrators import shift
 from multicell.integrators.auto import Auto
 from multicell.integrators.shift import SHARE, SHIFT, Replays, replay_step, shifted_positions
-from multicell.results.records import progress_of
 from multicell.simulation import Simulation
 
 METHODS = ["auto", "cvode", "rkc2", "ab2"]
@@ -141,11 +139,3 @@ def test_a_run_without_replays_tells_none():
     result = mc.run(scene_of(duration="1 h"))
     assert "largest_shift_effect" not in result.summary()["integrator"]
     assert all(math.isnan(x) for x in result.history["shift_effect"])
-
-
-@pytest.mark.parametrize("damage", [{"done": 1.0}, {"done": "x"}, [1.0], {"much": 1.0}])
-def test_progress_with_damaged_replays_is_refused(damage):
-    frame = course(scene_of(duration="1 h")).frame()
-    noted = vars(frame.progress)
-    with pytest.raises(mc.OutputError, match="replays"):
-        progress_of(json.dumps(noted | {"replays": damage}).encode(), [])

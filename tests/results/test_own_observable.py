@@ -252,7 +252,6 @@ FURTHER = {
     **dict.fromkeys(("necrotic_ratio", "inhibited_radius", "inhibited_ratio"), PHASED),
     **dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
     "domain_radius": GEL,
-    "largest_hole": {**FEW, "growth": {}, "death": {"inflow": True}},
     "pull": PULLED, "clonogens": HIT, "doomed": HIT,
 }  # fmt: skip
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import zlib
 from pathlib import Path
 
 import h5py
@@ -17,7 +16,6 @@ from multicell.report.result import Result, history_arrays, load_result
 from multicell.results.documents import write_table
 from multicell.results.folder import FILES, to_json
 from multicell.results.frame import Field, Frame
-from multicell.results.lineage import COLUMNS
 from multicell.results.reader import Contents, Frames
 from multicell.results.records import SPARSE
 from multicell.results.writer import Store
@@ -282,24 +280,3 @@ def test_fields_of_different_size_keep_their_order(tmp_path):
     back = Frames(Contents(written(tmp_path / "out", frames)))
     for first, second in zip(frames, back, strict=True):
         assert_same_frame(first, second)
-
-
-def test_a_file_that_unpacks_to_far_more_than_it_is_costs_little(tmp_path):
-    """16 MB in the file, 5 GB of zeros out of it: refused before they are read."""
-    folder = written(tmp_path / "out", [spheroid(30)])
-    names = [f"lineage/births/{name}" for name in COLUMNS["births"]]
-    path, rows = folder / "frames.h5", 140_000_000
-    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
-        for name in names:
-            old = file[name]
-            kind, chunk = old.dtype, old.chunks
-            del file[name]
-            more = file.create_dataset(
-                name, (rows,), kind, maxshape=(None,), chunks=chunk, compression="gzip"
-            )
-            zeros = zlib.compress(bytes(chunk[0] * kind.itemsize))
-            for start in range(0, rows, chunk[0]):
-                more.id.write_direct_chunk((start,), zeros)
-        file["lineage/births/offset"][-1] = rows
-    with pytest.raises(OutputError, match="claim to be"):
-        load_result(folder)

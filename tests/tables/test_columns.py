@@ -7,11 +7,8 @@ import io
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from multicell.errors import DataError
-from multicell.tables import columns as reading
 from multicell.tables.columns import from_bytes, from_object
 from multicell.tables.titles import Title, read_title, split_title, titled
 
@@ -46,33 +43,6 @@ def test_a_table_is_the_same_from_each_source():
         equal(tables[0], table)
     assert tables[0].place(1, "x") == "cells, row 1, 'x'"
     assert tables[3].place(1, "x") == "cells, line 3, 'x'"
-
-
-FIELD = st.one_of(
-    st.integers(-(10**18), 10**18).map(str),
-    st.floats(allow_nan=False).map(repr),
-    st.sampled_from(["", "soft", "a b", " 1.5 ", '"quoted, too"', "nan", "inf", "1e5", "+3"]),
-)
-
-
-@settings(max_examples=150, deadline=None)
-@given(rows=st.lists(st.tuples(FIELD, FIELD), min_size=1, max_size=6), gaps=st.booleans())
-def test_the_quick_reader_reads_what_the_slow_one_reads(rows, gaps):
-    lines = ["# remark", "one, two", *(", ".join(row) for row in rows)]
-    if gaps:
-        lines.insert(3, "\n # another\n,")
-    content = "\n".join(lines).encode()
-    try:
-        slow = reading._slow(content, "t")
-    except DataError:
-        return
-    if not len(slow):
-        return
-    quick = reading._quick(content, "t")
-    if quick is not None:
-        equal(slow, quick)
-        np.testing.assert_array_equal(slow.lines, quick.lines)
-    assert len(from_bytes(content, "t")) == len(slow)
 
 
 def test_lines_are_those_of_the_file():
