@@ -9,6 +9,7 @@ import numpy as np
 from multicell.biology.active_forces import push
 from multicell.biology.driven import Named, prescribed
 from multicell.biology.responding import value_of
+from multicell.biology.surface import surface_force
 from multicell.cells import Cells, FloatArray, Found, IntArray, stokes_drag
 from multicell.mechanics.motion import Motion
 from multicell.results.observables import Extent, centre, contact_rows, distances
@@ -42,10 +43,10 @@ def motion_of(
     held, velocity = given or (None, None)
     touching = contact_rows(cells, contacts) if plan.contact.remembers else None
     pushed = push(plan, cells, begin, gradients, concentrations)
-    further = inflow_drag(plan, cells, radius, length)
-    if further is not None:
-        pushed = np.zeros((len(cells), 6)) if pushed is None else pushed
-        pushed[:, :3] += further
+    for further in (inflow_drag(plan, cells, radius, length), surface_force(plan, cells)):
+        if further is not None:
+            pushed = np.zeros((len(cells), 6)) if pushed is None else pushed
+            pushed[:, :3] += further
     young = cells.young
     stiffness = value_of(plan, "Young's modulus", 1.0, concentrations, cells, early=True)
     if stiffness is not None:

@@ -56,6 +56,7 @@ class BiologyPlan:
       a type
     - ``elsewhere``: signals that neither fields nor cells carry: time, and numbers of neighbours
     - ``inflow``: viscosity of the medium that flows in to what is lost, kPa·s; 0: it is at rest
+    - ``surface_tension``: of the tissue, nN/µm; 0: none
     - ``types``: by name; empty where all cells are alike
     - ``cycle_scale``, ``motility_scale``, ``young_ratio``, (types,) or None: factors of each type;
       None where they are all 1
@@ -81,6 +82,7 @@ class BiologyPlan:
     growth_follows_state: bool
     elsewhere: frozenset[str]
     inflow: float
+    surface_tension: float
     types: Mapping[str, CellType]
     cycle_scale: FloatArray | None
     motility_scale: FloatArray | None
@@ -132,6 +134,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         growth_follows_state=not growth_signals <= {"pressure", *scene.nutrients},
         elsewhere=missing_signals(known),
         inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,
+        surface_tension=0.0 if scene.surface is None else scene.surface.tension,
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,
         motility_scale=np.array([kind.motility_scale for kind in kinds]) if kinds else None,
         young_ratio=np.array(ratio) if any(own) else None,

@@ -82,6 +82,7 @@ def check_flat(scene: Scene) -> None:
     stiffness = None if scene.domain is None else scene.domain.stiffness
     for key, part, hint in (
         ("compression", scene.compression, "A layer of cells yields out of its plane."),
+        ("surface", scene.surface, ""),
         ("domain.stiffness", stiffness, "A gel surrounds cells in space."),
     ):
         if part is not None:

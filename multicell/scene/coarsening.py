@@ -31,6 +31,7 @@ _SIGNALS: Final = {"volume": 3, "radius": 1}
 """Signals that are a size of the cell -> power of the factor; all others stay."""
 
 _SAME: Final[Mapping[str, str]] = {
+    "surface": "tension",
     "domain": "radius x y z",
     "motions.*": "x y z velocity",
     "chemotaxis.*": "half",

@@ -429,6 +429,16 @@ class Friction:
 
 @final
 @parameters
+class Surface:
+    """Tension of the surface between tissue and medium, also of that round holes in it."""
+
+    tension: float = quantity(
+        "nN/um", above=0, at_most=1e3, doc="of the surface of the tissue, in mN/m = nN/um"
+    )
+
+
+@final
+@parameters
 class Compression:
     """Resistance of tissue to compression by all neighbours of a cell together; in space only."""
 

@@ -50,6 +50,7 @@ from multicell.scene.parts import (
     Motility,
     OutputOptions,
     Pull,
+    Surface,
 )
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
@@ -96,7 +97,7 @@ class Scene:
         The run ends after the coupling step in which this many cells exist.
     initial, cells, contact, drag, integrator, output
         The parts that each scene has.
-    growth, death, adhesion, friction, compression, motility, pull, domain, energy
+    growth, death, adhesion, friction, compression, motility, surface, pull, domain, energy
         None where the scene has no such part.
     motions : mapping of name to PrescribedMotion, read-only
         What drives named cells from outside.
@@ -138,6 +139,7 @@ class Scene:
     chemotaxis: Mapping[str, Chemotaxis] = tables(
         Chemotaxis, doc="by field; absent: no force along gradients"
     )
+    surface: Surface | None = table(Surface, default=None, doc="absent: only contacts hold tissue")
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
     motions: Mapping[str, PrescribedMotion] = tables(
         PrescribedMotion, doc="of named cells; absent: all move freely"

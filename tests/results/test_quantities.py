@@ -28,6 +28,7 @@ SCENES = {
         **SHORT, "initial": {"count": 60, "stage": "asynchronous"},
         "growth": {"phases": PHASES, "critical_pressure": 0.1},
         "death": {"apoptosis_rate": 1e-4, "necrosis_rate": 1e-3, "inflow": True},
+        "surface": {"tension": 0.1},
         "types": {"a": {"receptor": 1.0, "ligand": 1.0}, "b": {"young": 2.0}},
         "adhesion": {"strength": 0.01}, "friction": {},
         "motility": {}, "chemotaxis": {"oxygen": {}},

@@ -199,6 +199,9 @@ def _taxis(scene: Scene) -> list[Part]:
         way = "up" if law.force >= 0.0 else "down"
         what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
         parts.append(part(f"chemotaxis.{name}", what))
+    if scene.surface is not None:
+        what = f"{scene.surface.tension:g} nN/um, which presses on a ball of 300 um radius"
+        parts.append(part("surface", f"{what} with {scene.surface.tension / 0.15:.3g} Pa"))
     return parts
 
 
