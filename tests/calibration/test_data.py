@@ -178,7 +178,7 @@ def test_bad_options_are_named(tmp_path):
 
 DRIVEN = mc.Scene.from_dict({
     "duration": "1 min", "coupling_step": "30 s", "initial": {"count": 3},
-    "forces": {"tug": {"cells": [0], "force": [0.1, 0.0, 0.0]}},
+    "motions": {"tug": {"cells": [0], "velocity": [0.001, 0.0, 0.0]}},
 })  # fmt: skip
 
 

@@ -20,7 +20,7 @@ PARTS = {
     "motility": {"motility": {"force": "0.5 nN"}},
     "exact JKR": {"contact": {"law": "exact-jkr", "surface_energy": 0.1}},
     "adhesion molecules and a force": {
-        "forces": {"f": {"cells": [2], "force": [0.1, 0, 0]}},
+        "pull": {"force": 0.01},
         "adhesion": {"strength": 0.002},
         "types": {"a": {"receptor": 1.0, "ligand": 1.0}},
     },

@@ -148,7 +148,6 @@ def test_a_rim_without_a_core_is_absent_everywhere(dimensions, tmp_path):
     assert [row.split(",")[place] for row in rows] == [""] * 3
     page = (tmp_path / "run" / "report.html").read_text()
     assert "viable rim" not in page
-    assert ("shells" in page) == (dimensions == 3)
 
 
 def test_dead_cells_outside_the_others_are_no_core():

@@ -69,7 +69,7 @@ def test_the_unit_of_a_rate_constant_follows_from_its_reaction():
     )
     axis = parse_axis("reactions.bind.rate", "0.1,0.2 1/mM/s", scene)
     assert (axis.numbers, axis.unit) == ((0.1, 0.2), "1/mM/s")
-    with pytest.raises(SceneError, match="mass-action of order 2"):
+    with pytest.raises(SceneError, match="a reaction of order 2 has 1/mM/s"):
         parse_axis("reactions.bind.rate", "1 1/s", scene)
 
 

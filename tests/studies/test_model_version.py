@@ -21,6 +21,9 @@ SCENES = {
     },
     "sorting-signal": {"duration": "30 min", "initial.count": 40},
 }
+ROUNDING = {"sorting-signal": 1e-4}
+"""How near numbers are where the last digits of NumPy's functions, which depend on the processor,
+decide about a step; 1e-9 elsewhere."""
 NUMBERS = {
     6: {
         "growth": {"cells": 4, "volume": 1413.2421188721287, "distance": 8.122308148673962},
@@ -57,4 +60,4 @@ def numbers(name):
 def test_numbers_belong_to_the_version_of_the_model(name):
     found = numbers(name)
     known = NUMBERS[MODEL_VERSION][name]
-    assert found == pytest.approx(known, rel=1e-9), CHANGED
+    assert found == pytest.approx(known, rel=ROUNDING.get(name, 1e-9)), CHANGED
