@@ -32,17 +32,9 @@ def _observables(what: str, several: str) -> shared.Option:
 @shared.output_option("Folder of the analysis; its runs are kept there.")
 @studies.free_option
 @shared.valued(
-    "--method",
-    default="morris",
-    metavar="NAME",
-    help="morris: which parameters matter, in few runs; sobol: which part of the variance each one "
-    "makes.",
-)
-@click.option(
     "--size",
-    type=int,
-    help="Trajectories of Morris (10; each takes a run more than there are parameters) or base "
-    "points of Sobol' (64; each takes two more), a power of two.",
+    default=10,
+    help="Trajectories of Morris; each takes a run more than there are parameters.",
 )
 @shared.valued(
     "--seeds",
@@ -59,8 +51,7 @@ def sensitivity(
     scene: Scene,
     output: Path,
     free: Sequence[str],
-    method: str,
-    size: int | None,
+    size: int,
     seeds: int,
     observables: Sequence[str],
     **how: Any,
@@ -76,9 +67,7 @@ def sensitivity(
     from multicell.calibration.sensitivity import carry_out, plan_of
 
     with studies.planning():
-        plan = plan_of(
-            scene, pairs, observables=observables or None, method=method, size=size, seeds=seeds
-        )
+        plan = plan_of(scene, pairs, observables=observables or None, size=size, seeds=seeds)
     result = studies.carry_out_study(plan, output, carry_out, how)
     studies.print_analysis(result, result.runs, how)
 
