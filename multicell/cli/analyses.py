@@ -94,12 +94,6 @@ def sensitivity(
     "quiescent.",
 )
 @shared.valued("--seeds", default=5, help="Runs at each dose.")
-@shared.valued(
-    "--top",
-    default="control",
-    metavar="NAME",
-    help="control: the curve goes through the control; free: one parameter more.",
-)
 @shared.changes_option
 @shared.law_option
 @studies.analysis_options
@@ -110,7 +104,6 @@ def dose_response(
     data: str | None,
     observables: Sequence[str],
     seeds: int,
-    top: str,
     changes: Sequence[str],
     law: str | None,
     **how: Any,
@@ -132,7 +125,7 @@ def dose_response(
     from multicell.calibration.dose_response import LIVING, carry_out, of_table, plan_of
 
     if described is None:
-        result = replace(of_table(data, top), folder=output)
+        result = replace(of_table(data), folder=output)
     else:
         keys, doses = list(pairs), tuple(pairs.values())
         with studies.planning():
@@ -143,7 +136,6 @@ def dose_response(
                 combine=keys if len(keys) == 2 else None,
                 observable="+".join(observables) or LIVING,
                 seeds=seeds,
-                top=top,
             )
         result = studies.carry_out_study(plan, output, carry_out, how)
     if how["no_report"]:
