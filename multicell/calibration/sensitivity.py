@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.calibration.indices import (
     COLUMNS,
     MIN_SIZE,
-    NOISE,
     RELIABLE,
     Analysis,
     analyse,
     sample,
 )
-from multicell.calibration.sensitivity_result import Row, Sensitivity
+from multicell.calibration.sensitivity_result import Sensitivity
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import Range, check_ranges, parse_ranges
@@ -168,16 +168,7 @@ def carry_out(plan: SensitivityPlan, output: str | Path, **how: Any) -> Sensitiv
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
     result = result_of(plan.scene, plan.ranges, plan.seeds, values, failures)
-    runs = [
-        {
-            "name": run.name,
-            **run.coordinates,
-            **{name: float(column[number]) for name, column in final.items()},
-            "reason": failures.get(run.name, ""),
-        }
-        for number, run in enumerate(study.runs)
-    ]
-    return replace(result, runs=runs, folder=folder)
+    return replace(result, folder=folder)
 
 
 def result_of(
@@ -185,7 +176,7 @@ def result_of(
     ranges: Sequence[Range],
     seeds: Sequence[int],
     values: Mapping[str, FloatArray],
-    failures: Mapping[str, str] | None = None,
+    failures: Mapping[str, str] = MappingProxyType({}),
 ) -> Sensitivity:
     """Return the sensitivity of whatever has values at the points of a sample.
 
@@ -213,14 +204,13 @@ def result_of(
         for name, analysis in found.items()
         for k, free in enumerate(ranges)
     ]
-    notes = _notes(size, seeds, found, failures or {}, table)
-    return Sensitivity(scene, tuple(ranges), size, tuple(seeds), table, notes)
+    notes = _notes(size, seeds, found, failures)
+    return Sensitivity(scene, tuple(ranges), size, tuple(seeds), table, notes, failures)
 
 
 def _notes(
-    size: int, seeds: Sequence[int], found: Mapping[str, Analysis],
-    failures: Mapping[str, str], table: Sequence[Row],
-) -> list[str]:  # fmt: skip
+    size: int, seeds: Sequence[int], found: Mapping[str, Analysis], failures: Mapping[str, str]
+) -> list[str]:
     """Return what the reader must know of the result."""
     notes = []
     if failures:
@@ -242,9 +232,4 @@ def _notes(
         )
     if len(seeds) == 1:
         notes.append("one seed: the noise is unknown, an index may be noise; take at least two")
-    hidden = [row for row in table if row["verdict"] == NOISE]
-    if hidden:
-        pairs = ", ".join(f"{row['parameter']} on {row['observable']}" for row in hidden[:6])
-        more = f" and {len(hidden) - 6} more" if len(hidden) > 6 else ""
-        notes.append(f"not distinguishable from the noise over {len(seeds)} seeds: {pairs}{more}")
     return notes

@@ -57,17 +57,14 @@ def _ends(free: Range) -> tuple[str, str]:
 
 
 def _tiles(result: Sensitivity) -> dict[str, str]:
-    failed = sum(bool(row["reason"]) for row in result.runs)
     tiles = {
         "free parameters": f"{len(result.ranges)}",
         "trajectories": f"{result.size:,}",
         "points": f"{result.size * (len(result.ranges) + 1):,}",
         "seeds": f"{len(result.seeds)}",
     }
-    if result.runs:
-        tiles["runs"] = f"{len(result.runs):,}"
-    if failed:
-        tiles["runs that failed"] = f"{failed:,}"
+    if result.failures:
+        tiles["runs that failed"] = f"{len(result.failures):,}"
     for name in result.observables[:3]:
         first = result.ordered(name)[0]
         if first["verdict"] in (CLEAR, CLEAR_SINGLE):

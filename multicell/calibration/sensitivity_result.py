@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -38,7 +38,7 @@ class Sensitivity:
       is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what can be
       said: see :class:`multicell.calibration.indices.Analysis`.
     - ``notes``: what the reader must know: failed runs, an observable that does not vary
-    - ``runs``: one row for each run: its ``name``, parameters, ``seed``, observables and ``reason``
+    - ``failures``: name of a run that failed -> reason; the study in the folder has the others
     """
 
     scene: Scene
@@ -47,7 +47,7 @@ class Sensitivity:
     seeds: tuple[int, ...]
     table: list[Row]
     notes: list[str]
-    runs: list[Row] = field(default_factory=list)
+    failures: Mapping[str, str]
     folder: Path | None = None
 
     @property
@@ -128,7 +128,6 @@ class Sensitivity:
         with file_errors("use the output folder", place):
             place.mkdir(parents=True, exist_ok=True)
         texts = {"sensitivity.csv": self.to_csv(), "sensitivity.json": self.to_json()}
-        texts |= {"runs.csv": table_text(self.runs)} if self.runs else {}
         for name, text in texts.items():
             write_text(place / name, text)
         return write_report(self, place)

@@ -69,7 +69,7 @@ def sensitivity(
     with studies.planning():
         plan = plan_of(scene, pairs, observables=observables or None, size=size, seeds=seeds)
     result = studies.carry_out_study(plan, output, carry_out, how)
-    studies.print_analysis(result, result.runs, how)
+    studies.print_analysis(result, bool(result.failures), how)
 
 
 @click.command(name="dose-response")
@@ -140,4 +140,4 @@ def dose_response(
         result = studies.carry_out_study(plan, output, carry_out, how)
     if how["no_report"]:
         result.write_tables()
-    studies.print_analysis(result, result.table, how)
+    studies.print_analysis(result, any(row["reason"] for row in result.table), how)
