@@ -2,11 +2,11 @@
 
 The response is taken relative to that without a dose (viability), and
 
-    E(d) = bottom + (top - bottom) / (1 + (d / EC50)^h)
+    E(d) = bottom + (1 - bottom) / (1 + (d / EC50)^h)
 
 (Hill 1910) is fitted to the means at the doses by least squares, each weighted by its number of
-runs, which gives the same curve as a fit to the single runs. Where a response cannot be negative,
-neither can ``bottom``; h lies between 0.1 and 20.
+runs, which gives the same curve as a fit to the single runs. ``bottom`` is not negative, and h lies
+between 0.1 and 20.
 
 Intervals are percentiles over fits to other means: the deviation of each seed from the mean is
 multiplied by a normal number of its own, the same one at all doses (multiplier bootstrap over the
@@ -67,12 +67,12 @@ class DoseCurve:
     - ``doses``, (m,): the control, 0, and rising doses
     - ``viability``, (m,): mean response at each over that of the control
     - ``ic50``: dose at which the viability is one half
-    - ``ec50``: dose half-way between ``top`` and ``bottom``: the inflection over the logarithm
+    - ``ec50``: dose half-way between 1 and ``bottom``: the inflection over the logarithm
     - ``slope``: Hill's h
-    - ``bottom``, ``top``: viability at the largest and without dose
+    - ``bottom``: viability at the largest dose
     - ``error``: root mean square deviation of the means from the curve
-    - ``parameters``, (4,): bottom, top, log EC50, h
-    - ``draws``, (k, 4): the same of the fits that make the intervals; none where nothing is known
+    - ``parameters``, (3,): bottom, log EC50, h
+    - ``draws``, (k, 3): the same of the fits that make the intervals; none where nothing is known
       of the scatter
     """
 
@@ -84,7 +84,6 @@ class DoseCurve:
     ec50: Estimate
     slope: Estimate
     bottom: Estimate
-    top: Estimate
     error: float
     parameters: FloatArray
     draws: FloatArray
@@ -105,35 +104,34 @@ class DoseCurve:
     @property
     def estimates(self) -> dict[str, Estimate]:
         """The estimates by what they are called."""
-        return {"IC50": self.ic50, "EC50": self.ec50, "slope": self.slope,
-                "bottom": self.bottom, "top": self.top}  # fmt: skip
+        return {"IC50": self.ic50, "EC50": self.ec50, "slope": self.slope, "bottom": self.bottom}
 
 
 def hill(doses: FloatArray, parameters: FloatArray) -> FloatArray:
-    """Return Hill's curve at doses (m,) for parameters (..., 4): (..., m)."""
+    """Return Hill's curve at doses (m,) for parameters (..., 3): (..., m)."""
     from scipy.special import expit
 
-    bottom, top, place, slope = np.moveaxis(parameters[..., None, :], -1, 0)
-    return np.asarray(bottom + (top - bottom) * expit(slope * (place - _logs(doses))))
+    bottom, place, slope = np.moveaxis(parameters[..., None, :], -1, 0)
+    return np.asarray(bottom + (1.0 - bottom) * expit(slope * (place - _logs(doses))))
 
 
 def dose_at(level: FloatArray | float, parameters: FloatArray) -> FloatArray:
-    """Return the doses at which curves (..., 4) come to a level: 0 or infinite if they do not."""
-    bottom, top, place, slope = np.moveaxis(parameters, -1, 0)
+    """Return the doses at which curves (..., 3) come to a level: 0 or infinite if they do not."""
+    bottom, place, slope = np.moveaxis(parameters, -1, 0)
     with np.errstate(all="ignore"):
-        dose = np.exp(place + np.log((top - level) / (level - bottom)) / slope)
-    beyond = np.where((top - level) * np.sign(top - bottom) > 0.0, np.inf, 0.0)
+        dose = np.exp(place + np.log((1.0 - level) / (level - bottom)) / slope)
+    beyond = np.where((1.0 - level) * np.sign(1.0 - bottom) > 0.0, np.inf, 0.0)
     return np.where(np.isnan(dose) & ~np.isnan(place), beyond, dose)
 
 
 def _logs(doses: FloatArray) -> FloatArray:
-    """Return logarithms; that of 0 so low that every curve is at its top there."""
+    """Return logarithms; that of 0 so low that every curve is at 1 there."""
     return np.log(np.maximum(doses, 1e-300))
 
 
 def fit_curve(
     doses: FloatArray, means: FloatArray, counts: FloatArray, draws: FloatArray | None,
-    *, name: str, unit: str, free_top: bool, signed: bool, resamples: int, seed: int = 0,
+    *, name: str, unit: str, resamples: int, seed: int = 0,
 ) -> DoseCurve:  # fmt: skip
     """Fit Hill's curve to mean responses.
 
@@ -142,8 +140,6 @@ def fit_curve(
     - ``draws``, (k, m): other means, of :func:`draw_means`; None where nothing is known of the
       scatter at a dose
     - ``name``, ``unit``: of the doses
-    - ``free_top``: whether the curve need not go through the control
-    - ``signed``: whether responses may be negative
     - ``resamples``, ``seed``: number of fits for intervals and seed of their random numbers, where
       there are no draws
     """
@@ -158,38 +154,35 @@ def fit_curve(
     viability = means / means[0]
 
     def fit(values: FloatArray, start: FloatArray, tolerance: float) -> tuple[FloatArray, float]:
-        return _least_squares(places, values, weights, start, signed, tolerance)
+        return _least_squares(places, values, weights, start, tolerance)
 
-    ends = [max(float(viability.min()), 0.05), *([float(viability[0])] if free_top else [])]
-    starts = [np.array([p, k, *ends]) for p in places[1:] for k in (-3.0, -1.7)]
+    end = max(float(viability.min()), 0.05)
+    starts = [np.array([p, k, end]) for p in places[1:] for k in (-3.0, -1.7)]
     coded, cost = min(
         (fit(viability, start, 1e-10) for start in starts), key=lambda found: found[1]
     )
-    parameters = np.array(_decoded(coded, signed))
+    parameters = np.array(_decoded(coded))
     start = coded.copy()
-    if not signed:  # the bottom is a square: where it is zero, the search could not leave it
-        start[2] = max(abs(float(start[2])), 0.05)
-    freedom = len(doses) - 4  # with a fixed top the control is no datum
+    # the bottom is a square: where it is zero, the search could not leave it
+    start[2] = max(abs(float(start[2])), 0.05)
+    freedom = len(doses) - 4  # the control is no datum
     if draws is None and freedom > 0:
         sigma = math.sqrt(cost / freedom) * means[0] / weights
         draws = _scattered(hill(doses, parameters) * means[0], np.diag(sigma), freedom, resamples,
                            seed)  # fmt: skip
-    found = np.full((0 if draws is None else len(draws), 4), np.nan)
+    found = np.full((0 if draws is None else len(draws), 3), np.nan)
     for row, drawn in enumerate(() if draws is None else draws):
         if drawn[0] > 0.0:
-            found[row] = _decoded(fit(drawn / drawn[0], start, 1e-5)[0], signed)
+            found[row] = _decoded(fit(drawn / drawn[0], start, 1e-5)[0])
     low, high = float(doses[1]), float(doses[-1])
     half = dose_at(0.5, parameters), dose_at(0.5, found)
-    centre = np.exp(parameters[2]), np.exp(found[:, 2])
-    plain = [_estimate(parameters[k], found[:, k]) for k in (0, 1, 3)]
-    if not free_top:
-        plain[1] = Estimate(1.0, 1.0, 1.0, "1, the control")
+    centre = np.exp(parameters[1]), np.exp(found[:, 1])
     return DoseCurve(
         name, unit, doses, viability,
         _dose(float(half[0]), half[1], low, high, unit),
         _dose(float(centre[0]), centre[1], low, high, unit),
-        plain[2], plain[0], plain[1], math.sqrt(np.mean((hill(doses, parameters) - viability)**2)),
-        parameters, found,
+        _estimate(parameters[2], found[:, 2]), _estimate(parameters[0], found[:, 0]),
+        math.sqrt(np.mean((hill(doses, parameters) - viability)**2)), parameters, found,
     )  # fmt: skip
 
 
@@ -231,28 +224,25 @@ def _scattered(
 
 
 def _least_squares(
-    places: FloatArray, values: FloatArray, weights: FloatArray, start: FloatArray, signed: bool,
-    tolerance: float,
-) -> tuple[FloatArray, float]:  # fmt: skip
-    """Return coded parameters (log EC50, slope, bottom, top if it is free) and sum of squares."""
+    places: FloatArray, values: FloatArray, weights: FloatArray, start: FloatArray, tolerance: float
+) -> tuple[FloatArray, float]:
+    """Return coded parameters (log EC50, slope, bottom) and sum of squares."""
     from scipy.optimize import leastsq  # least_squares takes three times as long for so few data
 
-    def parts(coded: FloatArray) -> tuple[float, float, float, float, FloatArray]:
-        bottom, top, place, slope = _decoded(coded, signed)
-        return bottom, top, place, slope, 1.0 / (1.0 + np.exp(slope * (places - place)))
+    def parts(coded: FloatArray) -> tuple[float, float, float, FloatArray]:
+        bottom, place, slope = _decoded(coded)
+        return bottom, place, slope, 1.0 / (1.0 + np.exp(slope * (places - place)))
 
     def residuals(coded: FloatArray) -> FloatArray:
-        bottom, top, _, _, share = parts(coded)
-        return np.asarray(weights * (bottom + (top - bottom) * share - values))
+        bottom, _, _, share = parts(coded)
+        return np.asarray(weights * (bottom + (1.0 - bottom) * share - values))
 
     def jacobian(coded: FloatArray) -> list[FloatArray]:
-        bottom, top, place, slope, share = parts(coded)
-        rise = (weights * (top - bottom) * slope) * share * (1.0 - share)
+        bottom, place, slope, share = parts(coded)
+        rise = (weights * (1.0 - bottom) * slope) * share * (1.0 - share)
         part = (slope - _SLOPES[0]) * (_SLOPES[1] - slope) / (_SLOPES[1] - _SLOPES[0]) / slope
-        floor = weights * (1.0 if signed else 2.0 * coded[2])
-        return [rise, rise * part * (place - places), floor * (1.0 - share), weights * share][
-            : len(coded)
-        ]
+        floor = weights * (2.0 * coded[2])
+        return [rise, rise * part * (place - places), floor * (1.0 - share)]
 
     # with full output there are no warnings, as of a slope at its end: the curve is the best one
     with np.errstate(all="ignore"):
@@ -263,13 +253,12 @@ def _least_squares(
         return found, float((residuals(found) ** 2).sum())
 
 
-def _decoded(coded: FloatArray, signed: bool) -> tuple[float, float, float, float]:
-    """Return bottom, top, log EC50 and slope of unbounded numbers."""
-    place, slope, bottom, *top = coded.tolist()
+def _decoded(coded: FloatArray) -> tuple[float, float, float]:
+    """Return bottom, log EC50 and slope of unbounded numbers."""
+    place, slope, bottom = coded.tolist()
     low, high = _SLOPES
     part = 1.0 / (1.0 + math.exp(-slope)) if slope > -700.0 else 0.0
-    floor = bottom if signed else bottom * bottom
-    return floor, top[0] if top else 1.0, place, low + (high - low) * part
+    return bottom * bottom, place, low + (high - low) * part
 
 
 def _quantiles(draws: FloatArray, least: float = -math.inf) -> tuple[float, float]:

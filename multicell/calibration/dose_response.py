@@ -16,13 +16,12 @@ from multicell.calibration.dose_curve import DOSES, LEAST, combine, draw_means, 
 from multicell.calibration.dose_response_result import DoseResponse, Row
 from multicell.errors import DataError, FitFailed, SceneError
 from multicell.host.extras import needs
-from multicell.schema import chosen
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_seeds
 from multicell.studies.picture_data import key_words, words
 from multicell.studies.plan import Plan, make_plan
-from multicell.studies.readings import may_be_negative, observables_of, read_final
+from multicell.studies.readings import observables_of, read_final
 from multicell.studies.study import Study, write_study
 from multicell.tables.columns import read_table
 from multicell.tables.titles import split_title, unknown_title
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
 LIVING: Final = "proliferating+quiescent"
 """The living cells: columns of the history, added up."""
 RESAMPLES: Final = 1000
-TOPS: Final = ("control", "free")
 _WRITTEN: Final = ("viability", "run", "reason")
 """Further columns of the table that an analysis writes."""
 
@@ -53,7 +51,6 @@ def dose_response(
     observable: str = LIVING,
     seeds: int = 5,
     data: Any = None,
-    top: str = "control",
     output: str | Path | None = None,
     overwrite: bool = False,
     cores: int | None = None,
@@ -88,8 +85,6 @@ def dose_response(
         In place of a scene a table of measured responses: a CSV file, a ``DataFrame`` or a mapping
         of columns, with the titles ``dose / UNIT`` (or ``dose A / UNIT`` and ``dose B / UNIT``),
         ``response`` and, where the same replicate is found at all doses, ``replicate``.
-    top
-        ``"control"``: the curve goes through the control (three parameters); ``"free"``: four.
     output
         Folder; by default ``dose-response`` for runs and none for data.
     overwrite
@@ -116,11 +111,9 @@ def dose_response(
     if data is not None:
         if any(given is not None for given in (scene, dose, doses, combine)):
             raise SceneError("data", "stands in place of a scene and doses", "Give one of them.")
-        result = replace(of_table(data, top), folder=None if output is None else Path(output))
+        result = replace(of_table(data), folder=None if output is None else Path(output))
     else:
-        plan = plan_of(
-            scene, dose, doses, combine=combine, observable=observable, seeds=seeds, top=top
-        )
+        plan = plan_of(scene, dose, doses, combine=combine, observable=observable, seeds=seeds)
         folder = Path("dose-response" if output is None else output)
         write_study(plan.study, folder, overwrite=overwrite)
         how = {"cores": cores, "scheduler": scheduler, "progress": progress, "retry": retry}
@@ -135,7 +128,7 @@ def dose_response(
 class DosePlan:
     """Runs at doses that were checked and not made.
 
-    - ``scene``, ``observable``, ``top``: as in :func:`dose_response`
+    - ``scene``, ``observable``: as in :func:`dose_response`
     - ``names``, ``units``: of the doses of each drug
     - ``points``, (m, k): doses of the points of the study, in these units
     - ``study``: the plan of the runs
@@ -147,7 +140,6 @@ class DosePlan:
     units: tuple[str, ...]
     points: FloatArray
     study: Plan
-    top: str
 
 
 def plan_of(
@@ -158,7 +150,6 @@ def plan_of(
     combine: Sequence[str] | None = None,
     observable: str = LIVING,
     seeds: int = 5,
-    top: str = "control",
 ) -> DosePlan:
     """Return the plan of runs at doses, in which everything is checked.
 
@@ -167,7 +158,6 @@ def plan_of(
     from multicell.scene.scene import load_scene
 
     needs("distributed")
-    chosen(top, TOPS, "top")
     if scene is None or doses is None or (dose is None) == (combine is None):
         problem = "needs a scene, doses, and the key of one drug (dose) or of two (combine)"
         raise SceneError("dose", problem, "Or measured data.")
@@ -194,7 +184,7 @@ def plan_of(
     points = np.stack([d[places[:, k]] for k, (d, _) in enumerate(found)], axis=1)
     study = make_plan(described, points=table, seeds=seeds)
     units = tuple(unit for _, unit in found)
-    return DosePlan(described, observable, names, units, points, study, top)
+    return DosePlan(described, observable, names, units, points, study)
 
 
 def _axis(scene: Scene, name: str, values: Any) -> Axis:
@@ -265,18 +255,17 @@ def carry_out(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
         )
     known = "living cells" if plan.observable == LIVING else words(plan.observable)
     return analyse(
-        plan.points, values, rows, plan.top, names=plan.names, units=plan.units, response=known,
-        signed=any(may_be_negative(part) for part in parts), shared=True, notes=notes,
+        plan.points, values, rows, names=plan.names, units=plan.units, response=known,
+        shared=True, notes=notes,
         scene=plan.scene, folder=folder, title=plan.scene.title or "Untitled scene",
     )  # fmt: skip
 
 
-def of_table(source: Any, top: str = "control") -> DoseResponse:
+def of_table(source: Any) -> DoseResponse:
     """Return the dose response of measured data.
 
     Parameters and errors are those of :func:`dose_response`.
     """
-    chosen(top, TOPS, "top")
     table = read_table(source, MAX_BYTES)
     known = [split_title(title) for title in table.titles]
     columns = {name: place for place, (name, _) in enumerate(known)}
@@ -315,9 +304,9 @@ def of_table(source: Any, top: str = "control") -> DoseResponse:
     values = np.array([[cells.get((p, label), math.nan) for label in labels] for p in rising])
     rows = [{"replicate": label, "run": "", "reason": ""} for _ in rising for label in labels]
     return analyse(
-        np.array(rising), values, rows, top, names=drugs,
+        np.array(rising), values, rows, names=drugs,
         units=[known[columns[name]][1] for name in drugs], response="response",
-        signed=bool((values < 0.0).any()), shared=shared, title=table.name,
+        shared=shared, title=table.name,
     )  # fmt: skip
 
 
@@ -340,8 +329,8 @@ def _check_points(points: Sequence[tuple[float, ...]], drugs: int, table: str) -
 
 
 def analyse(
-    points: FloatArray, values: FloatArray, rows: Sequence[Row], top: str, *,
-    names: Sequence[str], units: Sequence[str], response: str, signed: bool, shared: bool,
+    points: FloatArray, values: FloatArray, rows: Sequence[Row], *,
+    names: Sequence[str], units: Sequence[str], response: str, shared: bool,
     title: str, notes: Sequence[str] = (), scene: Scene | None = None, folder: Path | None = None,
 ) -> DoseResponse:  # fmt: skip
     """Return the dose response of values (m, n) at points (m, k), NaN where there are none.
@@ -374,7 +363,7 @@ def analyse(
         curve = fit_curve(
             points[alone, drug], means[alone], counts[alone],
             None if draws is None else draws[:, alone], name=name, unit=unit,
-            free_top=top == "free", signed=signed, resamples=RESAMPLES,
+            resamples=RESAMPLES,
         )  # fmt: skip
         curves.append(curve)
     pairs: list[Row] = []
@@ -390,6 +379,6 @@ def analyse(
             + (", and there are none of the combinations" if pairs else "")
         )
     return DoseResponse(
-        title, tuple(curves), response, int(counts.max()), table, pairs, totals, found, top,
+        title, tuple(curves), response, int(counts.max()), table, pairs, totals, found,
         scene, folder,
     )  # fmt: skip

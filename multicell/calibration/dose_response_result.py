@@ -27,8 +27,8 @@ class DoseResponse:
     """Responses to doses and what follows from them.
 
     - ``title``: of the scene, or name of the table
-    - ``curves``: of one drug, or of each of two alone, with ``ic50``, ``ec50``, ``slope``,
-      ``bottom`` and ``top`` (each with ``value``, ``low``, ``high`` and ``words``); a curve can be
+    - ``curves``: of one drug, or of each of two alone, with ``ic50``, ``ec50``, ``slope``
+      and ``bottom`` (each with ``value``, ``low``, ``high`` and ``words``); a curve can be
       called
     - ``response``: what is measured, in words
     - ``replicates``: seeds, or replicates of data, at most
@@ -40,7 +40,6 @@ class DoseResponse:
       :func:`multicell.calibration.dose_curve.combine`
     - ``totals``: mean ``bliss_excess`` and geometric mean ``loewe_index``
     - ``notes``: what the reader must know
-    - ``top``: ``"control"`` or ``"free"``
     """
 
     title: str
@@ -51,7 +50,6 @@ class DoseResponse:
     combination: list[Row]
     totals: Mapping[str, Estimate]
     notes: list[str]
-    top: str
     scene: Scene | None = None
     folder: Path | None = None
 
@@ -84,7 +82,6 @@ class DoseResponse:
             "title": self.title,
             "response": self.response,
             "replicates": self.replicates,
-            "top": self.top,
             "curves": [
                 {
                     "name": curve.name, "unit": curve.unit, "doses": curve.doses,

@@ -374,37 +374,18 @@ def draws(loss: Loss, prior: Prior, seed: int, count: int = PARTICLES) -> Array:
 
 def best_of(loss: Loss, prior: Prior, found: Array) -> Array:
     """Return the parameters of least loss and prior, (d,), descended to from the best of some."""
-    start = found[np.argmin(loss(found) + prior.loss(found))]
-    return descend(loss, prior, start, np.full(len(start), True))
-
-
-def descend(loss: Loss, prior: Prior, start: Array, moving: Mask) -> Array:
-    """Return the parameters of least loss and prior that a descent from some reaches, (d,).
-
-    - ``start``, (d,): parameters at which the prior is not zero
-    - ``moving``, (d,): which of them may change
-    """
     from scipy.optimize import minimize
-
-    count = int(moving.sum())
-    if count == 0:
-        return start
-
-    def point(x: Array) -> Array:
-        whole = np.tile(start, (len(x), 1))
-        whole[:, moving] = x
-        return whole
 
     def value_and_slope(x: Array) -> tuple[float, Array]:
         steps = np.where(x < 0.5, _DIFFERENCE, -_DIFFERENCE)
-        points = point(np.vstack([x, x + np.diag(steps)]))
+        points = np.vstack([x, x + np.diag(steps)])
         found = loss(points) + prior.density_loss(points)
         return float(found[0]), (found[1:] - found[0]) / steps
 
-    bounds = [(0.0, 1.0)] * count
-    down = minimize(value_and_slope, start[moving], jac=True, method="L-BFGS-B", bounds=bounds)
-    end: Array = point(np.clip(down.x, 0.0, 1.0)[None])[0]
-    return end
+    start = found[np.argmin(loss(found) + prior.loss(found))]
+    bounds = [(0.0, 1.0)] * len(start)
+    down = minimize(value_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds)
+    return np.asarray(np.clip(down.x, 0.0, 1.0))
 
 
 def _move(

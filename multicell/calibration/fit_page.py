@@ -23,10 +23,6 @@ _POSTERIOR: Final = (
     "Posterior of the parameters; axes are the ranges searched, or of narrow posteriors a part of "
     "them. Red: best. Dashed: before the data. Dotted: ends of 95 % intervals."
 )
-_PROFILES: Final = (
-    "Profile likelihoods by the emulator: how much worse the data are fitted at best where one "
-    "parameter has a given value."
-)
 
 
 def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
@@ -45,7 +41,6 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         pictures={
             "data.png": (fit.plot.data, _DATA),
             "parameters.png": (fit.plot.parameters, _POSTERIOR),
-            **({"profiles.png": (fit.plot.profiles, _PROFILES)} if fit.profiles else {}),
         },
         parameters=parameters_in_words(fit),
         undetermined=[str(entry) for entry in fit.undetermined],

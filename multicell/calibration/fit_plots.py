@@ -51,10 +51,6 @@ class FitPlots:
         """Draw the posterior: each parameter, and each pair of them."""
         return parameters(self._fit)
 
-    def profiles(self) -> Figure:
-        """Draw the profile likelihood of each parameter."""
-        return profiles(self._fit)
-
 
 @styled
 def data(fit: Fit) -> Figure:
@@ -218,30 +214,6 @@ def parameters(fit: Fit) -> Figure:
             else:
                 _pair(axes, fit, (ranges[j], ranges[i]), (j, i), sample)
             _edges(axes, (ranges[j], ranges[i]), (windows[j], windows[i]), (i, j), count)
-    return figure
-
-
-@styled
-def profiles(fit: Fit) -> Figure:
-    """Draw by how much -2 ln L rises at best over the values of each parameter."""
-    found = fit.profiles
-    columns = max(min(len(found), 3), 1)
-    subtitle = "least -2 ln (likelihood · prior) over the other parameters; dotted: 95 % interval"
-    height = 1.25 + 3.3 * max(-(-len(found) // columns), 1)
-    figure, grid = panels(_title(fit), subtitle, len(found), columns, height)
-    for k, (axes, profile) in enumerate(zip(grid, found, strict=True)):
-        free = fit.problem.ranges[profile.number]
-        axes.plot(_at(free, profile.shares[:, profile.number]), profile.rises, color=BLUE)
-        axes.axhline(profile.limit, color=QUIET, linewidth=1.0, linestyle="--")
-        ends = _at(free, profile.ends[:, profile.number])
-        for x, is_open in zip(ends, profile.open, strict=True):
-            if not is_open:
-                axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
-        axes.set_ylim(0.0, 3.0 * profile.limit)
-        axes.set_xlabel(_label(free))
-        if k % columns == 0:
-            axes.set_ylabel("rise of -2 ln L")
-        axes.xaxis.set_major_locator(MaxNLocator(4))
     return figure
 
 

@@ -14,7 +14,6 @@ from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.likelihood import Fresh
 from multicell.calibration.noise import Array
 from multicell.calibration.problem import ABSENT, Problem, misfit
-from multicell.calibration.profiles import Profile, profiles
 from multicell.calibration.search import Evaluation, Run
 from multicell.calibration.simulator import Reading
 from multicell.calibration.verdict import (
@@ -28,7 +27,6 @@ from multicell.calibration.verdict import (
 from multicell.errors import FitFailed
 from multicell.host.extras import needs
 from multicell.report.wording import time_unit
-from multicell.schema import chosen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -151,52 +149,6 @@ class Fit:
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
         return intervals(self.problem.ranges, self.some_sample(), level)
-
-    @cached_property
-    def profiles(self) -> list[Profile]:
-        """The profile likelihoods of all parameters by the emulator; none without one."""
-        found = self.fresh.likelihood
-        return [] if found is None else profiles(found, range(len(self.problem.ranges)))
-
-    def profile(self, key: str) -> pd.DataFrame:
-        """Return the profile likelihood of a parameter, by the emulator.
-
-        Parameters
-        ----------
-        key
-            Of the parameter, or its short name.
-
-        Returns
-        -------
-        DataFrame
-            One row for each of 15 values of it, over somewhat more than its 95 % interval: the best
-            parameters with it in base units, and ``rise``, by how much -2 ln of likelihood and
-            prior are above their least value. ``attrs`` hold units, ``limit`` (the rise at the ends
-            of the interval), ``interval``, and ``open``: whether its ends are those of the range.
-
-        Raises
-        ------
-        SceneError
-            For an unknown key.
-        FitFailed
-            If there is no posterior.
-        """
-        needs("pandas")
-        import pandas
-
-        known = {name: k for k, free in enumerate(self.problem.ranges)
-                 for name in (free.key, free.name)}  # fmt: skip
-        number = known[chosen(key, known, "key")]
-        self.some_sample()
-        found, free = self.profiles[number], self.problem.ranges[number]
-        frame = pandas.DataFrame({**self.problem.columns(found.shares), "rise": found.rises})
-        frame.attrs = {
-            "units": self.problem.parameter_units,
-            "limit": found.limit,
-            "interval": [free.value(float(x)) for x in found.ends[:, number]],
-            "open": list(found.open),
-        }
-        return frame
 
     @cached_property
     def undetermined(self) -> list[Undetermined]:
@@ -396,9 +348,8 @@ class Fit:
             known, check = self.intervals(), self.predictive_check()
             checked = {x: getattr(check, x) for x in ("chi_squared", "largest", "outside")}
         parameters = {}
-        for k, free in enumerate(self.problem.ranges):
+        for free in self.problem.ranges:
             found = known.get(free.name)
-            ends = self.profiles[k].ends[:, k] if found else ()
             parameters[free.key] = {
                 "name": free.name,
                 "unit": free.unit,
@@ -406,7 +357,6 @@ class Fit:
                 "median": found and found.median,
                 "interval": found and [found.low, found.high],
                 "part_of_range": found and found.part,
-                "profile_interval": found and [free.value(float(x)) for x in ends],
                 "range": [free.low, free.high],
                 "log": free.log,
             }

@@ -23,7 +23,7 @@ models.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, final
@@ -196,13 +196,13 @@ def predictive_check(fit: Fit) -> PredictiveCheck:
     return PredictiveCheck(chi_squared, largest, table)
 
 
-def compare_fits(fits: Mapping[str, Fit] | Sequence[Fit]) -> pd.DataFrame:
+def compare_fits(fits: Mapping[str, Fit]) -> pd.DataFrame:
     """Compare fits to the same data.
 
     Parameters
     ----------
     fits
-        Name -> fit, or fits, which are then named by the titles of their scenes.
+        Name -> fit.
 
     Returns
     -------
@@ -216,24 +216,25 @@ def compare_fits(fits: Mapping[str, Fit] | Sequence[Fit]) -> pd.DataFrame:
     Raises
     ------
     SceneError
-        If there are fewer than two, two names are the same, or data differ.
+        If there are fewer than two, or data differ.
     FitFailed
         If one of them has no posterior.
     """
     needs("pandas")
     import pandas
 
-    named = _named(fits)
-    (first, one), *others = named.items()
+    if not isinstance(fits, Mapping) or len(fits) < 2:
+        raise SceneError("fits", "must have at least two fits", "Give {'name': fit, ...}.")
+    (first, one), *others = fits.items()
     for name, other in others:
         if _key(one) != _key(other):
             problem = f"has '{first}' and '{name}', which are to different data"
             hint = "Scores and likelihoods compare only where all data and their errors are equal."
             raise SceneError("fits", problem, hint)
-    found = {name: predictive_of(fit) for name, fit in named.items()}
+    found = {name: predictive_of(fit) for name, fit in fits.items()}
     common = np.mean([each.covariance for each in found.values()], axis=0)
     rows = {}
-    for name, fit in named.items():
+    for name, fit in fits.items():
         found[name] = replace(found[name], covariance=common)
         count, free = len(fit.problem.sigma), len(fit.problem.ranges)
         largest = found[name].log_likelihood(least_residuals(fit, found[name]))
@@ -261,23 +262,6 @@ def _sum(values: np.ndarray) -> tuple[float, float]:
     """Return the sum of some values, and its standard error."""
     spread = values.std(ddof=1) if len(values) > 1 else math.nan
     return float(values.sum()), float(math.sqrt(len(values)) * spread)
-
-
-def _named(fits: Mapping[str, Fit] | Sequence[Fit]) -> dict[str, Fit]:
-    """Return fits by their names."""
-    if isinstance(fits, Mapping):
-        named = {str(name): fit for name, fit in fits.items()}
-    else:
-        named = {}
-        for fit in fits:
-            name = fit.scene.title or "Untitled scene"
-            if name in named:
-                problem = f"has two fits named '{name}'"
-                raise SceneError("fits", problem, "Give them as {'name': fit, ...}.")
-            named[name] = fit
-    if len(named) < 2:
-        raise SceneError("fits", f"has {len(named)} fits, must have at least two")
-    return named
 
 
 def _key(fit: Fit) -> list[tuple[object, ...]]:

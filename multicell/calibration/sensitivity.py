@@ -1,28 +1,26 @@
-"""Which parameters of a scene decide its observables: Morris' screening, Sobol' indices."""
+"""Which parameters of a scene decide its observables: Morris' screening."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.calibration.indices import (
     COLUMNS,
-    DEFAULT_SIZE,
-    NOISE,
+    MIN_SIZE,
     RELIABLE,
     Analysis,
     analyse,
-    block,
-    check_size,
     sample,
 )
-from multicell.calibration.sensitivity_result import Row, Sensitivity
+from multicell.calibration.sensitivity_result import Sensitivity
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import Range, check_ranges, parse_ranges
-from multicell.studies.limits import check_runs, check_seeds
+from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole
 from multicell.studies.plan import Plan, make_plan
 from multicell.studies.readings import observables_of, read_final
 from multicell.studies.study import Study, write_study
@@ -37,8 +35,7 @@ def sensitivity(
     scene: Scene | str | Path,
     free: Mapping[str, Any],
     *,
-    method: str = "morris",
-    size: int | None = None,
+    size: int = 10,
     seeds: int = 1,
     observables: Sequence[str] | None = None,
     output: str | Path = "sensitivity",
@@ -61,12 +58,8 @@ def sensitivity(
         A scene, the name of a built-in one, or a path.
     free
         Key -> range, ``{"growth.cycle_time": "8:25 h", "drag.viscosity": "log 0.1:10 kPa s"}``.
-    method
-        ``"morris"`` tells with few runs which parameters matter, ``"sobol"`` which part of the
-        variance each one makes.
     size
-        Trajectories of Morris (by default 10: so many times one more than parameters), or base
-        points of Sobol' (64: so many times two more than parameters), a power of two.
+        Trajectories of Morris: so many times one run more than parameters.
     seeds
         How many runs at each point: the seed of the scene and those after it, the same ones at all
         points. With two or more the indices are set against the noise.
@@ -95,7 +88,7 @@ def sensitivity(
     ClusterError
         If the scheduler does not answer.
     """
-    plan = plan_of(scene, free, method=method, size=size, seeds=seeds, observables=observables)
+    plan = plan_of(scene, free, size=size, seeds=seeds, observables=observables)
     write_study(plan.study, output, overwrite=overwrite)
     how = {"cores": cores, "scheduler": scheduler, "progress": progress, "retry": retry}
     result = carry_out(plan, output, **how)
@@ -109,13 +102,12 @@ def sensitivity(
 class SensitivityPlan:
     """An analysis that was checked and has not run.
 
-    - ``scene``, ``method``, ``ranges``, ``size``, ``observables``: as in :func:`sensitivity`
+    - ``scene``, ``ranges``, ``size``, ``observables``: as in :func:`sensitivity`
     - ``study``: the plan of its runs: the points that differ, as a list
     - ``rows``, (n,): the number of each point of the sample in the study
     """
 
     scene: Scene
-    method: str
     ranges: tuple[Range, ...]
     size: int
     observables: tuple[str, ...]
@@ -132,8 +124,7 @@ def plan_of(
     scene: Scene | str | Path,
     free: Mapping[str, Any],
     *,
-    method: str = "morris",
-    size: int | None = None,
+    size: int = 10,
     seeds: int = 1,
     observables: Sequence[str] | None = None,
 ) -> SensitivityPlan:
@@ -145,14 +136,14 @@ def plan_of(
 
     needs("SALib", "distributed")
     described = load_scene(scene) if isinstance(scene, str | Path) else scene
-    size = DEFAULT_SIZE.get(method, 0) if size is None else size
-    check_size(method, size)
+    hint = "It is the number of trajectories; fewer have no interval."
+    whole("size", size, MIN_SIZE, MAX_POINTS, hint)
     ranges = parse_ranges(free, described)
     check_ranges(described, ranges)
     chosen = observables_of(described, observables)
     check_seeds(seeds, described.seed)
-    check_runs(size * block(method, len(ranges)), seeds, "size")
-    shares = sample(method, [one.name for one in ranges], size)
+    check_runs(size * (len(ranges) + 1), seeds, "size")
+    shares = sample([one.name for one in ranges], size)
     points = [
         tuple(free.setting(free.value(float(x))) for free, x in zip(ranges, row, strict=True))
         for row in shares
@@ -162,7 +153,7 @@ def plan_of(
     table = {free.key: list(column) for free, column in zip(ranges, columns, strict=True)}
     study = make_plan(described, points=table, seeds=seeds)
     rows = tuple(numbers[point] for point in points)
-    return SensitivityPlan(described, method, ranges, size, tuple(chosen), study, rows)
+    return SensitivityPlan(described, ranges, size, tuple(chosen), study, rows)
 
 
 def carry_out(plan: SensitivityPlan, output: str | Path, **how: Any) -> Sensitivity:
@@ -176,38 +167,28 @@ def carry_out(plan: SensitivityPlan, output: str | Path, **how: Any) -> Sensitiv
     final, failures = read_final(outcomes, folder, plan.observables)
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
-    result = result_of(plan.scene, plan.method, plan.ranges, plan.seeds, values, failures)
-    runs = [
-        {
-            "name": run.name,
-            **run.coordinates,
-            **{name: float(column[number]) for name, column in final.items()},
-            "reason": failures.get(run.name, ""),
-        }
-        for number, run in enumerate(study.runs)
-    ]
-    return replace(result, runs=runs, folder=folder)
+    result = result_of(plan.scene, plan.ranges, plan.seeds, values, failures)
+    return replace(result, folder=folder)
 
 
 def result_of(
     scene: Scene,
-    method: str,
     ranges: Sequence[Range],
     seeds: Sequence[int],
     values: Mapping[str, FloatArray],
-    failures: Mapping[str, str] | None = None,
+    failures: Mapping[str, str] = MappingProxyType({}),
 ) -> Sensitivity:
     """Return the sensitivity of whatever has values at the points of a sample.
 
-    - ``scene``, ``method``, ``ranges``, ``seeds``: as in :func:`sensitivity`, checked
+    - ``scene``, ``ranges``, ``seeds``: as in :func:`sensitivity`, checked
     - ``values``, observable -> (n, seeds): at the points of
       :func:`multicell.calibration.indices.sample`; NaN where there is none
     - ``failures``: name of a run that failed -> reason
     """
     names = [free.name for free in ranges]
-    size = len(next(iter(values.values()))) // block(method, len(names))
-    shares = sample(method, names, size)
-    found = {name: analyse(method, names, shares, known) for name, known in values.items()}
+    size = len(next(iter(values.values()))) // (len(names) + 1)
+    shares = sample(names, size)
+    found = {name: analyse(names, shares, known) for name, known in values.items()}
     table = [
         {
             "observable": name,
@@ -217,43 +198,38 @@ def result_of(
             "low": free.low,
             "high": free.high,
             "parameter_unit": free.unit,
-            **{n: float(analysis.columns[n][k]) for n in (*COLUMNS[method], "noise")},
+            **{n: float(analysis.columns[n][k]) for n in COLUMNS},
             "verdict": analysis.verdicts[k],
         }
         for name, analysis in found.items()
         for k, free in enumerate(ranges)
     ]
-    notes = _notes(method, size, seeds, found, failures or {}, table)
-    return Sensitivity(scene, method, tuple(ranges), size, tuple(seeds), table, notes)
+    notes = _notes(size, seeds, found, failures)
+    return Sensitivity(scene, tuple(ranges), size, tuple(seeds), table, notes, failures)
 
 
 def _notes(
-    method: str, size: int, seeds: Sequence[int], found: Mapping[str, Analysis],
-    failures: Mapping[str, str], table: Sequence[Row],
-) -> list[str]:  # fmt: skip
+    size: int, seeds: Sequence[int], found: Mapping[str, Analysis], failures: Mapping[str, str]
+) -> list[str]:
     """Return what the reader must know of the result."""
-    what = "trajectories" if method == "morris" else "base points"
     notes = []
     if failures:
         reason = next(iter(failures.values()))
         notes.append(f"{len(failures)} runs failed, the first one: {reason}")
     for name, analysis in found.items():
         if analysis.used < 2:
-            notes.append(f"{name}: fewer than two {what} have all their runs: no index is known")
+            notes.append(
+                f"{name}: fewer than two trajectories have all their runs: no index is known"
+            )
         elif analysis.constant:
             notes.append(f"{name} is the same in all runs: no parameter decides it")
         if 2 <= analysis.used < size:
-            notes.append(f"{name}: {size - analysis.used} of {size} {what} lack a run and are out")
-    if method == "morris" and size < RELIABLE:
+            notes.append(f"{name}: {size - analysis.used} of {size} trajectories lack a run")
+    if size < RELIABLE:
         notes.append(
             f"{size} trajectories: intervals of 95 % cover about 90 %, from {RELIABLE} on what "
             "they say"
         )
     if len(seeds) == 1:
         notes.append("one seed: the noise is unknown, an index may be noise; take at least two")
-    hidden = [row for row in table if row["verdict"] == NOISE]
-    if hidden:
-        pairs = ", ".join(f"{row['parameter']} on {row['observable']}" for row in hidden[:6])
-        more = f" and {len(hidden) - 6} more" if len(hidden) > 6 else ""
-        notes.append(f"not distinguishable from the noise over {len(seeds)} seeds: {pairs}{more}")
     return notes

@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
-from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, MAIN, block
+from multicell.calibration.indices import CLEAR, CLEAR_SINGLE
 from multicell.calibration.verdict import in_words
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
@@ -30,24 +28,21 @@ if TYPE_CHECKING:
 def write_report(result: Sensitivity, folder: Path) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
     pictures: dict[str, Drawing] = {}
-    index = "size of effects" if result.method == "morris" else "parts of the variance"
-    first = MAIN[result.method]
     for name in result.observables:
-        if any(row[first] > 0.0 for row in result.ordered(name)):  # else a note says why
+        if any(row["mu_star"] > 0.0 for row in result.ordered(name)):  # else a note says why
             caption = (
-                f"{sentence(words(name))}: {index} at the end of the runs, with 95 % intervals; "
-                "pale is what is not distinguishable from noise or zero."
+                f"{sentence(words(name))}: size of effects at the end of the runs, with 95 % "
+                "intervals; pale is what is not distinguishable from noise or zero."
             )
             path = f"sensitivity-{name.replace('.', '_')}.png"
             pictures[path] = partial(result.plot, name), caption
-    method = "Screening by Morris" if result.method == "morris" else "Indices of Sobol'"
     names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
     return write_page(
         folder / "report.html",
         "sensitivity.html",
         scene=result.scene,
         title=_title(result),
-        subtitle=f"{method} · {names}",
+        subtitle=f"Screening by Morris · {names}",
         tiles=_tiles(result),
         pictures=pictures,
         result=result,
@@ -62,18 +57,14 @@ def _ends(free: Range) -> tuple[str, str]:
 
 
 def _tiles(result: Sensitivity) -> dict[str, str]:
-    points = result.size * block(result.method, len(result.ranges))
-    failed = sum(bool(row["reason"]) for row in result.runs)
     tiles = {
         "free parameters": f"{len(result.ranges)}",
-        "trajectories" if result.method == "morris" else "base points": f"{result.size:,}",
-        "points": f"{points:,}",
+        "trajectories": f"{result.size:,}",
+        "points": f"{result.size * (len(result.ranges) + 1):,}",
         "seeds": f"{len(result.seeds)}",
     }
-    if result.runs:
-        tiles["runs"] = f"{len(result.runs):,}"
-    if failed:
-        tiles["runs that failed"] = f"{failed:,}"
+    if result.failures:
+        tiles["runs that failed"] = f"{len(result.failures):,}"
     for name in result.observables[:3]:
         first = result.ordered(name)[0]
         if first["verdict"] in (CLEAR, CLEAR_SINGLE):
@@ -81,10 +72,8 @@ def _tiles(result: Sensitivity) -> dict[str, str]:
     return tiles
 
 
-_ORANGE: Final = "#d98a1f"
 _MAX_LINES: Final = 7
 _NEAR_ORIGIN: Final = 0.02
-_HIGHEST: Final = 1.2  # of an axis of parts of the variance; intervals may go further
 
 
 @styled
@@ -95,26 +84,15 @@ def indices(result: Sensitivity, observable: str) -> Figure:
     the seeds alone would give.
     """
     rows = result.ordered(observable)
-    morris = result.method == "morris"
-    high = max(3.6, 1.9 + 0.36 * len(rows) * (1.0 if morris else 1.35))
-    size = (SIZE[0], max(high, 5.0) if morris else high)
-    figure = with_heading(_title(result), _subtitle(result, observable), size)
-    if morris:
-        left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-        _bars(left, rows, [("mu_star", BLUE)])
-        left.set_xlabel(with_unit("mean size of the effect μ*", written(rows[0]["unit"])))
-        _plane(right, rows)
-        return figure
-    axes = figure.subplots()
-    _bars(axes, rows, [("st", BLUE), ("s1", _ORANGE)])
-    axes.set_xlabel("part of the variance")
-    low, top = axes.get_xlim()
-    axes.set_xlim(max(low, -0.25), min(top, _HIGHEST))
-    handles: list[Any] = [Patch(color=BLUE, label="ST: with interactions"),
-                          Patch(color=_ORANGE, label="S1: alone")]  # fmt: skip
-    if any(row["noise"] > 0.0 for row in rows):
-        handles.append(Line2D([], [], color=RED, lw=2, label="noise alone"))
-    axes.legend(handles=handles, loc="lower right", fontsize=10)
+    seeds = f"{len(result.seeds)} seeds" if len(result.seeds) > 1 else "one seed: noise unknown"
+    subtitle = (
+        f"{sentence(words(observable))} at the end of each run · Morris, {result.size:,} "
+        f"trajectories, {seeds} · bars: 95 % intervals"
+    )
+    figure = with_heading(_title(result), subtitle, (SIZE[0], max(5.0, 1.9 + 0.36 * len(rows))))
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    _bars(left, rows)
+    _plane(right, rows)
     return figure
 
 
@@ -122,38 +100,23 @@ def _title(result: Sensitivity) -> str:
     return f"{result.scene.title or 'Untitled scene'}: sensitivity"
 
 
-def _subtitle(result: Sensitivity, observable: str) -> str:
-    method = "Morris" if result.method == "morris" else "Sobol'"
-    what = "trajectories" if result.method == "morris" else "base points"
-    seeds = f"{len(result.seeds)} seeds" if len(result.seeds) > 1 else "one seed: noise unknown"
-    return (
-        f"{sentence(words(observable))} at the end of each run · {method}, {result.size:,} {what}, "
-        f"{seeds} · bars: 95 % intervals"
-    )
-
-
-def _bars(axes: Axes, rows: list[Row], kinds: list[tuple[str, str]]) -> None:
+def _bars(axes: Axes, rows: list[Row]) -> None:
     """Draw bars with intervals, the first row on top; a red tick is the noise."""
-    thick = 0.7 / len(kinds)
     places = np.arange(len(rows), dtype=float)
-    for order, (name, colour) in enumerate(kinds):
-        shift = (order - 0.5 * (len(kinds) - 1)) * thick
-        values = np.array([row[name] for row in rows])
-        halves = np.array([row[f"{name}_conf"] for row in rows])
-        sure = [row["verdict"] in (CLEAR, CLEAR_SINGLE) for row in rows]
-        colours = [colour if clear else PALE for clear in sure]
-        axes.barh(places + shift, np.nan_to_num(values), 0.9 * thick, color=colours)
-        axes.errorbar(values, places + shift, xerr=halves, fmt="none", ecolor=QUIET, elinewidth=1.3,
-                      capsize=2.5)  # fmt: skip
-        if order == 0:
-            noise = np.array([row["noise"] for row in rows])
-            there = noise > 0.0
-            low, high = places + shift - 0.5 * thick, places + shift + 0.5 * thick
-            axes.vlines(noise[there], low[there], high[there], color=RED, lw=2, zorder=4)
+    values, halves, noise = (
+        np.array([row[name] for row in rows]) for name in ("mu_star", "mu_star_conf", "noise")
+    )
+    colours = [BLUE if row["verdict"] in (CLEAR, CLEAR_SINGLE) else PALE for row in rows]
+    axes.barh(places, np.nan_to_num(values), 0.63, color=colours)
+    axes.errorbar(values, places, xerr=halves, fmt="none", ecolor=QUIET, elinewidth=1.3,
+                  capsize=2.5)  # fmt: skip
+    there = noise > 0.0
+    axes.vlines(noise[there], places[there] - 0.35, places[there] + 0.35, color=RED, lw=2, zorder=4)
     axes.axvline(0.0, color=QUIET, lw=0.8)
     axes.set_yticks(places, [_shown(row) for row in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.grid(False, axis="y")
+    axes.set_xlabel(with_unit("mean size of the effect μ*", written(rows[0]["unit"])))
 
 
 def _shown(row: Row) -> str:

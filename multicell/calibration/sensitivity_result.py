@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
-from multicell.calibration.indices import COLUMNS, MAIN
+import numpy as np
+
 from multicell.errors import OutputError, SceneError
 from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
 from multicell.results.quantities import known_unit
@@ -28,28 +29,25 @@ Row = dict[str, Any]  # one row of a table: column -> value
 class Sensitivity:
     """How much each free parameter decides each observable.
 
-    - ``method``: ``"morris"`` or ``"sobol"``
     - ``ranges``: the free parameters
-    - ``size``: trajectories of Morris, base points of Sobol'
+    - ``size``: trajectories of Morris
     - ``seeds``: runs at each point, whose observables are averaged
     - ``table``: a row for each observable and parameter: ``observable``, ``unit``, ``parameter``,
-      ``key``, ``low``, ``high``, ``parameter_unit`` and of Morris ``mu``, ``mu_star``,
-      ``mu_star_conf``, ``sigma`` (in ``unit``, for the whole range), of Sobol' ``s1``, ``s1_conf``,
-      ``st``, ``st_conf`` (parts of the variance); ``..._conf`` are half widths of 95 % intervals.
-      ``noise`` is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what
-      can be said: see :class:`multicell.calibration.indices.Analysis`.
+      ``key``, ``low``, ``high``, ``parameter_unit``, ``mu``, ``mu_star``, ``mu_star_conf`` (the
+      half width of its 95 % interval) and ``sigma`` (in ``unit``, for the whole range). ``noise``
+      is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what can be
+      said: see :class:`multicell.calibration.indices.Analysis`.
     - ``notes``: what the reader must know: failed runs, an observable that does not vary
-    - ``runs``: one row for each run: its ``name``, parameters, ``seed``, observables and ``reason``
+    - ``failures``: name of a run that failed -> reason; the study in the folder has the others
     """
 
     scene: Scene
-    method: str
     ranges: tuple[Range, ...]
     size: int
     seeds: tuple[int, ...]
     table: list[Row]
     notes: list[str]
-    runs: list[Row] = field(default_factory=list)
+    failures: Mapping[str, str]
     folder: Path | None = None
 
     @property
@@ -87,7 +85,6 @@ class Sensitivity:
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
         return {
-            "method": self.method,
             "size": self.size,
             "seeds": self.seeds,
             "free": [asdict(free) for free in self.ranges],
@@ -107,14 +104,13 @@ class Sensitivity:
         for name in self.observables:
             unit = known_unit(name)
             lines.append(f"{name.replace('_', ' ')}{f' ({unit})' if unit else ''}")
-            lines += [f"  {line}" for line in _table_lines(self.method, self.ordered(name))]
+            lines += [f"  {line}" for line in _table_lines(self.ordered(name))]
         return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
 
     def ordered(self, observable: str) -> list[Row]:
         """Return the rows of an observable, the largest index first."""
-        first = MAIN[self.method]
         rows = [row for row in self.table if row["observable"] == observable]
-        return sorted(rows, key=lambda row: -row[first] if row[first] == row[first] else 0.0)
+        return sorted(rows, key=lambda row: -np.nan_to_num(row["mu_star"]))
 
     def report(self, folder: str | Path | None = None) -> Path:
         """Write tables, pictures and the page ``report.html``; return the page.
@@ -132,20 +128,16 @@ class Sensitivity:
         with file_errors("use the output folder", place):
             place.mkdir(parents=True, exist_ok=True)
         texts = {"sensitivity.csv": self.to_csv(), "sensitivity.json": self.to_json()}
-        texts |= {"runs.csv": table_text(self.runs)} if self.runs else {}
         for name, text in texts.items():
             write_text(place / name, text)
         return write_report(self, place)
 
 
-def _table_lines(method: str, rows: Sequence[Row]) -> list[str]:
+def _table_lines(rows: Sequence[Row]) -> list[str]:
     """Return lines of a table of one observable."""
-    heads, names = ("S1", "± 95 %", "ST", "± 95 %"), COLUMNS["sobol"]
-    if method == "morris":
-        heads, names = ("mu*", "± 95 %", "mu", "sigma"), ("mu_star", "mu_star_conf", "mu", "sigma")
-    cells = [["parameter", *heads, "noise", ""]]
+    cells = [["parameter", "mu*", "± 95 %", "mu", "sigma", "noise", ""]]
     for row in rows:
-        known = (row[name] for name in (*names, "noise"))
+        known = (row[name] for name in ("mu_star", "mu_star_conf", "mu", "sigma", "noise"))
         words = ("unknown" if x != x else f"{x:.3g}" for x in known)
         cells.append([row["parameter"], *words, row["verdict"]])
     wide = [max(map(len, column)) for column in zip(*cells, strict=True)]

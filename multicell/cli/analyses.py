@@ -32,17 +32,9 @@ def _observables(what: str, several: str) -> shared.Option:
 @shared.output_option("Folder of the analysis; its runs are kept there.")
 @studies.free_option
 @shared.valued(
-    "--method",
-    default="morris",
-    metavar="NAME",
-    help="morris: which parameters matter, in few runs; sobol: which part of the variance each one "
-    "makes.",
-)
-@click.option(
     "--size",
-    type=int,
-    help="Trajectories of Morris (10; each takes a run more than there are parameters) or base "
-    "points of Sobol' (64; each takes two more), a power of two.",
+    default=10,
+    help="Trajectories of Morris; each takes a run more than there are parameters.",
 )
 @shared.valued(
     "--seeds",
@@ -59,8 +51,7 @@ def sensitivity(
     scene: Scene,
     output: Path,
     free: Sequence[str],
-    method: str,
-    size: int | None,
+    size: int,
     seeds: int,
     observables: Sequence[str],
     **how: Any,
@@ -76,11 +67,9 @@ def sensitivity(
     from multicell.calibration.sensitivity import carry_out, plan_of
 
     with studies.planning():
-        plan = plan_of(
-            scene, pairs, observables=observables or None, method=method, size=size, seeds=seeds
-        )
+        plan = plan_of(scene, pairs, observables=observables or None, size=size, seeds=seeds)
     result = studies.carry_out_study(plan, output, carry_out, how)
-    studies.print_analysis(result, result.runs, how)
+    studies.print_analysis(result, bool(result.failures), how)
 
 
 @click.command(name="dose-response")
@@ -105,12 +94,6 @@ def sensitivity(
     "quiescent.",
 )
 @shared.valued("--seeds", default=5, help="Runs at each dose.")
-@shared.valued(
-    "--top",
-    default="control",
-    metavar="NAME",
-    help="control: the curve goes through the control; free: one parameter more.",
-)
 @shared.changes_option
 @shared.law_option
 @studies.analysis_options
@@ -121,7 +104,6 @@ def dose_response(
     data: str | None,
     observables: Sequence[str],
     seeds: int,
-    top: str,
     changes: Sequence[str],
     law: str | None,
     **how: Any,
@@ -143,7 +125,7 @@ def dose_response(
     from multicell.calibration.dose_response import LIVING, carry_out, of_table, plan_of
 
     if described is None:
-        result = replace(of_table(data, top), folder=output)
+        result = replace(of_table(data), folder=output)
     else:
         keys, doses = list(pairs), tuple(pairs.values())
         with studies.planning():
@@ -154,9 +136,8 @@ def dose_response(
                 combine=keys if len(keys) == 2 else None,
                 observable="+".join(observables) or LIVING,
                 seeds=seeds,
-                top=top,
             )
         result = studies.carry_out_study(plan, output, carry_out, how)
     if how["no_report"]:
         result.write_tables()
-    studies.print_analysis(result, result.table, how)
+    studies.print_analysis(result, any(row["reason"] for row in result.table), how)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
@@ -269,7 +269,7 @@ def _carry_out(study: Study, carry_out: Callable[..., Any], how: Mapping[str, An
         raise
 
 
-def print_analysis(result: Any, runs: Iterable[Mapping[str, Any]], how: Mapping[str, Any]) -> None:
+def print_analysis(result: Any, failed: bool, how: Mapping[str, Any]) -> None:
     """Report an analysis, and end with 1 if one of its runs has failed."""
     page = None if how["no_report"] else result.report()
     if how["as_json"]:
@@ -277,7 +277,7 @@ def print_analysis(result: Any, runs: Iterable[Mapping[str, Any]], how: Mapping[
     elif not how["quiet"]:
         say(result.text())
         _print_page(page)
-    if any(row["reason"] for row in runs):
+    if failed:
         raise click.exceptions.Exit(1)
 
 

@@ -17,7 +17,7 @@ from multicell.cli.main import main
 from multicell.errors import DataError, FitFailed, SceneError
 
 DOSES = np.concatenate([[0.0], np.geomspace(0.03, 30.0, 8)])
-KNOWN = np.array([0.1, 1.0, 0.0, 1.5])  # bottom, top, log EC50, h
+KNOWN = np.array([0.1, 0.0, 1.5])  # bottom, log EC50, h
 DRUG = "nutrients.drug.boundary"
 FIELD = {"boundary": 0, "diffusion": "500 um^2/s", "uptake": 0, "growth_inhibition": "1 uM"}
 COLONY = mc.Scene.from_dict(
@@ -27,17 +27,17 @@ COLONY = mc.Scene.from_dict(
 )  # fmt: skip
 
 
-def curve(values, doses=DOSES, *, shared=True, seed=0, resamples=100, free=False):
+def curve(values, doses=DOSES, *, shared=True, seed=0, resamples=100):
     counts = np.isfinite(values).sum(axis=1).astype(float)
     draws = draw_means(values, shared, resamples, seed)
     return fit_curve(doses, values.mean(axis=1), counts, draws, name="drug", unit="uM",
-                     free_top=free, signed=False, resamples=resamples, seed=seed)  # fmt: skip
+                     resamples=resamples, seed=seed)  # fmt: skip
 
 
-@pytest.mark.parametrize(("slope", "free"), [(0.7, True), (1.5, False), (6.0, True)])
-def test_a_curve_without_noise_is_found(slope, free):
-    known = np.array([0.2, 1.0, math.log(0.8), slope])
-    found = curve(250.0 * hill(DOSES, known)[:, None].repeat(2, axis=1), free=free)
+@pytest.mark.parametrize("slope", [0.7, 1.5, 6.0])
+def test_a_curve_without_noise_is_found(slope):
+    known = np.array([0.2, math.log(0.8), slope])
+    found = curve(250.0 * hill(DOSES, known)[:, None].repeat(2, axis=1))
     assert found.ec50.value == pytest.approx(0.8, rel=1e-5)
     assert found.slope.value == pytest.approx(slope, rel=1e-5)
     assert found.bottom.value == pytest.approx(0.2, abs=1e-5)
@@ -50,15 +50,14 @@ def test_the_fit_is_that_of_scipys_curve_fit():
     rng = np.random.default_rng(5)
     counts = rng.integers(1, 6, len(DOSES)).astype(float)
     means = 100.0 * hill(DOSES, KNOWN) * (1.0 + 0.05 * rng.standard_normal(len(DOSES)))
-    found = fit_curve(DOSES, means, counts, None, name="", unit="", free_top=True, signed=True,
-                      resamples=100, seed=0)  # fmt: skip
+    found = fit_curve(DOSES, means, counts, None, name="", unit="", resamples=100, seed=0)
 
-    def model(d, bottom, top, ec50, h):
-        return bottom + (top - bottom) / (1.0 + (d / ec50) ** h)
+    def model(d, bottom, ec50, h):
+        return bottom + (1.0 - bottom) / (1.0 + (d / ec50) ** h)
 
-    wanted, _ = curve_fit(model, DOSES, means / means[0], [0.1, 1.0, 1.0, 1.0],
+    wanted, _ = curve_fit(model, DOSES, means / means[0], [0.1, 1.0, 1.0],
                           sigma=1.0 / np.sqrt(counts))  # fmt: skip
-    got = [found.bottom.value, found.top.value, found.ec50.value, found.slope.value]
+    got = [found.bottom.value, found.ec50.value, found.slope.value]
     assert got == pytest.approx(wanted, rel=1e-5)
 
 
@@ -92,31 +91,31 @@ def test_what_seeds_share_is_no_noise():
 def test_a_bottom_at_zero_leaves_intervals_their_width():
     """Each resampled fit is as good as SciPy's with bounds, where the best bottom is zero."""
     doses = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0])
-    values = hill(doses, np.array([-0.04, 1.0, 0.0, 2.0]))[:, None]
+    values = hill(doses, np.array([-0.04, 0.0, 2.0]))[:, None]
     values = values * np.random.default_rng(2).normal(1.0, 0.05, (6, 3))
     found = curve(values, doses, resamples=40)
     assert found.bottom.value == pytest.approx(0.0, abs=1e-6)
 
     def model(d, bottom, place, slope):
-        return hill(d, np.array([bottom, 1.0, place, slope]))
+        return hill(d, np.array([bottom, place, slope]))
 
     draws = draw_means(values, True, 40, 0)
     for drawn, got in zip(draws / draws[:, :1], found.draws, strict=True):
         best, _ = curve_fit(model, doses, drawn, [0.05, 0.0, 2.0],
                             bounds=([0.0, -9.0, 0.1], [2.0, 9.0, 20.0]))  # fmt: skip
-        costs = [((model(doses, *p) - drawn) ** 2).sum() for p in (got[[0, 2, 3]], best)]
+        costs = [((model(doses, *p) - drawn) ** 2).sum() for p in (got, best)]
         assert costs[0] < costs[1] + 1e-5
     assert found.ic50.high / found.ic50.low > 1.02
 
 
 def test_half_beyond_the_doses_is_not_told():
-    weak = curve(hill(DOSES, np.array([0.0, 1.0, math.log(200.0), 2.0]))[:, None].repeat(3, 1))
+    weak = curve(hill(DOSES, np.array([0.0, math.log(200.0), 2.0]))[:, None].repeat(3, 1))
     assert math.isnan(weak.ic50.value)
     assert weak.ic50.high == math.inf
     assert weak.ic50.words.startswith("not reached: above 30 uM")
-    strong = curve(hill(DOSES, np.array([0.0, 1.0, math.log(1e-3), 2.0]))[:, None].repeat(3, 1))
+    strong = curve(hill(DOSES, np.array([0.0, math.log(1e-3), 2.0]))[:, None].repeat(3, 1))
     assert strong.ic50.words.startswith("not reached: below 0.03 uM")
-    partial = curve(hill(DOSES, np.array([0.6, 1.0, 0.0, 2.0]))[:, None].repeat(3, 1))
+    partial = curve(hill(DOSES, np.array([0.6, 0.0, 2.0]))[:, None].repeat(3, 1))
     assert math.isnan(partial.ic50.value)
     assert partial.ec50.value == pytest.approx(1.0, rel=1e-4)
 
@@ -139,7 +138,7 @@ def grid(combined, noise=0.0, replicates=3, seed=8):
     return {"dose A / uM": a, "dose B / nM": b, "response": values, "replicate": which}
 
 
-ONE, OTHER = np.array([0.0, 1.0, 0.0, 1.2]), np.array([0.15, 1.0, math.log(0.5), 2.0])
+ONE, OTHER = np.array([0.0, 0.0, 1.2]), np.array([0.15, math.log(0.5), 2.0])
 
 
 def test_independent_drugs_have_no_bliss_excess():

@@ -66,9 +66,9 @@ def sensitivity():
     keys = ("cells.division_radius", "cells.young", "drag.viscosity", "cells.poisson")
     ranges = parse_ranges(dict(zip(keys, ("5:8 um", "0.5:2 kPa", "0.1:10 kPa s", "0.2:0.4"),
                                    strict=True)), SCENE)  # fmt: skip
-    shares = sample("morris", [free.name for free in ranges], 8)
+    shares = sample([free.name for free in ranges], 8)
     values = shares @ [1.0, 3.0, 0.2, 0.0]
-    return indices_of(SCENE, "morris", ranges, range(2), {"diameter": np.stack(2 * [values], 1)})
+    return indices_of(SCENE, ranges, range(2), {"diameter": np.stack(2 * [values], 1)})
 
 
 @cache
@@ -115,10 +115,9 @@ PICTURES = {
     "indices": [lambda: sensitivity().plot("diameter")],
     "data": [lambda: fit().data()],
     "parameters": [lambda: fit().parameters()],
-    "fit_plots.profiles": [lambda: fit().profiles()],
     "draw": [lambda: mc.dose_response(data=two_drugs()).plot()],
 }  # fmt: skip
-"""Ways to draw by the name of the function that draws; its module where names are alike."""
+"""Ways to draw by the name of the function that draws."""
 
 
 def drawing_functions():
@@ -130,8 +129,7 @@ def drawing_functions():
             if isinstance(node, ast.FunctionDef) and any(
                 ast.unparse(mark).rpartition(".")[2] == "styled" for mark in node.decorator_list
             ):
-                alike = node.name == "profiles" and path.stem != "profiles"
-                found.append(f"{path.stem}.{node.name}" if alike else node.name)
+                found.append(node.name)
     return found
 
 
