@@ -248,14 +248,6 @@ class Fit:
         needs("pandas")
         return predictive_check(self)
 
-    @property
-    def unknown_scatter(self) -> dict[str, list[float]]:
-        """Unknown scatter by observable, as parts of the values: 95 % interval round the median."""
-        if self.fresh.likelihood is None or not self.problem.noise.names:
-            return {}
-        ends = np.quantile(self.fresh.likelihood.omega, (0.025, 0.5, 0.975), axis=0)
-        return dict(zip(self.problem.noise.names, ends.T.tolist(), strict=True))
-
     def residuals(self) -> pd.DataFrame:
         """Return the data one by one: where, when, measured, in the runs, and how far apart."""
         import pandas
@@ -332,16 +324,7 @@ class Fit:
         notes = []
         data = self.problem.measured.data
         assumed = sum(datum.assumed for datum in data)
-        if self.unknown_scatter:
-            words = ", ".join(
-                f"'{name}' {100.0 * at:.2g} % ({100.0 * low:.2g} to {100.0 * high:.2g})"
-                for name, (low, at, high) in self.unknown_scatter.items()
-            )
-            notes.append(
-                "What data scatter beyond runs and stated errors was estimated with the "
-                f"parameters (95 % intervals, parts of the values): {words}."
-            )
-        elif assumed:
+        if assumed:
             said = f"{assumed} of {len(data)} data" if assumed < len(data) else "The data"
             notes.append(
                 f"{said} come without a standard deviation: {100.0 * self.facts['sd']:g} % of the "
@@ -421,7 +404,6 @@ class Fit:
             ],
             "predictive_check": checked,
             "residuals": self.rows(),
-            "unknown_scatter": self.unknown_scatter,
             "notes": self.notes,
             **self.facts,
         }

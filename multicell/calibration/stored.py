@@ -20,7 +20,7 @@ from multicell.results.folder import to_json
 from multicell.tables.columns import read_table
 
 FACTS: Final = (
-    "sd", "specimens", "scatter", "seeds", "repeats", "sets_of_parameters", "fresh_runs", "seconds",
+    "sd", "specimens", "seeds", "repeats", "sets_of_parameters", "fresh_runs", "seconds",
 )  # fmt: skip
 
 
@@ -73,7 +73,7 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
         densities = [Density.of(*known_of[r.key]) if r.key in known_of else None for r in ranges]
         prior = prior_of(ranges, densities)
         simulator, seeds = SceneSimulator.of(measured, ranges), tuple(problem["seeds"])
-        stated = Problem(measured, ranges, simulator, seeds, problem["scatter"], prior)
+        stated = Problem(measured, ranges, simulator, seeds, prior)
         plan = FitPlan(
             stated, scene, table, int(result.get("sets_of_parameters", 0)),
             float(problem["sd"]), int(result.get("repeats", 0)), problem["specimens"],

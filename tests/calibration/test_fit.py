@@ -234,7 +234,6 @@ REFUSED = [
     ({"budget": 23}, "budget: is 23 runs: what 18 fresh runs leave tries 2 sets of parameters, 2"),
     ({"repeats": 3}, "repeats: is 3, must be a whole number from 4 to 1,000"),
     ({"specimens": "other"}, "specimens"),
-    ({"scatter": "none"}, "scatter"),
     ({"data": {**DATA, "growth.cycle_time / h": [10, 12]}}, "is a condition of the data"),
 ]
 
