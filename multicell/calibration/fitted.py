@@ -270,7 +270,6 @@ class Fit:
                 "observable": datum.observable,
                 "unit": data.units[datum.observable],
                 "time": np.nan if datum.time is None else datum.time,
-                "at": "" if datum.at is None else f"{datum.at[0]} = {datum.at[1]:g}",
                 "depth": np.nan if datum.depth is None else datum.depth,
                 "measured": datum.value,
                 "sd": datum.deviation,
@@ -443,8 +442,6 @@ def _title(datum: Datum) -> str:
     """Return the title of the readings of a datum."""
     deep = "" if datum.depth is None else f" {datum.depth:g} um deep"
     name = f"{datum.observable}{deep}"
-    if datum.at is not None:
-        return f"{name} at {datum.at[0]} = {datum.at[1]:g}"
     if datum.time is None:
         return f"{name} at the end"
     return f"{name} at {time_unit(datum.time).text(datum.time)}"

@@ -132,7 +132,7 @@ def group(data: Sequence[Datum], table: str) -> list[Datum]:
     """Return data in which replicates and specimens are one: the mean, with its error."""
     groups: dict[tuple[Any, ...], list[Datum]] = {}
     for datum in data:
-        when = datum.condition, datum.time, datum.at, datum.depth
+        when = datum.condition, datum.time, datum.depth
         key = datum.observable, *when, datum.log, math.isinf(datum.tissues)
         groups.setdefault(key, []).append(datum)
     found = [_merge(rows, table) if len(rows) > 1 else rows[0] for rows in groups.values()]

@@ -269,30 +269,6 @@ def test_a_profile_is_the_mean_of_the_field_over_a_sphere(geometry):
     assert inside[0] == pytest.approx(field_at(field, middle, radius - 10.0), rel=0.05)
 
 
-def test_a_profile_at_a_size_is_that_when_the_size_is_reached():
-    scene = small("radial").with_changes(
-        {"initial.count": 30, "duration": "3 h", "coupling_step": "1 h"}
-    )
-    simulation = mc.Simulation(scene, threads=1)
-    sizes, values = [], []
-    while True:
-        radius = 0.5 * simulation.history_row()["diameter"]
-        field = simulation.fields["oxygen"]
-        values.append(
-            np.interp(radius - 5.0, field.axis(0) - field.origin[0], field.values.ravel())
-        )
-        sizes.append(2.0 * radius)
-        if simulation.finished:
-            break
-        simulation.step()
-    wanted = [sizes[0], 0.3 * sizes[0] + 0.7 * sizes[1], 2.0 * sizes[0]]
-    table = {"at diameter / um": wanted, "depth / um": [5.0] * 3, "oxygen / mM": [0.1] * 3}
-    found = SceneSimulator.of(read_data(table, scene), ())([], 0, scene.seed)
-    assert found.reason == ""
-    assert found.values[:2] == pytest.approx([values[0], 0.3 * values[0] + 0.7 * values[1]])
-    assert math.isnan(found.values[2])
-
-
 def test_pressures_of_oxygen_become_concentrations_as_in_scenes(tmp_path):
     text = "day, depth / um, oxygen / mmHg, oxygen sd / mmHg\n5, -7, 38, 2\n"
     (datum,) = read(text, tmp_path).data
