@@ -23,7 +23,7 @@ from multicell.tables.titles import split_title
 from multicell.units import to_base
 
 _ERRORS: Final = ("sd", "sem")
-NUMBERS: Final = ("time", "start", "at", "depth", "value", *_ERRORS, "n")
+NUMBERS: Final = ("time", "start", "depth", "value", *_ERRORS, "n")
 """Kinds of columns that hold numbers."""
 MAX_BYTES: Final = 10_000_000  # of a file of measured data
 _NO_CONDITIONS: Final = ("title", "seed")
@@ -36,8 +36,8 @@ _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 class Column:
     """One column.
 
-    - ``kind``: ``"time"``, ``"start"``, ``"at"``, ``"depth"``, ``"specimen"``, ``"value"``,
-      ``"sd"``, ``"sem"``, ``"n"``, ``"condition"`` or ``"label"``
+    - ``kind``: ``"time"``, ``"start"``, ``"depth"``, ``"specimen"``, ``"value"``, ``"sd"``,
+      ``"sem"``, ``"n"``, ``"condition"`` or ``"label"``
     - ``name``: of the observable or the field, or key of the scene
     - ``unit``: as the title states it
     - ``base``: base unit of the numbers
@@ -144,9 +144,6 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> C
         return Column("time", "time", _TIMES[title.lower()], "s", title)
     if name in ("label", "specimen"):
         return _with_unit(name, name, unit, "", title, place)
-    if name.startswith("at "):
-        name = name.removeprefix("at ").strip()
-        return _with_unit("at", name, unit, _unit_in(name, in_history(scene), place), title, place)
     if name in (*_ERRORS, "n"):  # of the values to its left, in their unit
         last = before[-1] if before else None
         if last is None or last.kind not in ("value", *_ERRORS, "n"):
@@ -195,21 +192,8 @@ def _is_key(name: str, scene: Scene) -> bool:
 
 
 def _unit_of(name: str, scene: Scene, place: str) -> str:
-    """Return the base unit of an observable.
-
-    One that the scene has under other conditions only is taken here, and checked with its rows.
-    """
+    """Return the base unit of an observable."""
     known = fields_of(scene) | in_history(scene) | at_the_end(scene)
-    if name in known:
-        return known[name]
-    if is_known_elsewhere(name) and name.startswith(("hypoxic_radius_", "medium_", "ledger.")):
-        from multicell.results.quantities import unit_of
-
-        return unit_of(name)
-    return _unit_in(name, known, place)
-
-
-def _unit_in(name: str, known: dict[str, str], place: str) -> str:
     if name in known:
         return known[name]
     more = "of this scene" if is_known_elsewhere(name) else "and no key of the scene"

@@ -11,7 +11,6 @@ by its title, ``NAME / UNIT`` (or ``NAME [UNIT]``)::
 ``time / h``           when it was measured; empty: at the end of the run. ``day`` is ``time / d``,
                        ``hours`` is ``time / h``
 ``start / h``          age of the culture, on the clock of ``time``, at which the run begins
-``at diameter / um``   instead of a time: when this observable first has this value
 an observable          any number of a run's history; of its summary for rows without a time.
                        An empty field was not measured
 a field                concentration at a depth, mean over the shell there; oxygen also ``/ mmHg``
@@ -78,8 +77,7 @@ class Datum:
     - ``log``: whether logarithms are compared. They are for numbers of cells whose deviation is
       relative (or assumed): populations grow over decades.
     - ``assumed``: whether the data do not state a standard deviation
-    - ``time``: simulated time in s; None: at the end, or ``at``
-    - ``at``: observable and its value (base unit) that state when; or None
+    - ``time``: simulated time in s; None: at the end
     - ``condition``: number of the condition
     - ``place``: row in the source, in words
     - ``tissues``: how many tissues the value is the mean of; infinite where ``sigma`` holds their
@@ -95,7 +93,6 @@ class Datum:
     log: bool
     assumed: bool
     time: float | None
-    at: tuple[str, float] | None
     condition: int
     place: str
     tissues: float = 1.0
@@ -222,7 +219,7 @@ class _Rows:
     def read(self, row: int) -> None:
         """Read one row."""
         condition, numbers = self._condition(row), self._numbers(row)
-        time, at = self._when(row, numbers)
+        time = self._time(row, numbers)
         scene = self._scenes[condition]
         fields, timed = fields_of(scene), in_history(scene)
         known = fields | timed | at_the_end(scene)
@@ -242,10 +239,10 @@ class _Rows:
                 problem = "has a depth, and is no field" if depth is not None else "has no depth"
                 hint = "A field has a value at a 'depth / um', other observables have none."
                 raise DataError(where, problem, hint)
-            if column.name not in fields | timed and (time is not None or at is not None):
+            if column.name not in fields | timed and time is not None:
                 problem = f"'{column.name}' is known at the end of a run only"
                 raise DataError(where, problem, "Leave the time of this row empty.")
-            datum = self._datum(row, column, numbers, where, condition, time, at)
+            datum = self._datum(row, column, numbers, where, condition, time)
             alone = ((f"{condition} {name}", 0.0),) if self._has_specimens else ()
             self._data.append(replace(datum, depth=depth, specimens=alone))
             found += 1
@@ -277,7 +274,7 @@ class _Rows:
 
     def _datum(
         self, row: int, column: Column, numbers: Mapping[tuple[str, str], float], where: str,
-        condition: int, time: float | None, at: tuple[str, float] | None,
+        condition: int, time: float | None,
     ) -> Datum:  # fmt: skip
         """Return a datum with what it is compared in."""
         value, given, mean, count = (
@@ -312,28 +309,20 @@ class _Rows:
         else:
             sigma = relative if log else relative * abs(value)
         return Datum(
-            column.name, value, sigma / math.sqrt(count or 1.0), log, given is None, time, at,
+            column.name, value, sigma / math.sqrt(count or 1.0), log, given is None, time,
             condition, self._table.places[row], tissues,
         )  # fmt: skip
 
-    def _when(
-        self, row: int, numbers: Mapping[tuple[str, str], float]
-    ) -> tuple[float | None, tuple[str, float] | None]:
-        """Return the simulated time of a row, or the observable and its value that state it."""
-        moments = [c for c in self._columns if c.kind in ("time", "at") and _key(c) in numbers]
-        if not moments:
-            return None, None
-        if len(moments) > 1:
-            problem = f"has both '{moments[0].title}' and '{moments[1].title}'"
-            raise DataError(self._where(row), problem, "One of them states when.")
-        value = numbers[_key(moments[0])]
-        if moments[0].kind == "at":
-            return None, (moments[0].name, value)
+    def _time(self, row: int, numbers: Mapping[tuple[str, str], float]) -> float | None:
+        """Return the simulated time of a row; None: at the end."""
+        time = numbers.get(("time", "time"))
+        if time is None:
+            return None
         start = numbers.get(("start", "start"), 0.0)
-        if value < start:
-            problem = f"was measured at {value:g} s, before the run begins at {start:g} s"
+        if time < start:
+            problem = f"was measured at {time:g} s, before the run begins at {start:g} s"
             raise DataError(self._where(row), problem)
-        return value - start, None
+        return time - start
 
     def _condition(self, row: int) -> int:
         """Return the number of a row's condition, which may be a new one."""

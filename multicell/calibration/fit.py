@@ -12,13 +12,11 @@ from multicell.calibration.data import ASSUMED, read_data
 from multicell.calibration.fit_plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitted import Fit
 from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
-from multicell.calibration.noise import SCATTERS
 from multicell.calibration.pool import open_pool
 from multicell.calibration.problem import Problem, free_of
 from multicell.calibration.simulator import SceneSimulator
 from multicell.errors import SceneError
 from multicell.host.extras import needs
-from multicell.schema import chosen
 from multicell.studies.limits import MAX_RUNS, check_runs, check_seeds, whole
 from multicell.tables.columns import read_table
 
@@ -40,7 +38,6 @@ def fit(
     budget: int | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
-    scatter: str = "stated",
     cores: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -76,9 +73,6 @@ def fit(
     specimens
         ``"single"``: each row is another specimen, measured once, also without a column that
         says so.
-    scatter
-        ``"unknown"``: what data scatter beyond runs and their stated errors is estimated with the
-        parameters, relative to the values of each observable.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -105,7 +99,7 @@ def fit(
     """
     plan = plan_of(
         scene, data, free, seeds=seeds, repeats=repeats, budget=budget, sd=sd,
-        specimens=specimens, scatter=scatter, simulator=simulator,
+        specimens=specimens, simulator=simulator,
     )  # fmt: skip
     return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -123,7 +117,6 @@ def plan_of(
     budget: int | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
-    scatter: str = "stated",
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
@@ -131,7 +124,6 @@ def plan_of(
 
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
-    chosen(scatter, SCATTERS, "scatter")
     seeds = check_seeds(seeds, scene.seed)
     whole(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
@@ -142,7 +134,7 @@ def plan_of(
     check_runs(len(measured.conditions), seeds)
     simulator = simulator or SceneSimulator.of(measured, ranges)
     numbers = tuple(range(scene.seed, scene.seed + seeds))
-    problem = Problem(measured, ranges, simulator, numbers, scatter, prior)
+    problem = Problem(measured, ranges, simulator, numbers, prior)
     points = _points(problem, budget, repeats + CHECKS)
     return FitPlan(problem, scene, table, points, sd, repeats, specimens)
 

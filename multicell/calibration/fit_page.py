@@ -106,7 +106,7 @@ def _rows(fit: Fit) -> list[dict[str, Any]]:
     rows = fit.rows()
     for row in rows:
         row["unit"] = written(row["unit"])
-        row["when"] = row["at"] or "at the end"
+        row["when"] = "at the end"
         if row["time"] == row["time"]:
             row["when"] = time_unit(row["time"]).text(row["time"])
         row["tissues"] = "their mean" if math.isinf(row["tissues"]) else f"{row['tissues']:g}"

@@ -86,7 +86,6 @@ class FitPlan:
             "sd": self.sd,
             "times": [datum.time for datum in problem.measured.data],
             "specimens": self.specimens,
-            "scatter": problem.scatter,
         }
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
@@ -151,7 +150,6 @@ def make_runs(
     own = {
         "sd": plan.sd,
         "specimens": plan.specimens,
-        "scatter": plan.problem.scatter,
         "seeds": list(plan.problem.seeds),
         "repeats": plan.repeats,
         "sets_of_parameters": len(evaluations),

@@ -14,7 +14,6 @@ from multicell.calibration.priors import values_at
 from multicell.calibration.verdict import quantiles
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, counts, styled
 from multicell.report.wording import TimeUnit, time_unit, written
-from multicell.results.quantities import unit_of
 from multicell.studies.picture_data import with_unit, words
 from multicell.studies.pictures import panels, with_heading
 
@@ -41,55 +40,79 @@ class FitPlots:
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
 
+    @styled
     def data(self) -> Figure:
-        """Draw the data with their deviations, the best runs and the posterior's band."""
-        return data(self._fit)
+        """Draw each observable in a panel of its own: against time, or datum by datum."""
+        fit = self._fit
+        shown = _panels(fit)
+        single = [numbers for _, timed, numbers in shown if not timed]
+        columns = 1 if any(len(numbers) > 4 for numbers in single) else min(len(shown), 2)
+        height = 4.6 if any(len(numbers) > _UPRIGHT for numbers in single) else 3.9
+        tissues = "" if fit.sample is None else ", band: 95 % of what tissues would show"
+        misfit = f"χ² {fit.best.per_datum:.2g} a datum"
+        subtitle = f"bars: standard deviations, lines: best runs{tissues}; {misfit}"
+        height = 1.15 + height * -(-len(shown) // columns)
+        figure, grid = panels(_title(fit), subtitle, len(shown), columns, height)
+        band = fit.predicted(_BAND)
+        for axes, (name, over, numbers) in zip(grid, shown, strict=True):
+            unit = fit.problem.measured.units[name]
+            axes.set_title(with_unit(words(name), written(unit)))
+            if over:
+                _over_axis(axes, fit, numbers, band)
+            else:
+                _one_by_one(axes, fit, numbers, band)
+            if fit.problem.measured.data[numbers[0]].log:
+                axes.set_yscale("log")
+                low, high = axes.get_ylim()
+                few = high < 10.0 * low  # of 1, 2 and 5 perhaps a single one lies within
+                axes.yaxis.set_major_locator(
+                    LogLocator(subs=range(1, 10) if few else (1.0, 2.0, 5.0))
+                )
+                axes.yaxis.set_minor_formatter(NullFormatter())
+                counts(axes.yaxis)
+            else:
+                axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        return figure
 
     __call__ = data
 
+    @styled
     def parameters(self) -> Figure:
-        """Draw the posterior: each parameter, and each pair of them."""
-        return parameters(self._fit)
+        """Draw the posterior: each parameter on the diagonal, pairs below it.
 
-
-@styled
-def data(fit: Fit) -> Figure:
-    """Draw each observable in a panel of its own: against time, or datum by datum."""
-    shown = _panels(fit)
-    single = [numbers for _, timed, numbers in shown if not timed]
-    columns = 1 if any(len(numbers) > 4 for numbers in single) else min(len(shown), 2)
-    height = 4.6 if any(len(numbers) > _UPRIGHT for numbers in single) else 3.9
-    tissues = "" if fit.sample is None else ", band: 95 % of what tissues would show"
-    subtitle = (
-        f"bars: standard deviations, lines: best runs{tissues}; χ² {fit.best.per_datum:.2g} a datum"
-    )
-    height = 1.15 + height * -(-len(shown) // columns)
-    figure, grid = panels(_title(fit), subtitle, len(shown), columns, height)
-    band = fit.predicted(_BAND)
-    for axes, (name, over, numbers) in zip(grid, shown, strict=True):
-        unit = fit.problem.measured.units[name]
-        axes.set_title(with_unit(words(name), written(unit)))
-        if over:
-            _over_axis(axes, fit, numbers, band)
-        else:
-            _one_by_one(axes, fit, numbers, band)
-        if fit.problem.measured.data[numbers[0]].log:
-            axes.set_yscale("log")
-            low, high = axes.get_ylim()
-            few = high < 10.0 * low  # of 1, 2 and 5 perhaps a single one lies within
-            axes.yaxis.set_major_locator(LogLocator(subs=range(1, 10) if few else (1.0, 2.0, 5.0)))
-            axes.yaxis.set_minor_formatter(NullFormatter())
-            counts(axes.yaxis)
-        else:
-            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    return figure
+        Axes are the ranges that were searched; of a parameter whose posterior fills a small part of
+        its range they are that part, and how much it is stands in its panel.
+        """
+        fit = self._fit
+        ranges = fit.problem.ranges[:_MAX_PAIRED]
+        count = len(ranges)
+        size = max(6.25, 2.3 * count + 1.5)
+        known = "too few points for a posterior"
+        if fit.sample is not None:
+            known = "posterior by Gaussian processes through the runs"
+        subtitle = f"{known}; red: best, dashed: before the data, dotted: 95 %"
+        figure = with_heading(_title(fit), subtitle, (max(size, 10.0), size))
+        grid = figure.subplots(count, count, squeeze=False)
+        sample = fit.sample
+        windows = [_window(fit, k) for k in range(count)]
+        for i in range(count):
+            for j, axes in enumerate(grid[i]):
+                if j > i:
+                    axes.set_axis_off()
+                    continue
+                if i == j:
+                    _marginal(axes, fit, ranges[i], i, sample, windows[i])
+                else:
+                    _pair(axes, fit, (ranges[j], ranges[i]), (j, i), sample)
+                _edges(axes, (ranges[j], ranges[i]), (windows[j], windows[i]), (i, j), count)
+        return figure
 
 
 def _panels(fit: Fit) -> list[tuple[str, bool, list[int]]]:
     """Return observable, whether it is over time, and the numbers of the data, by panel."""
     found: dict[tuple[Any, ...], list[int]] = {}
     for number, datum in enumerate(fit.problem.measured.data):
-        when = datum.time is not None if datum.depth is None else (datum.time, datum.at)
+        when = datum.time is not None if datum.depth is None else datum.time
         found.setdefault((datum.observable, when), []).append(number)
     panels = []
     for (name, _), numbers in found.items():
@@ -180,41 +203,7 @@ def _place(fit: Fit, datum: Datum) -> str:
 
 def _when(datum: Datum) -> str:
     """Return when a datum was measured, in words."""
-    if datum.at is not None:
-        unit = written(unit_of(datum.at[0]))
-        return f"at a {datum.at[0].replace('_', ' ')} of {datum.at[1]:g} {unit}".strip()
     return "at the end" if datum.time is None else f"after {time_unit(datum.time).text(datum.time)}"
-
-
-@styled
-def parameters(fit: Fit) -> Figure:
-    """Draw the posterior: each parameter on the diagonal, pairs below it.
-
-    Axes are the ranges that were searched; of a parameter whose posterior fills a small part of
-    its range they are that part, and how much it is stands in its panel.
-    """
-    ranges = fit.problem.ranges[:_MAX_PAIRED]
-    count = len(ranges)
-    size = max(6.25, 2.3 * count + 1.5)
-    known = "too few points for a posterior"
-    if fit.sample is not None:
-        known = "posterior by Gaussian processes through the runs"
-    subtitle = f"{known}; red: best, dashed: before the data, dotted: 95 %"
-    figure = with_heading(_title(fit), subtitle, (max(size, 10.0), size))
-    grid = figure.subplots(count, count, squeeze=False)
-    sample = fit.sample
-    windows = [_window(fit, k) for k in range(count)]
-    for i in range(count):
-        for j, axes in enumerate(grid[i]):
-            if j > i:
-                axes.set_axis_off()
-                continue
-            if i == j:
-                _marginal(axes, fit, ranges[i], i, sample, windows[i])
-            else:
-                _pair(axes, fit, (ranges[j], ranges[i]), (j, i), sample)
-            _edges(axes, (ranges[j], ranges[i]), (windows[j], windows[i]), (i, j), count)
-    return figure
 
 
 def _unit(free: Range) -> tuple[str, float]:

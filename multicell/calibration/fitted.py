@@ -200,14 +200,6 @@ class Fit:
         needs("pandas")
         return predictive_check(self)
 
-    @property
-    def unknown_scatter(self) -> dict[str, list[float]]:
-        """Unknown scatter by observable, as parts of the values: 95 % interval round the median."""
-        if self.fresh.likelihood is None or not self.problem.noise.names:
-            return {}
-        ends = np.quantile(self.fresh.likelihood.omega, (0.025, 0.5, 0.975), axis=0)
-        return dict(zip(self.problem.noise.names, ends.T.tolist(), strict=True))
-
     def residuals(self) -> pd.DataFrame:
         """Return the data one by one: where, when, measured, in the runs, and how far apart."""
         import pandas
@@ -230,7 +222,6 @@ class Fit:
                 "observable": datum.observable,
                 "unit": data.units[datum.observable],
                 "time": np.nan if datum.time is None else datum.time,
-                "at": "" if datum.at is None else f"{datum.at[0]} = {datum.at[1]:g}",
                 "depth": np.nan if datum.depth is None else datum.depth,
                 "measured": datum.value,
                 "sd": datum.deviation,
@@ -284,16 +275,7 @@ class Fit:
         notes = []
         data = self.problem.measured.data
         assumed = sum(datum.assumed for datum in data)
-        if self.unknown_scatter:
-            words = ", ".join(
-                f"'{name}' {100.0 * at:.2g} % ({100.0 * low:.2g} to {100.0 * high:.2g})"
-                for name, (low, at, high) in self.unknown_scatter.items()
-            )
-            notes.append(
-                "What data scatter beyond runs and stated errors was estimated with the "
-                f"parameters (95 % intervals, parts of the values): {words}."
-            )
-        elif assumed:
+        if assumed:
             said = f"{assumed} of {len(data)} data" if assumed < len(data) else "The data"
             notes.append(
                 f"{said} come without a standard deviation: {100.0 * self.facts['sd']:g} % of the "
@@ -371,7 +353,6 @@ class Fit:
             ],
             "predictive_check": checked,
             "residuals": self.rows(),
-            "unknown_scatter": self.unknown_scatter,
             "notes": self.notes,
             **self.facts,
         }
@@ -411,8 +392,6 @@ def _title(datum: Datum) -> str:
     """Return the title of the readings of a datum."""
     deep = "" if datum.depth is None else f" {datum.depth:g} um deep"
     name = f"{datum.observable}{deep}"
-    if datum.at is not None:
-        return f"{name} at {datum.at[0]} = {datum.at[1]:g}"
     if datum.time is None:
         return f"{name} at the end"
     return f"{name} at {time_unit(datum.time).text(datum.time)}"

@@ -5,7 +5,7 @@ happen to do, and readings of one run scatter together: a tissue that is large a
 at the next. So R runs with fresh seeds are made at the best point. With their mean m and their
 covariance S, all in σ of the data,
 
-    C = errors + S shared + S/R + E + ω² h²
+    C = errors + S shared + S/R + E
 
 is the covariance of data minus mean (:mod:`multicell.calibration.noise`), of which the emulator's
 error E depends on the parameters. The emulator is shifted so that it has the mean m at the best
@@ -23,15 +23,6 @@ for k directions; ν is R - 1, or more where errors of measurement, which are kn
 most of V (Satterthwaite). The other directions, in which all parameters are alike except for
 curvature, count as normal.
 
-Unknown scatter ω of G observables has the posterior of the data less the mean at the best point,
-where what the parameters can move is integrated out (restricted likelihood: the parameters count as
-normal about that point with the variance 1/12 of their ranges). A priori the logarithm of b + ω² is
-uniform, with b for what else is known to scatter, given the other data: Jeffreys' prior where that
-is nothing. The variance b + ω² is taken to be ν s²/χ²_ν, with s² and ν from mean and variance of
-its logarithm. Then it is s² in C, and ν degrees of freedom along the directions: with unknown
-scatter alone, and a model that is linear in the parameters, this is Student's t of the usual
-regression.
-
 Runs at draws from the intervals check the emulator where it is used (:func:`fresh`): where it is
 further off at a datum than scatter and its own error explain, that error is raised to what was
 found, and the intervals are drawn again.
@@ -45,12 +36,10 @@ from typing import Final, final
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.special import polygamma, psi
 
 from multicell.calibration.emulator import FEW, PARTICLES, Emulator, best_of, draws
-from multicell.calibration.noise import OMEGA, Array, Noise, shrink
+from multicell.calibration.noise import Array, Noise, shrink
 from multicell.calibration.pool import Pool
-from multicell.calibration.priors import Prior
 from multicell.calibration.problem import Problem
 from multicell.calibration.search import Search
 
@@ -99,7 +88,6 @@ class Likelihood:
       may be 0
     - ``spread``, (k, k): scale of the Student distribution along them, at the best point
     - ``freedom``: its degrees of freedom
-    - ``omega``, (Q, G): draws of unknown scatter at the best point
     """
 
     emulator: Emulator
@@ -109,7 +97,6 @@ class Likelihood:
     directions: Array
     spread: Array
     freedom: float
-    omega: Array
 
     def predict(self, shares: Array) -> tuple[Array, Array]:
         """Return (mean - datum) / σ and the variance of its error for parameters (k, d)."""
@@ -157,81 +144,16 @@ def likelihood(
     share = noise.shared + 1.0 / scatter.count
     # scatter of the tissues, and of the mean
     total = noise.errors + np.diag(variances[0] + error) + shrink(scatter.away) * share
-    unknown = _unknown(noise.around(scatter.mean), emulator, best, scatter.mean, total)
-    errors = noise.errors + np.diag(unknown.variance)
-    values, vectors = np.linalg.eigh(total + np.diag(unknown.variance))
+    values, vectors = np.linalg.eigh(total)
     whitening = (vectors / np.sqrt(values)) @ vectors.T
     none = np.zeros((len(total), 0))
     working = Likelihood(
-        emulator, scatter.mean - means[0], error, whitening, none, np.zeros((0, 0)), _EXACT,
-        unknown.omega,
-    )  # fmt: skip
-    known = errors + np.diag(variances[0] + error)
-    return _student(working, errors, known, noise.shared, scatter.away, unknown)
+        emulator, scatter.mean - means[0], error, whitening, none, np.zeros((0, 0)), _EXACT
+    )
+    return _student(working, noise, noise.errors + np.diag(variances[0] + error), scatter.away)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class _Unknown:
-    """Unknown scatter: draws (Q, G); variance of each datum (n,), and degrees of freedom (n,)."""
-
-    omega: Array
-    variance: Array
-    freedom: Array
-
-
-def _unknown(
-    noise: Noise, emulator: Emulator, best: Array, residuals: Array, total: Array
-) -> _Unknown:
-    """Return what residuals at the best point say of unknown scatter; ``total`` is C without it."""
-    n, count = len(total), len(noise.names)
-    if not count:
-        return _Unknown(np.zeros((0, 0)), np.zeros(n), np.full(n, min(noise.freedom, _EXACT)))
-    steps = 0.02 * np.eye(len(best))
-    above, below = np.clip(best + steps, 0.0, 1.0), np.clip(best - steps, 0.0, 1.0)
-    width = np.diag(above - below)
-    moved = ((emulator.means(above) - emulator.means(below)) / width[:, None]).T
-    restricted = total + moved @ moved.T / 12.0
-    members = np.eye(count)[noise.group]
-    alone = np.linalg.inv(total + np.diag((OMEGA[0] * noise.sizes) ** 2)).diagonal()
-    base = members.sum(axis=0) / ((alone * noise.sizes**2) @ members)
-
-    def omegas(places: Array) -> Array:
-        return np.asarray(OMEGA[0] * (OMEGA[1] / OMEGA[0]) ** places)
-
-    def loss(places: Array) -> Array:
-        each = (omegas(places)[:, noise.group] * noise.sizes) ** 2
-        covariance = restricted + each[:, None] * np.eye(n)
-        solved = np.linalg.solve(covariance, np.broadcast_to(residuals[:, None], (len(each), n, 1)))
-        normal = solved[..., 0] @ residuals + np.linalg.slogdet(covariance)[1]
-        return np.asarray(normal + 2.0 * np.log1p(base / omegas(places) ** 2).sum(axis=1))
-
-    omega = omegas(draws(loss, Prior(count), seed=0, count=FEW))
-    variance, freedom = np.empty(n), np.empty(n)
-    for k in range(count):
-        own = noise.group == k
-        logs = np.log(base[k] + omega[:, k] ** 2)
-        half = _half_freedom(float(logs.var()))
-        size = np.exp(logs.mean() + psi(half)) / half
-        variance[own] = (
-            max(size - base[k], 0.0) * noise.sizes[own] ** 2
-        )  # never below what is known
-        freedom[own] = 2.0 * half
-    return _Unknown(omega, variance, freedom)
-
-
-def _half_freedom(variance: float) -> float:
-    """Return ν/2 of a variance whose logarithm has a variance: that of ln χ²_ν."""
-    from scipy.optimize import brentq
-
-    if variance <= float(polygamma(1, 0.5 * _EXACT)):
-        return 0.5 * _EXACT
-    return float(brentq(lambda half: polygamma(1, half) - variance, 1e-3, 0.5 * _EXACT))
-
-
-def _student(
-    working: Likelihood, errors: Array, known: Array, shared: Array, away: Array, unknown: _Unknown
-) -> Likelihood:
+def _student(working: Likelihood, noise: Noise, known: Array, away: Array) -> Likelihood:
     """Return a likelihood whose covariance counts as estimated where the parameters move data."""
     shares, count = working.draws(FEW), len(away)
     white = working.predict(shares)[0] @ working.whitening.T
@@ -243,7 +165,7 @@ def _student(
         return working
     # how the parameters move the data themselves
     moved = np.linalg.solve(working.whitening, directions)
-    share = shared + 1.0 / count
+    share = noise.shared + 1.0 / count
     scatter = np.zeros((along, along))
     for k in range(count):
         others = np.delete(away, k, axis=0)
@@ -255,17 +177,13 @@ def _student(
     scatter *= (count - 1.0) / count**2
     weights = working.whitening.T @ directions
     # the emulator's error is added where it is used
-    spread = weights.T @ errors @ weights + scatter
+    spread = weights.T @ noise.errors @ weights + scatter
     uncertain = float(np.trace(scatter) / np.trace(spread)) ** 2 / (count - 1.0)
-    # parts of unknown scatter, along what depends on one of them most; one variance, unlike a
-    # covariance, loses none of its degrees of freedom to directions
-    parts = [(x, unknown.freedom == x) for x in set(unknown.freedom.tolist()) if x < _EXACT]
-    spreads = [(x, weights[own].T @ (errors[np.ix_(own, own)] @ weights[own])) for x, own in parts]
-    worst = 0.0
-    for _, mine in spreads:
-        way = eigh(mine, spread)[1][:, -1]  # along which the spread is 1
-        worst = max(worst, sum((way @ x @ way) ** 2 / (nu + along - 1.0) for nu, x in spreads))
-    uncertain += worst
+    if noise.freedom < _EXACT:  # errors known from specimens, along what depends on them most; one
+        # variance, unlike a covariance, loses none of its degrees of freedom to directions
+        part = weights.T @ (noise.errors @ weights)
+        way = eigh(part, spread)[1][:, -1]  # along which the spread is 1
+        uncertain += (way @ part @ way) ** 2 / (noise.freedom + along - 1.0)
     freedom = min(1.0 / max(uncertain, 1e-12), _EXACT)
     left = freedom - along + 1.0
     return replace(working, directions=directions, spread=spread * freedom / left, freedom=left)

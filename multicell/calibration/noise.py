@@ -1,21 +1,14 @@
-"""Errors and scatter of data: what is known, what data have in common, and what is estimated.
+"""Errors and scatter of data: what is known, and what data have in common.
 
 Data less the mean of runs have, in units of their σ, the covariance
 
-    C = errors + S shared + S/K + E + ω² h²
+    C = errors + S shared + S/K + E
 
 - errors: of the data; correlated where they are means over the same named specimens
 - S: of runs with different seeds, as tissues scatter. Two means over n_i and n_j tissues of which
   m are the same ones share m / (n_i n_j) of it. Means without names are of the same tissues at all
   times (1/√(n_i n_j)), and share none of it where σ holds the scatter of tissues.
 - S/K and E: errors of the mean over K runs and of an emulator
-- ω: unknown scatter of an observable, relative to its values h (to the largest one if any is
-  below its σ), which are those of the data in a search and those of the best runs for intervals;
-  over √n for a mean of n tissues, independent from datum to datum. Data without a stated deviation
-  have no other error then. It lies between 0.3 and 300 %, and ln ω is uniform a priori.
-
-:meth:`Noise.loss` integrates over ω, with all else in C diagonal; the likelihood of the intervals
-estimates ω with the whole of C (:mod:`multicell.calibration.likelihood`).
 
 Rows that measure the same are one datum, their mean (:func:`group`). Rows without specimens' names
 are replicates: as many tissues as there are rows, whose scatter is that of runs. Of named specimens
@@ -42,7 +35,6 @@ from typing import TYPE_CHECKING, Any, Final, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from multicell.errors import DataError
 
@@ -50,15 +42,8 @@ if TYPE_CHECKING:
     from multicell.calibration.data import Datum
 
 Array = NDArray[np.float64]
-SCATTERS: Final = ("stated", "unknown")
-"""What data scatter beyond runs: what the table states, or parameters of their own."""
-
-OMEGA: Final = (0.003, 3.0)  # range of unknown scatter
 PRIOR: Final = 1.0
 """Degrees of freedom that the usual scatter of specimens counts for beside that of one datum."""
-_LEAST: Final = 0.1
-"""Part of a datum that unknown scatter is relative to at least, where a model has less."""
-_NODES: Final = 61
 _SHRINKAGE: Final = 0.1
 
 
@@ -67,36 +52,23 @@ _SHRINKAGE: Final = 0.1
 class Noise:
     """Errors and scatter of n data, in σ.
 
-    - ``errors``, (n, n): covariance of their errors; 0 where none is known
+    - ``errors``, (n, n): covariance of their errors
     - ``shared``, (n, n): part of the covariance of runs that the tissues of two data share
-    - ``names``: observables with unknown scatter, G of them
-    - ``group``, (n,): which of these a datum is of; G for none
-    - ``sizes``, (n,): h/√n in σ; 0 for none
-    - ``slopes``, (n,): ±1/√n where h is the size of the datum's value; else 0
     - ``freedom``: degrees of freedom of errors that are known from specimens; infinite for others
     """
 
     errors: Array
     shared: Array
-    names: tuple[str, ...]
-    group: NDArray[np.int64]
-    sizes: Array
-    slopes: Array
     freedom: float = math.inf
 
     @classmethod
     def of_means(cls, tissues: Array) -> Self:
         """Return the noise of independently measured means over the same tissues."""
-        n = len(tissues)
-        shared = np.sqrt(1.0 / np.outer(tissues, tissues))
-        return cls(np.eye(n), shared, (), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n))
+        return cls(np.eye(len(tissues)), np.sqrt(1.0 / np.outer(tissues, tissues)))
 
     @classmethod
-    def of(cls, data: Sequence[Datum], scatter: str = "stated") -> Self:
-        """Return the noise of data.
-
-        - ``scatter``: ``"unknown"`` where it is to be estimated
-        """
+    def of(cls, data: Sequence[Datum]) -> Self:
+        """Return the noise of data."""
         noise = cls.of_means(np.array([d.tissues for d in data]))
         errors, shared, freedom = noise.errors, noise.shared, math.inf
         if any(d.specimens for d in data):
@@ -104,29 +76,7 @@ class Noise:
         counts = [len(d.specimens) for d in data if d.specimens and math.isinf(d.tissues)]
         if counts:
             freedom = float(np.median(counts)) - 1.0 + PRIOR
-        names = tuple(dict.fromkeys(d.observable for d in data)) if scatter == "unknown" else ()
-        if not names:
-            return replace(noise, errors=errors, shared=shared, freedom=freedom)
-        group = np.array([names.index(d.observable) for d in data])
-        known = np.array([not d.assumed for d in data])
-        errors = errors * np.outer(known, known)
-        return cls(errors, shared, names, group, *_sizes(data), freedom)
-
-    def around(self, residuals: Array) -> Self:
-        """Return the noise with values of h that are those of a model, not of the data.
-
-        Measured values would give weight to those that are too small by chance.
-
-        - ``residuals``, (n,): of the model
-        """
-        model = np.abs(self.sizes + self.slopes * residuals)
-        return replace(self, sizes=np.maximum(model, _LEAST * self.sizes))
-
-    @property
-    def omegas(self) -> Array:
-        """Values of ω whose mean is the integral over a uniform logarithm."""
-        places = (np.arange(_NODES) + 0.5) / _NODES
-        return np.asarray(OMEGA[0] * (OMEGA[1] / OMEGA[0]) ** places)
+        return cls(errors, shared, freedom)
 
     def loss(self, residuals: Array, more: Array | float) -> Array:
         """Return -2 ln L of residuals (k, n) with further variances, as if C were diagonal: (k,).
@@ -134,27 +84,7 @@ class Noise:
         - ``more``, (k, n) or (n,): scatter of runs and errors of means and emulators
         """
         total = np.diag(self.errors) + more
-        if not self.names:
-            return np.asarray((residuals**2 / total + np.log(total)).sum(axis=-1))
-        logs = self._by_omega(residuals, total)
-        return np.asarray(-2.0 * (logsumexp(logs, axis=0) - np.log(_NODES)).sum(axis=-1))
-
-    def unknown(self, residuals: Array, more: Array) -> Array:
-        """Return the mean variance of unknown scatter given residuals (n,), (n,)."""
-        if not self.names:
-            return np.zeros(len(residuals))
-        logs = self._by_omega(residuals[None], np.diag(self.errors) + more[None])[:, 0]
-        weights = np.exp(logs - logsumexp(logs, axis=0))
-        return np.asarray((weights.T @ self.omegas**2)[self.group] * self.sizes**2)
-
-    def _by_omega(self, residuals: Array, total: Array) -> Array:
-        """Return ln L of each observable's residuals by ω, (nodes, k, G)."""
-        members = np.eye(len(self.names))[self.group]
-        found = np.empty((_NODES, len(residuals), len(self.names)))
-        for node, omega in zip(found, self.omegas, strict=True):
-            each = total + (omega * self.sizes) ** 2
-            node[:] = -0.5 * (residuals**2 / each + np.log(each)) @ members
-        return found
+        return np.asarray((residuals**2 / total + np.log(total)).sum(axis=-1))
 
 
 def _of_specimens(data: Sequence[Datum]) -> tuple[Array, Array]:
@@ -180,24 +110,6 @@ def _of_specimens(data: Sequence[Datum]) -> tuple[Array, Array]:
     return np.eye(len(data)) + (1.0 - part) * found, overlap * np.outer(single, single)
 
 
-def _sizes(data: Sequence[Datum]) -> tuple[Array, Array]:
-    """Return what unknown scatter is relative to, in σ and over √n, and ±1/√n where it is a value.
-
-    Elsewhere it is the largest value of the observable, or 1 of logarithms.
-    """
-    counts = np.array([d.tissues if np.isfinite(d.tissues) else 1.0 for d in data])
-    sizes, slopes = np.ones(len(data)), np.zeros(len(data))
-    for name in {d.observable for d in data}:
-        own = [k for k, d in enumerate(data) if d.observable == name and not d.log]
-        values = np.array([abs(data[k].value) for k in own])
-        if any(abs(data[k].value) < data[k].sigma for k in own):
-            values[:] = values.max()
-        else:
-            slopes[own] = np.sign([data[k].value for k in own])
-        sizes[own] = values
-    return sizes / np.array([d.sigma for d in data]) / np.sqrt(counts), slopes / np.sqrt(counts)
-
-
 def shrink(away: Array) -> Array:
     """Return the covariance of runs (R, n), its correlations drawn towards none: (n, n).
 
@@ -220,7 +132,7 @@ def group(data: Sequence[Datum], table: str) -> list[Datum]:
     """Return data in which replicates and specimens are one: the mean, with its error."""
     groups: dict[tuple[Any, ...], list[Datum]] = {}
     for datum in data:
-        when = datum.condition, datum.time, datum.at, datum.depth
+        when = datum.condition, datum.time, datum.depth
         key = datum.observable, *when, datum.log, math.isinf(datum.tissues)
         groups.setdefault(key, []).append(datum)
     found = [_merge(rows, table) if len(rows) > 1 else rows[0] for rows in groups.values()]

@@ -187,7 +187,7 @@ def predictive_check(fit: Fit) -> PredictiveCheck:
     above = (again > 0.0).mean(axis=0) + 0.5 * (again == 0.0).mean(axis=0)
     rows = quantiles(problem.observed + again * problem.sigma, (0.025, 0.5, 0.975))
     low, median, high = map(problem.unscale, rows)
-    about = pandas.DataFrame(fit.rows())[["row", "condition", "observable", "unit", "time", "at"]]
+    about = pandas.DataFrame(fit.rows())[["row", "condition", "observable", "unit", "time"]]
     table = about.assign(
         measured=[d.value for d in problem.measured.data], low=low, median=median, high=high,
         p=2.0 * np.minimum(above, 1.0 - above),
@@ -268,7 +268,7 @@ def _key(fit: Fit) -> list[tuple[object, ...]]:
     """Return all that the likelihood takes from data."""
     measured = fit.problem.measured
     return [
-        (d.observable, d.value, d.sigma, d.log, d.time, d.at, d.depth,
+        (d.observable, d.value, d.sigma, d.log, d.time, d.depth,
          d.tissues, d.specimens,
          sorted(measured.conditions[d.condition].changes.items(), key=str))
         for d in measured.data

@@ -1,18 +1,17 @@
 """What is known of the parameters before the data: ranges and distributions.
 
 A parameter has a range in which all values are equally likely (on a logarithmic one: all ratios),
-or a distribution of SciPy's with units::
+or a normal or log-normal distribution with units::
 
     8:25 h                                 log 1e-3:1 1/s
     norm(18 h, 2 h)                        lognorm(median=0.02 mM/s, sigma=0.3)
-    norm(18 h, 2 h) in 10:30 h             gamma(3, scale=0.01 1/s) in 0:0.1 1/s
+    norm(18 h, 2 h) in 10:30 h
 
-Arguments are those of SciPy: shapes are numbers, ``loc`` and ``scale`` have the unit of the
-parameter; ``lognorm`` takes a median and the standard deviation of the logarithm too. Behind ``in``
-stand the ends of the range that is searched, to which the distribution is cut; without it these are
-the quantiles that leave a thousandth out. Searches, emulators and samplers work in places in the
-ranges (0 to 1; of a log-normal distribution on a logarithmic scale); here is what density they have
-there.
+``norm`` takes mean and standard deviation, ``lognorm`` the median and the standard deviation of the
+logarithm. Behind ``in`` stand the ends of the range that is searched, to which the distribution is
+cut; without it these are the quantiles that leave a thousandth out. Searches, emulators and
+samplers work in places in the ranges (0 to 1; of a log-normal distribution on a logarithmic scale);
+here is what density they have there.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from inspect import Parameter, Signature
 from typing import Any, Final, Self, final
 
 import numpy as np
@@ -30,12 +28,15 @@ import numpy as np
 from multicell.calibration.noise import Array
 from multicell.errors import SceneError
 from multicell.scene.scene import Scene
-from multicell.schema import near_miss
 from multicell.studies.axes import QUANTITY, Range, is_numeric
 from multicell.studies.keys import Key, key_of
 from multicell.units import shown, to_base
 
 _CALL: Final = re.compile(r"\s*([A-Za-z]\w*)\s*\((.*)\)\s*(?:in\s+(.+?))?\s*", re.DOTALL)
+_ARGUMENTS: Final = {
+    "norm": re.compile(r"([^,=]+),([^,=]+)"),
+    "lognorm": re.compile(r"\s*median\s*=([^,=]+),\s*sigma\s*=([^,=]+)"),
+}
 _TAIL: Final = 0.0005  # of a distribution, beyond each end of a range that nobody stated
 _HINT: Final = "For example 'norm(18 h, 2 h)' or 'lognorm(median=0.02 mM/s, sigma=0.3)'."
 
@@ -165,6 +166,8 @@ def split_free(
     densities: dict[str, Density | None] = {}
     for name, given in free.items():
         ranges[name], densities[name] = given, None
+        if isinstance(given, tuple) and isinstance(given[-1], Density):  # of a stored fit
+            ranges[name], densities[name] = given[:-1], given[-1]
         call = _CALL.fullmatch(given) if isinstance(given, str) else None
         if call is None:
             continue
@@ -192,38 +195,18 @@ def prior_of(ranges: Sequence[Range], densities: Sequence[Density | None]) -> Pr
 
 def _from_call(key: Key, name: str, text: str) -> Density:
     """Return the density that a call in words describes."""
-    from scipy import stats
-
-    family = getattr(stats, name, None)
-    if not isinstance(family, stats.rv_continuous):
-        known = [n for n in dir(stats) if isinstance(getattr(stats, n), stats.rv_continuous)]
-        problem = f"has the distribution '{name}', which scipy.stats does not have"
-        raise SceneError(key.name, problem, near_miss(name, known, listed=False) or _HINT)
-    shapes = family.shapes.replace(",", " ").split() if family.shapes else []
-    order = [*shapes, "loc", "scale"]
-    items = [[word.strip() for word in item.split("=", 1)] for item in text.split(",")]
-    others = {"median": "scale", "sigma": "s"} if name == "lognorm" else {}
-    named = [(others.get(x[0], x[0]), x[1]) for x in items if len(x) > 1]
-    try:
-        if len(dict(named)) < len(named):
-            raise TypeError("an argument is given twice")
-        call = Signature([Parameter(x, Parameter.POSITIONAL_OR_KEYWORD) for x in order])
-        words = call.bind_partial(*(x[0] for x in items if len(x) == 1), **dict(named)).arguments
-    except TypeError as error:
-        problem = f"has '{name}({text})': {error}"
-        raise SceneError(key.name, problem, f"It takes {', '.join(order)}.") from None
-    given = {argument: _number(key, word, argument in shapes) for argument, word in words.items()}
-    needed = [*shapes, "scale"] if key.unit else shapes
-    missing = ", ".join(word for word in needed if word not in given)
-    if missing:
-        raise SceneError(key.name, f"has '{name}({text})' without {missing}", _HINT)
-    given = {"loc": 0.0, "scale": 1.0, **given}
-    density = Density.of(name, *(given[word] for word in order))
-    if not np.isfinite(density.frozen.ppf([_TAIL, 1.0 - _TAIL])).all():
-        numbers = ", ".join(f"{given[word]:g}" for word in order)
-        problem = f"has '{name}' with arguments that scipy.stats refuses ({numbers})"
-        raise SceneError(key.name, problem, "A scale must be above zero.")
-    return density
+    match = _ARGUMENTS[name].fullmatch(text) if name in _ARGUMENTS else None
+    if match is None:
+        problem = f"has {shown(f'{name}({text})')}, must be norm or lognorm with two arguments"
+        raise SceneError(key.name, problem, _HINT)
+    middle = _number(key, match[1].strip(), bare=False)
+    spread = _number(key, match[2].strip(), bare=name == "lognorm")
+    if not spread > 0.0 or (name == "lognorm" and not middle > 0.0):
+        problem = f"has '{name}({text})', whose deviation or median is not above 0"
+        raise SceneError(key.name, problem)
+    if name == "norm":
+        return Density(name, (), middle, spread)
+    return Density(name, (spread,), 0.0, middle)
 
 
 def _number(key: Key, text: str, bare: bool) -> float:

@@ -11,8 +11,7 @@ the synthetic likelihood of Wood (2010, Nature 466, 1102), with K so small that 
 counts. The logarithm keeps parameters from being preferred because they make runs scatter. With one
 run, s² is unknown and taken as none. Of a datum that is the mean of n tissues (σ is then the error
 of that mean), the tissues' share is s²/n in place of s²; of one with a standard error of the mean,
-which holds the scatter of tissues already, it is none. Unknown scatter of the data adds to v
-(:mod:`multicell.calibration.noise`).
+which holds the scatter of tissues already, it is none (:mod:`multicell.calibration.noise`).
 
 Of a few runs s² itself is uncertain: two that happen to agree would make a datum seem sure. So each
 one is moderated by what the data of the same observable and condition have on average, as if that
@@ -53,7 +52,6 @@ class Problem:
     - ``ranges``: the free parameters
     - ``simulator``: gives the readings of one run
     - ``seeds``: random numbers of the runs that are averaged, the same ones for all parameters
-    - ``scatter``: ``"unknown"`` where what data scatter beyond runs is estimated
     - ``known``: their prior; None: all places in the ranges are equally likely
     """
 
@@ -61,13 +59,12 @@ class Problem:
     ranges: tuple[Range, ...]
     simulator: Simulator
     seeds: tuple[int, ...]
-    scatter: str = "stated"
     known: Prior | None = None
 
     @cached_property
     def noise(self) -> Noise:
         """Errors and scatter of the data."""
-        return Noise.of(self.measured.data, self.scatter)
+        return Noise.of(self.measured.data)
 
     @cached_property
     def observed(self) -> Array:
@@ -249,7 +246,7 @@ def misfit(
     noise = noise or Noise.of_means(np.ones(len(observed)))
     away = np.where(known, (means - observed) / sigma, ABSENT)
     more = scatter / sigma**2 * (np.diag(noise.shared) + 1.0 / count)
-    total = np.diag(noise.errors) + more + noise.unknown(np.where(known, away, 0.0), more)
+    total = np.diag(noise.errors) + more
     residuals = np.where(known, away / np.sqrt(total), ABSENT)
     # what is absent counts as it is, however runs scatter elsewhere
     away = np.where(known, away, ABSENT * np.sqrt(total))

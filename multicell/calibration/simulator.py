@@ -107,10 +107,9 @@ class _Watch:
         self._rows: list[dict[str, float]] = []
         self._limits: dict[str, float] = {}
         for datum in data:
-            for name, value in ((datum.observable, datum.value), datum.at or ("", 0.0)):
-                if name in OUTGROWN:
-                    limit = OUTGROWN[name] * value
-                    self._limits[name] = max(limit, self._limits.get(name, 0.0))
+            if (name := datum.observable) in OUTGROWN:
+                limit = OUTGROWN[name] * datum.value
+                self._limits[name] = max(limit, self._limits.get(name, 0.0))
         self.outgrown = False
 
     def add(self, simulation: Simulation) -> None:
@@ -128,8 +127,6 @@ class _Watch:
         """Return whether a profile is needed now: at the end, and next to the time of a datum."""
         if simulation.finished or self.outgrown:
             return True
-        if datum.at is not None:
-            return not (self._rows and self._passed(datum))
         if datum.time is None:
             return False
         before = self._rows[-1]["time"] if self._rows else -math.inf
@@ -143,17 +140,8 @@ class _Watch:
     @property
     def done(self) -> bool:
         """Whether no datum asks for more of the run."""
-        return self.outgrown or all(map(self._passed, self._data))
-
-    def _passed(self, datum: Datum) -> bool:
-        last = self._rows[-1]
-        if datum.time is not None:
-            return last["time"] >= datum.time
-        if datum.at is None:
-            return False
-        name, value = datum.at
-        begin, now = self._rows[0][name] - value, last[name] - value
-        return begin * now <= 0.0
+        now = self._rows[-1]["time"]
+        return self.outgrown or all(d.time is not None and now >= d.time for d in self._data)
 
     def reading(self, datum: Datum, summary: Mapping[str, Any]) -> float:
         """Return what the run has in place of a datum, NaN if nothing."""
@@ -187,24 +175,8 @@ def reading(
     """
     times = history["time"]
     values = course_of(history, datum.column)
-    if datum.at is not None:
-        when = _crossing(times, history[datum.at[0]], datum.at[1])
-    else:
-        when = float(times[-1]) if datum.time is None else datum.time
+    when = float(times[-1]) if datum.time is None else datum.time
     # the last step may miss the end by rounding
     if not when <= times[-1] * (1.0 + 1e-9):
         return float(values[-1]) if outgrown else float("nan")
     return float(np.interp(when, times, values))
-
-
-def _crossing(times: NDArray[np.float64], values: NDArray[np.float64], level: float) -> float:
-    """Return when an observable first has a value, NaN if never."""
-    above = values - level
-    if above[0] == 0.0:
-        return float(times[0])
-    beyond = np.flatnonzero(above * above[0] <= 0.0)
-    if len(beyond) == 0:
-        return float("nan")
-    k = int(beyond[0])
-    share = above[k - 1] / (above[k - 1] - above[k])
-    return float(times[k - 1] + share * (times[k] - times[k - 1]))

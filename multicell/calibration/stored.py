@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from multicell.calibration.columns import MAX_BYTES
-from multicell.calibration.data import read_data
+from multicell.calibration.fit import plan_of
 from multicell.calibration.fit_plan import FIT, FitPlan, make_runs
 from multicell.calibration.fitted import Fit
 from multicell.calibration.pool import Pool
-from multicell.calibration.priors import Density, prior_of
-from multicell.calibration.problem import Problem, ranges_of
-from multicell.calibration.simulator import SceneSimulator
+from multicell.calibration.priors import Density
 from multicell.errors import MulticellError, OutputError
 from multicell.results.documents import read_table as read_document
 from multicell.results.folder import to_json
-from multicell.tables.columns import read_table
 
 FACTS: Final = (
-    "sd", "specimens", "scatter", "seeds", "repeats", "sets_of_parameters", "fresh_runs", "seconds",
+    "sd", "specimens", "seeds", "repeats", "sets_of_parameters", "fresh_runs", "seconds",
 )  # fmt: skip
 
 
@@ -56,28 +53,25 @@ def load_fit(folder: str | Path) -> Fit:
 
 def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
     """Return what a folder holds a fit of."""
-    from multicell.scene.scene import load_scene
-
     entry = read_document(folder / FIT)
     if entry is None:
         raise OutputError(f"'{folder}' holds no fit")
     try:
         problem = entry["problem"]
-        scene = load_scene(folder / "scene.toml")
-        table = read_table(folder / "data.csv", MAX_BYTES)
-        measured = read_data(table, scene, sd=problem["sd"], specimens=problem["specimens"])
-        given = {key: (r["low"], r["high"], *(["log"] if r["log"] else []))
-                 for key, r in problem["free"].items()}  # fmt: skip
-        ranges = ranges_of(given, measured)
-        known_of = problem.get("densities", {})
-        densities = [Density.of(*known_of[r.key]) if r.key in known_of else None for r in ranges]
-        prior = prior_of(ranges, densities)
-        simulator, seeds = SceneSimulator.of(measured, ranges), tuple(problem["seeds"])
-        stated = Problem(measured, ranges, simulator, seeds, problem["scatter"], prior)
-        plan = FitPlan(
-            stated, scene, table, int(result.get("sets_of_parameters", 0)),
-            float(problem["sd"]), int(result.get("repeats", 0)), problem["specimens"],
+        known = problem.get("densities", {})
+        free = {
+            key: (
+                *(r["low"], r["high"]),
+                *(["log"] if r["log"] else []),
+                *([Density.of(*known[key])] if key in known else []),
+            )
+            for key, r in problem["free"].items()
+        }
+        plan = plan_of(
+            folder / "scene.toml", folder / "data.csv", free, seeds=len(problem["seeds"]),
+            repeats=result["repeats"], sd=problem["sd"], specimens=problem["specimens"],
         )  # fmt: skip
+        plan = replace(plan, points=int(result["sets_of_parameters"]))
     except MulticellError as error:
         raise OutputError(f"'{folder}' holds a fit that cannot be opened: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:

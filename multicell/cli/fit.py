@@ -55,12 +55,6 @@ if TYPE_CHECKING:
     metavar="NAME",
     help="single: each row is another specimen, measured once, as the column 'specimen' says too.",
 )
-@shared.valued(
-    "--scatter",
-    default="stated",
-    metavar="NAME",
-    help="unknown: estimate what data scatter beyond runs and their stated errors.",
-)
 @shared.observable_option
 @studies.cores_option
 @studies.scheduler_option

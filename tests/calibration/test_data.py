@@ -59,13 +59,6 @@ def test_units_of_any_size_give_the_same_data(tmp_path):
     assert one.data == other.data
 
 
-def test_a_size_may_stand_in_place_of_a_time(tmp_path):
-    measured = read("at diameter / um, viable_rim / um, viable_rim sd / um\n800, 205, 17.5\n", tmp_path)  # fmt: skip
-    (datum,) = measured.data
-    assert (datum.observable, datum.value, datum.sigma) == ("viable_rim", 205.0, 17.5)
-    assert (datum.time, datum.at) == (None, ("diameter", 800.0))
-
-
 def test_a_frame_and_a_mapping_say_the_same_as_a_file(tmp_path):
     pandas = pytest.importorskip("pandas")
     text = "time / h, diameter / um, cells, contact.law\n24, 260, 7, jkr\n48, , 9, jkr\n"
@@ -104,7 +97,7 @@ REFUSED = {
     "time / h, diameter /\n5, 7\n": "'diameter /': has a '/' and no unit after it",
     "time / fortnites, cells\n5, 7\n": "with the unknown unit 'fortnites'",
     "time / h, diameters / um\n5, 7\n": "'diameters' is no observable and no key of the scene. Did you mean 'diameter'?",
-    "time / h, hypoxic_radius_glucose / um\n5, 7\n": "growth.csv, line 2, 'hypoxic_radius_glucose / um': 'hypoxic_radius_glucose' is no observable of the scene under these conditions. Did you mean 'hypoxic_radius_oxygen'?",
+    "time / h, hypoxic_radius_glucose / um\n5, 7\n": "growth.csv, 'hypoxic_radius_glucose / um': 'hypoxic_radius_glucose' is no observable of this scene. Did you mean 'hypoxic_radius_oxygen'?",
     "time / h, divisions\n5, 7\n": "line 2, 'divisions': 'divisions' is known at the end of a run only",
     "time / h, cells\n5, nan\n": "line 2, 'cells': is nan, must be a finite number",
     "time / h, cells\n5, -7\n": "line 2, 'cells': is -7, must not be negative",
@@ -118,7 +111,6 @@ REFUSED = {
     "time / h, cells, cells sem, cells n\n5, 7, 1, 3\n": "line 2, 'cells': has both 'cells sem' and 'cells sd' or 'cells n'. The error of the mean stands in place of both.",
     "time / h, cells\n-1, 7\n": "line 2: was measured at -3600 s, before the run begins at 0 s",
     "time / h, cells\n0, 7\n": "line 2: is of the run's very start",
-    "time / h, at diameter / um, cells\n5, 200, 7\n": "line 2: has both 'time / h' and 'at diameter / um'",
     "time / h, cells, nutrients.oxygen.boundary\n5, 7, 0.2\n": "growth.csv, 'nutrients.oxygen.boundary': has no unit. Write 'nutrients.oxygen.boundary / mM'.",
     "time / h, cells, nutrients.oxygen.boundary / mM\n5, 7,\n": "is empty: each row states all conditions",
 }  # fmt: skip

@@ -32,8 +32,8 @@ SMALL = mc.load_scene("growth").with_changes(
 FREE = {"growth.cycle_time": "8:30 h"}
 
 
-def datum(observable="diameter", time=None, at=None, value=1.0):
-    return Datum(observable, value, 1.0, False, False, time, at, 0, "row 0")
+def datum(observable="diameter", time=None, value=1.0):
+    return Datum(observable, value, 1.0, False, False, time, 0, "row 0")
 
 
 HISTORY = {
@@ -55,10 +55,8 @@ HISTORY = {
         (datum(time=31.0), math.nan),
         (datum("viable_rim", time=10.0), 100.0),
         (datum("viable_rim", time=15.0), 125.0),
-        (datum("viable_rim", at=("diameter", 450.0)), 150.0),
-        (datum("viable_rim", at=("diameter", 100.0)), 50.0),
-        (datum("viable_rim", at=("diameter", 501.0)), math.nan),
-        (datum("time", at=("diameter", 250.0)), 12.5),
+        (datum("viable_rim", time=0.0), 50.0),
+        (datum("viable_rim"), 150.0),
     ],
 )
 def test_runs_are_read_where_the_data_ask(asked, expected):
@@ -234,7 +232,6 @@ REFUSED = [
     ({"budget": 23}, "budget: is 23 runs: what 18 fresh runs leave tries 2 sets of parameters, 2"),
     ({"repeats": 3}, "repeats: is 3, must be a whole number from 4 to 1,000"),
     ({"specimens": "other"}, "specimens"),
-    ({"scatter": "none"}, "scatter"),
     ({"data": {**DATA, "growth.cycle_time / h": [10, 12]}}, "is a condition of the data"),
 ]
 

@@ -1,9 +1,8 @@
 # ruff: noqa: E501 - tables of data and what is said of them stand on one line
-"""Single specimens, unknown scatter, profiles and rates as data of a fit, against closed forms."""
+"""Single specimens, profiles and rates as data of a fit, against closed forms."""
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -12,13 +11,12 @@ from pathlib import Path
 import cheap_fits
 import numpy as np
 import pytest
-from scipy import integrate, stats
 
 import multicell as mc
-from multicell.calibration.data import Datum, read_data
+from multicell.calibration.data import read_data
 from multicell.calibration.emulator import best_of, draws
 from multicell.calibration.likelihood import likelihood, scatter_of
-from multicell.calibration.noise import OMEGA, Noise
+from multicell.calibration.noise import Noise
 from multicell.calibration.simulator import Reading, SceneSimulator
 from multicell.errors import DataError
 from multicell.results.observables import centre, field_at, uniform_radius
@@ -142,38 +140,6 @@ def test_glucose_has_no_partial_pressure(tmp_path):
 # likelihoods
 
 
-def observed(values, name="diameter", sigma=None, tissues=1.0):
-    """Return data at as many hours; without σ they are assumed to have a tenth."""
-    return [
-        Datum(name, float(v), sigma or 0.1 * v, False, sigma is None, 3600.0 * (k + 1), None, 0, f"row {k}", tissues)
-        for k, v in enumerate(values)
-    ]  # fmt: skip
-
-
-def test_unknown_scatter_is_integrated_over():
-    """Against SciPy's quadrature over ω, of two observables of which one has known errors too."""
-    data = [*observed([10.0, 20.0, 40.0]), *observed([7.0, 9.0], "necrotic_radius", 0.5, 4.0)]
-    noise = Noise.of(data, "unknown")
-    sigma = np.array([d.sigma for d in data])
-    sizes = np.array([10.0, 20.0, 40.0, 3.5, 4.5])
-    more = np.array([0.01, 0.02, 0.0, 0.3, 0.1])
-    model = np.array([11.0, 19.0, 42.0, 7.4, 8.1])
-    away = model - [d.value for d in data]
-
-    def density(log_omega, own):
-        error = np.where(np.arange(5) < 3, 0.0, sigma**2) + more * sigma**2
-        total = error + (math.exp(log_omega) * sizes) ** 2
-        return math.exp(-0.5 * (away**2 / total + np.log(total / sigma**2))[own].sum())
-
-    ends = np.log(OMEGA)
-    parts = [
-        integrate.quad(density, *ends, args=(own,), limit=200)[0] / (ends[1] - ends[0])
-        for own in (slice(0, 3), slice(3, 5))
-    ]
-    found = noise.loss((away / sigma)[None], more)[0]
-    assert found == pytest.approx(-2.0 * np.log(parts).sum(), abs=0.02)
-
-
 def straight(values, sigma, noise, slopes):
     """Return an emulator of values + slopes (x - 1/2), exact at sixteen points."""
     from scipy.stats import qmc
@@ -181,33 +147,6 @@ def straight(values, sigma, noise, slopes):
     shares = qmc.Sobol(slopes.shape[1], rng=1).random(16)
     away = ((shares - 0.5) @ slopes.T + values[0] - values[1]) / sigma
     return cheap_fits.through(shares, away, noise=noise)
-
-
-def test_unknown_scatter_alone_gives_the_t_of_a_regression():
-    """One slope from eight logarithms of unknown deviation: seven degrees of freedom."""
-    rng = np.random.default_rng(3)
-    slopes = np.linspace(0.5, 4.0, 8)[:, None]
-    errors = 0.3 * rng.standard_normal(8)
-    data = [
-        Datum("cells", math.exp(5.0 + e), 0.1, True, True, 3600.0 * k, None, 0, f"row {k}")
-        for k, e in enumerate(errors)
-    ]
-    noise, sigma = Noise.of(data, "unknown"), np.full(8, 0.1)
-    model = straight((5.0, 5.0 + errors), sigma, noise, slopes)
-    estimate = float(slopes[:, 0] @ errors / (slopes[:, 0] @ slopes[:, 0]))
-    left = errors - estimate * slopes[:, 0]
-    scale = math.sqrt(left @ left / 7.0 / (slopes[:, 0] @ slopes[:, 0]))
-    best = np.array([0.5 + estimate])
-    runs = np.tile((estimate * slopes[:, 0] - errors) / sigma, (6, 1))
-    found = likelihood(model, noise, best, scatter_of(runs))
-    assert found.freedom == pytest.approx(7.0, rel=0.15)
-    shares = found.draws()[:, 0]
-    for level in (0.8, 0.95):
-        low, high = stats.t.interval(level, 7, 0.5 + estimate, scale)
-        assert ((shares > low) & (shares < high)).mean() == pytest.approx(level, abs=0.03)
-    low, high = np.quantile(found.omega, (0.025, 0.975))
-    expected = np.sqrt(left @ left / stats.chi2.ppf([0.975, 0.025], 7))
-    assert [low, high] == pytest.approx(expected.tolist(), rel=0.12)
 
 
 def test_a_hierarchy_of_specimens_has_the_variance_of_its_levels():
@@ -239,31 +178,6 @@ def growth(shares):
     return np.concatenate([100.0 + 20.0 * x[:, :1] * TIMES, 40.0 + 15.0 * x[:, 1:] * TIMES], axis=1)
 
 
-def _table(values):
-    return {
-        "time / h": TIMES.tolist(),
-        "diameter / um": values[:6].tolist(),
-        "necrotic_radius / um": values[6:].tolist(),
-    }
-
-
-def _unknown(truth, rng):
-    return _table(truth * (1.0 + np.repeat([0.08, 0.2], 6) * rng.standard_normal(12))), None
-
-
-def _unknown_beside_runs(truth, rng):
-    def tissue():
-        return np.repeat(rng.standard_normal(2) * [8.0, 4.0], 6)
-
-    noise = truth * np.repeat([0.08, 0.2], 6) * rng.standard_normal(12)
-    return _table(truth + tissue() + noise), tissue
-
-
-def _unknown_beyond_stated(truth, rng):
-    values = truth * (1.0 + 0.1 * rng.standard_normal(12)) + 3.0 * rng.standard_normal(12)
-    return {**_table(values), "diameter sd / um": [3] * 6, "necrotic_radius sd / um": [3] * 6}, None
-
-
 def _specimens(truth, rng, *, same):
     rows = {"time / h": [], "diameter / um": [], "necrotic_radius / um": [], "specimen": []}
     own = rng.standard_normal((8, 2))
@@ -278,51 +192,37 @@ def _specimens(truth, rng, *, same):
                 strict=True,
             ):
                 rows[title].append(value)
-    return rows, None
-
-
-CASES = {
-    "unknown": _unknown,
-    "unknown beside runs": _unknown_beside_runs,
-    "unknown beyond stated": _unknown_beyond_stated,
-    "other specimens": lambda truth, rng: _specimens(truth, rng, same=False),
-    "the same specimens": lambda truth, rng: _specimens(truth, rng, same=True),
-}
+    return rows
 
 
 @pytest.mark.harness
-@pytest.mark.parametrize("case", CASES)
-def test_intervals_cover_with_scatter_that_data_show(case, request):
+@pytest.mark.parametrize("same", [False, True])
+def test_intervals_cover_with_scatter_that_data_show(same, request):
     """80 and 95 % intervals of two parameters; those of the same specimens may be somewhat wide."""
     from scipy.stats import qmc
 
     count = request.config.getoption("--calibrations") or 6
-    rng, hits, omegas = np.random.default_rng(5), [], []
+    rng, hits = np.random.default_rng(5), []
     shares = qmc.Sobol(2, rng=1).random(16)
     for _ in range(count):
         truth = 0.3 + 0.4 * rng.random(2)
-        table, tissue = CASES[case](growth(truth)[0], rng)
+        table = _specimens(growth(truth)[0], rng, same=same)
         found = sorted(read_data(table, SCENE).data, key=lambda d: (d.observable, d.time))
-        noise = Noise.of(found, "unknown" if case.startswith("unknown") else "stated")
+        noise = Noise.of(found)
         values, sigma = (np.array([getattr(d, x) for d in found]) for x in ("value", "sigma"))
         names = [d.observable for d in found]
         away = (growth(shares) - values) / sigma
         model = cheap_fits.through(shares, away, observables=names, noise=noise)
         best = best_of(model.loss, model.prior, draws(model.loss, model.prior, seed=0, count=300))
-        runs = [growth(best)[0] + (0.0 if tissue is None else tissue()) for _ in range(12)]
-        posterior = likelihood(model, noise, best, scatter_of((np.array(runs) - values) / sigma))
+        runs = np.tile((growth(best)[0] - values) / sigma, (12, 1))
+        posterior = likelihood(model, noise, best, scatter_of(runs))
         sample = posterior.draws(1000)
         ends = [np.quantile(sample, [0.5 - x / 2, 0.5 + x / 2], axis=0) for x in (0.8, 0.95)]
         hits.append([(low <= truth) & (truth <= high) for low, high in ends])
-        omegas.append(posterior.omega.mean(axis=0) if posterior.omega.size else [])
-    print(case, np.mean(hits, axis=0).tolist(), np.mean(omegas, axis=0).tolist())
+    print(same, np.mean(hits, axis=0).tolist())
     for level, part in zip((0.8, 0.95), np.mean(hits, axis=0), strict=True):
         bound = 3.0 * math.sqrt(level * (1.0 - level) / count)
         assert part.min() >= level - bound
-    if case == "unknown":
-        assert np.mean(omegas, axis=0) == pytest.approx(
-            [0.08, 0.2], rel=0.15 + 1.0 / math.sqrt(count)
-        )
 
 
 # profiles and rates
@@ -367,30 +267,6 @@ def test_a_profile_is_the_mean_of_the_field_over_a_sphere(geometry):
     assert inside[0] == inside[2]
     assert inside[1] == pytest.approx(inside[0], rel=0.05)
     assert inside[0] == pytest.approx(field_at(field, middle, radius - 10.0), rel=0.05)
-
-
-def test_a_profile_at_a_size_is_that_when_the_size_is_reached():
-    scene = small("radial").with_changes(
-        {"initial.count": 30, "duration": "3 h", "coupling_step": "1 h"}
-    )
-    simulation = mc.Simulation(scene, threads=1)
-    sizes, values = [], []
-    while True:
-        radius = 0.5 * simulation.history_row()["diameter"]
-        field = simulation.fields["oxygen"]
-        values.append(
-            np.interp(radius - 5.0, field.axis(0) - field.origin[0], field.values.ravel())
-        )
-        sizes.append(2.0 * radius)
-        if simulation.finished:
-            break
-        simulation.step()
-    wanted = [sizes[0], 0.3 * sizes[0] + 0.7 * sizes[1], 2.0 * sizes[0]]
-    table = {"at diameter / um": wanted, "depth / um": [5.0] * 3, "oxygen / mM": [0.1] * 3}
-    found = SceneSimulator.of(read_data(table, scene), ())([], 0, scene.seed)
-    assert found.reason == ""
-    assert found.values[:2] == pytest.approx([values[0], 0.3 * values[0] + 0.7 * values[1]])
-    assert math.isnan(found.values[2])
 
 
 def test_pressures_of_oxygen_become_concentrations_as_in_scenes(tmp_path):
@@ -443,24 +319,18 @@ class Decaying:
         return Reading(tuple(0.2 * math.exp(-x / length) for x in self.depths))
 
 
-def test_a_fit_to_a_profile_states_its_unknown_scatter(tmp_path):
+def test_a_fit_to_a_profile_finds_the_length_over_which_it_falls():
     depths, rng = np.linspace(5.0, 95.0, 10), np.random.default_rng(2)
     values = 0.2 * np.exp(-depths / 60.0) * (1.0 + 0.05 * rng.standard_normal(10))
     table = {"day": [3] * 10, "depth / um": depths, "oxygen / mM": values}
     fit = mc.fit(
-        SCENE, table, {"growth.cycle_time": "20:120 h"}, cores=1, scatter="unknown",
-        output=tmp_path / "fit", simulator=Decaying(tuple(depths)),
+        SCENE, table, {"growth.cycle_time": "20:120 h"}, cores=1, sd=0.05,
+        simulator=Decaying(tuple(depths)),
     )  # fmt: skip
     interval = fit.intervals()["cycle_time"]
     assert interval.low < 60.0 * 3600.0 < interval.high
     assert interval.high - interval.low < 10.0 * 3600.0
-    stated = json.loads((tmp_path / "fit" / "result.json").read_text(encoding="utf-8"))
-    low, middle, high = stated["unknown_scatter"]["oxygen"]
-    assert low < 0.05 < high
-    assert low < middle < high < 0.15
-    assert stated["scatter"] == "unknown"
-    assert [row["depth"] for row in stated["residuals"]] == depths.tolist()
-    assert any("scatter beyond runs and stated errors was estimated" in x for x in fit.notes)
+    assert [row["depth"] for row in fit.rows()] == depths.tolist()
     assert fit.best.per_datum == pytest.approx(1.0, abs=0.5)
     (axes,) = fit.plot().axes
     assert axes.get_xlabel() == "depth below the surface (µm)"

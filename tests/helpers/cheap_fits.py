@@ -131,7 +131,7 @@ def growing(simulator, truth, rng, sigma=4.0, seeds=2):
     values = simulator.drawn(truth, rng) + sigma * rng.standard_normal(12)
     names = ["diameter"] * 6 + ["necrotic_radius"] * 6
     data = tuple(
-        Datum(name, float(v), sigma, False, False, 3600.0 * (k % 6 + 1), None, 0, f"row {k}")
+        Datum(name, float(v), sigma, False, False, 3600.0 * (k % 6 + 1), 0, f"row {k}")
         for k, (name, v) in enumerate(zip(names, np.maximum(values, 0.0), strict=True))
     )
     units = {"diameter": "um", "necrotic_radius": "um"}
@@ -148,9 +148,7 @@ def measured(values, sigma):
     They are of an observable that may be negative.
     """
     data = tuple(
-        Datum(
-            "force_toy_x", float(v), float(s), False, False, 3600.0 * (k + 1), None, 0, f"row {k}"
-        )
+        Datum("force_toy_x", float(v), float(s), False, False, 3600.0 * (k + 1), 0, f"row {k}")
         for k, (v, s) in enumerate(zip(values, np.broadcast_to(sigma, len(values)), strict=True))
     )
     condition = Condition("only", {}, SCENE)
