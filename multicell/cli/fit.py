@@ -91,8 +91,7 @@ def fit(
     pairs = studies.key_values(free, "--free")
     from multicell.calibration.fit import carry_out, plan_of
 
-    with studies.planning():
-        plan = plan_of(scene, data, pairs, **options)
+    plan = plan_of(scene, data, pairs, **options)
     count, words = studies.cores_wanted(cores, scheduler), "starting"
 
     def note(what: str, done: int, wanted: int) -> float:

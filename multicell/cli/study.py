@@ -6,7 +6,6 @@ import sys
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from multicell.cli import options as shared
-from multicell.cli.process import complain, print_json, words_after
+from multicell.cli.process import complain, print_json
 from multicell.units import time_text
 
 if TYPE_CHECKING:
@@ -99,15 +98,8 @@ def new(
     """
     from multicell.studies.study import study as planned
 
-    with planning():
-        made = planned(scene, key_values(vary, "--vary"), output=output, **options)
-        made.expected(1)
+    made = planned(scene, key_values(vary, "--vary"), output=output, **options)
     _print_plan(made, quiet, as_json)
-
-
-def planning() -> AbstractContextManager[None]:
-    """Return a context that reports that a plan takes its time, where it does."""
-    return words_after(3.0, "Planning: every set of parameters is checked beforehand ...")
 
 
 def key_values(items: Sequence[str], option: str) -> dict[str, str]:
@@ -205,8 +197,7 @@ def run(folder: Path, **how: Any) -> None:
 def _open_study(folder: Path) -> Study:
     from multicell.studies.study import load_study
 
-    with planning():
-        return load_study(folder)
+    return load_study(folder)
 
 
 def cores_wanted(cores: int | None, scheduler: str | None) -> int | None:
