@@ -21,7 +21,6 @@ from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
 from multicell.studies.axes import Axis, change, parse_axis
 from multicell.studies.design import Design, Point
-from multicell.studies.keys import refuse_ineffective
 from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown
@@ -46,7 +45,7 @@ class Plan:
       same at all points, so that two of them differ by their parameters alone
 
     Raises SceneError if anything of it cannot be: a number of seeds below one, a point that the
-    scene refuses (with its values), a key without effect, two points that are one.
+    scene refuses (with its values), two points that are one.
     """
 
     scene: Scene
@@ -59,8 +58,6 @@ class Plan:
         check_runs(len(self.design.points), check_seeds(self.seeds, self.scene.seed))
         scenes = tuple(change(self.scene, point.changes) for point in self.design.points)
         object.__setattr__(self, "scenes", scenes)
-        cases = zip((point.changes for point in self.design.points), scenes, strict=True)
-        refuse_ineffective(cases, [axis.key for axis in self.design.axes])
         self._refuse_equal_points()
 
     @property
