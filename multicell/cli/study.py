@@ -135,7 +135,7 @@ def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
     from multicell.studies.plan import axis_line
 
     plan = made.plan
-    for axis in plan.design.axes:
+    for axis in plan.axes:
         say(textwrap.shorten(axis_line(axis), 200, placeholder=" ..."))
     points, seeds = _count(len(plan.points), "point"), _count(plan.seeds, "seed")
     known = f", {done:,} of them done" if done else ""
@@ -310,7 +310,7 @@ def _print_outcomes(
 
 
 def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
-    units = {axis.name: axis.unit for axis in made.plan.design.axes}
+    units = {axis.name: axis.unit for axis in made.plan.axes}
     for coordinates, reason in failed[:_LISTED]:
         say(f"  failed at {_where(coordinates, units)}: {reason}")
     if len(failed) > _LISTED:
@@ -350,7 +350,7 @@ def status(folder: Path, as_json: bool) -> None:
     words = {"partial": "begun"}
     shown = [f"{counts[name]:,} {words.get(name, name)}" for name in STATES if counts[name]]
     say(f"{_count(len(states), 'run')}: {', '.join(shown)}")
-    units = {axis.name: axis.unit for axis in made.plan.design.axes}
+    units = {axis.name: axis.unit for axis in made.plan.axes}
     for run, state in zip(made.runs, states, strict=True):
         if state.state == "running":
             share = 100.0 * state.time / run.scene.duration

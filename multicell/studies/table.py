@@ -97,7 +97,7 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
 def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]]:
     """Return shape, names and coordinates of the dimensions of points and seeds."""
     coordinates: dict[str, Any] = {}
-    axes, grid = plan.design.axes, plan.design.kind == "grid"
+    axes, grid = plan.axes, plan.design == "grid"
     if grid:
         shape, dims = tuple(len(axis.values) for axis in axes), tuple(axis.name for axis in axes)
     else:
