@@ -10,9 +10,9 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli import study as studies
+from multicell.cli.options import filled_table, plain
 from multicell.cli.process import complain, print_json
 from multicell.cli.progress import display
-from multicell.cli.tables import filled_table, plain
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -63,7 +63,9 @@ class PlainScene:
     @classmethod
     def of(cls, scene: Scene) -> PlainScene:
         """Return a scene as plain values."""
-        laws = [type(scene.contact), *([] if scene.growth is None else [scene.growth.law_class])]
+        laws: list[type] = [type(scene.contact)]
+        if scene.growth is not None:
+            laws.append(type(scene.growth.growth_law))
         own = scene.output.observables.items()
         observables = {stated.function: find_own(name, stated).source for name, stated in own}
         sources = tuple(origin(law) for law in laws if issubclass(law, OwnLaw))

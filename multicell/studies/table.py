@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 NAME: Final = "study.nc"
 FORMAT: Final = 1
 _SKIPPED: Final = ("units", "versions", "title", "notes", "seed")
-_RENAMED: Final = {"time": "end_time"}
 FloatArray = NDArray[np.float64]
 
 
@@ -131,7 +130,7 @@ def _read(
     numbers: dict[str, float] = {}
     units = {column: known_unit(column) for column in rows}
     for path, value in _flat(summary):
-        flat = _RENAMED.get(path, path.replace(".", "_"))
+        flat = "end_time" if path == "time" else path.replace(".", "_")
         if flat not in rows:
             numbers[flat], units[flat] = value, known_unit(path)
     return rows, numbers, units
