@@ -66,8 +66,7 @@ def sensitivity(
     pairs = studies.key_values(free, "--free")
     from multicell.calibration.sensitivity import carry_out, plan_of
 
-    with studies.planning():
-        plan = plan_of(scene, pairs, observables=observables or None, size=size, seeds=seeds)
+    plan = plan_of(scene, pairs, observables=observables or None, size=size, seeds=seeds)
     result = studies.carry_out_study(plan, output, carry_out, how)
     studies.print_analysis(result, bool(result.failures), how)
 
@@ -128,15 +127,14 @@ def dose_response(
         result = replace(of_table(data), folder=output)
     else:
         keys, doses = list(pairs), tuple(pairs.values())
-        with studies.planning():
-            plan = plan_of(
-                described,
-                keys[0] if len(keys) == 1 else None,
-                doses[0] if len(keys) == 1 else doses,
-                combine=keys if len(keys) == 2 else None,
-                observable="+".join(observables) or LIVING,
-                seeds=seeds,
-            )
+        plan = plan_of(
+            described,
+            keys[0] if len(keys) == 1 else None,
+            doses[0] if len(keys) == 1 else doses,
+            combine=keys if len(keys) == 2 else None,
+            observable="+".join(observables) or LIVING,
+            seeds=seeds,
+        )
         result = studies.carry_out_study(plan, output, carry_out, how)
     if how["no_report"]:
         result.write_tables()

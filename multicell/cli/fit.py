@@ -10,9 +10,9 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli import study as studies
+from multicell.cli.options import filled_table, plain
 from multicell.cli.process import complain, print_json
 from multicell.cli.progress import display
-from multicell.cli.tables import filled_table, plain
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -85,8 +85,7 @@ def fit(
     pairs = studies.key_values(free, "--free")
     from multicell.calibration.fit import carry_out, plan_of
 
-    with studies.planning():
-        plan = plan_of(scene, data, pairs, **options)
+    plan = plan_of(scene, data, pairs, **options)
     count, words = studies.cores_wanted(cores, scheduler), "starting"
 
     def note(what: str, done: int, wanted: int) -> float:

@@ -17,8 +17,8 @@ import click
 
 from multicell import __version__
 from multicell.cli import options as shared
+from multicell.cli.options import filled_table, key_table, plain
 from multicell.cli.process import Commands, complain, print_json
-from multicell.cli.tables import filled_table, key_table, plain
 from multicell.errors import OutputError, StepFailed
 from multicell.units import time_text
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _ELSEWHERE = {
     "compare": "compare:compare", "stability": "compare:stability",
     "dose-response": "analyses:dose_response", "sensitivity": "analyses:sensitivity",
-    "fit": "fit:fit", "import": "importing:importing", "play": "play:play", "study": "study:study",
+    "fit": "fit:fit", "import": "scenes:importing", "play": "play:play", "study": "study:study",
     "scenes": "scenes:scenes", "init": "scenes:init", "coarsen": "scenes:coarsen",
     "schema": "scenes:schema", "plot": "show:plot", "view": "show:view", "movie": "show:movie",
 }  # fmt: skip

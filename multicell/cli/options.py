@@ -1,9 +1,9 @@
-"""Options that commands share, and how they are read."""
+"""What commands share: options and how they are read, the console, and tables on it."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from multicell.units import shown
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from multicell.scene.scene import Scene
 
@@ -44,9 +45,10 @@ def with_values(
 ) -> Sequence[str]:
     """Refuse ``KEY VALUE`` in place of ``KEY=VALUE``, before the value is taken for an argument."""
     for item in items:
-        if "=" not in item:
+        key = item.partition("=")[0].strip()
+        if "=" not in item or not key:
             said = f"'{item}' is not {parameter.metavar}"
-            how = f"write the value without a space, as {parameter.opts[0]} {item}='…'"
+            how = f"write the value without a space, as {parameter.opts[0]} {key or 'KEY'}='…'"
             raise click.BadParameter(f"{said}: {how}")
     return items
 
@@ -267,3 +269,36 @@ def console() -> Console:
     from rich.console import Console
 
     return Console(highlight=False)
+
+
+def filled_table(columns: Sequence[str], rows: Iterable[Sequence[object]], **options: Any) -> Table:
+    """Return a table without lines.
+
+    - ``columns``: their titles; one that ends in ``" >"`` is set to the right
+    - ``rows``: of texts, in which square brackets are no markup
+    """
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold", **options)
+    for title in columns:
+        name, right, _ = title.partition(" >")
+        table.add_column(name, justify="right" if right else "left")
+    for row in rows:
+        shown: list[Any] = [text if hasattr(text, "plain") else plain(text) for text in row]
+        table.add_row(*shown)
+    return table
+
+
+def key_table(rows: Iterable[tuple[str, object]], *, justify: Any = "left") -> Table:
+    """Return a table of names in bold and what belongs to them, without a header."""
+    table = filled_table(("", ""), rows, show_header=False)
+    table.columns[0].style = "bold"
+    table.columns[1].justify = justify
+    return table
+
+
+def plain(text: object) -> Any:
+    """Return text in which square brackets are no markup."""
+    from rich.text import Text
+
+    return Text(str(text))

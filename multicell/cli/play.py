@@ -28,32 +28,21 @@ if TYPE_CHECKING:
     "May be given several times.",
     required=True,
 )
-@click.option(
-    "--coarse",
-    type=float,
-    metavar="FACTOR",
-    help="Run with cells so many times as wide; 1: as they are.  [default: 2 where possible]",
-)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="By default a free one.")
 @click.option("--no-browser", is_flag=True, help="Print the address, and do not open it.")
-def play(
-    scene: Scene,
-    keys: Sequence[str],
-    coarse: float | None,
-    port: int,
-    no_browser: bool,
-) -> None:
+def play(scene: Scene, keys: Sequence[str], port: int, no_browser: bool) -> None:
     """Open a page with sliders for keys of a SCENE, and the view of a run beside them.
 
-    Each move of a slider begins another run in the background. The page is served to this machine
-    alone, at an address with a secret; Ctrl-C ends all of it.
+    Each move of a slider begins another run in the background, with coarse cells where the scene
+    allows that. The page is served to this machine alone, at an address with a secret; Ctrl-C ends
+    all of it.
     """
     needs("tornado")
     from multicell.cli.playground import Playground, serve
     from multicell.studies.axes import parse_ranges
 
     ranges = parse_ranges(key_values(keys, "--key"), scene)
-    factor, note = _factor(scene, coarse)
+    factor, note = _factor(scene)
     law = click.get_current_context().params["law"]
     with Playground(scene, ranges, factor, note, law) as playground:
 
@@ -65,16 +54,12 @@ def play(
         serve(playground, port, ready)
 
 
-def _factor(scene: Scene, wanted: float | None) -> tuple[float, str]:
+def _factor(scene: Scene) -> tuple[float, str]:
     """Return how much wider cells are, and why they are not where that is not possible."""
     from multicell.scene.coarsening import coarsen
 
-    if wanted == 1.0:
-        return 1.0, ""
     try:
-        made = coarsen(scene, wanted or 2.0)
+        made = coarsen(scene, 2.0)
     except SceneError as error:
-        if wanted is not None:
-            raise
         return 1.0, f"Cells are as the scene has them ({error.path}: {error.problem})."
-    return wanted or 2.0, f"Each cell stands for {made.cells.represents:g}."
+    return 2.0, f"Each cell stands for {made.cells.represents:g}."

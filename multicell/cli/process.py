@@ -14,7 +14,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from threading import Timer
 from typing import IO, Any, NoReturn, final
 
 import click
@@ -164,18 +163,6 @@ def in_words(error: Exception) -> tuple[str, int]:
         f"multicell; {DEBUG}=1 shows where it happened, which a report of it should contain",
         1,
     )
-
-
-@contextmanager
-def words_after(seconds: float, text: str) -> Iterator[None]:
-    """Print a line on stderr where the work inside takes longer than so many seconds."""
-    timer = Timer(seconds, complain, [text])
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def complain(text: str) -> None:

@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, Self, cast, final
 
 import numpy as np
 
-from multicell.report.wording import time_unit
+from multicell.report.wording import cell_count, time_unit
 from multicell.units import time_text
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ Progress = Callable[[Any], None]  # called after every coupling step with the si
 def reporter(scene: Scene, *, show: bool = True) -> AbstractContextManager[Progress | None]:
     """Return a context with what a run calls after each coupling step."""
     clock = _Clock(scene)
-    return display(clock.words, clock.note, refresh=5, lines=10, show=show)
+    return display(clock.words, clock.note, lines=10, show=show)
 
 
 @contextmanager
@@ -41,7 +41,6 @@ def display(
     words: Callable[[], Sequence[str]],
     share: Callable[..., float | None],
     *,
-    refresh: float = 2,
     lines: int = 20,
     show: bool = True,
 ) -> Iterator[Callable[..., None] | None]:
@@ -50,7 +49,6 @@ def display(
     - ``words``: returns what stands beside the bar, or in a line: what matters most comes first,
       and what finds no room in a line of the terminal is cut off
     - ``share``: returns the part that is done; None where that has not changed
-    - ``refresh``: how often a terminal is drawn anew, 1/s
     - ``lines``: how many lines are printed in all where there is no terminal
     """
     if not show:
@@ -90,7 +88,7 @@ def display(
         rich_progress.BarColumn(width, table_column=Column(no_wrap=True)),
         Words(),
     )
-    with rich_progress.Progress(*columns, console=console, refresh_per_second=refresh) as bar:
+    with rich_progress.Progress(*columns, console=console, refresh_per_second=4) as bar:
         task = bar.add_task("", total=None)
 
         def advance(*event: Any) -> None:
@@ -118,12 +116,11 @@ def on_stderr() -> Console:
 def status(simulation: Any, wall: float, left: float | None = None) -> list[str]:
     """Return time, time left, cells, speed and step in words, ``wall`` s after the start."""
     speed = simulation.time / 3600.0 / wall if wall > 0.0 else 0.0
-    n = len(simulation.cells)
     unit, size = time_unit(simulation.scene.duration)
     return [
         f"{simulation.time / size:.2f} of {simulation.scene.duration / size:.4g} {unit}",
         *([] if left is None else [f"{time_text(left, 2)} left"]),
-        f"{n:,} cell{'' if n == 1 else 's'}",
+        cell_count(len(simulation.cells)),
         f"{speed:.3g} h simulated per s",
         f"step {simulation.step_index:,}",
     ]
@@ -221,11 +218,6 @@ class Pace:
         self._last = now
 
     @property
-    def done(self) -> int:
-        """How many runs have ended, well or not."""
-        return self.total - len(self.left)
-
-    @property
     def share(self) -> float:
         """The part of all work that has ended."""
         whole = sum(self.expected.values())
@@ -252,7 +244,7 @@ class Pace:
         """Return how the study stands in words."""
         left = self.remaining(now)
         return [
-            f"{self.done:,} of {self.total:,} runs",
+            f"{self.total - len(self.left):,} of {self.total:,} runs",
             *([f"{self.failed:,} failed"] if self.failed else []),
             *([] if left is None or not self.left else [f"about {time_text(left, 2)} left"]),
         ]

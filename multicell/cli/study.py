@@ -6,7 +6,6 @@ import sys
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from multicell.cli import options as shared
-from multicell.cli.process import complain, print_json, words_after
+from multicell.cli.process import complain, print_json
 from multicell.units import time_text
 
 if TYPE_CHECKING:
@@ -99,24 +98,15 @@ def new(
     """
     from multicell.studies.study import study as planned
 
-    with planning():
-        made = planned(scene, key_values(vary, "--vary"), output=output, **options)
-        made.expected(1)
+    made = planned(scene, key_values(vary, "--vary"), output=output, **options)
     _print_plan(made, quiet, as_json)
-
-
-def planning() -> AbstractContextManager[None]:
-    """Return a context that reports that a plan takes its time, where it does."""
-    return words_after(3.0, "Planning: every set of parameters is checked beforehand ...")
 
 
 def key_values(items: Sequence[str], option: str) -> dict[str, str]:
     """Return the values of ``KEY=VALUES`` items by their keys."""
     pairs: dict[str, str] = {}
     for item in items:
-        key, equals, text = (part.strip() for part in item.partition("="))
-        if not equals or not key:
-            raise click.BadParameter(f"'{item}' is not KEY=VALUES", param_hint=f"'{option}'")
+        key, _, text = (part.strip() for part in item.partition("="))
         if key in pairs:
             problem = f"{key} is given twice: write all its values behind one {option}"
             raise click.BadParameter(problem, param_hint=f"'{option}'")
@@ -143,7 +133,7 @@ def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
     from multicell.studies.plan import axis_line
 
     plan = made.plan
-    for axis in plan.design.axes:
+    for axis in plan.axes:
         say(textwrap.shorten(axis_line(axis), 200, placeholder=" ..."))
     points, seeds = _count(len(plan.points), "point"), _count(plan.seeds, "seed")
     known = f", {done:,} of them done" if done else ""
@@ -165,18 +155,13 @@ def _cost_words(cost: StudyCost, cores: int | None) -> str:
     alone = f"{time_text(cost.core_seconds, 2)} of one core"
     time = alone if cores is None else f"{time_text(cost.seconds, 2)} on {_count(cores, 'core')}"
     extra = "" if cores in (None, 1) else f" ({alone})"
-    memory = f"{_bytes(cost.memory)} of memory" + (" a process" if cores is None else "")
+    from rich.filesize import decimal
+
+    memory = f"{decimal(round(cost.memory))} of memory" + (" a process" if cores is None else "")
     return (
         f"{_count(cost.runs, 'run')} left, expected to take about {time}{extra}, {memory} and "
-        f"{_bytes(cost.disk)} of the disk; compilation is not counted"
+        f"{decimal(round(cost.disk))} of the disk; compilation is not counted"
     )
-
-
-def _bytes(number: float) -> str:
-    for unit, size in (("TB", 1e12), ("GB", 1e9)):
-        if number >= size:
-            return f"{number / size:.3g} {unit}"
-    return f"{number / 1e6:.0f} MB" if number >= 1e6 else "less than 1 MB"
 
 
 @study.command()
@@ -205,8 +190,7 @@ def run(folder: Path, **how: Any) -> None:
 def _open_study(folder: Path) -> Study:
     from multicell.studies.study import load_study
 
-    with planning():
-        return load_study(folder)
+    return load_study(folder)
 
 
 def cores_wanted(cores: int | None, scheduler: str | None) -> int | None:
@@ -319,19 +303,18 @@ def _print_outcomes(
 
 
 def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
-    units = {axis.name: axis.unit for axis in made.plan.design.axes}
     for coordinates, reason in failed[:_LISTED]:
-        say(f"  failed at {_where(coordinates, units)}: {reason}")
+        say(f"  failed at {_where(coordinates, made)}: {reason}")
     if len(failed) > _LISTED:
         say(f"  and {len(failed) - _LISTED:,} more")
 
 
-def _where(coordinates: Any, units: Any) -> str:
+def _where(coordinates: Mapping[str, Any], made: Study) -> str:
+    units = {axis.name: axis.unit for axis in made.plan.axes}
     parts = []
     for name, value in coordinates.items():
-        unit = f" {units[name]}" if units.get(name) else ""
         shown = f"{value:g}" if isinstance(value, float) else str(value)
-        parts.append(f"{name} = {shown}{unit}")
+        parts.append(f"{name} = {shown} {units.get(name, '')}".rstrip())
     return ", ".join(parts)
 
 
@@ -359,16 +342,16 @@ def status(folder: Path, as_json: bool) -> None:
     words = {"partial": "begun"}
     shown = [f"{counts[name]:,} {words.get(name, name)}" for name in STATES if counts[name]]
     say(f"{_count(len(states), 'run')}: {', '.join(shown)}")
-    units = {axis.name: axis.unit for axis in made.plan.design.axes}
+    failed = []
     for run, state in zip(made.runs, states, strict=True):
         if state.state == "running":
             share = 100.0 * state.time / run.scene.duration
-            where, cells = _where(run.coordinates, units), _count(state.cells, "cell")
+            where, cells = _where(run.coordinates, made), _count(state.cells, "cell")
             say(f"  running at {where}: {share:.0f} % of the time, {cells}")
+        elif state.state == "failed":
+            failed.append((run.coordinates, state.reason))
     if left > 0.0:
         say(f"About {time_text(left, 2)} of one core left.")
-    failed = [(r.coordinates, s.reason) for r, s in zip(made.runs, states, strict=True)
-              if s.state == "failed"]  # fmt: skip
     _list_failed(failed, made)
 
 

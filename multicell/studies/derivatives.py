@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.studies.engine import Outcome
 
-SMALL: Final = 0.02
-"""Steps below this seldom help: tissues of one seed part whatever the step."""
-
 
 def gradient(
     scene: Scene | str | Path,
@@ -44,7 +41,6 @@ def gradient(
     seeds: int = 8,
     times: Sequence[float | str] | None = None,
     output: str | Path | None = None,
-    overwrite: bool = False,
     cores: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[Outcome], None] | None = None,
@@ -63,7 +59,8 @@ def gradient(
     keys
         Dotted keys of numbers, such as ``"growth.cycle_time"``.
     step
-        h over the value of the key, 0.001 to 0.5; 0.05 to 0.1 are sensible.
+        h over the value of the key, 0.001 to 0.5; 0.05 to 0.1 are sensible: tissues of one seed
+        part whatever the step.
     seeds
         Runs on each side, at least 2: with the scene's seed and those that follow it.
     times
@@ -71,8 +68,6 @@ def gradient(
     output
         Folder of the study whose runs these are; what is there is not run again. By default the
         runs are not kept.
-    overwrite
-        Whether the plan of another study in the folder may be replaced; its runs stay.
     cores, scheduler, progress
         As in :meth:`multicell.studies.study.Study.run`.
 
@@ -88,8 +83,8 @@ def gradient(
     Raises
     ------
     SceneError
-        For an unknown observable; a key that is no number, absent, zero or without effect; a step
-        after which the scene is refused; before anything runs.
+        For an unknown observable; a key that is no number, absent or zero; a step after which the
+        scene is refused; before anything runs.
     OutputError
         If the folder cannot be used, or holds another study.
     MissingPackage, ClusterError
@@ -115,7 +110,7 @@ def gradient(
     }  # fmt: skip
     plan = make_plan(base, points=points, seeds=seeds)
     with folder_for(output) as folder:
-        study = write_study(plan, folder, overwrite=overwrite)
+        study = write_study(plan, folder)
         known, notes = values_of(study, named, at, cores, scheduler, progress)
     rows = [
         _row(name, time, key, values[j], ends[j], ys[2 * j : 2 * j + 2, :, t])
@@ -123,8 +118,6 @@ def gradient(
         for t, time in enumerate([base.duration] if at is None else at)
         for j, key in enumerate(found)
     ]
-    if step < SMALL:
-        notes.append(f"a step below {SMALL:g} seldom helps: tissues of one seed part anyway")
     lost = [f"{r['observable']} by {r['key']}" for r in rows if r["seeds"] < seeds]
     if lost:
         notes.append(f"not all seeds have both sides: {', '.join(lost)}")

@@ -58,7 +58,6 @@ def write_report(
         subtitle=_subtitle(table),
         tiles=_tiles(table, states),
         pictures=_drawings(table, title, names),
-        axes=[_axis_row(table, name) for name in of.axes_of(table)],
         unfinished=_unfinished(states),
         **_run_table(table, runs, states, names[:_COLUMNS]),
     )
@@ -122,15 +121,6 @@ def _tiles(table: xr.Dataset, states: Sequence[RunStatus]) -> dict[str, str]:
     if wall > 0.0:
         tiles["wall time of all runs"] = clock(wall)
     return tiles
-
-
-def _axis_row(table: xr.Dataset, name: str) -> dict[str, str]:
-    shown = of.scale(table, name)
-    values = shown.texts
-    if len(values) > 12:
-        values = [values[0], "…", values[-1], f"({len(values)} values)"]
-    key = str(table[name].attrs.get("key", name))
-    return {"label": shown.label, "key": key, "values": ", ".join(values).replace("…, ", "… ")}
 
 
 def _unfinished(states: Sequence[RunStatus]) -> str:

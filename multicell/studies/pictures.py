@@ -15,20 +15,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from multicell.errors import SceneError
+from multicell.report.plots import style
 from multicell.report.plots.colour_vision import luminance
-from multicell.report.plots.style import (
-    BLUE,
-    DPI,
-    INK,
-    QUIET,
-    RED,
-    SIZE,
-    blank,
-    draw_style,
-    span,
-    styled,
-    type_colours,
-)
 from multicell.report.wording import time_unit
 from multicell.studies import picture_data as of
 
@@ -48,11 +36,11 @@ _LOG_RATIO: Final = 20.0  # of largest to smallest value from which curves are o
 
 def with_heading(title: str, subtitle: str, size: tuple[float, float]) -> Figure:
     """Return a figure whose panels find their own margins below a heading."""
-    figure = blank(title, subtitle, size)
+    figure = style.blank(title, subtitle, size)
     figure.set_layout_engine(
         "constrained", rect=(0.03, 0.05, 0.94, 1.0 - 0.85 / size[1] - 0.05), w_pad=0.13, h_pad=0.08
     )
-    figure.set_dpi(DPI)
+    figure.set_dpi(style.DPI)
     return figure
 
 
@@ -66,7 +54,7 @@ def panels(
     - ``height``: of the figure, inches
     - ``**shared``: as ``Figure.subplots`` takes them: ``sharex``, ``sharey``
     """
-    figure = with_heading(title, subtitle, (SIZE[0], height))
+    figure = with_heading(title, subtitle, (style.SIZE[0], height))
     grid = figure.subplots(-(-count // columns), columns, squeeze=False, **shared).ravel().tolist()
     for axes in grid[count:]:
         axes.set_axis_off()
@@ -115,7 +103,7 @@ class StudyPlots:
         single = [n for n in table[of.STATE].dims if table.sizes[n] == 1 and n not in kept]
         self._table, self._title = table.squeeze(single, drop=True), title
 
-    @styled
+    @style.styled
     def heatmap(self, observable: str) -> Figure:
         """Draw the mean of an observable over the first two axes, a tile for each pair of values.
 
@@ -147,8 +135,8 @@ class StudyPlots:
             scatter += f" ({of.number_text(float(np.nanmedian(sd)), 2)} in the median tile)"
         subtitle = _subtitle(observable, "at the end of each run", ends.shape[-1], scatter)
         subtitle += f"; {fixed}" if fixed else ""
-        inches = 3.4 if high == 1 else max(SIZE[1], 1.7 + 0.3 * high)
-        figure = with_heading(self._title, subtitle, (SIZE[0], inches))
+        inches = 3.4 if high == 1 else max(style.SIZE[1], 1.7 + 0.3 * high)
+        figure = with_heading(self._title, subtitle, (style.SIZE[0], inches))
         axes, norm = figure.subplots(), Normalize(*_range(mean))
         _draw_map(axes, mean, states, norm)
         for place in np.ndindex(*mean.shape) if font >= _MIN_FONT else ():
@@ -160,7 +148,7 @@ class StudyPlots:
         _write_plainly(_colour_bar(figure, mappable, axes, of.label(part, observable)))
         return figure
 
-    @styled
+    @style.styled
     def curves(self, observable: str) -> Figure:
         """Draw an observable over time: the mean over the seeds, a band of one deviation each way.
 
@@ -182,7 +170,7 @@ class StudyPlots:
         names = of.axes_of(table)
         columns = 2 if len(names) > 1 else 1
         rows = -(-len(names) // columns)
-        seeds, height = table.sizes[of.SEED], SIZE[1] if rows < 2 else 0.9 + 3.9 * rows
+        seeds, height = table.sizes[of.SEED], style.SIZE[1] if rows < 2 else 0.9 + 3.9 * rows
         subtitle = _subtitle(observable, "over time", seeds, "mean, band: ± one standard deviation")
         if table.sizes.get(of.POINT, 0) > _MAX_CURVES:
             subtitle += f"; {_MAX_CURVES} of {table.sizes[of.POINT]:,} points"
@@ -194,7 +182,7 @@ class StudyPlots:
         for place, axes in enumerate(grid):
             # limits are known: to find them from hundreds of curves takes minutes
             axes.set_autoscale_on(False)
-            axes.set_xlim(*span(time))
+            axes.set_xlim(*style.span(time))
             axes.xaxis.set_tick_params(labelbottom=True)
             axes.xaxis.set_major_locator(MaxNLocator(6))
             axes.set_xlabel(f"time ({unit.name})" if place >= len(grid) - columns else "")
@@ -206,10 +194,10 @@ class StudyPlots:
             axes.set_title(textwrap.fill(words, 110 // columns), fontsize=9.5, weight="normal")
         if not names:
             alone = table[observable].transpose(of.SEED, of.TIME).values
-            _draw_curve(grid[0], time, alone, BLUE, 2.0)
+            _draw_curve(grid[0], time, alone, style.BLUE, 2.0)
         return figure
 
-    @styled
+    @style.styled
     def response(self, observable: str) -> Figure:
         """Draw an observable at the end of each run over every axis, one panel for each.
 
@@ -223,7 +211,7 @@ class StudyPlots:
         names, values = _varied(table), of.at_end(table, observable)
         rows = -(-len(names) // 3)
         columns = -(-len(names) // rows)  # rows of one length have no holes
-        height = SIZE[1] if rows == 1 else 0.9 + 3.6 * rows
+        height = style.SIZE[1] if rows == 1 else 0.9 + 3.6 * rows
         bars = "bars: ± one standard deviation"
         if len(names) > 1 and not of.is_list(table):
             bars = "line: mean over the other axes and"
@@ -236,8 +224,9 @@ class StudyPlots:
                 _write_plainly(axes.yaxis)
         failed = int((table[of.STATE].values == "failed").sum())
         if failed:
-            handle = Line2D([], [], ls="", marker="x", color=RED, label=f"failed ({failed:,})")
-            figure.legend(handles=[handle], loc="upper right", bbox_to_anchor=(0.98, 0.99))
+            label = f"failed ({failed:,})"
+            cross = Line2D([], [], ls="", marker="x", color=style.RED, label=label)
+            figure.legend(handles=[cross], loc="upper right", bbox_to_anchor=(0.98, 0.99))
         return figure
 
 
@@ -273,11 +262,11 @@ def _write_tile(
         lines = [of.number_text(float(mean))]
         lines += [f"± {of.number_text(float(sd), 2)}"] * bool(np.isfinite(sd))
         lines += [f"{len(known)} of {len(values)} seeds"] * few
-        colour = INK if luminance(_COLOURS(norm(mean))) > 0.18 else "white"
+        colour = style.INK if luminance(_COLOURS(norm(mean))) > 0.18 else "white"
     else:
         there = (runs == of.DONE).any()
         lines = ["none" if there else "failed" if failed else "not run"]
-        colour = RED if failed and not there else QUIET
+        colour = style.RED if failed and not there else style.QUIET
     axes.text(place[1] + 0.5, place[0] + 0.5, "\n".join(lines), ha="center", va="center",
               fontsize=font, color=colour, weight="bold", linespacing=1.2)  # fmt: skip
 
@@ -331,7 +320,7 @@ def _draw_curve(
         return
     whole = np.isfinite(known).all(axis=0)
     mean = np.where(whole, known.mean(axis=0), np.nan)
-    axes.plot(time, mean, draw_style(mean[whole]), color=colour, lw=wide, ms=4)
+    axes.plot(time, mean, style.draw_style(mean[whole]), color=colour, lw=wide, ms=4)
     if len(known) > 1:
         sd = known.std(axis=0, ddof=1)
         axes.fill_between(time, mean - sd, mean + sd, where=whole, color=colour, lw=0, alpha=0.22)
@@ -342,7 +331,7 @@ def _draw_curve(
 def _colours(shown: of.Scale) -> tuple[Callable[[Any], Any], mpl.cm.ScalarMappable | None]:
     """Return the colour of each value of an axis; and their scale where they are many numbers."""
     if shown.numbers is None:
-        own = type_colours(shown.values)
+        own = style.type_colours(shown.values)
         return lambda value: own[str(value)], None
     if len(shown.values) <= _MAX_NAMED:
         places = np.linspace(0.0, 1.0, max(2, len(shown.values)))
@@ -378,16 +367,16 @@ def _draw_response(
     # words have a place of their own each
     words = shown.numbers is None
     places = np.array([shown.values.index(str(v)) for v in own]) if words else own / shown.factor
-    axes.plot(places, flat, "o", color=BLUE, ms=3.5, alpha=0.35, mew=0, zorder=2)
+    axes.plot(places, flat, "o", color=style.BLUE, ms=3.5, alpha=0.35, mew=0, zorder=2)
     mean, sd = of.statistics(flat)
     order = np.argsort(places, kind="stable")
     axes.errorbar(
         places[order], mean[order], sd[order] if flat.shape[1] == values.sizes[of.SEED] else None,
-        fmt="o" if sampled or words else "o-", color=BLUE if sampled else QUIET, ms=4.5,
+        fmt="o" if sampled or words else "o-", color=style.BLUE if sampled else style.QUIET, ms=4.5,
         lw=1.4, elinewidth=1.1, capsize=0 if sampled else 2.5, zorder=3,
     )  # fmt: skip
     lost = places[(runs == "failed").any(axis=1)]
-    axes.plot(lost, np.full(len(lost), 0.02), "x", color=RED, zorder=4,
+    axes.plot(lost, np.full(len(lost), 0.02), "x", color=style.RED, zorder=4,
               transform=axes.get_xaxis_transform())  # fmt: skip
     axes.set_xlabel(shown.label)
     if words:

@@ -1,4 +1,4 @@
-"""The plan of a study: a scene, a design and seeds; the file ``study.toml``.
+"""The plan of a study: a scene, the points of a grid or a list, and seeds; ``study.toml``.
 
 ``study.toml`` stands in the folder of a study beside ``scene.toml``, the scene that is varied. Both
 are written once and are the user's to edit; what is in them is checked as a whole, with every
@@ -7,7 +7,9 @@ point's scene, before anything runs.
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,9 +21,7 @@ from multicell.errors import SceneError
 from multicell.host.files import parse_toml, read_regular
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
-from multicell.studies.axes import Axis, change, parse_axis
-from multicell.studies.design import Design, Point
-from multicell.studies.keys import refuse_ineffective
+from multicell.studies.axes import Axis, change, parse_axis, with_unique_names
 from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown
@@ -30,9 +30,27 @@ NAME: Final = "study.toml"
 SCENE: Final = "scene.toml"
 _LARGEST: Final = 20_000_000
 """Bytes of study.toml: 1,000 for each of as many points as there may be."""
-_KEYS: Final = (
-    "scene", "seeds", "design", "vary", "points",
-)  # fmt: skip
+_KEYS: Final = ("scene", "seeds", "design", "vary", "points")
+DESIGNS: Final = {
+    "grid": "all combinations",
+    "list": "the points below, one a place in the lists",
+}
+
+
+@final
+@dataclass(frozen=True)
+class Point:
+    """One point of a study.
+
+    - ``changes``: dotted key -> value, as :meth:`Scene.with_changes` takes them
+    - ``coordinates``: axis name -> number in base units, or word
+    """
+
+    changes: Mapping[str, Any]
+    coordinates: Mapping[str, float | str]
+
+    def __str__(self) -> str:
+        return ", ".join(f"{key} = {value!r}" for key, value in self.changes.items())
 
 
 @final
@@ -41,32 +59,32 @@ class Plan:
     """All that a study computes.
 
     - ``scene``: what is varied
-    - ``design``: how
+    - ``axes``: of a grid, the last one running fastest; of a list its columns, all of one length
+    - ``design``: one of :data:`DESIGNS`
     - ``seeds``: number of runs of each point, with the scene's seed and those that follow it: the
       same at all points, so that two of them differ by their parameters alone
 
     Raises SceneError if anything of it cannot be: a number of seeds below one, a point that the
-    scene refuses (with its values), a key without effect, two points that are one.
+    scene refuses (with its values), two points that are one.
     """
 
     scene: Scene
-    design: Design
+    axes: tuple[Axis, ...] = ()
+    design: str = "grid"
     seeds: int = 1
+    points: tuple[Point, ...] = field(init=False, repr=False, compare=False)
     scenes: tuple[Scene, ...] = field(init=False, repr=False, compare=False)
     """Of every point, with the first seed."""
 
     def __post_init__(self) -> None:
-        check_runs(len(self.design.points), check_seeds(self.seeds, self.scene.seed))
-        scenes = tuple(change(self.scene, point.changes) for point in self.design.points)
+        count = _count(self.axes, self.design)
+        check_runs(count, 1, "points" if self.design == "list" else "vary")
+        check_runs(count, check_seeds(self.seeds, self.scene.seed))
+        object.__setattr__(self, "axes", tuple(with_unique_names(self.axes)))
+        object.__setattr__(self, "points", tuple(_points(self.axes, self.design)))
+        scenes = tuple(change(self.scene, point.changes) for point in self.points)
         object.__setattr__(self, "scenes", scenes)
-        cases = zip((point.changes for point in self.design.points), scenes, strict=True)
-        refuse_ineffective(cases, [axis.key for axis in self.design.axes])
         self._refuse_equal_points()
-
-    @property
-    def points(self) -> tuple[Point, ...]:
-        """Those of the design."""
-        return self.design.points
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -105,6 +123,38 @@ class Plan:
         return "\n".join(_lines(self)) + "\n"
 
 
+def _count(axes: Sequence[Axis], design: str) -> int:
+    """Return the number of points of axes; refuse those that do not go together."""
+    if design not in list(DESIGNS):
+        problem = f"is {shown(design)}, must be one of {', '.join(DESIGNS)}"
+        raise SceneError("design", problem, near_miss(design, DESIGNS, listed=False))
+    keys = [axis.key for axis in axes]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise SceneError(key, "is varied twice", "Give all its values at once.")
+    lengths = [len(axis.values) for axis in axes]
+    if design == "grid":
+        return math.prod(lengths)
+    if not keys:
+        raise SceneError("points", "is empty", "A list needs a column for each key.")
+    if len(set(lengths)) > 1:
+        words = ", ".join(f"{key} has {n}" for key, n in zip(keys, lengths, strict=True))
+        hint = "The values of a point stand at the same places of their lists."
+        raise SceneError(keys[0], f"goes with lists of other lengths: {words}", hint)
+    return lengths[0]
+
+
+def _points(axes: Sequence[Axis], design: str) -> Iterator[Point]:
+    """Yield all points, the last axis running fastest."""
+    sides = [range(len(axis.values)) for axis in axes]
+    for row in zip(*sides, strict=True) if design == "list" else itertools.product(*sides):
+        chosen = list(zip(axes, row, strict=True))
+        yield Point(
+            {axis.key: axis.values[place] for axis, place in chosen},
+            {axis.name: axis.coordinates[place] for axis, place in chosen},
+        )
+
+
 def make_plan(
     scene: Scene,
     vary: Mapping[str, Any] | None = None,
@@ -129,7 +179,7 @@ def make_plan(
         axes = tuple(parse_axis(key, given, scene) for key, given in _flat(vary or {}).items())
     else:
         raise SceneError("vary", f"is {shown(vary)}, must be a table of keys and values")
-    return Plan(scene, Design(design, axes), check_seeds(seeds, scene.seed))
+    return Plan(scene, axes, design, check_seeds(seeds, scene.seed))
 
 
 def _columns(points: Any, scene: Scene) -> tuple[Axis, ...]:
@@ -199,7 +249,7 @@ def _entries(path: Path) -> dict[str, Any]:
 
 def _lines(plan: Plan) -> Iterator[str]:
     """Yield the lines of ``study.toml``."""
-    design, seed = plan.design, plan.scene.seed
+    seed = plan.scene.seed
     last = "" if plan.seeds == 1 else f" to {seed + plan.seeds - 1}"
     yield "# A study of multicell: what is varied, and how. 'multicell study run' with the name of"
     yield "# this folder computes what is missing; after any change here it keeps what fits."
@@ -207,18 +257,12 @@ def _lines(plan: Plan) -> Iterator[str]:
     yield ""
     yield f'scene = "{SCENE}"  # what is varied, in this folder'
     yield f"seeds = {plan.seeds}  # runs of each point; seed {seed}{last}, the same at all points"
-    yield f'design = "{design.kind}"  # {_WORDS[design.kind]}'
-    table = "points" if design.kind == "list" else "vary"
+    yield f'design = "{plan.design}"  # {DESIGNS[plan.design]}'
+    table = "points" if plan.design == "list" else "vary"
     yield ""
     yield f"[{table}]  # key = values"
-    for axis in design.axes:
+    for axis in plan.axes:
         yield axis_line(axis)
-
-
-_WORDS: Final = {
-    "grid": "all combinations",
-    "list": "the points below, one a place in the lists",
-}
 
 
 def axis_line(axis: Axis) -> str:

@@ -19,7 +19,6 @@ from multicell.scene.scene import Scene, load_scene
 from multicell.studies.limits import MAX_SEEDS, whole
 from multicell.studies.readings import observables_of, read_final
 from multicell.studies.study import study
-from multicell.tables.text import table_text
 from multicell.units import shown, to_base
 
 if TYPE_CHECKING:
@@ -54,19 +53,6 @@ class RunTable:
     def __repr__(self) -> str:
         return self.text()
 
-    def row(self, **where: Any) -> Row:
-        """Return the first row in which columns have these values.
-
-        Raises
-        ------
-        KeyError
-            If there is none.
-        """
-        for row in self.rows:
-            if all(row[name] == value for name, value in where.items()):
-                return dict(row)
-        raise KeyError(f"no row has {where}")
-
     def to_pandas(self) -> pandas.DataFrame:
         """Return the rows as a ``DataFrame``; its ``attrs`` are the facts."""
         needs("pandas")
@@ -75,10 +61,6 @@ class RunTable:
         frame = pandas.DataFrame(self.rows)
         frame.attrs = dict(self.facts)
         return frame
-
-    def to_csv(self) -> str:
-        """Return the rows as CSV."""
-        return table_text(self.rows)
 
     def text(self) -> str:
         """Return the table with four digits, and its notes."""

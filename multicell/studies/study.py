@@ -64,10 +64,10 @@ class Study:
             How many there are.
         """
         points = costs_of(self.plan, self.folder)
-        costs = dict(zip(self.plan.names, (c for c in points for _ in range(self.plan.seeds)),
-                         strict=True))  # fmt: skip
-        settled = {s.name for s in self.status() if s.state in ("done", "failed")}
-        return total_cost((cost for name, cost in costs.items() if name not in settled), cores)
+        costs = (cost for cost in points for _ in range(self.plan.seeds))
+        runs = zip(costs, self.status(), strict=True)
+        left = (cost for cost, run in runs if run.state not in ("done", "failed"))
+        return total_cost(left, cores)
 
     def run(
         self,
@@ -97,11 +97,7 @@ class Study:
         """Return how each run stands, in the order of :attr:`runs`."""
         from multicell.studies.status import status
 
-        known: dict[str, RunStatus] = {}
-        for name in self.plan.names:
-            if name not in known:
-                known[name] = status(name, self.folder)
-        return [known[name] for name in self.plan.names]
+        return [status(name, self.folder) for name in self.plan.names]
 
     def to_xarray(self) -> xarray.Dataset:
         """Return one table of all that the runs have found; it is written to ``study.nc``, too.

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 NAME: Final = "study.nc"
 FORMAT: Final = 1
 _SKIPPED: Final = ("units", "versions", "title", "notes", "seed")
-_RENAMED: Final = {"time": "end_time"}
 FloatArray = NDArray[np.float64]
 
 
@@ -97,7 +96,7 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
 def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]]:
     """Return shape, names and coordinates of the dimensions of points and seeds."""
     coordinates: dict[str, Any] = {}
-    axes, grid = plan.design.axes, plan.design.kind == "grid"
+    axes, grid = plan.axes, plan.design == "grid"
     if grid:
         shape, dims = tuple(len(axis.values) for axis in axes), tuple(axis.name for axis in axes)
     else:
@@ -131,7 +130,7 @@ def _read(
     numbers: dict[str, float] = {}
     units = {column: known_unit(column) for column in rows}
     for path, value in _flat(summary):
-        flat = _RENAMED.get(path, path.replace(".", "_"))
+        flat = "end_time" if path == "time" else path.replace(".", "_")
         if flat not in rows:
             numbers[flat], units[flat] = value, known_unit(path)
     return rows, numbers, units

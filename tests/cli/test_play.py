@@ -150,7 +150,6 @@ def test_older_runs_go_and_another_run_ends_the_one_before(tmp_path, monkeypatch
     ("arguments", "words"),
     [
         (["settle"], "Missing option '--key'"),
-        (["doublet", "--key", "drag.viscosity=1:2", "--coarse", "2"], "cannot be made coarse"),
         (["spheroid", "--key", "drag.viscosty=1:2"], "Did you mean 'drag.viscosity'"),
         (["spheroid", "--key", "drag.viscosity"], "write the value without a space"),
         (["spheroid", "--key", "drag.viscosity=2:1"], "must have the lower end first"),

@@ -96,7 +96,8 @@ def test_the_command_tells_what_it_did(project, tmp_path):
     path = project()
     done = call("import", "physicell", path, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.output
-    assert "elastic walls" in " ".join(done.output.split())
+    assert "off: see" in done.output
+    assert "elastic walls" in (tmp_path / "out" / "account.md").read_text("utf-8")
     assert "multicell run" in done.output
     again = call("import", "physicell", path, "-o", tmp_path / "out")
     assert again.exit_code == 2

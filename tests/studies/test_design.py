@@ -10,7 +10,7 @@ from rich_medium import RICH
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import parse_axis
-from multicell.studies.design import Design
+from multicell.studies.plan import Plan
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
 EMT6 = mc.load_scene(RICH)
@@ -29,7 +29,7 @@ def changes(design):
 @settings(max_examples=20)
 def test_a_grid_has_every_combination_once(axes, count):
     axes = axes[:count]
-    design = Design(axes=tuple(axes))
+    design = Plan(EMT6, tuple(axes))
     values = itertools.product(*(axis.values for axis in axes))
     keys = [axis.key for axis in axes]
     assert changes(design) == [dict(zip(keys, row, strict=True)) for row in values]
@@ -37,7 +37,7 @@ def test_a_grid_has_every_combination_once(axes, count):
 
 
 def test_coordinates_are_numbers_in_base_units_or_words():
-    design = Design(axes=tuple(AXES))
+    design = Plan(EMT6, tuple(AXES))
     assert dict(design.points[1].coordinates) == {
         "oxygen.boundary": 0.07, "glucose.boundary": 0.8, "law": "jkr",
     }  # fmt: skip
@@ -47,13 +47,13 @@ def test_coordinates_are_numbers_in_base_units_or_words():
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: Design("gird", tuple(AXES)), "Did you mean 'grid'"),
-        (lambda: Design("grid", (AXES[0], AXES[0])), "is varied twice"),
-        (lambda: Design("list", ()), "points: is empty"),
-        (lambda: Design("list", tuple(AXES[:2])), "lists of other lengths"),
+        (lambda: Plan(EMT6, tuple(AXES), "gird"), "Did you mean 'grid'"),
+        (lambda: Plan(EMT6, (AXES[0], AXES[0])), "is varied twice"),
+        (lambda: Plan(EMT6, (), "list"), "points: is empty"),
+        (lambda: Plan(EMT6, tuple(AXES[:2]), "list"), "lists of other lengths"),
         (
-            lambda: Design(axes=tuple(parse_axis(k, list(range(1, 600)), EMT6)
-                                      for k in ("cells.young", "duration"))),
+            lambda: Plan(EMT6, tuple(parse_axis(k, list(range(1, 600)), EMT6)
+                                     for k in ("cells.young", "duration"))),
             "makes 358,801 points",
         ),
     ],
