@@ -96,9 +96,7 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
 
 The first pattern that fits counts; those of a type stand without what is above them.
 """
-_OF_TYPES: Final = (
-    "transformation_rate", "cell_adhesion_affinity", "asymmetric_division_probability",
-)  # fmt: skip
+_OF_TYPES: Final = ("transformation_rate", "cell_adhesion_affinity")
 """Tags of what names another type."""
 _ZEROS: Final = (
     "domain|save|options/(virtual|random)|user_parameters|microenvironment_setup/variable|custom_|"
