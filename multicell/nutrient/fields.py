@@ -298,17 +298,11 @@ class FieldSystem:
         return {name: self.fields[name].gradient(cells.position) for name in self._followed}
 
     def columns(self, cells: Cells) -> dict[str, float]:
-        """Return the columns of the history: shape of tissue on shells, media, and uptake."""
-        found: dict[str, float] = {}
-        solid = self._scene.dimensions == 3
-        if solid and any(part.layout != "box" for part in self._nutrients.values()):
-            from multicell.nutrient.cartesian import departure
-
-            found["departure_from_a_ball"] = departure(cells.position, cells.radius)
-        found |= {f"medium_{name}": level for name, level in self.media.items()}
+        """Return the columns of the history: media, and uptake."""
+        found = {f"medium_{name}": level for name, level in self.media.items()}
         rates = {name: self._uptake_rate(name, cells) for name in self.fields}
         found |= {f"uptake_{name}": rate for name, rate in rates.items()}
-        if solid and rates:
+        if rates and self._scene.dimensions == 3:
             rim = viable_volume(cells)
             found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
         return found

@@ -51,11 +51,9 @@ def package_version(package: str = "multicell") -> str:
     if package == "multicell":
         return __version__
     try:
-        text = metadata.distribution(package).read_text("METADATA") or ""
+        return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "not installed"
-    # not all of it is parsed; an older kind of installation has another file
-    return text.partition("\nVersion: ")[2].partition("\n")[0] or metadata.version(package)
 
 
 def versions() -> dict[str, str]:

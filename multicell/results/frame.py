@@ -54,9 +54,6 @@ class Field:
     - ``height``: of the layer in two dimensions, µm; else 0
 
     :meth:`to_pde` gives it to py-pde, whose fields can be drawn, interpolated and written to files.
-
-    Raises ValueError if ``origin`` or ``values`` have the wrong shape, or ``spacing`` is not
-    positive.
     """
 
     name: str
@@ -66,14 +63,6 @@ class Field:
     values: NDArray[np.float64]
     kind: str = "box"
     height: float = 0.0
-
-    def __post_init__(self) -> None:
-        if np.shape(self.origin) != (3,):
-            raise ValueError(f"field {self.name}: origin has shape {np.shape(self.origin)}")
-        if np.ndim(self.values) != 3:
-            raise ValueError(f"field {self.name}: values have {np.ndim(self.values)} dimensions")
-        if not self.spacing > 0.0:
-            raise ValueError(f"field {self.name}: spacing is {self.spacing}, must be above 0")
 
     def __repr__(self) -> str:
         shape = " × ".join(f"{n}" for n in self.values.shape if n > 1) or "1"

@@ -69,11 +69,6 @@ class Record:
     length: int
     digest: int
 
-    @property
-    def kind(self) -> str:
-        """What it is a record of."""
-        return str(self.header["kind"])
-
 
 @final
 class Journal:

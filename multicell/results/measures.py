@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 from weakref import ref
 
+import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import State
@@ -59,6 +60,14 @@ def _mean(values: NDArray[Any]) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
+def _pressure_factor(state: TissueState) -> float:
+    growth = state.scene.growth
+    assert growth is not None
+    assert growth.critical_pressure is not None
+    pressure = state.cells.pressure[~state.cells.dead]
+    return _mean(np.clip(1.0 - pressure / growth.critical_pressure, 0.0, 1.0))
+
+
 def _over_radius(state: TissueState, length: float) -> float:
     return length / state.extent.radius() if len(state.cells) else float("nan")
 
@@ -75,16 +84,9 @@ OBSERVABLES: Final = (
     _length("radius", lambda s: s.extent.radius(), doc="R"),
     _tissue_length(
         "viable_rim",
-        lambda s: s.extent.rim(State.NECROTIC),
+        lambda s: s.extent.rim(),
         absent="without a core, and where the dead lie outside the living",
         doc="R less the necrotic radius",
-    ),
-    _tissue_length(
-        "proliferating_rim",
-        lambda s: s.extent.rim(State.QUIESCENT, State.NECROTIC),
-        exists=lambda scene: scene.growth,
-        absent="without quiescent and necrotic cells, and where they lie outside the others",
-        doc="R less the radius, by the same formula, of quiescent and necrotic cells",
     ),
     Observable(
         "growth_fraction",
@@ -187,20 +189,11 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "pressure_factor",
-        lambda s: _mean(s.pressure_factors),
+        _pressure_factor,
         exists=_is_pressed,
         absent="without living cells",
         doc=r"mean of $\min(1, \max(0, 1 - p/p_\mathrm{crit}))$ over living cells: the factor of "
         "pressure on growth; only with `growth.critical_pressure`",
-    ),
-    _count(
-        "held_by_pressure",
-        lambda s: int((s.pressure_factors <= 0.5).sum()),
-        title="growth halved by pressure",
-        exists=_is_pressed,
-        shown=lambda n: f"{n:,} cell{'' if n == 1 else 's'}",
-        shown_if_zero=False,
-        doc="number of living cells in which `pressure_factor` is 1/2 or less",
     ),
     _count("contacts", lambda s: len(s.frame.contacts), exists=counts_contacts, entry=None),
     Observable(
@@ -236,11 +229,6 @@ OBSERVABLES: Final = (
         entry=None,
     ),
     # found by the coupling step
-    Observable(
-        "departure_from_a_ball",
-        exists=lambda x: x.dimensions == 3 and any(n.layout != "box" for n in x.nutrients.values()),
-        entry=None,
-    ),
     Observable(
         "medium_*",
         unit="mM",

@@ -83,15 +83,6 @@ class TissueState:
         return inhibited_radius(self.cells, self.dimensions)
 
     @cached_property
-    def pressure_factors(self) -> FloatArray:
-        """Factor min(1, max(0, 1 - p/p_crit)) of pressure on the growth of each living cell."""
-        growth = self.scene.growth
-        assert growth is not None
-        assert growth.critical_pressure is not None
-        pressure = self.cells.pressure[~self.cells.dead]
-        return np.clip(1.0 - pressure / growth.critical_pressure, 0.0, 1.0)
-
-    @cached_property
     def sealed(self) -> TissueState:
         """The same state in arrays that cannot be written into."""
         cells = self.cells.shared()

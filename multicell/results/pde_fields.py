@@ -35,15 +35,10 @@ def box_grid(
     return CartesianGrid(bounds[:axes], list(shape)[:axes])
 
 
-def ball_grid(spacing: float, count: int) -> SphericalSymGrid:
-    """Return py-pde's grid of ``count`` shells of a thickness in µm."""
-    return SphericalSymGrid(spacing * count, count)
-
-
 def grid_of(field: Field) -> GridBase:
     """Return py-pde's grid of a field."""
     if field.kind == "radial":
-        return ball_grid(field.spacing, field.values.size)
+        return SphericalSymGrid(field.spacing * field.values.size, field.values.size)
     return box_grid(list(field.origin), field.values.shape, field.spacing, flat=field.height > 0.0)
 
 

@@ -103,7 +103,7 @@ class Contents:
         log = None
         for record in reader.records:
             header, read = record.header, partial(reader.arrays, record)
-            match record.kind:
+            match header["kind"]:
                 case "open":
                     self.identity = header["identity"]
                     self.nutrients = tuple(sorted(header["nutrients"]))

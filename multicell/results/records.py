@@ -50,13 +50,6 @@ _OF_PARTS: Final = ("driven", "first_states", "replays", "stability")
 def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
     """Return a frame as arrays, always in the same order."""
     names = sorted(nutrients)
-    if sorted(frame.concentrations) != names:
-        raise ValueError(
-            f"frame has concentrations of {sorted(frame.concentrations)}, the scene has {names}"
-        )
-    for name, values in frame.concentrations.items():
-        if len(values) != len(frame.cells):
-            raise ValueError(f"{len(values)} values of {name} for {len(frame.cells)} cells")
     noted = {} if frame.progress is None else asdict(frame.progress)
     noted = {name: x for name, x in noted.items() if x or name not in _OF_PARTS}
     text = json.dumps(noted).encode() if noted else b""
@@ -79,8 +72,6 @@ def without_zeros(arrays: Arrays) -> Arrays:
 
 
 def _of_field(field: Field) -> Arrays:
-    if field.unit != UNIT:
-        raise ValueError(f"field {field.name} is in {field.unit!r}, must be in {UNIT}")
     stored = {**vars(field), "radial": field.kind == "radial"}
     arrays = {name: np.asarray(stored[name], entry.dtype) for name, entry in FIELD.items()}
     return {"values": np.asarray(field.values, "<f8"), **arrays}

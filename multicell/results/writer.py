@@ -80,10 +80,9 @@ _HISTORY_EVERY: Final = 1.0  # s of the wall clock
 class Store:
     """The writer of a result folder; it is the only owner of the open journal.
 
-    Use :meth:`create` or :meth:`resume`; as a context manager it settles and closes itself. All
-    methods raise :class:`~multicell.errors.OutputError` when the system refuses to write (disk
-    full); what was written before stays. A call that does not come to its end (Ctrl-C) leaves no
-    trace.
+    Use :meth:`create` or :meth:`resume`. All methods raise
+    :class:`~multicell.errors.OutputError` when the system refuses to write (disk full); what was
+    written before stays. A call that does not come to its end (Ctrl-C) leaves no trace.
     """
 
     def __init__(
@@ -208,8 +207,6 @@ class Store:
         """
         if not self._columns:
             self._columns = tuple(sorted(row))  # as they come back from HDF5
-        if lacking := set(self._columns) - set(row):
-            raise ValueError(f"history columns of the first row are missing: {sorted(lacking)}")
         self._pending.append([float(row[name]) for name in self._columns])
         # to write costs more than a small coupling step: a killed run loses one second
         if clock.monotonic() - self._written > _HISTORY_EVERY:
@@ -240,16 +237,6 @@ class Store:
     def close(self) -> None:
         """Close the journal and let others write to the folder; closing twice does no harm."""
         self._held.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        try:
-            if kind is None:
-                self.settle()
-        finally:
-            self.close()
 
 
 def _first_record(

@@ -168,12 +168,10 @@ def test_the_summary_tells_what_each_field_lives_on():
     assert 0.0 <= fields["oxygen"]["departure_from_a_ball"] < 1.0
     last = run.frames[-1].cells
     expected = departure(last.position, last.radius)
-    assert run.history["departure_from_a_ball"][-1] == expected
     assert fields["oxygen"]["departure_from_a_ball"] == expected
     plane = {**everywhere("height", "10 um"), "nutrients.oxygen.geometry": "auto"}
     flat = mc.run(scene(duration="20 min", dimensions=2, **plane))
     assert {field["geometry"] for field in flat.summary()["fields"].values()} == {"squares"}
-    assert "departure_from_a_ball" not in flat.history
 
 
 def test_a_radial_field_says_when_the_tissue_is_no_ball():

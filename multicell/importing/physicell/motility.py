@@ -13,36 +13,25 @@ from multicell.importing.physicell.rules import rules_of, set_behaviour
 if TYPE_CHECKING:
     from multicell.importing.files import Element
 
-_STEEP = 1e-9
-"""Gradient of half the force over the largest concentration, 1/µm: any gradient is followed."""
-
 
 @final
 @dataclass(frozen=True)
 class Migration:
-    """Motion of a type: µm/min, min, and the signed share of its speed along each gradient.
+    """Motion of a type: µm/min, min, and the substance whose gradient it follows, if any.
 
-    ``fastest`` is the largest speed that rules give it.
+    ``fastest`` is the largest speed that rules give it; ``bias`` is negative against a gradient.
     """
 
     speed: float
     fastest: float
     persistence: float
     bias: float
-    along: tuple[tuple[str, float], ...]
-
-    @property
-    def field(self) -> str:
-        """The one substance that it moves along; empty where there is none, or several."""
-        return self.along[0][0] if len(self.along) == 1 else ""
+    field: str
 
     def pattern(self, lead: Migration) -> bool:
         """Return whether responses can let a type of this migration move in the pattern of one."""
-        biased = self.bias if self.along else 0.0
         same = self.persistence == lead.persistence
-        if len(lead.along) < 2 and len(self.along) < 2:
-            return same and (not biased or self.field == lead.field)
-        return same and self.along == lead.along and self.bias == lead.bias
+        return same and (not self.bias or self.field == lead.field)
 
 
 def read_motility(model: Model) -> None:
@@ -51,7 +40,7 @@ def read_motility(model: Model) -> None:
     moving = {kind: how for kind, how in moving.items() if how.fastest > 0.0}
     # the pattern of most cells that follow something, at the largest speed that any of them has
     lead = max(
-        moving, key=lambda k: (bool(moving[k].along) and k.count > 0, k.count, moving[k].fastest),
+        moving, key=lambda k: (bool(moving[k].field) and k.count > 0, k.count, moving[k].fastest),
         default=None,
     )  # fmt: skip
     if lead is not None:
@@ -71,13 +60,13 @@ def _moves(kind: Kind) -> bool:
 
 
 def _migration(model: Model, kind: Kind) -> Migration:
-    along = _directions(model, kind)
+    field, sign = _direction(model, kind)
     bias = kind.number_of("motility/migration_bias", 0.0, at_least=0.0, at_most=1.0)
     speed = kind.number_of("motility/speed", 1.0)
     ends = [rule.end for rule in rules_of(model, "migration speed", [kind])]
     return Migration(
         speed, max(speed, *ends, 0.0), kind.number_of("motility/persistence_time", 1.0),
-        bias, tuple(along),
+        sign * bias if field else 0.0, field,
     )  # fmt: skip
 
 
@@ -88,8 +77,8 @@ def _on(kind: Kind, tag: str) -> Element | None:
     return found if enabled is not None and enabled.flag() else None
 
 
-def _directions(model: Model, kind: Kind) -> list[tuple[str, float]]:
-    """Return the substances along which a type moves with their shares."""
+def _direction(model: Model, kind: Kind) -> tuple[str, float]:
+    """Return the substance that a type follows most, and the sign; no name where it does not."""
     advanced = _on(kind, "advanced_chemotaxis")
     if advanced is not None:
         found = advanced.all("chemotactic_sensitivities/chemotactic_sensitivity")
@@ -98,65 +87,35 @@ def _directions(model: Model, kind: Kind) -> list[tuple[str, float]]:
             for one in found
             if one.attributes.get("substrate") in model.fields and one.number() != 0.0
         }
-        total = sum(map(abs, known.values()))
-        return [(name, value / total) for name, value in known.items()]
+        strongest = max(known, key=lambda name: abs(known[name]), default="")
+        return strongest, math.copysign(1.0, known.get(strongest, 1.0))
     simple = _on(kind, "chemotaxis")
     if simple is None:
-        return []
+        return "", 1.0
     name, sign = simple.find("substrate"), simple.number_at("direction", 1.0)
     if name is None or name.word() not in model.fields:
         raise simple.error("follows no substance of the model")
-    return [(name.word(), math.copysign(1.0, sign))] if sign else []
+    return name.word() if sign else "", math.copysign(1.0, sign)
 
 
 def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
     how, fastest = moving[lead], max(moving, key=lambda kind: moving[kind].fastest * kind.drag)
     force = moving[fastest].fastest * fastest.drag / MINUTE
-    bias = _largest_bias(model, how, moving)
     motility = model.part("motility")
     motility.update(force=force, persistence=max(how.persistence * MINUTE, _step(model)))
     # below the step of mechanics PhysiCell takes a new direction in every step
     motility["renewal"] = "random" if how.persistence * MINUTE >= _step(model) else "regular"
-    if bias > 0.0 and how.field:
-        bias = math.copysign(bias, how.along[0][1])
-        motility.update(bias=bias, towards=model.fields[how.field])
-        _set_biases(model, how, moving)
-    elif bias > 0.0:
-        motility["force"] = force * (1.0 - bias)
-        for name, share in how.along:
-            level = max(model.top[name], 1e-6) * model.unit[name]
-            model.part("chemotaxis")[model.fields[name]] = {
-                "force": force * bias * share,
-                "half": max(_STEEP * level, 1e-15),
-            }
+    biases = {kind: m.bias if m.field == how.field else 0.0 for kind, m in moving.items()}
+    most = max(map(abs, biases.values()))
+    if most > 0.0:
+        motility.update(bias=math.copysign(most, how.bias), towards=model.fields[how.field])
+        set_behaviour(model, "bias", motility["bias"], biases, (), lambda rule: rule.end)
     for kind in model.kinds:
         own = moving[kind].fastest * kind.drag / MINUTE if kind in moving else 0.0
         model.of_type(kind, "motility_scale", own / force)
     # forces are held in a coupling step
     shortest = min(max(moving[kind].persistence * MINUTE, _step(model)) for kind in moving)
     model.scene["coupling_step"] = min(model.scene["coupling_step"], shortest)
-
-
-def _largest_bias(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> float:
-    """Return the largest bias of types and rules along one substance, or that along several."""
-    if not lead.field:
-        return lead.bias if lead.along else 0.0
-    along = {kind: how.bias for kind, how in moving.items() if how.field == lead.field}
-    ends = [rule.end for rule in rules_of(model, "migration bias", along)]
-    return min(max([*along.values(), *ends]), 1.0)
-
-
-def _set_biases(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> None:
-    """Set biases along the gradient of one substance; against it they are negative."""
-    signs = {
-        kind: how.along[0][1] if how.field == lead.field else 0.0 for kind, how in moving.items()
-    }
-    own = {kind: signs[kind] * how.bias for kind, how in moving.items()}
-    rules = rules_of(model, "migration bias", [kind for kind in moving if signs[kind]])
-    set_behaviour(
-        model, "bias", model.part("motility")["bias"], own, rules,
-        lambda rule: signs[rule.kind] * min(max(rule.end, 0.0), 1.0),
-    )  # fmt: skip
 
 
 def _step(model: Model) -> float:
@@ -178,11 +137,11 @@ def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migratio
     ways = [*table.all("options/chemotaxis"), *table.all("options/advanced_chemotaxis")]
     account.take_all([way for way in ways if way is not used], Fate.OFF)
     bias = table.all("migration_bias")
-    if not how.along:
+    if not how.field:
         account.take_all(bias, Fate.OFF, note="no gradient is followed")
-    if len(how.along) > 1:
-        note = "gradients are followed each by itself, and random motion is added at full length"
-        account.take_all([*bias, *ways], Fate.APPROXIMATED, "chemotaxis", note)
+    if used is not None and used.tag == "advanced_chemotaxis":
+        note = "of several gradients only that of the largest sensitivity is followed"
+        account.take_all([used], Fate.APPROXIMATED, "motility.towards", note)
     if not how.pattern(lead):
         note = "types share one persistence and one gradient, those of the most cells"
         shared = [*table.all("persistence_time"), *bias, *ways]

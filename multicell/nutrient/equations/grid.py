@@ -14,7 +14,7 @@ from pde.grids.spherical import SphericalSymGrid
 from multicell.errors import SceneError
 from multicell.nutrient.cartesian import Box
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
-from multicell.results.pde_fields import ball_grid, box_grid
+from multicell.results.pde_fields import box_grid
 
 if TYPE_CHECKING:
     from pde.grids.base import GridBase
@@ -51,7 +51,7 @@ def layout_on(grid: GridBase) -> Layout:
 def grid_on(layout: Layout) -> GridBase:
     """Return py-pde's grid with the nodes of a layout, in the coordinates of the cells."""
     if isinstance(layout, ShellLayout):
-        return ball_grid(layout.spacing, layout.count)
+        return SphericalSymGrid(layout.spacing * layout.count, layout.count)
     assert isinstance(layout, BoxLayout)
     box = layout.box
     return box_grid(box.origin, box.shape, box.spacing, flat=box.height is not None)

@@ -164,13 +164,8 @@ def _draw_states(axes: Axes, time: FloatArray, history: style.History) -> None:
         labels=names,
         lw=0,
     )
-    held = history.get("held_by_pressure", np.zeros(1))
-    if held.max() > 0:  # above the dead, whom nothing holds back
-        dead = history["necrotic"] + history["apoptotic"]
-        label = "living, growth halved by pressure"
-        style.draw_line(axes, time, dead + held, style.INK, label=label)
     # room for the legend above a flat top
-    _count_axis(axes, (1.25 if held.max() == 0 else 1.35) * float(history["cells"].max()))
+    _count_axis(axes, 1.25 * float(history["cells"].max()))
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles[::-1], labels[::-1], loc="upper left", handlelength=1.0)
 
