@@ -367,7 +367,6 @@ def _needs(
 
 _SHARED = (
     "margin",
-    "roundness_limit",
     "layer",
     "height",
     "initial",
