@@ -32,9 +32,9 @@ from multicell.integrators.base import MethodInfo as MethodInfo
 from multicell.integrators.base import Outcome as Outcome
 from multicell.mechanics.motion import StateRejected as StateRejected
 from multicell.nutrient.equations.equation import FieldEquation as FieldEquation
-from multicell.nutrient.equations.schedule import Schedule as Schedule
 from multicell.nutrient.equations.solvers import ImplicitFieldSolver as ImplicitFieldSolver
 from multicell.nutrient.equations.solvers import SteadyFieldSolver as SteadyFieldSolver
+from multicell.nutrient.equations.substance import Schedule as Schedule
 from multicell.nutrient.equations.substance import Substance as Substance
 from multicell.nutrient.problem import FieldProblem as FieldProblem
 from multicell.nutrient.problem import field_problem as field_problem

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
-from multicell.coupling.wall import Phase
+from multicell.coupling.timeline import Phase
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

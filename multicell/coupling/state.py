@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.biology.responding import other_signals, value_of
-from multicell.coupling.timeline import Timeline
-from multicell.coupling.wall import PHASES, Phase
+from multicell.coupling.timeline import PHASES, Phase, Timeline
 from multicell.errors import SceneError
 from multicell.host.interrupts import UNCUT
 from multicell.integrators.shift import Replays

@@ -1,9 +1,12 @@
-"""Where a run is in time, and which coupling step comes next."""
+"""Where a run is in time, which coupling step comes next, and the wall time of its phases."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple, final
+import time as clock
+from typing import TYPE_CHECKING, Final, NamedTuple, final
+
+from multicell.compiling import COMPILATION
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
@@ -61,3 +64,23 @@ class Timeline(NamedTuple):
     def is_over(self) -> bool:
         """Whether the duration is reached."""
         return self.step >= self.steps
+
+
+PHASES: Final = ("compile", "nutrient", "biology", "mechanics", "events", "record")
+"""Phases of the loop whose wall time is measured; no moment belongs to two of them."""
+
+
+@final
+class Phase:
+    """Adds the wall time of a block to that of a phase, and what numba took of it to another."""
+
+    def __init__(self, wall: dict[str, float], name: str) -> None:
+        self.wall, self.name = wall, name
+
+    def __enter__(self) -> None:
+        self.begin, self.compiled = clock.perf_counter(), COMPILATION.seconds
+
+    def __exit__(self, *_: object) -> None:
+        compiled = COMPILATION.seconds - self.compiled
+        self.wall["compile"] += compiled
+        self.wall[self.name] += clock.perf_counter() - self.begin - compiled

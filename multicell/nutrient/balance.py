@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Final, Self, final
+from typing import TYPE_CHECKING, Final, final
 
 from multicell.errors import NutrientFailed
 
@@ -59,12 +58,6 @@ class Exchange:
     newton: int = 0
     cg: int = 0
     residual: float = 0.0
-
-    @classmethod
-    def of(cls, row: Sequence[float], absent: Sequence[str], **more: float) -> Self:
-        """Return what a row of :data:`COLUMNS` says, without the entries that are ``absent``."""
-        entries = zip(COLUMNS[:-1], row, strict=False)
-        return cls(**{name: x for name, x in entries if name not in absent}, **more)  # type: ignore[arg-type]
 
     def entries(self) -> dict[str, float]:
         """Return what another one can be made from."""
@@ -129,8 +122,10 @@ class Ledger:
             and (name not in _WHERE_ANY or value is not None)
         }
 
-    def note(self, medium: WellMixed) -> None:
-        """Take over the account of a finite medium."""
+    def note(self, medium: WellMixed | None) -> None:
+        """Take over the account of a finite medium, if there is one."""
+        if medium is None:
+            return
         self.held, self.level = medium.amount, medium.concentration
         self.fresh, self.discarded = medium.fresh, medium.discarded
         self.spoiled, self.changes = medium.decayed, medium.changes
@@ -189,13 +184,9 @@ class Ledger:
         found = {name: getattr(self, name) for name in _TOTALS}
         if self.made is not None:
             found |= {"made": self.made, "used": self.used or 0.0}
-        return found | self._medium()
-
-    def _medium(self) -> dict[str, float]:
-        """Return the account of a finite medium, amol."""
         if self.held is None:
-            return {}
-        return {
+            return found
+        return found | {
             "medium_held": self.held,
             "medium_fresh": self.fresh,
             "medium_discarded": self.discarded,
@@ -236,13 +227,6 @@ class WellMixed:
             self, amount=self.amount - gone + brought, fresh=self.fresh + brought,
             discarded=self.discarded + gone, changes=self.changes + 1,
         )  # fmt: skip
-
-
-def attach(name: str, nutrient: Nutrient, covered: float) -> WellMixed:
-    """Return the medium at the start, round a grid that covers ``covered`` µm³."""
-    volume, level = beyond(name, nutrient, covered), nutrient.medium(0.0)
-    done = sum(time <= 0.0 for time, _ in nutrient.media or ())
-    return WellMixed(level * volume, volume, level * volume, changes=done)
 
 
 def beyond(name: str, nutrient: Nutrient, covered: float) -> float:

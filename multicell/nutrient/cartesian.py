@@ -212,6 +212,9 @@ def _refuse_too_far(ends: list[tuple[float, float]], spacing: float) -> None:
 FEW = 20
 """Cells up to which a cluster is never taken as round: its field costs nothing anyway."""
 
+ROUND = 0.1
+"""Departure from a ball up to which shells are enough."""
+
 _BACK = 0.7
 """Part of the limit below which a field in a box goes back to shells."""
 
@@ -233,9 +236,7 @@ def departure(position: FloatArray, radius: FloatArray) -> float:
     return float(1.0 - np.sqrt(squares[0] / squares[-1]))
 
 
-def round_enough(
-    position: FloatArray, radius: FloatArray, limit: float, *, now_radial: bool
-) -> bool:
+def round_enough(position: FloatArray, radius: FloatArray, *, now_radial: bool) -> bool:
     """Return whether shells do for a population.
 
     It depends on the state and on the present geometry only: what is radial stays so up to the
@@ -243,7 +244,7 @@ def round_enough(
     """
     if len(position) <= FEW:
         return False
-    return departure(position, radius) <= (limit if now_radial else _BACK * limit)
+    return departure(position, radius) <= (ROUND if now_radial else _BACK * ROUND)
 
 
 Triple = tuple[float, float, float]

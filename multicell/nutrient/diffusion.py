@@ -14,7 +14,7 @@ from multicell.nutrient import dense, stencil
 from multicell.nutrient.cartesian import Box
 from multicell.nutrient.dense import eigenvalues
 from multicell.nutrient.faces import ghost_terms
-from multicell.nutrient.steady import SolveReport, solve_steady
+from multicell.nutrient.steady import solve_steady
 
 # What diagonalises the second difference on n cell-centred nodes, by what stands at its two ends
 # (True: a value, False: a slope): the name and the type of SciPy's transform.
@@ -44,6 +44,7 @@ class Diffusion:
       absent: one everywhere. At faces between nodes it is the harmonic mean, for which the flow is
       continuous where the coefficient jumps.
 
+    - ``volumes``, float, µm³: of each node
     - ``ghost``, (6,): factors of the faces x-, x+, y-, y+, z-, z+
     - ``const``, (6,), mM: what the conditions add
     - ``source``, (nx, ny, nz), mM/s: what they bring to the nodes where the coefficient is that of
@@ -59,7 +60,7 @@ class Diffusion:
         varied: FloatArray | None = None,
     ) -> None:
         self.dimensions = 3 if box.height is None else 2
-        self.shape, self.spacing, self.volume = box.shape, box.spacing, box.volume
+        self.shape, self.spacing, self.volumes = box.shape, box.spacing, box.volume
         self.diffusion = diffusion
         self.stiffness = diffusion / self.spacing**2
         self.threads = 1  # that may share the loops over many nodes; it changes no result
@@ -88,20 +89,10 @@ class Diffusion:
     def flows(self, c: FloatArray) -> tuple[float, float]:
         """Return what flows in and out through the faces, amol/s."""
         inward, outward = stencil.flows(c, self.ghost, self.const, self.weights)
-        scale = self.stiffness * self.volume
+        scale = self.stiffness * self.volumes
         return scale * inward, scale * outward
 
-    def solve(
-        self,
-        sink: FloatArray,
-        half_saturation: float,
-        start: FloatArray,
-        *,
-        linear: float = 0.0,
-        supply: FloatArray | None = None,
-    ) -> tuple[FloatArray, SolveReport]:
-        """Solve; see :func:`multicell.nutrient.steady.solve_steady`."""
-        return solve_steady(self, sink, half_saturation, start, linear=linear, supply=supply)
+    solve = solve_steady
 
     def invert(self, y: NDArray[Any], shift: float) -> tuple[NDArray[Any], float]:
         """Solve (-D L0 + shift) u = y approximately, in the precision of ``y``.
@@ -127,10 +118,15 @@ class Diffusion:
         axes = zip(self.shape, self.kinds, strict=True)
         return [self.stiffness * eigenvalues(n, kind) for n, kind in axes]
 
-    def stencil_source(self) -> FloatArray:
+    def brought(self) -> FloatArray:
         """Return what the faces bring to the balance of the nodes, (nx, ny, nz) mM/s."""
         # a node at a face exchanges with it by its own coefficient
         return self.source if self.varied is None else self.source * self.varied
+
+    def fastest(self) -> float:
+        """Return about the largest rate at which diffusion empties a node, 1/s."""
+        varied = 1.0 if self.varied is None else float(self.varied.max())
+        return 2.0 * self.dimensions * self.stiffness * max(varied, 1.0)
 
 
 _FACES = ("x-", "x+", "y-", "y+", "z-", "z+")

@@ -8,14 +8,14 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.nutrient import grid as layouts
-from multicell.nutrient.cartesian import Box, round_enough
+from multicell.nutrient.cartesian import round_enough
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
 from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
     from multicell.nutrient.balance import Exchange, WellMixed
-    from multicell.nutrient.equations.schedule import Schedule
+    from multicell.nutrient.equations.substance import Schedule
     from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.parameters import FieldParameters
     from multicell.results.frame import Field
@@ -42,7 +42,6 @@ class NutrientField:
         self.name = name
         self.parameters = parameters
         self.threads = threads
-        self.layings = 0
         self.well_mixed: WellMixed | None = None  # of a finite medium, once it is attached
         self.values: FloatArray = np.empty((0, 0, 0))
         self._layout: Layout | None = None
@@ -60,13 +59,6 @@ class NutrientField:
     def laid(self) -> bool:
         """Whether it has a grid, which is so from the first solve on."""
         return self._layout is not None
-
-    @property
-    def box(self) -> Box:
-        """The grid of cubes or squares."""
-        if isinstance(self.layout, BoxLayout):
-            return self.layout.box
-        raise ValueError(f"{self.name} lives on shells, not in a box")
 
     def solve(
         self,
@@ -101,16 +93,19 @@ class NutrientField:
 
     def attach_medium(self) -> None:
         """Let a finite medium lie round the grid, as it is at the start."""
-        from multicell.nutrient.balance import attach
+        from multicell.nutrient.balance import WellMixed, beyond
 
-        self.well_mixed = attach(self.name, self.parameters.nutrient, self.layout.whole)
+        nutrient = self.parameters.nutrient
+        volume, level = beyond(self.name, nutrient, self.layout.whole), nutrient.medium(0.0)
+        done = sum(time <= 0.0 for time, _ in nutrient.media or ())
+        self.well_mixed = WellMixed(level * volume, volume, level * volume, changes=done)
 
     @property
     def schedule(self) -> Schedule:
         """The medium over time, of a finite one as it is now."""
         if self.well_mixed is None:
             return self.parameters.schedule
-        from multicell.nutrient.equations.schedule import Schedule
+        from multicell.nutrient.equations.substance import Schedule
 
         return Schedule.steady(self.well_mixed.concentration)
 
@@ -165,15 +160,12 @@ class NutrientField:
 
     def snapshot(self) -> tuple[Any, ...]:
         """Return what :meth:`undo` needs to undo a solve."""
-        return (
-            self._layout, self.values, self._conditions, self.layings, self.well_mixed,
-            self.parameters,
-        )  # fmt: skip
+        return self._layout, self.values, self._conditions, self.well_mixed, self.parameters
 
     def undo(self, snapshot: tuple[Any, ...]) -> None:
         """Make a solution the last one again."""
-        self._layout, self.values, self._conditions, self.layings = snapshot[:4]
-        self.well_mixed, self.parameters = snapshot[4:]
+        self._layout, self.values, self._conditions = snapshot[:3]
+        self.well_mixed, self.parameters = snapshot[3:]
 
     def _reached(self, position: FloatArray) -> FloatArray:
         """Return where on the grid cells exchange with the field: strays at its surface."""
@@ -193,7 +185,7 @@ class NutrientField:
         radial = p.geometry == "radial"
         if p.geometry == "auto":
             now = isinstance(self._layout, ShellLayout)
-            radial = round_enough(tissue, radius, p.nutrient.roundness_limit, now_radial=now)
+            radial = round_enough(tissue, radius, now_radial=now)
         if radial:
             if strays:
                 tissue = drawn_to_ball(tissue, radius)
@@ -210,10 +202,7 @@ class NutrientField:
         reached = position if tissue is position else found.nearest(position)
         return (self.layout, True, reached) if same else (found, False, reached)
 
-    def take(
-        self, layout: Layout, values: FloatArray, conditions: dict[str, Any], kept: bool
-    ) -> None:
-        """Take a solution with the conditions on its sides; ``kept`` where the grid is the last."""
+    def take(self, layout: Layout, values: FloatArray, conditions: dict[str, Any]) -> None:
+        """Take a solution with the conditions on its sides."""
         values.flags.writeable = False
-        self.layings += not kept
         self._layout, self._conditions, self.values = layout, conditions, values

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.group import FieldGroup
     from multicell.results.frame import Field, Frame
-    from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
 
 
@@ -149,7 +148,9 @@ class FieldSystem:
     def _begin(self, group: FieldGroup, cells: Cells, time: float) -> None:
         """Solve for fields at the start of a run."""
         demand = {name: self.demand(name, cells) for name in group.names}
-        if self._rests_first(group.names[0]):
+        first = group.names[0]
+        steady = self.fields[first].parameters.regime == "steady"
+        if steady or self._nutrients[first].initial == "steady":
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=time)
         else:
             group.fill(cells.position, radius=cells.radius, time=time)
@@ -160,13 +161,8 @@ class FieldSystem:
             self.ledger[name].fill(field.stored())
             if self._nutrients[name].finite_medium is not None:
                 field.attach_medium()
-            self._note_medium(name)
+            self.ledger[name].note(field.well_mixed)
             self._sample(name, cells, demand[name][0])
-
-    def _rests_first(self, name: str) -> bool:
-        """Return whether a field begins as the steady one."""
-        steady = self.fields[name].parameters.regime == "steady"
-        return steady or self._nutrients[name].initial == "steady"
 
     def reacts(self, name: str) -> bool:
         """Return whether a field takes part in reactions."""
@@ -238,7 +234,7 @@ class FieldSystem:
             for name, exchange in found.items():
                 gained = self.fields[name].stored() - content[name]
                 self.ledger[name].add(exchange, stored=gained)
-                self._note_medium(name)
+                self.ledger[name].note(self.fields[name].well_mixed)
         for name in group.names:
             self.ledger[name].fill(self.fields[name].stored())
         for name in group.names:
@@ -299,7 +295,8 @@ class FieldSystem:
 
     def columns(self, cells: Cells) -> dict[str, float]:
         """Return the columns of the history: media, and uptake."""
-        found = {f"medium_{name}": level for name, level in self.media.items()}
+        media = {name: field.well_mixed for name, field in self.fields.items()}
+        found = {f"medium_{name}": x.concentration for name, x in media.items() if x is not None}
         rates = {name: self._uptake_rate(name, cells) for name in self.fields}
         found |= {f"uptake_{name}": rate for name, rate in rates.items()}
         if rates and self._scene.dimensions == 3:
@@ -390,21 +387,11 @@ class FieldSystem:
         active = self._active("uptake", name, cells, found)
         volume = 0.0 if nutrient.uptake_per_volume is None else cells.volume
         capacity = nutrient.largest_uptake(volume) * active
-        if nutrient.uptake_on:
-            capacity *= dependence(nutrient, found, len(cells))
-        return np.asarray(capacity)
-
-    def _note_medium(self, name: str) -> None:
-        """Note what a finite medium holds."""
-        medium = self.fields[name].well_mixed
-        if medium is not None:
-            self.ledger[name].note(medium)
-
-    @property
-    def media(self) -> dict[str, float]:
-        """Concentrations of the finite media now, name -> mM."""
-        found = {name: field.well_mixed for name, field in self.fields.items()}
-        return {name: x.concentration for name, x in found.items() if x is not None}
+        factor = np.ones(len(cells))
+        for other, law in nutrient.uptake_on.items():
+            if other in found:  # at the start one of a circle is not there yet
+                factor *= law.factor(found[other])
+        return np.asarray(capacity * factor)
 
     def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:
         """Keep what the cells find and take up of a field."""
@@ -446,27 +433,7 @@ def factors(scene: Scene, what: str, name: str) -> tuple[FloatArray, FloatArray 
         of = kind.uptake_of if what == "uptake" else kind.secretion_of
         by_kind.append(own * (of or {}).get(name, 1.0))
     scales = np.array(by_kind)
-    return activity(scene.nutrients[name]), scales if (scales != 1.0).any() else None
-
-
-def activity(nutrient: Nutrient) -> FloatArray:
-    """Return uptake and secretion of a cell in each state over those of a proliferating one."""
     active = np.zeros(len(State))
     active[State.PROLIFERATING] = 1.0
-    active[State.QUIESCENT] = nutrient.quiescent_uptake
-    return active
-
-
-def dependence(
-    nutrient: Nutrient, concentrations: Mapping[str, FloatArray], count: int
-) -> FloatArray:
-    """Return the factor on each cell's uptake that other fields set, (n,).
-
-    It is the product of 1 + effect · half / (half + g) over the fields that the uptake depends
-    on, g the local concentration; see :class:`multicell.scene.nutrient.Dependence`.
-    """
-    factor = np.ones(count)
-    for other, law in nutrient.uptake_on.items():
-        if other in concentrations:  # at the start one of a circle is not there yet
-            factor *= law.factor(concentrations[other])
-    return factor
+    active[State.QUIESCENT] = scene.nutrients[name].quiescent_uptake
+    return active, scales if (scales != 1.0).any() else None

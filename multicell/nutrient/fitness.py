@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multicell.errors import NutrientFailed
-from multicell.nutrient.cartesian import departure
+from multicell.nutrient.cartesian import ROUND, departure
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import ShellLayout, tissue_radius
 from multicell.nutrient.tissue import drawn_in, drawn_to_ball
@@ -54,11 +54,10 @@ def fitness(
             continue
         departed = departure(cells.position, cells.radius)
         fields[name]["departure_from_a_ball"] = departed
-        limit = parameters.nutrient.roundness_limit
-        if departed > limit:
+        if departed > ROUND:
             notes.append(
                 f"{name} lives on spherical shells, but the tissue departs from a ball by "
-                f"{departed:.2g}, more than roundness_limit = {limit:g}: "
+                f"{departed:.2g}, more than {ROUND:g}: "
                 "geometry = 'auto' would go over to a grid of cubes."
             )
     return fields, notes

@@ -61,14 +61,6 @@ class BoxLayout:
         low, high = (np.array(corner) for corner in domain.corners())
         return cls(fill(low, high, spacing, height))
 
-    @classmethod
-    def round_ball(
-        cls, radius: float, margin: float, spacing: float, height: float | None
-    ) -> BoxLayout:
-        """Lay it round a ball or disc of tissue, its outermost centres at ``radius`` (µm)."""
-        reach = np.full(3, radius + margin)
-        return cls(lay(-reach, reach, spacing, height))
-
     @property
     def spacing(self) -> float:
         """Distance of neighbouring nodes, µm."""

@@ -18,14 +18,14 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.nutrient import finite
-from multicell.nutrient.balance import FADED, Exchange
+from multicell.nutrient.balance import COLUMNS, FADED, Exchange
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout, relative_diffusion, tissue_share
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:
-    from multicell.nutrient.equations.schedule import Schedule
+    from multicell.nutrient.equations.substance import Schedule
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.parameters import FieldParameters
     from multicell.nutrient.reactions.kinetics import Kinetics
@@ -69,13 +69,11 @@ class FieldGroup:
         self._run("multicell-steady", time, time)
         self.finish(time)
         found, rows = self.info["reports"], zip(self.names, self.info["rates"], strict=True)
+        costs = ("newton", "cg", "residual")
         return {
-            name: self._exchange(
-                name, row, newton=found[name].newton, cg=found[name].cg,
-                residual=found[name].residual,
-            )
+            name: self._exchange(row, **{cost: getattr(found[name], cost) for cost in costs})
             for name, row in rows
-        }  # fmt: skip
+        }
 
     def advance(
         self,
@@ -154,17 +152,19 @@ class FieldGroup:
         """Give the fields what has been found."""
         for field, values in zip(self.fields.values(), self.state.data, strict=True):
             conditions = field.parameters.conditions(self.layout, field.level(time))
-            field.take(self.layout, values.copy(), conditions, self._kept)
+            field.take(self.layout, values.copy(), conditions)
 
-    def _exchange(self, name: str, row: FloatArray, **more: float) -> Exchange:
+    def _exchange(self, row: FloatArray, **more: Any) -> Exchange:
         """Return what a field exchanged, from a row of what solvers say."""
-        absent = ("made", "used") if self.kinetics is None else ()
-        return Exchange.of(row.tolist(), absent, **more)
+        found = dict(zip(COLUMNS[:-1], row.tolist(), strict=False))
+        if self.kinetics is None:
+            found |= {"made": None, "used": None}
+        return Exchange(**found, **more)
 
     def exchanges(self, amounts: FloatArray, relaid: FloatArray) -> dict[str, Exchange]:
         """Return what the fields exchanged by a march; ``relaid`` (amol) what the grid gained."""
         rows = zip(self.names, amounts, relaid.tolist(), strict=True)
-        return {name: self._exchange(name, row, relaid=more) for name, row, more in rows}
+        return {name: self._exchange(row, relaid=more) for name, row, more in rows}
 
     def _set_equation(
         self, layout: Layout, position: FloatArray, radius: FloatArray, demand: Demand

@@ -13,35 +13,6 @@ from multicell.nutrient.uptake import uptake_and_slope
 AnyOperator = Diffusion | Shells
 
 
-def leak(shells: Shells) -> float:
-    """Return what leaves through the surface for each mM in the last shell, µm³/s."""
-    ends = np.zeros(shells.count)
-    without = shells.inflow(ends)
-    ends[-1] = 1.0
-    return without - shells.inflow(ends)
-
-
-def brought(operator: AnyOperator) -> FloatArray:
-    """Return what the sides bring to nodes at 0 mM, mM/s."""
-    if isinstance(operator, Diffusion):
-        return operator.stencil_source()
-    return np.asarray(operator.gain(np.zeros(operator.count)) / operator.volumes)
-
-
-def node_volumes(operator: AnyOperator) -> FloatArray | float:
-    """Return the volumes of the nodes, µm³; one number where they are equal."""
-    return operator.volume if isinstance(operator, Diffusion) else operator.volumes
-
-
-def fastest(operator: AnyOperator) -> float:
-    """Return about the largest rate at which diffusion empties a node, 1/s."""
-    if isinstance(operator, Diffusion):
-        varied = 1.0 if operator.varied is None else float(operator.varied.max())
-        return 2.0 * operator.dimensions * operator.stiffness * max(varied, 1.0)
-    flow = np.append(operator.conductance, leak(operator))
-    return float(((flow + np.append(0.0, flow[:-1])) / operator.volumes).max())
-
-
 def imbalance(
     operator: AnyOperator,
     c: FloatArray,
@@ -53,10 +24,12 @@ def imbalance(
     """Return sources less sinks of all nodes (mM/s), and the sinks' derivative (1/s).
 
     Arguments as for :func:`multicell.nutrient.stencil.imbalance`; ``source`` holds what the sides
-    bring (:func:`brought`).
+    bring (``brought``).
     """
     if isinstance(operator, Shells):
-        flow = np.concatenate([[0.0], operator.conductance * np.diff(c), [-leak(operator) * c[-1]]])
+        flow = np.concatenate(
+            [[0.0], operator.conductance * np.diff(c), [-operator.leak() * c[-1]]]
+        )
         taken, slope = uptake_and_slope(sink, c, half)
         return np.diff(flow) / operator.volumes + source - taken - linear * c, slope + linear
     out, slope = np.empty_like(c), np.empty_like(c)

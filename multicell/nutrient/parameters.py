@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 from multicell.scene.scales import _faces, _side, height, regime, spacing
 
 if TYPE_CHECKING:
-    from multicell.nutrient.equations.schedule import Schedule
+    from multicell.nutrient.equations.substance import Schedule
     from multicell.nutrient.grid import Layout
     from multicell.scene.nutrient import Nutrient, Side
     from multicell.scene.parts import Domain
@@ -63,7 +63,7 @@ class FieldParameters:
     @cached_property
     def schedule(self) -> Schedule:
         """The medium over time, as the scene has it."""
-        from multicell.nutrient.equations.schedule import Schedule
+        from multicell.nutrient.equations.substance import Schedule
 
         return Schedule.of(self.nutrient)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.equations.equation import FieldEquation
-from multicell.nutrient.equations.schedule import Schedule
+from multicell.nutrient.equations.substance import Schedule
 from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.grid import restored, tissue_share
 from multicell.nutrient.group import substance

@@ -65,6 +65,22 @@ class Shells:
         """Return the flow in through the surface, amol/s."""
         return float(self._outer * (self._const + (self._factor - 1.0) * c[-1]))
 
+    def leak(self) -> float:
+        """Return what leaves through the surface for each mM in the last shell, µm³/s."""
+        ends = np.zeros(self.count)
+        without = self.inflow(ends)
+        ends[-1] = 1.0
+        return without - self.inflow(ends)
+
+    def brought(self) -> FloatArray:
+        """Return what the surface brings to shells at 0 mM, (count,) mM/s."""
+        return np.asarray(self.gain(np.zeros(self.count)) / self.volumes)
+
+    def fastest(self) -> float:
+        """Return about the largest rate at which diffusion empties a shell, 1/s."""
+        flow = np.append(self.conductance, self.leak())
+        return float(((flow + np.append(0.0, flow[:-1])) / self.volumes).max())
+
     def gain(self, c: FloatArray) -> FloatArray:
         """Return what each shell gains by diffusion, (count,) amol/s."""
         flow = self.conductance * np.diff(c)
@@ -82,7 +98,6 @@ class Shells:
         *,
         linear: float = 0.0,
         supply: FloatArray | None = None,
-        tolerance: float = TOLERANCE,
     ) -> tuple[FloatArray, SolveReport]:
         """Solve for the steady concentration as ``solve_steady`` does in a box."""
         problem = _Balance(self, sink, half_saturation, linear, supply)
@@ -92,7 +107,7 @@ class Shells:
         left, total = problem.residual(c)
         for newton in range(_MAX_NEWTON + self.count):
             size = float(np.abs(left).sum())
-            if size <= max(tolerance * total, problem.rounding(c)):
+            if size <= max(TOLERANCE * total, problem.rounding(c)):
                 if c.min() < 0.0:
                     c = problem.lifted(c)
                     size = float(np.abs(problem.residual(c)[0]).sum())
@@ -176,9 +191,5 @@ class _Balance:
 
     def report(self, c: FloatArray, newton: int, size: float) -> SolveReport:
         """Return the balance."""
-        total = float(np.sum(uptake(self.most, c, self.half)))
-        spent = self.linear * float(np.sum(self.shells.volumes * c))
-        return SolveReport(
-            newton, 0, size, self.shells.inflow(c), total, spent, float(self.supply.sum()),
-            max(-self.shells.inflow(c), 0.0),
-        )  # fmt: skip
+        total, inflow = float(np.sum(uptake(self.most, c, self.half))), self.shells.inflow(c)
+        return SolveReport(newton, 0, size, inflow, total, max(-inflow, 0.0))

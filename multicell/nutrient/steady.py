@@ -90,9 +90,6 @@ class SolveReport:
       of inflow and uptake.
     - ``inflow``, float, amol/s: net diffusion through the faces of the box
     - ``uptake``, float, amol/s: total uptake
-    - ``spent``, float, amol/s: what the rate ``linear`` takes: decay, outflow with a perfusion,
-      storage
-    - ``supplied``, float, amol/s: the nodes' supply
     - ``outflow``, float, amol/s: what leaves through the faces; ``inflow`` is net
     - ``made``, ``used``, float, amol/s: by reactions, what they make of it and take from it at each
       place
@@ -103,8 +100,6 @@ class SolveReport:
     residual: float
     inflow: float
     uptake: float
-    spent: float = 0.0
-    supplied: float = 0.0
     outflow: float = 0.0
     made: float = 0.0
     used: float = 0.0
@@ -118,7 +113,6 @@ def solve_steady(
     *,
     linear: float = 0.0,
     supply: FloatArray | None = None,
-    tolerance: float = TOLERANCE,
 ) -> tuple[FloatArray, SolveReport]:
     """Solve for the steady concentration.
 
@@ -129,22 +123,25 @@ def solve_steady(
     """
     nodes = math.prod(operator.shape)
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
-        problem = _Problem(
-            operator, sink, half_saturation, linear, supply, team if nodes >= MANY else None
-        )
-        return _solve(problem, start, tolerance, _linear_solver(operator, team))
+        shared = team if nodes >= MANY else None
+        problem = _Problem(operator, sink, half_saturation, linear, supply, shared)
+        if shared is None:
+            return _solve(problem, start, _Linear(operator))
+        from multicell.nutrient.multigrid import MultigridSolver
+
+        return _solve(problem, start, MultigridSolver(operator, team))
 
 
 def _solve(
-    problem: _Problem, start: FloatArray, tolerance: float, solver: _Linear | MultigridSolver
+    problem: _Problem, start: FloatArray, solver: _Linear | MultigridSolver
 ) -> tuple[FloatArray, SolveReport]:
     """Solve, first as it is and then, where that fails, over larger half saturations."""
     if not problem.source.any():
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
-    state, done = _newton(_State(problem, np.array(start, dtype=np.float64)), tolerance, solver)
+    state, done = _newton(_State(problem, np.array(start, dtype=np.float64)), TOLERANCE, solver)
     if not done and np.isfinite(state.size):
-        state, done = _descend(problem, start, tolerance, solver)
+        state, done = _descend(problem, start, solver)
     if done and not state.lift():
         raise NutrientFailed(
             f"the steady nutrient field is below zero at some nodes after {MAX_SWEEPS} sweeps",
@@ -153,7 +150,7 @@ def _solve(
     if not done:
         raise NutrientFailed(
             f"the steady nutrient field did not converge: after {solver.newton} Newton steps the "
-            f"imbalance is {state.size:.3g} mM/s, wanted {state.target(tolerance):.3g} mM/s",
+            f"imbalance is {state.size:.3g} mM/s, wanted {state.target(TOLERANCE):.3g} mM/s",
             "Check uptake, diffusion and half_saturation of the nutrient for sensible values",
         )
     return state.c, state.report(solver)
@@ -180,7 +177,7 @@ def _newton(
 
 
 def _descend(
-    problem: _Problem, start: FloatArray, tolerance: float, linear: _Linear | MultigridSolver
+    problem: _Problem, start: FloatArray, linear: _Linear | MultigridSolver
 ) -> tuple[_State, bool]:
     """Solve with a large constant K first and then with ever smaller ones.
 
@@ -192,7 +189,7 @@ def _descend(
     while half > 2.0 * problem.half:
         state, _ = _newton(_State(replace(problem, half=half), c), ROUGH, linear)
         c, half = state.c, half / 4.0
-    return _newton(_State(problem, c), tolerance, linear)
+    return _newton(_State(problem, c), TOLERANCE, linear)
 
 
 @final
@@ -208,7 +205,7 @@ class _Problem:
     team: Team | None  # that shares the loops over MANY nodes; sums are then those of planes
 
     def __post_init__(self) -> None:
-        faces = self.operator.stencil_source()
+        faces = self.operator.brought()
         self.source = faces if self.supply is None else faces + self.supply
 
 
@@ -272,15 +269,12 @@ class _State:
         By Cauchy's inequality the absolute imbalances then sum to at most ``tolerance`` times the
         uptake. Below the rounding error of the imbalance itself nothing can be asked.
         """
-        rounding = 8.0 * sys.float_info.epsilon * self._largest_rate() * self.norm
-        return max(tolerance * self.total / math.sqrt(self.c.size), rounding)
-
-    def _largest_rate(self) -> float:
-        """Return the largest rate of a node, 1/s, but for the uptake's."""
-        problem = self.problem
-        varied = problem.operator.varied
+        problem, varied = self.problem, self.problem.operator.varied
         most = 1.0 if varied is None else float(varied.max())
-        return problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
+        # the largest rate of a node, 1/s, but for the uptake's
+        quick = problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
+        rounding = 8.0 * sys.float_info.epsilon * quick * self.norm
+        return max(tolerance * self.total / math.sqrt(self.c.size), rounding)
 
     def empty_copy(self) -> _State:
         """Return the same problem at another concentration, not filled yet.
@@ -294,14 +288,10 @@ class _State:
     def report(self, linear: _Linear | MultigridSolver) -> SolveReport:
         """Return the balance."""
         problem, op = self.problem, self.problem.operator
-        left, taken, content = stencil.account(self.c, problem.sink, problem.half, self.residual)
-        supplied = 0.0 if problem.supply is None else float(np.sum(problem.supply))
-        v = op.volume
+        left, taken = stencil.account(self.c, problem.sink, problem.half, self.residual)
         inward, outward = op.flows(self.c)
-        return SolveReport(
-            linear.newton, linear.cg, v * left, inward - outward, v * taken,
-            v * problem.linear * content, v * supplied, outward,
-        )  # fmt: skip
+        v = op.volumes
+        return SolveReport(linear.newton, linear.cg, v * left, inward - outward, v * taken, outward)
 
 
 def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
@@ -319,15 +309,6 @@ def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
         if not there < -0.9 * slope:
             return
         share *= max(slope / (slope - there), 0.25)
-
-
-def _linear_solver(operator: Diffusion, team: Team) -> _Linear | MultigridSolver:
-    """Return the linear solver that is faster on the operator's grid."""
-    if math.prod(operator.shape) < MANY:
-        return _Linear(operator)
-    from multicell.nutrient.multigrid import MultigridSolver
-
-    return MultigridSolver(operator, team)
 
 
 @final

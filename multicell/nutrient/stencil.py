@@ -402,20 +402,17 @@ def flows(
 
 
 @_jit
-def account(
-    c: FloatArray, sink: FloatArray, half: float, residual: Floats
-) -> tuple[float, float, float]:
-    """Return the sums over all nodes of the sizes of the residual, of uptake (mM/s), and of c (mM).
+def account(c: FloatArray, sink: FloatArray, half: float, residual: Floats) -> tuple[float, float]:
+    """Return the sums over all nodes of the sizes of the residual and of uptake, mM/s.
 
     Arguments as for :func:`imbalance`.
     """
     nx, ny, nz = c.shape
-    left, taken, content = 0.0, 0.0, 0.0
+    left, taken = 0.0, 0.0
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
                 left += abs(residual[i, j, k])
-                content += c[i, j, k]
                 if sink[i, j, k] != 0.0:
                     taken += uptake(sink[i, j, k], c[i, j, k], half)
-    return left, taken, content
+    return left, taken

@@ -368,7 +368,6 @@ def _needs(
 
 _SHARED = (
     "margin",
-    "roundness_limit",
     "layer",
     "height",
     "initial",
@@ -399,6 +398,10 @@ def _check_groups(scene: Scene, reactions: Mapping[str, Joining]) -> None:
         _check_grid(scene, group)
         _check_regime(scene, group)
         _check_dependences(scene, group)
+        finite = [name for name in group if scene.nutrients[name].finite_medium is not None]
+        if len(finite) > 1:
+            problem = f"is given, but {finite[0]}, with which it reacts, has one already"
+            raise SceneError(f"nutrients.{finite[1]}.finite_medium", problem, "Leave one out.")
 
 
 def _check_grid(scene: Scene, group: list[str]) -> None:

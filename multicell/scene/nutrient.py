@@ -208,9 +208,6 @@ class Nutrient:
         doc="a grid of cubes, of spherical shells, or shells as long as the tissue is round; "
         "absent: cubes",
     )
-    roundness_limit: float = number(
-        default=0.1, above=0, below=1, doc="departure from a ball up to which shells are enough"
-    )
     spacing: float | None = quantity(
         "um", default=None, above=0, doc="of the grid; absent: by diffusion length"
     )

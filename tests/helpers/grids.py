@@ -15,4 +15,4 @@ def diffusion(grid, coefficient, sides, *, height=None, varied=None):
 
 def divergence(operator, c):
     """Return D L c in mM/s, boundary values included."""
-    return operator.stencil_source() - linearised(operator, c, 0.0 * c)
+    return operator.brought() - linearised(operator, c, 0.0 * c)

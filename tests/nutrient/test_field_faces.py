@@ -176,5 +176,5 @@ def test_a_field_taken_from_a_frame_is_read_by_its_conditions():
     other = NutrientField("a", parameters)
     other.restore(field.field(), 0.0)
     np.testing.assert_array_equal(other.sample(position), field.sample(position))
-    corner = np.array([field.box.origin])
+    corner = np.array([field.layout.box.origin])
     assert other.sample(corner)[0] == pytest.approx(0.3, rel=1e-12)

@@ -9,7 +9,7 @@ import multicell as mc
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.operators import linearised
 from multicell.nutrient.reactions.inverse import gmres, inverse_of_blocks
-from multicell.nutrient.reactions.kinetics import FixedForms, kinetics_of
+from multicell.nutrient.reactions.kinetics import Kinetics, kinetics_of
 
 WALL = {"derivative": 0.0}
 BINDING = {
@@ -84,7 +84,7 @@ def test_rates_are_diffusion_and_reactions_added_up():
     state.data = 0.1 * rng.random(state.data.shape)
     plain = {name: term.substance for name, term in made.substances.items()}
     without = mc.FieldEquation(made.grid, plain, made.position)
-    kinetics = FixedForms("abc", {n: mc.Reaction(**r) for n, r in BINDING.items()})
+    kinetics = Kinetics("abc", [mc.Reaction(**r) for r in BINDING.values()])
     rates = kinetics.evaluate(state.data.reshape(3, -1))[0].reshape(state.data.shape)
     expected = without.evolution_rate(state).data + rates
     np.testing.assert_allclose(made.evolution_rate(state).data, expected, rtol=1e-12, atol=1e-15)

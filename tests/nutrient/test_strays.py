@@ -112,7 +112,7 @@ def test_both_of_two_balls_have_the_layer():
     pair = np.vstack([ball(800), ball(200, (400.0, 0.0, 0.0), seed=2)])
     found, _ = solved(pair)
     reach = pair.max(axis=0)[0] + 50.0
-    assert found.box.upper[0] == pytest.approx(reach, rel=1e-12)
+    assert found.layout.box.upper[0] == pytest.approx(reach, rel=1e-12)
 
 
 def test_tissue_without_strays_is_left_alone():

@@ -11,10 +11,9 @@ from multicell.errors import SceneError
 from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.equations.grid import conditions_on
-from multicell.nutrient.equations.schedule import Schedule
-from multicell.nutrient.equations.substance import Conditions, Substance
+from multicell.nutrient.equations.substance import Conditions, Schedule, Substance
 from multicell.nutrient.grid import BoxLayout, Layout
-from multicell.nutrient.operators import AnyOperator, brought, imbalance
+from multicell.nutrient.operators import AnyOperator, imbalance
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.uptake import uptake_and_slope
@@ -124,7 +123,7 @@ class PlacedSubstance:
         level = self.schedule.at(t)
         op, c = self.at(level), np.ascontiguousarray(c, dtype=float).reshape(self.shape)
         if self._gained is None or self._gained[0] != level:
-            self._gained = level, np.ascontiguousarray(brought(op) + self.supply(level))
+            self._gained = level, np.ascontiguousarray(op.brought() + self.supply(level))
         half = self.substance.half_saturation
         return imbalance(op, c, self.sink, self._gained[1], half, self.linear)
 

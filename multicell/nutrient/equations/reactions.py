@@ -15,7 +15,7 @@ from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.placed import PlacedSubstance
 from multicell.nutrient.reactions.coupled import Coupled, settle
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
-from multicell.nutrient.reactions.kinetics import FixedForms, Kinetics, kinetics_of
+from multicell.nutrient.reactions.kinetics import Kinetics, kinetics_of
 from multicell.nutrient.steady import SolveReport, StepRefused
 from multicell.scene.nutrient import MOST
 
@@ -43,10 +43,9 @@ class Reactions:
         self.substances = substances
         names = [each.name for each in substances]
         if isinstance(reactions, Mapping):
-            self.kinetics: Kinetics = kinetics_of(names, reactions)
-        else:
-            self.kinetics = reactions
-        if isinstance(self.kinetics, FixedForms) and self.kinetics.needs_tissue and tissue is None:
+            reactions = kinetics_of(names, reactions)
+        self.kinetics = reactions
+        if self.kinetics.placed and tissue is None:
             hint = "Give the part of each node that is tissue, 0 to 1."
             raise SceneError("tissue", "is missing: a reaction depends on it", hint)
         self.tissue = None
@@ -109,9 +108,7 @@ class Reactions:
             supplied = float(np.sum(volumes * coupled.supplies[i]))
             left = abs(a.inflow + supplied + a.made - a.used - a.uptake - spent)
             newton, cg = (coupled.newton, coupled.linear_steps) if i == 0 else (0, 0)
-            reports[each.name] = replace(
-                a, newton=newton, cg=cg, residual=left, spent=spent, supplied=supplied
-            )
+            reports[each.name] = replace(a, newton=newton, cg=cg, residual=left)
         return c, reports
 
     def ahead(self, nodes: Nodes, begin: float, end: float) -> FloatArray:

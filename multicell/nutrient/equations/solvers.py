@@ -220,8 +220,7 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     rtol
         Relative tolerance of a step's error, by the root of its mean square over all nodes.
     atol
-        Absolute tolerance, one or one for each field; absent: ``rtol`` times a thousandth of each
-        field's largest value.
+        Absolute tolerance; absent: ``rtol`` times a thousandth of each field's largest value.
     max_steps
         Most steps between two calls of trackers.
     """
@@ -234,12 +233,12 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         *,
         backend: Any = "auto",
         rtol: float = 1e-5,
-        atol: float | list[float] | None = None,
+        atol: float | None = None,
         max_steps: int = 100_000,
     ) -> None:
         super().__init__(pde, backend=backend)
         for name, value in (("rtol", rtol), ("atol", atol)):
-            if value is not None and not (np.isfinite(value) & (np.asarray(value) > 0.0)).all():
+            if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise SceneError(name, f"is {value!r}, must be above zero")
         self.rtol, self.atol, self.max_steps = rtol, atol, max_steps
 
@@ -256,9 +255,6 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             For an equation or a state that it cannot solve.
         """
         equation = suitable(self.pde, state, "shifted_inverse")
-        if self.atol is not None and np.size(self.atol) not in (1, len(equation.names)):
-            fields = len(equation.names)
-            raise SceneError("atol", f"has {np.size(self.atol)} numbers for {fields} fields")
         self.info.update(dt=dt, steps=0, evaluations=0, stochastic=False)
         march = _March(self, equation, dt)
 
@@ -306,22 +302,18 @@ class _March:
         self.begin = self.reached = begin
         self.y = y
         self.near: Any = None
+        absolute: Any = self.owner.atol
+        if absolute is None:
+            parts = np.abs(y).reshape(len(self.equation.names), -1)
+            largest = parts.max(axis=1)
+            largest[largest == 0.0] = largest.max() or 1.0
+            absolute = np.repeat(self.owner.rtol * _SMALL * largest, parts.shape[1])
         self.cvode = CVODE(
             self.velocity, method="BDF", linsolver="gmres", rtol=self.owner.rtol, krylov_dim=10,
-            atol=self._absolute(y), first_step=self.first or 0.0,
+            atol=absolute, first_step=self.first or 0.0,
             precond=CVODEPrecond(self.setup, self.precondition, side="right"),
         )  # fmt: skip
         self.cvode.init_step(0.0, y)
-
-    def _absolute(self, y: FloatArray) -> FloatArray:
-        """Return the absolute tolerance of each value."""
-        parts = np.abs(y).reshape(len(self.equation.names), -1)
-        if self.owner.atol is not None:
-            each = np.broadcast_to(np.asarray(self.owner.atol, dtype=float), len(parts))
-            return np.repeat(each, parts.shape[1])
-        largest = parts.max(axis=1)
-        largest[largest == 0.0] = largest.max() or 1.0
-        return np.repeat(self.owner.rtol * _SMALL * largest, parts.shape[1])
 
     def _step(self, stop: float, limit: int) -> None:
         """Take one step of CVODE's, up to ``stop`` at most."""
@@ -344,18 +336,13 @@ class _March:
         data = np.array(y).reshape(self.shape)
         found, _ = self.equation.rates(data, now)
         if not np.isfinite(found).all():
-            raise self._runaway(data, found, now)
+            names = self.equation.names
+            lost = ~np.isfinite(found.reshape(len(names), -1)).all(axis=1)
+            raise NutrientFailed(
+                f"the rate of {names[int(np.argmax(lost))]} is not finite at t = {now:.6g}",
+                "Look for a reaction that makes it grow without bound",
+            )
         yp[:] = found.ravel()
-
-    def _runaway(self, data: FloatArray, found: FloatArray, t: float) -> NutrientFailed:
-        """Return the error of rates that are not finite, which names the field."""
-        names = self.equation.names
-        fields, rates = (x.reshape(len(names), -1) for x in (data, found))
-        bad = int(np.argmax(~np.isfinite(rates).all(axis=1)))
-        problem = f"the rate of {names[bad]} is not finite at t = {t:.6g}"
-        largest = f"where its largest value is {np.abs(fields[bad]).max():.3g}"
-        hint = "Look for a reaction that makes it grow without bound"
-        return NutrientFailed(f"{problem}, {largest}", hint)
 
     def setup(
         self, t: float, y: FloatArray, yp: FloatArray, jok: int, jnew: list[int], gamma: float

@@ -19,11 +19,7 @@ _AGREE = 2e-2  # what the integral of a derivative may lack of the change of a r
 
 def problems(made: OwnReaction) -> list[str]:
     """Return what is wrong with a reaction and what to do about it; nothing if all is well."""
-    for check in (_not_finite, _consumed_from_nothing, _derivative_of_another):
-        found = check(made)
-        if found:
-            return found
-    return []
+    return _at_points(made) or _derivative_of_another(made)
 
 
 def _points(made: OwnReaction) -> tuple[FloatArray, FloatArray]:
@@ -37,7 +33,8 @@ def _points(made: OwnReaction) -> tuple[FloatArray, FloatArray]:
     return np.asarray(whole, dtype=np.float64), np.array(rng.uniform(0.0, 1.0, whole.shape[1]))
 
 
-def _not_finite(made: OwnReaction) -> list[str]:
+def _at_points(made: OwnReaction) -> list[str]:
+    """Look for what is not finite, and for what is consumed where there is none."""
     c, tissue = _points(made)
     rates, slope = made.evaluate(c, tissue)
     bad = ~np.isfinite(rates).all(axis=0)
@@ -47,12 +44,6 @@ def _not_finite(made: OwnReaction) -> list[str]:
     if bad.any():
         where = _place(made, c[:, np.argmax(bad)])
         return [f"has a derivative that is not found at {where}", "Give a smooth rate."]
-    return []
-
-
-def _consumed_from_nothing(made: OwnReaction) -> list[str]:
-    c, tissue = _points(made)
-    rates, _ = made.evaluate(c, tissue)
     least = -1e-12 * np.abs(rates).max(initial=0.0)
     for i, name in enumerate(made.fields):
         bad = (c[i] == 0.0) & (rates[i] < least)

@@ -24,14 +24,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.operators import (
-    brought,
-    fastest,
-    imbalance,
-    lifted,
-    linearised,
-    node_volumes,
-)
+from multicell.nutrient.operators import imbalance, lifted, linearised
 from multicell.nutrient.reactions.inverse import apply_blocks, gmres, inverse_of_blocks
 from multicell.nutrient.steady import StepRefused
 
@@ -80,12 +73,12 @@ class Coupled:
         self.linear = np.array([each.linear for each in substances])
         self.m, self.nodes = self.sinks.shape
         self.shape = substances[0].shape
-        self.volumes = np.broadcast_to(np.ravel(node_volumes(self.operators[0])), (self.nodes,))
+        self.volumes = np.broadcast_to(np.ravel(self.operators[0].volumes), (self.nodes,))
         self.newton = self.linear_steps = 0
 
     def sources(self) -> FloatArray:
         """Return what nodes gain by supply and over the sides, (m, nodes) mM/s."""
-        faces = np.array([brought(op).ravel() for op in self.operators])
+        faces = np.array([op.brought().ravel() for op in self.operators])
         return np.asarray(faces + self.supplies)
 
     def step(self, before: FloatArray, start: FloatArray, dt: float) -> FloatArray:
@@ -117,7 +110,7 @@ class _Newton:
         self.rate = 0.0 if math.isinf(dt) else 1.0 / dt
         self.gained = coupled.supplies + self.rate * before
         self.sources = coupled.sources() + self.rate * before
-        quick = [fastest(op) for op in coupled.operators]
+        quick = [op.fastest() for op in coupled.operators]
         self.quick = np.array(quick) + coupled.linear + self.rate
 
     def solve(self, start: FloatArray) -> FloatArray:

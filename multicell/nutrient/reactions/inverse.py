@@ -21,7 +21,7 @@ from scipy.linalg import solve_banded
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL, typed
 from multicell.nutrient.diffusion import Diffusion, _transform
-from multicell.nutrient.operators import AnyOperator, leak
+from multicell.nutrient.operators import AnyOperator
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.stencil import dot
 
@@ -57,27 +57,22 @@ def _in_box(operators: list[Diffusion], blocks: FloatArray) -> Solve:
     shape, first = operators[0].shape, operators[0]
     stiffness = np.array([op.stiffness for op in operators])
     ax, ay, az = (np.asarray(a) / first.stiffness for a in first.eigenvalues)
-    if alike:
 
-        def solve(r: FloatArray) -> FloatArray:
-            y = apply_blocks(weights, np.ascontiguousarray(r)).reshape(m, *shape)
-            spectra = np.empty_like(y)
-            for i in range(m):
-                spectra[i] = _transform(y[i], first.kinds, inverse=False)
-            divide_by_blocks(spectra, ax, ay, az, stiffness, mean)
-            for i in range(m):
-                y[i] = _transform(spectra[i], first.kinds, inverse=True)
-            return y.reshape(m, nodes)
-
-        return solve
-
-    def separate(r: FloatArray) -> FloatArray:
+    def solve(r: FloatArray) -> FloatArray:
         y = apply_blocks(weights, np.ascontiguousarray(r)).reshape(m, *shape)
-        for i, op in enumerate(operators):
-            y[i] = op.invert(y[i].copy(), float(mean[i, i]))[0]
+        if not alike:
+            for i, op in enumerate(operators):
+                y[i] = op.invert(y[i].copy(), float(mean[i, i]))[0]
+            return y.reshape(m, nodes)
+        spectra = np.empty_like(y)
+        for i in range(m):
+            spectra[i] = _transform(y[i], first.kinds, inverse=False)
+        divide_by_blocks(spectra, ax, ay, az, stiffness, mean)
+        for i in range(m):
+            y[i] = _transform(spectra[i], first.kinds, inverse=True)
         return y.reshape(m, nodes)
 
-    return separate
+    return solve
 
 
 def _on_shells(operators: list[Shells], blocks: FloatArray) -> Solve:
@@ -90,7 +85,7 @@ def _on_shells(operators: list[Shells], blocks: FloatArray) -> Solve:
         diagonal = np.zeros(n)
         diagonal[:-1] += g
         diagonal[1:] += g
-        diagonal[-1] += leak(op)
+        diagonal[-1] += op.leak()
         banded[0, 1:, i] = -g
         banded[2 * m, :-1, i] = -g
         for j in range(m):
@@ -228,17 +223,12 @@ def gmres(product: Solve, near: Solve, right: FloatArray, goal: float) -> tuple[
                 w -= h[j, k] * basis[j]
             h[k + 1, k] = norm = np.sqrt(dot(w, w))
             basis[k + 1] = (1.0 / norm if norm > 0.0 else 0.0) * w
-            y, left = _least(h[: k + 2, : k + 1], size)
+            known, start = h[: k + 2, : k + 1], np.zeros(k + 2)
+            start[0] = size
+            y = np.linalg.lstsq(known, start, rcond=None)[0]
+            left = float(np.linalg.norm(start - known @ y))
             if not left > goal * first or h[k + 1, k] == 0.0:
                 break
         x += near((y[:, None] * basis[: y.size]).sum(axis=0))
         r = right - product(x)
     return x, taken
-
-
-def _least(h: FloatArray, size: float) -> tuple[FloatArray, float]:
-    """Return y with the least norm of (size, 0, ...) - h y, and that norm."""
-    right = np.zeros(len(h))
-    right[0] = size
-    y = np.linalg.lstsq(h, right, rcond=None)[0]
-    return np.asarray(y, dtype=np.float64), float(np.linalg.norm(right - h @ y))

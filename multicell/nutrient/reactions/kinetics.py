@@ -33,7 +33,7 @@ def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
     - ``reactions``: name -> :class:`~multicell.scene.reactions.Reaction`, a table of its keys, or a
       reaction of the user's own
     """
-    fixed: dict[str, Reaction] = {}
+    listed: list[Reaction] = []
     own: list[OwnReaction] = []
     for name, given in reactions.items():
         path = f"reactions.{name}"
@@ -49,47 +49,29 @@ def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
                     f"{path}.{field}", "is not one of the fields", near_miss(field, names)
                 )
         if isinstance(reaction, Reaction):
-            fixed[name] = reaction
+            listed.append(reaction)
         else:
             own.append(reaction)
-    forms = FixedForms(names, fixed)
-    return Together(forms, own) if own else forms
+    return Kinetics(names, listed, own)
 
 
 @final
-class Together:
-    """Reactions of fixed forms and others, added up."""
-
-    def __init__(self, forms: FixedForms, own: Sequence[OwnReaction]) -> None:
-        self.names, self._forms = forms.names, forms
-        self._own = [(each, [self.names.index(name) for name in each.fields]) for each in own]
-        self.needs_tissue = True
-
-    def evaluate(
-        self, c: FloatArray, tissue: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return rates and their derivative; see :meth:`FixedForms.evaluate`."""
-        out, slope = self._forms.evaluate(c, tissue)
-        for each, rows in self._own:
-            rates, derivative = each.evaluate(np.asarray(c)[rows], tissue)
-            out[rows] += rates
-            slope[np.ix_(rows, rows)] += derivative
-        return out, slope
-
-
-@final
-class FixedForms:
-    """Reactions as a scene has them.
+class Kinetics:
+    """Rates of reactions between the fields of a grid.
 
     - ``names``: of the fields, in the order of the rows
-    - ``reactions``: between these fields
+    - ``listed``, ``own``: reactions as a scene has them, and those of the user's own
+
+    - ``placed``, ``needs_tissue``: whether a scene's, and whether any may depend on what is tissue
     """
 
-    def __init__(self, names: Sequence[str], reactions: Mapping[str, Reaction]) -> None:
+    def __init__(
+        self, names: Sequence[str], listed: Sequence[Reaction], own: Sequence[OwnReaction] = ()
+    ) -> None:
         self.names = list(names)
-        self.reactions = dict(reactions)
-        listed = list(reactions.values())
-        self.needs_tissue = any(r.where != "everywhere" for r in listed)
+        self._own = [(each, [self.names.index(name) for name in each.fields]) for each in own]
+        self.placed = any(r.where != "everywhere" for r in listed)
+        self.needs_tissue = self.placed or bool(own)
         consumed = [reaction.consumes or {} for reaction in listed]
         self._first = np.cumsum([0, *map(len, consumed)])
         flat = [(self.names.index(name), n) for found in consumed for name, n in found.items()]
@@ -121,11 +103,11 @@ class FixedForms:
             c, filled, self._rate, self._place, self._first, self._field, self._power,
             self._change, out, slope,
         )  # fmt: skip
+        for each, rows in self._own:
+            rates, derivative = each.evaluate(c[rows], tissue)
+            out[rows] += rates
+            slope[np.ix_(rows, rows)] += derivative
         return out, slope
-
-
-Kinetics = FixedForms | Together
-"""Rates of reactions between the fields of a grid."""
 
 
 @_jit

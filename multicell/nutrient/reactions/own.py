@@ -49,7 +49,7 @@ class OwnReaction:
     def evaluate(
         self, c: FloatArray, tissue: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return rates and derivative as :meth:`~.kinetics.FixedForms.evaluate`."""
+        """Return rates and derivative as :meth:`~.kinetics.Kinetics.evaluate`."""
         c = np.ascontiguousarray(c, dtype=np.float64)
         m, nodes = c.shape
         filled = np.zeros(nodes) if tissue is None else np.ascontiguousarray(tissue).ravel()

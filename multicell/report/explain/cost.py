@@ -148,7 +148,8 @@ def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
                 laid = ShellLayout.round_ball(own, nutrient.margin, p.spacing, nutrient.layer)
                 found.append(float(laid.count))
             else:
-                cubes = BoxLayout.round_ball(outermost, nutrient.margin, p.spacing, flat)
+                corners = np.array([[-outermost] * 3, [outermost] * 3])
+                cubes = BoxLayout.round(corners, nutrient.margin, p.spacing, flat)
                 found.append(float(cubes.box.nodes))
         except NutrientFailed:
             found.append(float(MAX_NODES))

@@ -97,8 +97,7 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
         return f"a grid of cubes of {spacing:g} um that follows the cells"
     words = f"spherical shells of {spacing:g} um that follow the cells"
     if nutrient.layout == "auto":
-        limit = nutrient.roundness_limit
-        return f"{words} while the tissue is round within {limit:g}, else a grid of cubes"
+        return f"{words} while the tissue is round within 0.1, else a grid of cubes"
     layer = nutrient.layer
     return words if layer is None else f"{words}, in a layer of {layer:g} um round the tissue"
 
