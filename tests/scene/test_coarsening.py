@@ -31,7 +31,7 @@ def keys(part, path=""):
 def test_every_key_with_a_length_a_force_or_an_amount_has_a_law():
     known = dict(keys(Scene))
     sized = {key for key, unit in known.items() if any(x in unit for x in ("um", "nN", "amol"))}
-    assert len(sized) > 40
+    assert len(sized) > 25
     assert sized <= set(LAWS) <= set(known)
 
 
