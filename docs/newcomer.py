@@ -34,8 +34,8 @@ SMALL = [
 CHANGES = {
     "count = 1": 'count = 100\nstage = "asynchronous"',
     'duration = "12 d"': 'duration = "3 d"',
-    'cycle_time = "15 h"': 'doubling_time = "20 h"',
-    'division_radius = "5 um"': 'diameter = "9 um"',
+    'cycle_time = "15 h"': 'cycle_time = "20 h"',
+    'division_radius = "5 um"': 'division_radius = "5.02 um"',
 }
 LEVELS = [
     *("--vary", "nutrients.oxygen.boundary=3 %, 5 %, 21 %", "--seeds", "3"),

@@ -28,7 +28,6 @@ KINDS = {
     "number": "number",
     "quantities": "table of quantities by name",
     "quantity": "quantity",
-    "responses": "table of curves by name",
     "schedule": "list of [time, quantity]",
     "table": "table",
     "tables": "tables by name",

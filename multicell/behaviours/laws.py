@@ -140,15 +140,14 @@ class Constant(ResponseLaw):
 
 
 KEYS: Final = {
-    "hill": ("half", "power"),
-    "monod": ("half",),
-    "inhibition": ("half",),
-    "threshold": ("half",),
-    "linear": ("begin", "end"),
-    "table": ("points",),
-    "constant": (),
+    "hill": (("signal", "half"), ("power", "falls", "base", "largest")),
+    "monod": (("signal", "half"), ("falls", "base", "largest")),
+    "threshold": (("signal", "half"), ("falls", "base", "largest")),
+    "linear": (("signal", "begin", "end"), ("falls", "base", "largest")),
+    "table": (("signal", "points"), ()),
+    "constant": (("largest",), ("base",)),
 }
-"""Laws by their names in a scene -> the keys that they need."""
+"""Laws by their names in a scene -> the keys that they need, and those that they may have."""
 
 OWN: Final[Laws[Any]] = Laws({})
 """Laws of the user's own, made by :func:`multicell.response`."""

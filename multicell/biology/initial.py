@@ -52,7 +52,8 @@ def initial_cells(scene: Scene) -> Cells:
     columns: Mapping[str, NDArray[Any]] = {}
     table = scene.initial.cells
     if table is not None:
-        from multicell.scene.start_checks import check_start_table, kinds_of, positions
+        from multicell.scene.start_checks import check_start_table, kinds_of
+        from multicell.scene.start_table import positions
 
         check_start_table(scene)
         given, kind = table.given, kinds_of(scene, table.given)

@@ -40,7 +40,7 @@ def _is_pressed(scene: Scene) -> bool:
 
 
 def _has_walls(scene: Scene) -> bool:
-    return scene.dimensions == 3 and scene.domain is not None and scene.domain.wall == "elastic"
+    return scene.dimensions == 3 and scene.domain is not None
 
 
 def _has_gel(scene: Scene) -> bool:

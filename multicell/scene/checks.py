@@ -17,7 +17,6 @@ from multicell.schema import leaves, near_miss, separated
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import CellType
-    from multicell.scene.reactions import Joining
     from multicell.scene.responses import Response
     from multicell.scene.scene import Scene
 
@@ -49,7 +48,7 @@ def check_types(scene: Scene) -> None:
     for name, kind in types.items():
         if kind.surface_energy is not None:
             _check_energies(scene, f"types.{name}.surface_energy", kind)
-        for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
+        for key in ("uptake_of", "secretion_of"):
             check_names(getattr(kind, key), scene.nutrients, f"types.{name}.{key}", FIELD)
         if kind.sticks and scene.adhesion is None:
             path = f"types.{name}.{'receptor' if any(v for _, v in kind.receptor) else 'ligand'}"
@@ -299,7 +298,7 @@ def _check_in_domain(scene: Scene, name: str) -> None:
 
 def solving_order(
     nutrients: Mapping[str, Nutrient],
-    reactions: Mapping[str, Joining] | None = None,
+    reactions: Mapping[str, Any] | None = None,
     responses: Mapping[str, Response] | None = None,
 ) -> list[str]:
     """Return the names of the fields so that each comes after those that it depends on.
@@ -331,7 +330,7 @@ def solving_order(
 
 def circles(
     nutrients: Mapping[str, Nutrient],
-    reactions: Mapping[str, Joining] | None = None,
+    reactions: Mapping[str, Any] | None = None,
     responses: Mapping[str, Response] | None = None,
 ) -> dict[str, list[str]]:
     """Return for each field those with which its uptake depends on each other, itself included.
@@ -393,7 +392,7 @@ def check_own(scene: Scene, reactions: Mapping[str, Any]) -> None:
     _check_groups(scene, {**scene.reactions, **reactions})
 
 
-def _check_groups(scene: Scene, reactions: Mapping[str, Joining]) -> None:
+def _check_groups(scene: Scene, reactions: Mapping[str, Any]) -> None:
     for group in groups(scene.nutrients, reactions):
         _check_grid(scene, group)
         _check_regime(scene, group)

@@ -79,9 +79,9 @@ def filling(lengths: Sequence[float], spacing: float) -> tuple[int, ...] | None:
 
 
 def walls(scene: Scene) -> Walls | Sphere | None:
-    """Return the elastic walls of a scene; where there are none, nothing is loaded."""
+    """Return the walls of a scene; where there are none, nothing is loaded."""
     domain = scene.domain
-    if domain is None or domain.wall != "elastic":
+    if domain is None:
         return None
     young = scene.cells.young if domain.young is None else domain.young
     poisson = scene.cells.poisson if domain.poisson is None else domain.poisson
@@ -117,8 +117,6 @@ def check_inside(domain: Domain | None, ids: IntArray, position: FloatArray, tim
     cell, side = found
     where = position[cell, "xyz".index(side[0])]
     hint = "Give the walls a larger domain.young, let less push the cells, or widen the domain"
-    if domain.wall == "refuse":
-        hint = "Widen the domain, or let its wall be 'elastic'"
     problem = f"its centre left the domain through the side {side}, to {side[0]} = {where:g} um"
     raise StepFailed(time, problem, hint, int(ids[cell]))
 

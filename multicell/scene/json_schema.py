@@ -13,7 +13,7 @@ from dataclasses import MISSING, Field, fields
 from typing import Any, Final
 
 from multicell.scene.scene import Scene
-from multicell.schema import SYNONYMS, Bounds, Parameter, specs
+from multicell.schema import Bounds, Parameter, specs
 
 Schema = dict[str, Any]
 
@@ -54,11 +54,6 @@ def _table(part: type, parts: dict[str, Schema], also: Schema | None = None) -> 
         "properties": {
             **(also or {}),
             **{name: _describe(spec, parts) for name, spec in known.items()},
-            **{
-                name: _describe(known[key], parts) | {"description": f"another name of '{key}'"}
-                for name, (key, _, factor) in SYNONYMS.items()
-                if key in known and name not in known
-            },
         },
         "additionalProperties": False,
     }
@@ -153,7 +148,7 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
     "quantity": lambda spec, _: _amount(spec.unit, spec.bounds),
     "measure": lambda spec, _: _MEASURE,
     "measure_points": lambda spec, _: {
-        "type": "array", "minItems": 2,
+        "type": "array", "minItems": 1,
         "items": {"type": "array", "items": _MEASURE, "minItems": 2, "maxItems": 2},
     },
     "number": lambda spec, _: _number(spec.bounds),
@@ -180,10 +175,6 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
         "anyOf": [_number(spec.bounds), _curve(_amount("s"), _number(spec.bounds))],
     },
     "schedule": lambda spec, _: _curve(_amount("s"), _amount(spec.unit, spec.bounds)),
-    "responses": lambda spec, _: {
-        "type": "object",
-        "additionalProperties": _curve(_amount(spec.unit), _number(spec.bounds)),
-    },
     "quantities": lambda spec, _: {
         "type": "object", "additionalProperties": _amount(spec.unit, spec.bounds),
     },

@@ -51,7 +51,6 @@ def _field(path: tuple[str | int, ...]) -> str | None:
             ("nutrients", str(field), "media", int(), 1)
             | ("nutrients", str(field), "sides", _, "value")
             | ("nutrients", _, "uptake_on", str(field), "half")
-            | ("types", _, "receptor_by" | "ligand_by", str(field), int(), 0)
         ):
             return field
         case ("nutrients", str(field), str(key)) if key in _LEVELS:

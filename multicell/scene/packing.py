@@ -21,27 +21,26 @@ M. R. D'Orsogna et al., Phys. Rev. Lett. 96 (2006) 104302 for the collapse of th
 from __future__ import annotations
 
 import math
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, NamedTuple, final
 
-import numpy as np
-
-from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
-from multicell.contact.springs import Spring
 from multicell.scene.pairs import pairs
 from multicell.scene.sizes import birth_radius
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
 
 
 _NODES = 200
 _ROUNDING = 0.005  # a single cell fills its own ball, and three digits are shown
+_REMEDY = (
+    "Take stiffer cells, a smaller surface energy, weaker adhesion, a smaller contact.cutoff, or "
+    "contact.law = 'exact-jkr', whose overlap at rest is a third."
+)
 _TOUCHING = 4  # cells that are all nearest neighbours of each other: none is further away
 
 
@@ -51,13 +50,6 @@ def densest(dimensions: int) -> float:
     2π/3 = 2.09 in space, √3π/2 = 2.72 in a plane.
     """
     return 2.0 * math.pi / 3.0 if dimensions == 3 else 0.5 * math.sqrt(3.0) * math.pi
-
-
-@cache
-def _nodes() -> tuple[FloatArray, FloatArray]:
-    """Return nodes and weights of Gauss–Legendre integration over 0 ... 1."""
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
-    return 0.5 * (node + 1.0), 0.5 * weight
 
 
 @lru_cache(maxsize=256)  # the runs of a study have the same pairs
@@ -79,18 +71,18 @@ def moments(pair: Pair, dimensions: int) -> tuple[float, float]:
 
 def _moment(pair: Pair, begin: float, end: float, power: int) -> float:
     """Return the integral of F x^power over distances x from ``begin`` to ``end`` (µm)."""
-    node, weight = _nodes()
-    distance = begin + (end - begin) * node
-    return float((end - begin) * (weight * pair.force(pair.rest - distance)) @ distance**power)
+    from scipy.integrate import fixed_quad
+
+    moment, _ = fixed_quad(lambda x: pair.force(pair.rest - x) * x**power, begin, end, n=_NODES)
+    return float(moment)
 
 
 @final
 class Attraction(NamedTuple):
-    """Attraction over repulsion of two cells, their pair, and whether they are of one type."""
+    """Attraction over repulsion of two cells, and their pair."""
 
     ratio: float
     pair: Pair
-    like: bool
 
 
 def strongest_attraction(scene: Scene) -> dict[str, Attraction]:
@@ -116,7 +108,7 @@ def strongest_attraction(scene: Scene) -> dict[str, Attraction]:
             against = repulsion + (math.sqrt(net[i] * net[j]) if i != j else 0.0)
             ratio = attraction / against if against > 0.0 else math.inf
             if label not in found or ratio > found[label].ratio:
-                found[label] = Attraction(ratio, pair, i == j)
+                found[label] = Attraction(ratio, pair)
     return found
 
 
@@ -135,7 +127,7 @@ def collapse_notes(scene: Scene) -> Iterator[str]:
         return
     if scene.compression is not None:  # its energy grows with the square of the density
         return
-    for label, (ratio, pair, like) in strongest_attraction(scene).items():
+    for label, (ratio, pair) in strongest_attraction(scene).items():
         if not ratio > 1.0:
             continue
         near = pair.distance() / pair.rest
@@ -143,50 +135,8 @@ def collapse_notes(scene: Scene) -> Iterator[str]:
         yield (
             f"Tissue of {label or 'these'} cells collapses: newborn ones {rest}, and their "
             f"attraction is {ratio:.3g} times their repulsion (integrated over space, at most 1 "
-            f"is sound). {_bounds(pair, scene.dimensions) if like else ''}{remedy(scene)}"
+            f"is sound). {_REMEDY}"
         )
-
-
-def _bounds(pair: Pair, dimensions: int) -> str:
-    """Return the surface energy and the modulus that would do for the approximate law, in words."""
-    if not isinstance(pair.law, JKR) or pair.bonds > 0.0 or pair.law.smoothing > 0.0:
-        return ""
-    # the overlap at rest goes with (σ/E)^(2/3)
-    overlap = float(pair.law.equilibrium_overlap(pair.modulus, pair.radius)) / pair.rest
-    excess = (overlap / largest_overlap(dimensions)) ** 1.5
-    return (
-        f"The bounds are a surface energy of {pair.law.surface_energy / excess:.3g} nN/um, or "
-        f"{excess:.4g} times the stiffness. "
-    )
-
-
-def largest_overlap(dimensions: int) -> float:
-    """Return h₀/2r of the approximate JKR law at which attraction equals repulsion.
-
-    With U = (2/5) a h^(5/2) - (4/7) a h₀^(3/4) h^(7/4) and D = 2r,
-    ∫ h^p (D - h)^(d-1) dh = D^(p+d) B(p + 1, d), so that
-    (h₀/D)^(3/4) = (7/10) B(7/2, d) / B(11/4, d): h₀/D = 0.2906 in space, 0.3534 in a plane.
-    """
-    d = dimensions
-    ratio = 0.7 * math.exp(
-        math.lgamma(3.5) - math.lgamma(3.5 + d) - math.lgamma(2.75) + math.lgamma(2.75 + d)
-    )
-    return float(ratio ** (4.0 / 3.0))
-
-
-def remedy(scene: Scene) -> str:
-    """Return what helps against a collapse, as it fits the contact law."""
-    law = scene.contact
-    if isinstance(law, Spring):
-        return "Take a smaller contact.cutoff."
-    ways = ["stiffer cells"]
-    if scene.adhesion is not None:
-        ways.append("weaker adhesion")
-    if hasattr(law, "surface_energy"):
-        ways.append("a smaller surface energy")
-    if isinstance(law, JKR):
-        ways.append("contact.law = 'exact-jkr', whose overlap at rest is a third")
-    return f"Take {' or '.join([', '.join(ways[:-1]), ways[-1]] if ways[1:] else ways)}."
 
 
 def packing_notes(scene: Scene, ratio: float | None, fraction: float | None = None) -> list[str]:

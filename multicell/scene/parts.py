@@ -26,8 +26,6 @@ from multicell.schema import (
     parameters,
     quantities,
     quantity,
-    responses,
-    specs,
     tables,
     text,
     vector,
@@ -159,15 +157,8 @@ class Growth:
         other=loaded_in(LAWS),
         further=OWN_OBJECT,
     )
-    target: float | None = number(
-        default=None,
-        above=1,
-        at_most=1000,
-        doc="volume that relaxation goes to / division volume",
-        hint="A cell never reaches the division volume otherwise.",
-    )
     parameters: Mapping[str, float] | None = quantities(
-        "", doc="of a law of the user's own, by their names"
+        "", doc="of the law by their names, such as relaxation's target"
     )
     phases: Mapping[str, PhaseLength] = tables(
         PhaseLength, names=PHASES, doc="absent: volume triggers division"
@@ -183,14 +174,8 @@ class Growth:
     )
 
     def check(self) -> None:
-        """Raise ``SceneError`` for phases that make no cycle, and for a law without a target."""
-        takes = specs(LAWS[self.law])
-        if "target" in takes and self.target is None:
-            hint = "For example target = 1.2; it must be above 1, so that cells come to divide."
-            raise SceneError("target", f"is missing: growth by the law {self.law!r} has one", hint)
-        if self.target is not None and "target" not in takes:
-            raise SceneError("target", f"has no effect: the law is {self.law!r}")
-        build(LAWS[self.law], self._of_law(), "parameters")
+        """Raise ``SceneError`` for phases that make no cycle, and for a law's parameters."""
+        build(LAWS[self.law], self.parameters or {}, "parameters")
         if not self.phases:
             return
         for name in PHASES:
@@ -201,14 +186,10 @@ class Growth:
             hint = "Let grows = true in one phase at least."
             raise SceneError("phases", "have no phase in which cells grow", hint)
 
-    def _of_law(self) -> dict[str, float]:
-        target = {} if self.target is None else {"target": self.target}
-        return {**target, **(self.parameters or {})}
-
     @property
     def growth_law(self) -> GrowthLaw:
         """The law with its parameters."""
-        return LAWS[self.law](**self._of_law())
+        return LAWS[self.law](**(self.parameters or {}))
 
     @property
     def mean_cycle(self) -> float:
@@ -367,12 +348,6 @@ class CellType:
     ligand: tuple[tuple[float, float], ...] = course(
         default=0.0, at_least=0, doc="ligand concentration on the surface over time"
     )
-    receptor_by: Mapping[str, tuple[tuple[float, float], ...]] | None = responses(
-        "mM", at_least=0, doc="factors on receptor as curves over the concentration of fields"
-    )
-    ligand_by: Mapping[str, tuple[tuple[float, float], ...]] | None = responses(
-        "mM", at_least=0, doc="factors on ligand as curves over the concentration of fields"
-    )
     cycle_scale: float = number(
         default=1.0, above=0, doc="duration of the cycle or its phases / that of the scene"
     )
@@ -520,7 +495,7 @@ class Motility:
 @final
 @parameters
 class Domain:
-    """A box that stands still: the fields live on it, and its sides are walls for the cells.
+    """A box that stands still: fields live on it, and its sides are elastic walls for the cells.
 
     Absent, a field's grid is laid round the cells anew in every step. So it is in a sphere, a wall
     about the origin that fields pass; with a stiffness it is the cavity of a gel that gives way.
@@ -539,20 +514,12 @@ class Domain:
     x: tuple[float, float] | None = span(doc="from side x- to side x+")
     y: tuple[float, float] | None = span(doc="from side y- to side y+")
     z: tuple[float, float] | None = span(doc="from side z- to side z+; not in two dimensions")
-    wall: str = choice(
-        ["elastic", "refuse"],
-        default="elastic",
-        doc="elastic: cells press against the sides; refuse: nothing holds a cell, and the run "
-        "ends when the centre of one is outside",
-    )
-    young: float | None = _stiffness(
-        doc="Young's modulus of elastic walls; absent: that of the cells"
-    )
+    young: float | None = _stiffness(doc="Young's modulus of the walls; absent: that of the cells")
     poisson: float | None = number(
         default=None,
         above=-1,
         at_most=0.5,
-        doc="Poisson ratio of elastic walls; absent: that of the cells",
+        doc="Poisson ratio of the walls; absent: that of the cells",
         hint="No isotropic solid has a Poisson ratio above 0.5.",
     )
 
@@ -564,10 +531,6 @@ class Domain:
                 raise SceneError(name, f"has no meaning where shape = '{self.shape}'")
         if sphere and self.radius is None:
             raise SceneError("radius", "is missing: a sphere has one", "Such as '100 um'.")
-        for name in ("young", "poisson", "stiffness"):
-            if self.wall == "refuse" and getattr(self, name) is not None:
-                hint = "Only elastic walls have a stiffness."
-                raise SceneError(name, "has no meaning where wall = 'refuse'", hint)
 
     def corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Return the lower and the upper corner, µm, infinite along an axis that is absent."""

@@ -8,7 +8,6 @@ merely unusual.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -97,30 +96,16 @@ def _check_overlap(scene: Scene) -> None:
 
 
 def _most_bonds(scene: Scene) -> float:
-    """Return the largest adhesive force per contact area that receptors may ever cause, kPa."""
+    """Return the largest adhesive force per contact area of receptors without responses, kPa."""
     if scene.adhesion is None:
         return 0.0
     most = [
-        (
-            _most(kind.receptor, kind.receptor_by),
-            _most(kind.ligand, kind.ligand_by),
-        )
+        tuple(max(value for _, value in course) for course in (kind.receptor, kind.ligand))
         for kind in scene.types.values()
     ]
     pairs = ((a, b) for a in most for b in most)
     both = (0.5 * (a[0] * b[1] + a[1] * b[0]) for a, b in pairs)
     return scene.adhesion.strength * max(both, default=0.0)
-
-
-def _most(
-    course: tuple[tuple[float, float], ...],
-    by_field: Mapping[str, tuple[tuple[float, float], ...]] | None,
-) -> float:
-    """Return the largest concentration of receptors or ligands that a type may ever have."""
-    most = max(value for _, value in course)
-    for curve in (by_field or {}).values():
-        most *= max(1.0, *(factor for _, factor in curve))
-    return most
 
 
 def _check_diffusion(scene: Scene) -> None:

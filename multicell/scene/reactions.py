@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING
-from typing import Any, Protocol, final
+from typing import Any, final
 
 from multicell.errors import SceneError
 from multicell.schema import (
@@ -95,16 +95,11 @@ class Reaction:
         return list(dict.fromkeys([*(self.consumes or {}), *(self.produces or {})]))
 
 
-class Joining(Protocol):
-    """What joins fields: a reaction of a scene, or one of the user's own."""
+def groups(names: Iterable[str], reactions: Mapping[str, Any]) -> list[list[str]]:
+    """Return the fields that react with each other, directly or over others, in their order.
 
-    @property
-    def fields(self) -> Sequence[str]:
-        """Names of the fields that it changes or depends on."""
-
-
-def groups(names: Iterable[str], reactions: Mapping[str, Joining]) -> list[list[str]]:
-    """Return the fields that react with each other, directly or over others, in their order."""
+    ``reactions`` are those of a scene, or of the user's own, which name their ``fields`` too.
+    """
     order = list(names)
     found: list[set[str]] = []
     for reaction in reactions.values():
@@ -115,7 +110,7 @@ def groups(names: Iterable[str], reactions: Mapping[str, Joining]) -> list[list[
     return sorted(lists, key=lambda group: order.index(group[0]))
 
 
-def group_of(name: str, reactions: Mapping[str, Joining]) -> list[str]:
+def group_of(name: str, reactions: Mapping[str, Any]) -> list[str]:
     """Return the fields that react with a field, itself included; none if it takes no part."""
     known = dict.fromkeys(field for x in reactions.values() for field in x.fields)
     for group in groups(known, reactions):

@@ -8,10 +8,10 @@ responses; both become :class:`Effect` here, and nothing else is evaluated in a 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.behaviours.catalogue import (
     COMBINE,
@@ -60,6 +60,14 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
+_ABSENT: Final[Mapping[str, Any]] = {
+    **dict.fromkeys(("signal", "half", "begin", "end", "points", "parameters", "base", "largest")),
+    "power": 1.0,
+    "falls": False,
+}
+"""Keys that not all laws have -> their value where they are absent."""
+
+
 @final
 @parameters
 class Response:
@@ -98,27 +106,13 @@ class Response:
 
     def check(self) -> None:
         """Raise ``SceneError`` for a law without its keys, or with those of another one."""
-        needed = KEYS.get(self.law, ())
-        for name in ("half", "begin", "end", "points"):
-            given = getattr(self, name) is not None
+        needed, also = KEYS.get(self.law, (("signal",), ("parameters", "falls", "base", "largest")))
+        for name, absent in _ABSENT.items():
+            given = getattr(self, name) not in (absent, "")
             if name in needed and not given:
                 raise SceneError(name, f"is missing: the law is {self.law!r}")
-            if given and name not in needed:
+            if given and name not in (*needed, *also):
                 raise SceneError(name, f"has no effect: the law is {self.law!r}")
-        if self.power != 1.0 and self.law != "hill":
-            raise SceneError("power", f"has no effect: the law is {self.law!r}")
-        if self.parameters and self.law not in OWN:
-            raise SceneError("parameters", f"have no effect: the law is {self.law!r}")
-        if self.falls and self.law in ("table", "constant", "inhibition"):
-            raise SceneError("falls", f"has no effect: the law is {self.law!r}")
-        if (self.law == "constant") != (not self.signal):
-            hint = "The law 'constant' needs no signal, all others do."
-            raise SceneError("signal", "is missing" if not self.signal else "has no effect", hint)
-        if self.law == "constant" and self.largest is None:
-            raise SceneError("largest", "is missing: the law is 'constant'", "Give the value.")
-        for name in ("base", "largest") if self.law == "table" else ():
-            if getattr(self, name) is not None:
-                raise SceneError(name, "has no effect: points give the values")
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -177,17 +171,18 @@ def own_value(scene: Scene, behaviour: Behaviour) -> float:
 
 
 def _short_forms(scene: Scene) -> Iterator[Effect]:
-    """Yield the effects that keys of fields, energy, growth and adhesion stand for, in order."""
+    """Yield the effects that keys of fields, energy and growth stand for, in order."""
     death, dying, what_kills = scene.death, math.inf, "necrosis rate"
     if death is not None and death.damage_time is not None:
         dying, what_kills = 1.0 / death.damage_time, "damage rate"
     elif death is not None and death.necrosis_rate is not None:
         dying = death.necrosis_rate
 
-    def short(what: str, signal: str, law: ResponseLaw, key: str, falls: bool, high: float = 1.0,
-              types: tuple[str, ...] = ()) -> Effect:  # fmt: skip
+    def short(
+        what: str, signal: str, law: ResponseLaw, key: str, falls: bool, high: float = 1.0
+    ) -> Effect:
         combine = behaviour_named(what, key)[0].combine
-        return Effect(what, (signal,), law, falls, 0.0, high, types, combine, key, short=True)
+        return Effect(what, (signal,), law, falls, 0.0, high, (), combine, key, short=True)
 
     def needs(part: Any, signal: str, path: str) -> Iterator[Effect]:
         """Yield what cells need of a field or of ATP."""
@@ -211,22 +206,16 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
         key, critical = "growth.critical_pressure", scene.growth.critical_pressure
         yield short("growth rate", "pressure", Linear(0.0, critical), key, falls=True)
         yield short("rest", "pressure", Threshold(critical), key, falls=False)
-    for name, kind in scene.types.items():
-        for what in ("receptor", "ligand"):
-            for field_name, curve in (getattr(kind, f"{what}_by") or {}).items():
-                key = f"types.{name}.{what}_by.{field_name}"
-                yield short(f"{what}s", field_name, Table(curve), key, falls=False, types=(name,))
 
 
 def _effect(scene: Scene, name: str, part: Response) -> Effect:
     """Return what a response says; it has been checked."""
     behaviour, _ = behaviour_named(part.behaviour, "behaviour")
     full = part.behaviour if behaviour.of else behaviour.name
-    falls = part.falls or part.law == "inhibition"
-    low, high = _ends(scene, behaviour, part, falls=falls)
+    low, high = _ends(scene, behaviour, part, falls=part.falls)
     combine = part.combine or behaviour.combine
     law, key = _law(part), f"responses.{name}"
-    return Effect(full, part.signals, law, falls, low, high, part.types, combine, key)
+    return Effect(full, part.signals, law, part.falls, low, high, part.types, combine, key)
 
 
 def _ends(
@@ -251,7 +240,6 @@ def _ends(
 
 
 def _law(part: Response) -> ResponseLaw:
-    half: Any = part.half
     if part.law in OWN:
         law = OWN[part.law]
         made: ResponseLaw = build(law, part.parameters or {}, "parameters")
@@ -259,19 +247,16 @@ def _law(part: Response) -> ResponseLaw:
             problem = f"names {len(part.signals)}, but the law takes {law.signals}"
             raise SceneError("signal", problem)
         return made
-    if part.law == "hill":
-        return Hill(half, part.power)
-    if part.law in ("monod", "inhibition"):
-        return Monod(half)
-    if part.law == "threshold":
-        return Threshold(half)
-    if part.law == "linear":
-        begin, end = float(part.begin or 0.0), float(part.end or 0.0)
-        return Linear(begin, end)
-    if part.law == "table":
-        points: Any = part.points
-        return Table(points)
-    return Constant()
+    given: Any = part
+    laws: dict[str, Callable[[], ResponseLaw]] = {
+        "hill": lambda: Hill(given.half, given.power),
+        "monod": lambda: Monod(given.half),
+        "threshold": lambda: Threshold(given.half),
+        "linear": lambda: Linear(given.begin, given.end),
+        "table": lambda: Table(given.points),
+        "constant": Constant,
+    }
+    return laws[part.law]()
 
 
 def check_responses(scene: Scene) -> None:

@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import is_dataclass
+from difflib import get_close_matches
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -58,7 +59,6 @@ from multicell.scene.reactions import Reaction
 from multicell.scene.responses import Response, check_responses
 from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
-    SYNONYMS,
     build,
     count,
     leaves,
@@ -162,7 +162,7 @@ class Scene:
 
     def prepare(self) -> None:
         """Turn oxygen's partial pressures into concentrations, before the parts are read."""
-        for name in ("nutrients", "reactions", "types"):
+        for name in ("nutrients", "reactions"):
             value = in_concentrations(getattr(self, name), (name,), self.nutrients)
             object.__setattr__(self, name, value)
 
@@ -389,10 +389,6 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
     ):
         names = ", ".join(list(inside)[:8])
         raise SceneError(key, f"is a table, not {shown(value)}", f"Name one of its keys: {names}.")
-    if last in SYNONYMS:  # the new value takes the place of the old one
-        node.pop(SYNONYMS[last][0], None)
-        if value is None:
-            return
     if value is None and last in node:
         del node[last]
     else:
@@ -412,7 +408,7 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
 
 def _refuse_unknown(entries: Mapping[str, Any], key: str) -> None:
     """Refuse a key that stands in one of a scene's tables under the same name."""
-    first = SYNONYMS.get(key, (key.partition(".")[0],))[0]
+    first = key.partition(".")[0]
     for name, inside in entries.items():
         if isinstance(inside, dict) and first in inside:
             inner = ".boundary" if name == "nutrients" and "." not in key else ""
@@ -421,20 +417,15 @@ def _refuse_unknown(entries: Mapping[str, Any], key: str) -> None:
 
 
 def _refuse_misspelt(named: Mapping[str, Any], key: str) -> None:
-    """Refuse a key in a table whose name is that of another one with a letter less, more or moved.
+    """Refuse a key in a table whose name is nearly that of another one.
 
     It would make a second field beside ``oxygen``. A number at the end is no slip.
     """
     first, name, rest = key.split(".", 2)
-    swapped = {name[:i] + name[i + 1] + name[i] + name[i + 2 :] for i in range(len(name) - 1)}
-    for known in () if name in named else named:
-        short, long = sorted((name, known), key=len)
-        shorter = {long[:i] + long[i + 1 :] for i, c in enumerate(long) if not c.isdigit()}
-        if known in swapped or short in shorter:
-            hint = (
-                f"Did you mean '{first}.{known}.{rest}'? A further one is added by its whole table."
-            )
-            raise SceneError(f"{first}.{name}", "is not there", hint)
+    words = [] if name in named else [known for known in named if known[-1:].isalpha()]
+    for known in get_close_matches(name, words, 1, 0.8) if name[-1:].isalpha() else ():
+        hint = f"Did you mean '{first}.{known}.{rest}'? A further one is added by its whole table."
+        raise SceneError(f"{first}.{name}", "is not there", hint)
 
 
 _KEY = re.compile(r'("(?:[^"\\]|\\.)*"|[\w-]+) = ')

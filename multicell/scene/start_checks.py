@@ -11,11 +11,11 @@ from multicell.cells import Phase, State
 from multicell.errors import DataError
 from multicell.scene.domain import strayed
 from multicell.scene.sizes import birth_radius
+from multicell.scene.start_table import near_pairs, positions
 from multicell.schema import near_miss
 from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
-    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
     from multicell.scene.start_table import Given
 
@@ -32,7 +32,6 @@ def check_start_table(scene: Scene) -> None:
     given = scene.initial.cells.given
     _check_axes(scene, given)
     kinds_of(scene, given)
-    _check_states(given)
     _check_phases(scene, given)
     _check_sizes(scene, given)
     _check_places(scene, given)
@@ -43,21 +42,8 @@ def deep_overlaps(scene: Scene) -> int:
 
     Cells whose radii the table does not give count as newborn.
     """
-    from scipy.spatial import KDTree
-
     assert scene.initial.cells is not None
-    given = scene.initial.cells.given
-    radius = given.columns.get("radius", np.full(len(given), birth_radius(scene)))
-    place = positions(given)
-    pairs = KDTree(place).query_pairs(float(radius.max()), output_type="ndarray")
-    apart = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
-    return int((apart < 0.5 * radius[pairs].sum(axis=1)).sum())
-
-
-def positions(given: Given) -> FloatArray:
-    """Return the places of the cells, (n, 3) µm."""
-    axes = (given.columns.get(f"position_{axis}", np.zeros(len(given))) for axis in "xyz")
-    return np.stack(list(axes), axis=1)
+    return len(near_pairs(scene.initial.cells.given, 0.5, birth_radius(scene)))
 
 
 def kinds_of(scene: Scene, given: Given) -> NDArray[np.int16] | None:
@@ -95,45 +81,27 @@ def _check_axes(scene: Scene, given: Given) -> None:
         raise DataError(given.source.name, "has no column for z", hint)
 
 
-def _check_states(given: Given) -> None:
-    """Check that cells which rest in G0 are not said to proliferate."""
-    state, phase = given.columns.get("state"), given.columns.get("phase")
-    if state is None or phase is None or not phase.any():
-        return
-    wrong = (state == State.PROLIFERATING) & (phase == Phase.G0)
-    given.refuse(wrong, "phase", "is {}, but the cell proliferates", "Cells in G0 are quiescent.")
-
-
 def _check_phases(scene: Scene, given: Given) -> None:
-    """Check that the place in the cycle is one of this scene's cycles."""
-    phases = scene.growth is not None and bool(scene.growth.phases)
+    """Check that the place in the cycle is one of this scene's cycles, and that cells are in it."""
     columns = given.columns
-    if phases:
-        _check_within(given)
-        return
-    for name in ("phase", "progress", "phase_length"):
-        if name in columns:
+    if scene.growth is None or not scene.growth.phases:
+        for name in (x for x in ("phase", "progress", "phase_length") if x in columns):
             hint = "growth.phases gives them; else leave the column out."
             given.refuse(columns[name] != 0, name, "is {}, but the scene has no phases", hint)
-
-
-def _check_within(given: Given) -> None:
-    """Check that cells with a phase are within it, and that what says where has one."""
-    columns = given.columns
-    for name in ("progress", "phase_length"):
-        if name in columns and "phase" not in columns:
+        return
+    state = columns.get("state", np.zeros(len(given)))
+    if "phase" not in columns:
+        for name in (x for x in ("progress", "phase_length") if x in columns):
             where = f"{given.source.name}, '{given.titles[name]}'"
             raise DataError(where, "has no meaning without a column 'phase'")
-    state = columns.get("state", np.zeros(len(given)))
-    living = state <= State.QUIESCENT
-    if "phase" in columns and not columns["phase"].any():
-        living_in_g0 = living & (state == State.PROLIFERATING)
-        hint = "Name G1, S, G2 or M, or leave the column out to draw them."
-        given.refuse(living_in_g0, "phase", "is {}, in which no cell proliferates", hint)
+    elif "state" in columns or not columns["phase"].any():
+        wrong = (state == State.PROLIFERATING) & (columns["phase"] == Phase.G0)
+        hint = "Cells in G0 are quiescent; leave the column out to draw phases."
+        given.refuse(wrong, "phase", "is {}, but the cell proliferates", hint)
     if "progress" in columns and "phase_length" in columns:
         beyond = columns["progress"] > columns["phase_length"] * (1.0 + _ROUNDING)
         problem = "is {}, more than the length of the phase"
-        given.refuse(beyond & living, "progress", problem)
+        given.refuse(beyond & (state <= State.QUIESCENT), "progress", problem)
 
 
 def _check_sizes(scene: Scene, given: Given) -> None:

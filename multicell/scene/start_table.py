@@ -26,6 +26,7 @@ from multicell.tables.titles import Title, read_title, titled, unknown_title
 from multicell.units import RANGES
 
 if TYPE_CHECKING:
+    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
 
 _MAX_BYTES: Final = 16_000_000_000
@@ -306,21 +307,32 @@ def normalise(source: Columns) -> Given:
 
 def _refuse_coinciding(given: Given) -> None:
     """Refuse two cells at one place: between them no force has a direction."""
-    from scipy.spatial import KDTree
-
-    axes = [f"position_{axis}" for axis in "xyz" if f"position_{axis}" in given.columns]
-    place = np.stack([given.columns[name] for name in axes], axis=1)
-    radius = given.columns.get("radius")
-    nearest = 1e-2 if radius is None else 2.0 * _COINCIDING * float(radius.max())
-    pairs = KDTree(place).query_pairs(nearest, output_type="ndarray")
-    apart = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
-    if radius is not None:
-        pairs = pairs[apart < _COINCIDING * radius[pairs].sum(axis=1)]
+    pairs = near_pairs(given, _COINCIDING, 0.5)
     if len(pairs):
         first, second = sorted(pairs[np.lexsort(pairs.T)][0].tolist())
         other = given.place(first).removeprefix(f"{given.source.name}, ")
         problem = f"is at the place of {other}: their centres coincide"
         raise DataError(given.place(second, "position_x"), problem, "One cell has one row.")
+
+
+def near_pairs(given: Given, part: float, usual_radius: float) -> NDArray[np.int64]:
+    """Return the pairs (m, 2) of cells nearer than a part of the sum of their radii.
+
+    ``usual_radius``, µm, is that of cells in a table without radii.
+    """
+    from scipy.spatial import KDTree
+
+    place = positions(given)
+    radius = given.columns.get("radius", np.full(len(given), usual_radius))
+    pairs = KDTree(place).query_pairs(2.0 * part * float(radius.max()), output_type="ndarray")
+    apart = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
+    return np.asarray(pairs[apart < part * radius[pairs].sum(axis=1)])
+
+
+def positions(given: Given) -> FloatArray:
+    """Return the places of the cells, (n, 3) µm."""
+    axes = (given.columns.get(f"position_{axis}", np.zeros(len(given))) for axis in "xyz")
+    return np.stack(list(axes), axis=1)
 
 
 def _one_frame(given: Given) -> None:

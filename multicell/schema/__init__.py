@@ -28,7 +28,6 @@ from multicell.schema.declarations import (
     parameters,
     quantities,
     quantity,
-    responses,
     schedule,
     table,
     tables,
@@ -38,7 +37,6 @@ from multicell.schema.declarations import (
     whole_numbers,
 )
 from multicell.schema.part import (
-    SYNONYMS,
     Parameter,
     Tables,
     build,
@@ -51,10 +49,9 @@ from multicell.schema.part import (
 )
 
 __all__ = [
-    "SYNONYMS",
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
     "flag", "interval", "leaves", "measure", "measure_points", "moments", "names",
     "near_miss", "number", "parameters", "plain",
-    "quantities", "quantity", "responses", "schedule",
+    "quantities", "quantity", "schedule",
     "separated", "specs", "table", "tables", "text", "variant", "vector", "whole_numbers",
 ]  # fmt: skip

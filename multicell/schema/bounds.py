@@ -75,12 +75,12 @@ Curve = tuple[tuple[float, float], ...]
 """Points (x, y) of a piecewise linear function, x rising."""
 
 
-def curve(given: object, path: str, x: Read, y: Read, wanted: str, example: str) -> Curve:
+def pairs(given: object, path: str, wanted: str, example: str) -> list[tuple[Any, Any]]:
     """Return the points that a list of two-element lists gives, or raise ``SceneError``."""
     points = list(given) if isinstance(given, list | tuple) else []
     if not points or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
         raise SceneError(path, f"is {shown(given)}, must be {wanted}", f"For example {example}.")
-    return tuple((x(a, path), y(b, path)) for a, b in points)
+    return [(a, b) for a, b in points]
 
 
 def rises(points: Curve) -> bool:
@@ -92,7 +92,8 @@ def in_time(given: object, path: str, unit: str, y: Read) -> Curve:
     """Return a curve over time in s, or raise ``SceneError``."""
     wanted = f"{'' if unit else 'a number or '}a list of [time, value]"
     example = f"[['10 h', '{f'0.1 {unit}' if unit else '0.1'}']]"
-    result = curve(given, path, reader("s", Bounds()), y, wanted, example)
+    time = reader("s", Bounds())
+    result = tuple((time(a, path), y(b, path)) for a, b in pairs(given, path, wanted, example))
     if not rises(result):
         times = [time for time, _ in result]
         raise SceneError(path, f"has the times {times} s, must have times that rise")

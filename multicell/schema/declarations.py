@@ -10,7 +10,7 @@ from numbers import Integral
 from typing import Any, TypeVar, dataclass_transform
 
 from multicell.errors import SceneError
-from multicell.schema.bounds import Bounds, Curve, curve, in_time, lists, reader, rises
+from multicell.schema.bounds import Bounds, Curve, in_time, lists, pairs, reader
 from multicell.schema.part import (
     Tables,
     build,
@@ -69,10 +69,7 @@ def measure_points(*, doc: str = "") -> Any:
     """Declare an optional list of pairs of numbers as :func:`measure` has them."""
 
     def convert(value: object, path: str) -> tuple[tuple[float | str, float | str], ...]:
-        points = list(value) if isinstance(value, list | tuple) else []
-        if len(points) < 2 or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
-            hint = "For example [['0 mM', 1], ['0.1 mM', 0.2]]."
-            raise SceneError(path, f"is {shown(value)}, must be a list of pairs", hint)
+        points = pairs(value, path, "a list of pairs", "[['0 mM', 1], ['0.1 mM', 0.2]]")
         return tuple((_measure(x, path), _measure(y, path)) for x, y in points)
 
     return declare("measure_points", convert, None, plain=lists, doc=doc)
@@ -290,28 +287,6 @@ def schedule(unit: str, *, doc: str = "", **ends: float) -> Any:
     )  # fmt: skip
 
 
-def responses(unit: str, *, doc: str = "", **ends: float) -> Any:
-    """Declare an optional table of names to curves, lists of ``[quantity, number]``.
-
-    The stored curves are tuples of (quantity in ``unit``, number), with quantities that rise.
-    """
-    bounds = Bounds(**ends)
-    x, y = reader(unit, Bounds()), reader("", bounds)
-    example = f"[['0 {unit}', 0.2], ['0.02 {unit}', 1]]"
-
-    def one(given: object, path: str) -> Curve:
-        result = curve(given, path, x, y, f"a list of [{unit}, factor]", example)
-        if not rises(result):
-            raise SceneError(path, "must have concentrations that rise")
-        return result
-
-    return declare(
-        "responses", lambda value, path: read_named(value, path, one) or None, None,
-        plain=lambda value: {name: lists(points) for name, points in value.items()},
-        unit=unit, doc=doc, bounds=bounds,
-    )  # fmt: skip
-
-
 def quantities(unit: str, *, doc: str = "", **ends: float) -> Any:
     """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
     bounds = Bounds(**ends)
@@ -425,7 +400,7 @@ def tables(
     kw_only_default=True,
     field_specifiers=(
         quantity, measure, measure_points, number, count, choice, text, file_path, flag,
-        names, interval, vector, whole_numbers, moments, course, schedule, responses, quantities,
+        names, interval, vector, whole_numbers, moments, course, schedule, quantities,
         table, variant, tables,
     ),
 )  # fmt: skip

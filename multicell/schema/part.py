@@ -9,12 +9,14 @@ from typing import Any, Final, TypeVar, final
 
 from multicell.errors import SceneError
 from multicell.schema.bounds import Bounds
-from multicell.units import shown, to_base
+from multicell.units import shown
 
 T = TypeVar("T")
 
 _MEANT: Final = {
     "consumption": ("uptake",),
+    "diameter": ("division_radius",),
+    "doubling_time": ("cycle_time",),
     "dt": ("coupling_step", "step"),
     "radius": ("count",),
     "rate": ("cycle_time",),
@@ -27,17 +29,6 @@ _MEANT: Final = {
 
 _LISTED = 220
 """Letters of all names together that an error lists."""
-
-SYNONYMS: Final[Mapping[str, tuple[str, str, float]]] = {
-    "doubling_time": ("cycle_time", "s", 1.0),
-    "diameter": ("division_radius", "um", 1.0 / (1.0 + 0.5 ** (1.0 / 3.0))),
-}
-"""Other names of keys, where a part has those: key, base unit, and its value over the given one.
-
-Without losses a population doubles in a mean cycle. A diameter is that of a cell half-way between
-birth, with half of the volume at division, and division.
-"""
-
 
 V = TypeVar("V")
 
@@ -84,10 +75,8 @@ class Parameter:
     @property
     def units(self) -> str:
         """The unit of a value, or of the two numbers of each point of a curve, for a reader."""
-        first = {"schedule": "s", "course": "s", "responses": self.unit}.get(self.kind)
-        if first is None:
-            return self.unit
-        return f"[{first}, {self.unit if self.kind == 'schedule' else 'number'}]"
+        second = {"schedule": self.unit, "course": "number"}.get(self.kind)
+        return self.unit if second is None else f"[s, {second}]"
 
 
 @final
@@ -127,11 +116,10 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
     - ``also``: keys that the caller has taken out already, for the list of allowed keys
     """
     known = specs(part)
-    entries = _translated(mapping(value, path), known, path)
+    entries = mapping(value, path)
     for key in entries:
         if key not in known:
-            others = [name for name, (other, *_) in SYNONYMS.items() if other in known]
-            hint = near_miss(key, [*also, *known, *others])
+            hint = near_miss(key, [*also, *known])
             raise SceneError(_join(path, key or "''"), "is not a known key here", hint)
     for spec in fields(part):  # type: ignore[arg-type]
         needed = spec.default is MISSING and spec.default_factory is MISSING
@@ -141,20 +129,6 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
         return part(**entries)
     except SceneError as error:
         raise SceneError(_join(path, error.path), error.problem, error.hint) from None
-
-
-def _translated(
-    entries: dict[str, Any], known: Mapping[str, Parameter], path: str
-) -> dict[str, Any]:
-    """Return the entries of a table with :data:`SYNONYMS` under the names of its keys."""
-    for name, (key, unit, factor) in SYNONYMS.items():
-        if name not in entries or name in known or key not in known:
-            continue
-        if entries.get(key) is not None:
-            raise SceneError(_join(path, name), f"is another name of '{key}', which is given too")
-        value = entries.pop(name)
-        entries[key] = value if factor == 1.0 else factor * to_base(value, unit, _join(path, name))
-    return entries
 
 
 def leaves(

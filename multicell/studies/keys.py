@@ -11,7 +11,7 @@ from multicell.errors import SceneError
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.responses import Response, in_base_units, unit_of
 from multicell.scene.scene import Scene, check_dotted
-from multicell.schema import SYNONYMS, Parameter, chosen, near_miss, specs
+from multicell.schema import Parameter, chosen, near_miss, specs
 
 _TABLES: Final = ("table", "variant", "tables")
 _NO_AXES: Final = {
@@ -68,12 +68,6 @@ def key_of(scene: Scene, name: str) -> Key:
     check_dotted(name)
     if name in _NO_AXES:
         raise SceneError(name, f"cannot be varied: it {_NO_AXES[name]}")
-    stem, _, last = name.rpartition(".")
-    other, _, factor = SYNONYMS.get(last, (last, "", 1.0))
-    if factor != 1.0:
-        problem = f"cannot be varied: it is {1.0 / factor:.4g} times '{other}'"
-        raise SceneError(name, problem, f"Vary {stem}.{other}.")
-    name = f"{stem}.{other}" if stem else other
     absent: list[str] = []
     known = {key.name: key for key in _keys_of(scene, scene, "", absent)}
     full = _spelled_out(scene, name)

@@ -60,7 +60,7 @@ def test_survivors_of_a_drug_fall_exponentially_at_the_rate_of_the_dose(kill):
 def test_two_clones_under_a_constant_drug_grow_at_their_own_rates():
     """Growth is exponential, of factor times the free rate, less deaths."""
     responses = {
-        "slow": {"behaviour": "growth rate", "signal": "drug", "law": "inhibition",
+        "slow": {"behaviour": "growth rate", "signal": "drug", "law": "monod", "falls": True,
                  "half": "2 uM", "cells": "sensitive"},
         "kill": {"behaviour": "apoptosis rate", "signal": "drug", "law": "monod",
                  "half": "2 uM", "largest": "0.02 1/h", "base": 0, "cells": "sensitive"},
@@ -273,7 +273,8 @@ def test_uptake_responds_to_another_field_and_the_ledger_closes():
     }  # fmt: skip
     plain = finished(scene(30, **tables))
     halved = finished(scene(30, **tables, responses=[
-        {"behaviour": "uptake of oxygen", "signal": "drug", "law": "inhibition", "half": "2 uM"},
+        {"behaviour": "uptake of oxygen", "signal": "drug", "law": "monod", "falls": True,
+         "half": "2 uM"},
     ]))  # fmt: skip
     ratio = halved.ledger["oxygen"].uptake / plain.ledger["oxygen"].uptake
     assert 0.5 < ratio < 0.56  # more oxygen is left, and saturation is short of one

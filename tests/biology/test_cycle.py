@@ -266,11 +266,16 @@ ADHESIVE = {
         "own": {
             "receptor": 2.0,
             "ligand": [[0.0, 1.0], ["10 h", 0.0]],
-            "receptor_by": {"oxygen": [["0 mM", 0.0], ["0.02 mM", 1.0]]},
         }
     },
     "nutrients": {"oxygen": {"boundary": 0.01, "uptake": 0.001}},
-}
+    "responses": {
+        "sticking": {
+            "behaviour": "receptors", "signal": "oxygen", "cells": "own", "law": "table",
+            "points": [["0 mM", 0.0], ["0.02 mM", 1.0]],
+        }
+    },
+}  # fmt: skip
 
 
 def test_receptors_follow_concentration_linearly_over_a_step():
@@ -300,16 +305,6 @@ def test_receptors_follow_concentration_linearly_over_a_step():
             {f"growth.phases.{name}.grows": False for name in FIXED},
             "growth.phases",
             "no phase in which cells grow",
-        ),
-        (
-            {**ADHESIVE, "types.own.receptor_by": {"oxigen": [[0, 1]]}},
-            "types.own.receptor_by.oxigen",
-            "Did you mean 'oxygen'",
-        ),
-        (
-            {**ADHESIVE, "types.own.receptor_by": {"oxygen": [[0.1, 1], [0, 2]]}},
-            "types.own.receptor_by.oxygen",
-            "concentrations that rise",
         ),
     ],
 )

@@ -28,7 +28,11 @@ PHASES = {"G1": "5 h", "S": "4 h", "G2": "2 h", "M": "1 h"}
 
 
 def growth(law, target=1.3, **more):
-    return {"law": law, **({"target": target} if law == "relaxation" else {}), **more}
+    return {
+        "law": law,
+        **({"parameters": {"target": target}} if law == "relaxation" else {}),
+        **more,
+    }
 
 
 def scene_of(law, count=20, target=1.3, initial=None, **more):
@@ -187,10 +191,9 @@ def test_a_changing_factor_is_made_good_whatever_the_law(law):
 @pytest.mark.parametrize(
     ("entries", "path", "words"),
     [
-        ({"law": "relaxation"}, "growth.target", "is missing"),
-        ({"law": "relaxation", "target": 1.0}, "growth.target", "above 1"),
-        ({"law": "linear", "target": 1.5}, "growth.target", "has no effect"),
-        ({"law": "exponential", "target": 1.5}, "growth.target", "has no effect"),
+        ({"law": "relaxation"}, "growth.parameters.target", "is missing"),
+        ({"law": "relaxation", "parameters": {"target": 1}}, "growth.parameters.target", "above 1"),
+        ({"law": "linear", "parameters": {"target": 2}}, "growth.parameters.target", "not a known"),
         ({"law": "cubic"}, "growth.law", "must be one of"),
     ],
 )

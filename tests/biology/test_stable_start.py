@@ -31,7 +31,7 @@ GROWTHS = {
     "linear": {"cycle_time": "20 h", "cycle_variation": 0.5},
     "exponential": {"cycle_time": "20 h", "cycle_variation": 0.5, "law": "exponential"},
     "relaxation": {"cycle_time": "20 h", "cycle_variation": 0.4, "law": "relaxation",
-                   "target": 1.2},
+                   "parameters": {"target": 1.2}},
 }  # fmt: skip
 """The cycles of scenes: in phases, and by each law of growth."""
 

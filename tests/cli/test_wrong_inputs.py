@@ -34,8 +34,9 @@ SET = {
     "nutrients.oxyegn.boundary=0.1 mM": "Did you mean 'nutrients.oxygen.boundary'",
     "nutrients.glucose.boundary=25 %": "Only of the field named 'oxygen'",
     "nutrients.oxygen.uptake=1 fmol/h/cell": "unknown unit 'fmol/h/cell'",
+    "cells.diameter=9 um": "Did you mean 'division_radius'",
     "cells.radius=5 um": "Did you mean 'division_radius'",
-    "doubling_time=18 h": "Did you mean 'growth.doubling_time'",
+    "growth.doubling_time=18 h": "Did you mean 'cycle_time'",
     "growth.cycle_time=18": "write '18 h' for hours",
     'growth.cycle_time="18"': "Write for example '18 h'",
     "initial.cells=cells.csv": "Title it 'x_um'",
@@ -68,7 +69,6 @@ COMMANDS = {
     "export nothing -o out": "there is no such folder",
     "study run nothing": "multicell study new SCENE",
     "study new spheroid -o out --vary drag.viscosty=1,2": "Did you mean 'drag.viscosity'",
-    "study new spheroid -o out --vary cells.diameter=8,9": "Vary cells.division_radius",
     "dose-response --data dose.csv -o out": "Allowed: dose, response, replicate",
     "compare spheroid -o out --methods euler,rk5": "Did you mean 'rk4'",
     "runn spheroid": "Did you mean 'run'",
@@ -85,12 +85,6 @@ DATA = {
 PYTHON = {
     "a number": (lambda: mc.run(5), "5"),
     "key": (lambda: mc.load_scene("growth").with_changes({"growth.cycletime": 1}), "'cycle_time'"),
-    "both names": (
-        lambda: mc.Scene.from_dict(
-            {"duration": 1, "growth": {"cycle_time": 10**5, "doubling_time": 10**5}}
-        ),
-        "growth.doubling_time: is another name of 'cycle_time'",
-    ),
     "format": (lambda: mc.export("nothing", "out", format="exel"), "Allowed: csv"),
 }
 
@@ -141,14 +135,3 @@ def test_a_short_time_is_run_with_a_note(folder):
     assert "Write '18 h' for hours" in answer.output
     quiet = CliRunner().invoke(main, ["explain", "growth", "--set", "duration=18 s"])
     assert "Note: duration" not in quiet.output
-
-
-def test_other_names_of_keys_take_the_place_of_the_key():
-    scene = mc.load_scene("growth").with_changes(
-        {"growth.doubling_time": "20 h", "cells.diameter": "9 um"}
-    )
-    assert scene.growth.cycle_time == 72000.0
-    birth, division = 0.5 ** (1 / 3) * scene.cells.division_radius, scene.cells.division_radius
-    assert birth + division == pytest.approx(9.0)  # twice the radius half-way between
-    assert scene.with_changes({"growth.doubling_time": None}).growth.cycle_time == 54000.0
-    assert "doubling_time" not in scene.to_toml()

@@ -34,8 +34,6 @@ NAMES = {
     "chemotaxis": FIELDS,
     "uptake_on": FIELDS[:1],
     "secretion_from": FIELDS[:1],
-    "receptor_by": FIELDS,
-    "ligand_by": FIELDS,
     "uptake_of": FIELDS,
     "yields": FIELDS,
     "secretion_of": FIELDS,
@@ -71,7 +69,7 @@ TEXTS = {
 TOGETHER = {
     "Energy": ("yields quiescence", "yields necrosis", "yields growth_half_saturation"),
     "Response": ("signal law=hill half", "signal law=monod half", "signal law=threshold half",
-                 "signal law=inhibition half", "signal law=linear begin end",
+                 "signal law=monod half falls", "signal law=linear begin end",
                  "signal law=table points", "law=constant largest"),
     "Reaction": ("consumes", "consumes produces"),
     "Motility": ("bias direction", "bias towards", ""),
@@ -273,10 +271,6 @@ class Drawer:
         if spec.bounds.at_least == 1:  # of reactions, which take whole numbers
             return dict.fromkeys(names, 1)
         return {name: self.written(self.size(spec, spec.unit), spec.unit) for name in names}
-
-    def _responses(self, spec, field, path):
-        names = self.some(self.known(path))
-        return {name: [[x, self.size(spec, "")] for x in self.rising(spec.unit)] for name in names}
 
     def _interval(self, spec, field, path):
         if self.chance(self.extreme):

@@ -93,7 +93,7 @@ def test_cells_divide_at_the_volume_that_they_reach_in_physicell(project):
     volume = 4.0 / 3.0 * np.pi * scene.cells.division_radius**3
     assert volume == pytest.approx(2494.0 * (2.0 - np.exp(-0.005 * 780.0)))
     assert scene.growth.law == "relaxation"
-    assert scene.growth.target * volume == pytest.approx(2.0 * 2494.0)
+    assert scene.growth.parameters["target"] * volume == pytest.approx(2.0 * 2494.0)
 
 
 def test_two_stages_in_one_phase_are_a_shifted_exponential(project):
@@ -125,7 +125,7 @@ def test_live_cells_double_after_division(project):
     volume, target, rate = 4.0 / 3.0 * np.pi * scene.cells.division_radius**3, 2494.0, 0.005
     back = target - (target - 0.5 * volume) * np.exp(-rate * 300.0)
     assert volume == pytest.approx(back, rel=1e-4)
-    assert scene.growth.target * volume == pytest.approx(target)
+    assert scene.growth.parameters["target"] * volume == pytest.approx(target)
     assert scene.growth.mean_cycle == pytest.approx(300.0 * 60.0 + 3.0)
 
 

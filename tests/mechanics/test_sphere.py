@@ -172,8 +172,6 @@ def test_fields_pass_a_spherical_wall():
         ({"shape": "sphere", "radius": "3 um"}, "domain.radius", "at least 5"),
         ({"shape": "sphere", "radius": "30 um", "x": [-9, 9]}, "domain.x", "no meaning"),
         ({"shape": "sphere", "radius": "30 um", "stiffness": "0 kPa"}, "domain.stiffness", "above"),
-        ({"shape": "sphere", "radius": "30 um", "stiffness": "1 kPa", "wall": "refuse"},
-         "domain.stiffness", "no meaning"),
         ({"shape": "ball", "radius": "30 um"}, "domain.shape", "sphere"),
         ({"radius": "30 um"}, "domain.radius", "no meaning"),
         ({"stiffness": "30 kPa"}, "domain.stiffness", "no meaning"),

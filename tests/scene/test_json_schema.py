@@ -128,8 +128,6 @@ def quantities(entries, part=Scene):
             yield from quantities(value, spec.table)
         elif spec.kind == "quantities":
             yield from [spec.unit] * len(value) * bool(spec.unit)
-        elif spec.kind == "responses":
-            yield from [f"[{spec.unit}, number]"] * len(value)
         elif spec.kind in ("course", "schedule"):
             if isinstance(value, list):
                 yield f"[s, {spec.unit or 'number'}]"

@@ -60,13 +60,15 @@ def test_as_a_level_of_other_parts_of_a_scene():
                 "glucose": {"uptake_on": {"oxygen": {"effect": 1.0, "half": "5 %"}}},
                 "waste": {"uptake": 0, "regime": "transient"},
             },
-            "types": {"a": {"receptor_by": {"oxygen": [["1 %", 0.2], ["40 mmHg", 1]]}}, "b": {}},
+            "responses": {"a": {"behaviour": "speed", "signal": "oxygen", "law": "table",
+                                "points": [["1 %", 0.2], ["40 mmHg", 1]]}},
+            "motility": {},
         }
     )  # fmt: skip
     share = (101.325 - vapour_pressure(cool)) * oxygen_solubility(cool)
     pressure = MMHG * oxygen_solubility(cool)
     assert made.nutrients["glucose"].uptake_on["oxygen"].half == pytest.approx(0.05 * share)
-    curve = made.types["a"].receptor_by["oxygen"]
+    curve = made.responses["a"].points
     assert curve[0][0] == pytest.approx(0.01 * share)
     assert curve[1][0] == pytest.approx(40 * pressure, rel=1e-6)
     changed = made.with_changes({"nutrients.glucose.uptake_on.oxygen.half": "10 %"})

@@ -134,7 +134,6 @@ def specs_of_laws():
             "nutrients.o2.diffusion_medium",
         ),
         ({"nutrients": {"o2": {"media": [[0, 1], ["1 h", 1e300]]}}}, "nutrients.o2.media"),
-        ({"types": {"a": {"receptor_by": {"o2": [[0, 1e300]]}}}}, "types.a.receptor_by.o2"),
         ({"contact": {"law": "linear", "cutoff": 1e9}}, "contact.cutoff"),
         ({"cells": {"": 1}}, "cells.''"),
         (
@@ -186,7 +185,7 @@ def test_deep_nesting_is_refused_with_words():
 @pytest.mark.parametrize(
     "entries",
     [
-        {"types": {"a": {"receptor_by": {}, "ligand_by": {}, "surface_energy": {}}}},
+        {"types": {"a": {"uptake_of": {}, "surface_energy": {}}}},
         {"adhesion": {}, "types": {"a": {"receptor": [["5 h", 1.0]], "ligand": 1}}},
         {"nutrients": {"o2": {"secretion_from": {}, "uptake_on": {}, "sides": {}}}},
         {"growth": {}, "death": {}, "friction": {}, "motility": {}, "pull": {}},

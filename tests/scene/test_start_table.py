@@ -101,7 +101,7 @@ def test_radius_age_and_cycle_follow_from_each_other(tmp_path):
 def test_size_alone_tells_age_and_phase(law, phases):
     growth = {"law": law, "cycle_variation": 0.0}
     if law == "relaxation":
-        growth["target"] = 1.3
+        growth["parameters"] = {"target": 1.3}
     if phases:
         growth["phases"] = {name: {**phase, "grows": True} for name, phase in PHASES.items()}
     entries = {"duration": 1, "growth": growth, "initial": {"count": 40, "stage": "uniform"}}

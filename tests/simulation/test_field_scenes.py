@@ -19,7 +19,7 @@ def with_controls(seed):
     """Return runs of a small population, with and without what makes it sort."""
     scene = mc.load_scene("sorting-signal").with_changes({**SMALL, "seed": seed})
     silent = scene.with_changes({"nutrients.factor.secretion": 0})
-    deaf = scene.with_changes({"types.maker.receptor_by": {"factor": [[0.0, 0.0]]}})
+    deaf = scene.with_changes({"responses.sticking.points": [[0.0, 0.0], [1.0, 0.0]]})
     return {name: mc.run(s) for name, s in (("on", scene), ("silent", silent), ("deaf", deaf))}
 
 
@@ -50,8 +50,7 @@ def test_receptors_are_what_the_factor_around_a_maker_makes_them(signalled):
     cells, found = run.frames[-2].cells, run.frames[-2].concentrations["factor"]
     maker = cells.kind == 0
     assert found[maker].mean() > 1.2 * found[~maker].mean()
-    (points,) = run.scene.types["maker"].receptor_by.values()
-    factor = np.interp(found[maker], *np.array(points).T)
+    factor = np.interp(found[maker], *np.array(run.scene.responses["sticking"].points).T)
     # they follow within a coupling step
     assert np.corrcoef(factor, cells.receptor[maker])[0, 1] > 0.95
     assert not cells.receptor[~maker].any()

@@ -130,7 +130,7 @@ def read_cycle(model: Model) -> None:
     most = float(model.cells.volume.max()) * (1.0 if lead is None else 0.5)
     model.part("cells")["division_radius"] = math.cbrt(max(sizes[0], most) / SPHERE)
     if lead is not None:
-        model.part("growth")["target"] = sizes[1]
+        model.part("growth")["parameters"] = {"target": sizes[1]}
     for kind in model.kinds:
         _account_for(model, kind, known, lead)
 

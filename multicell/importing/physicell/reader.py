@@ -64,7 +64,7 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"death/model/.*calcification|volume/calcif", _LEFT, "", "no calcium"),
     (r"death/model", _NEAR, "death", _FALLS),
     (r"volume/total", _MAPPED, "cells.division_radius, radius in cells.csv", ""),
-    (r"volume/cytoplasmic_biomass", _NEAR, "growth.target",
+    (r"volume/cytoplasmic_biomass", _NEAR, "growth.parameters.target",
      "V' = r (K - V) at this rate; for all types as for that of most dividing cells"),
     (r"volume/relative_rupture", _OFF, "", "that of each model of death counts"),
     (r"volume", _LEFT, "", "a cell has one volume"),

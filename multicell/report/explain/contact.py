@@ -135,7 +135,7 @@ def _packing(scene: Scene) -> list[Number]:
     meaning = "of newborn cells, integrated over space: tissue collapses above 1"
     return [
         Number(pair_label("attraction / repulsion", label), ratio, "", meaning)
-        for label, (ratio, _, _) in strongest_attraction(scene).items()
+        for label, (ratio, _) in strongest_attraction(scene).items()
         if 0.0 < ratio < math.inf
     ]
 

@@ -97,8 +97,8 @@ def _growth_words(scene: Scene) -> str:
     words = f"cells double their volume in {hours(growth.mean_cycle)} and divide"
     if growth.law != "linear":
         words += f"; growth is {growth.law}"
-    if growth.target is not None:
-        words += f" towards {growth.target:g} division volumes"
+    given = ", ".join(f"{name} = {x:g}" for name, x in (growth.parameters or {}).items())
+    words += f" ({given})" if given else ""
     if growth.phases:
         lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
@@ -219,8 +219,6 @@ def _domain_words(scene: Scene) -> str:
     else:
         lengths = " x ".join(f"{length:g}" for length in sides(domain))
         words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
-    if domain.wall == "refuse":
-        return f"{words}; no walls: a cell whose centre leaves it ends the run"
     young = scene.cells.young if domain.young is None else domain.young
     return f"{words}; its sides are elastic walls of {young:g} kPa"
 
