@@ -33,7 +33,7 @@ from tile_tables import markdown
 
 import multicell as mc
 from multicell.integrators.loops.chebyshev import coefficients, stages_for
-from multicell.mechanics.growth_rate import largest_decay_rate
+from multicell.mechanics.decay_rate import largest_decay_rate
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 

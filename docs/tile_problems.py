@@ -31,7 +31,7 @@ from multicell.comparison.conditioning import shift_starts
 from multicell.comparison.ladders import capable_methods, find_method
 from multicell.comparison.null_methods import MotionScale
 from multicell.comparison.replay import Problem, Step, Trajectory, replay
-from multicell.mechanics.growth_rate import largest_decay_rate
+from multicell.mechanics.decay_rate import largest_decay_rate
 
 STATES: Final = ("quiet", "typical", "fresh")
 GOALS: Final = (0.1, 0.01)

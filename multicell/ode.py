@@ -88,11 +88,10 @@ class OdeProblem:
         SceneError
             With friction between cells or a gel, which make J a full matrix.
         """
-        from multicell.mechanics.jacobian import Pattern
+        from multicell.mechanics.jacobian import sparsity
 
         self._refuse_full()
-        pattern = Pattern.near(_cells(self.y0), self.system, margin)
-        return pattern.matrix(np.ones(len(pattern.index)))
+        return sparsity(_cells(self.y0), self.system, margin)
 
     def _refuse_full(self) -> None:
         if max(self.system.friction) > 0.0:

@@ -142,27 +142,19 @@ def truncated_normal(
     return z
 
 
-def unit_vectors(seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64]) -> FloatArray:
-    """Return directions spread uniformly over the unit sphere, (n, 3).
-
-    By Archimedes' theorem the height is uniform in [-1, 1) and the azimuth uniform in [0, 2 pi).
-    Parameters and errors are those of :func:`uniform`.
-    """
-    u = uniform(seed, purpose, step, ids, 2)
-    height = 2.0 * u[:, 0] - 1.0
-    azimuth = 2.0 * np.pi * u[:, 1]
-    waist = np.sqrt((1.0 - height) * (1.0 + height))
-    return np.stack([waist * np.cos(azimuth), waist * np.sin(azimuth), height], axis=1)
-
-
 def directions(
     seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], dimensions: int
 ) -> FloatArray:
-    """Return random unit vectors (n, 3): on the sphere, or in two dimensions in its equator.
+    """Return random unit vectors (n, 3), spread uniformly.
 
-    Parameters and errors are those of :func:`uniform`.
+    On the sphere, where by Archimedes' theorem the height is uniform in [-1, 1) and the azimuth
+    uniform in [0, 2 pi), or in two dimensions in its equator. Parameters and errors are those of
+    :func:`uniform`.
     """
-    if dimensions == 3:
-        return unit_vectors(seed, purpose, step, ids)
-    azimuth = 2.0 * np.pi * uniform(seed, purpose, step, ids)[:, 0]
-    return np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], axis=1)
+    u = uniform(seed, purpose, step, ids, dimensions - 1)
+    azimuth = 2.0 * np.pi * u[:, -1]
+    if dimensions == 2:
+        return np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], axis=1)
+    height = 2.0 * u[:, 0] - 1.0
+    waist = np.sqrt((1.0 - height) * (1.0 + height))
+    return np.stack([waist * np.cos(azimuth), waist * np.sin(azimuth), height], axis=1)

@@ -58,9 +58,9 @@ def test_more_numbers_begin_with_the_same_blocks(draw) -> None:
         lambda ids: streams.uniform(5, Purpose.CYCLE, 9, ids, 3),
         lambda ids: streams.normal(5, Purpose.CYCLE, 9, ids, 3),
         lambda ids: streams.truncated_normal(5, Purpose.CYCLE, 9, ids, 1.0),
-        lambda ids: streams.unit_vectors(5, Purpose.CYCLE, 9, ids),
+        lambda ids: streams.directions(5, Purpose.CYCLE, 9, ids, 3),
     ],
-    ids=["uniform", "normal", "truncated_normal", "unit_vectors"],
+    ids=["uniform", "normal", "truncated_normal", "directions"],
 )
 def test_a_cell_gets_the_same_bits_in_any_order_and_company(draw) -> None:
     ids = IDS[:1001]
@@ -109,7 +109,7 @@ def test_truncated_normal_is_the_conditional_distribution(limit: float) -> None:
 
 
 def test_unit_vectors_are_uniform_on_the_sphere() -> None:
-    v = streams.unit_vectors(8, Purpose.AXIS, 2, IDS)
+    v = streams.directions(8, Purpose.AXIS, 2, IDS, 3)
     np.testing.assert_allclose(np.linalg.norm(v, axis=1), 1.0, rtol=1e-15)
     # any projection of a uniform direction is uniform in [-1, 1]
     for direction in np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0.48, 0.64]]):

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,11 +44,7 @@ def draw_lengths(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> F
     They depend on seed and identity only; founders of a stable population
     (:func:`multicell.biology.plan.founders`) have longer ones than newborn cells.
     """
-
-    def draw(ids: IntArray, attempt: int) -> FloatArray:
-        return _phases(plan, ids, attempt)
-
-    return _drawn(plan, ids, draw) * scale(plan, kind)[:, None]
+    return _drawn(plan, ids, partial(_phases, plan)) * scale(plan, kind)[:, None]
 
 
 def draw_cycle_times(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:

@@ -13,7 +13,6 @@ chooses end at such moments.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -95,11 +94,10 @@ def columns(
     """
     from multicell.mechanics.prescribed import outside_force
 
-    counted = asdict(system.work)
+    counts = vars(system.work).copy()
     system.begin(motion)
     force = outside_force(system, motion.begin, cells.position)
-    for name, count in counted.items():
-        setattr(system.work, name, count)
+    vars(system.work).update(counts)
     found: dict[str, float] = {}
     for name, law in plan.motions.items():
         total = np.zeros(3)

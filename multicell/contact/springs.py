@@ -24,14 +24,14 @@ length cubed, which is ``stiffness`` / H² here (its 50 is a stiffness of 12.5 a
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from multicell.contact.constants import TINY, constants_of
 from multicell.contact.law import PairLaw
-from multicell.schema import number, parameters, quantity
+from multicell.schema import number, parameters, quantity, specs
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -83,11 +83,6 @@ def generalised_linear(
     return -mu * rest * rise, mu / gap, energy
 
 
-_LinearConstants = constants_of(linear, "stiffness", "cutoff")
-_CubicConstants = constants_of(cubic, "stiffness", "cutoff")
-_GeneralisedConstants = constants_of(generalised_linear, "stiffness", "cutoff", "decay")
-
-
 def _stiffness() -> Any:
     return quantity("nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest")
 
@@ -105,6 +100,11 @@ class Spring(PairLaw):
 
     stiffness_at_rest: float
     cutoff: float
+    _constants: ClassVar[Any]
+
+    def constants(self) -> Any:
+        """Return the parameters as the law's function takes them."""
+        return self._constants(*(getattr(self, name) for name in specs(self)))
 
     def describe(self, energy: str) -> str:
         """Return the law in words."""
@@ -138,10 +138,7 @@ class Linear(Spring):
 
     stiffness_at_rest: float = _stiffness()
     cutoff: float = _cutoff(at_least=1.0)
-
-    def constants(self) -> Any:
-        """Return the constants of :func:`linear`."""
-        return _LinearConstants(self.stiffness_at_rest, self.cutoff)
+    _constants: ClassVar[Any] = constants_of(linear, "stiffness", "cutoff")
 
 
 @final
@@ -151,10 +148,7 @@ class Cubic(Spring):
 
     stiffness_at_rest: float = _stiffness()
     cutoff: float = _cutoff(above=1.0)
-
-    def constants(self) -> Any:
-        """Return the constants of :func:`cubic`."""
-        return _CubicConstants(self.stiffness_at_rest, self.cutoff)
+    _constants: ClassVar[Any] = constants_of(cubic, "stiffness", "cutoff")
 
 
 @final
@@ -171,7 +165,4 @@ class GeneralisedLinear(Spring):
     decay: float = number(
         default=5.0, above=0.0, at_most=1e3, doc="α: how fast the attraction fades"
     )
-
-    def constants(self) -> Any:
-        """Return the constants of :func:`generalised_linear`."""
-        return _GeneralisedConstants(self.stiffness_at_rest, self.cutoff, self.decay)
+    _constants: ClassVar[Any] = constants_of(generalised_linear, "stiffness", "cutoff", "decay")

@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from multicell.integrators.base import EqualSteps, MethodInfo, Outcome, equal_steps
+from multicell.integrators.base import EqualSteps, MethodInfo, Outcome, equal_steps, move_words
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.mechanics.preconditioners import Preconditioner
+    from multicell.mechanics.preconditioners import Sweeps
     from multicell.mechanics.system import Mechanics
 
 _HALVINGS = 30
@@ -40,7 +40,9 @@ Since no eigenvalue of I - ΔtJ of a cluster at rest is below 1, the error is at
 The correction alone is not enough: where γλ is large, the linear solver's residual may hide a
 motion of the cluster as a whole.
 """
-_FINER = 1e-2  # what ``forcing`` is multiplied by where that residual is exceeded
+_FORCING = 1e-2  # relative residual to which each linear system is solved
+_FINER = 1e-2  # what that is multiplied by where ``_RESIDUAL`` is exceeded
+_SOFTENING = 0.5  # bound of softening, in E_ij r_ij, where no energy is followed
 _DECREASE = 1e-4
 """Least part of the promised decrease, of the residual or of the energy (Armijo's rule)."""
 _ROUNDING = 1e-14  # of the energy, below which a difference of two energies is rounding
@@ -53,11 +55,7 @@ class BackwardEuler(EqualSteps):
 
     - ``tolerance``: Newton's method ends when the largest correction of a coordinate is below this,
       µm
-    - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``
     - ``newton``: most Newton iterations in a step
-    - ``forcing``: relative residual to which each linear system is solved
-    - ``softening``: as for :class:`~multicell.integrators.cvode.Cvode`; with friction between cells
-      only
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -69,10 +67,7 @@ class BackwardEuler(EqualSteps):
     )  # fmt: skip
 
     tolerance: float = 1e-4
-    preconditioner: str = "gauss-seidel"
     newton: int = 100
-    forcing: float = 1e-2
-    softening: float = 0.5
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
@@ -101,11 +96,8 @@ class BackwardEuler(EqualSteps):
                 return Outcome(time, position, problem, hint, implicit.worst)
             cell, moved = furthest_move(position, implicit.trial, motion.radius)
             if moved > self.max_displacement:
-                return Outcome(
-                    time, position,
-                    f"a step of {step:.3g} s would move the cell by {moved:.3g} of its radius "
-                    f"(allowed: {self.max_displacement:g})", hint, cell,
-                )  # fmt: skip
+                problem = move_words(step, moved, self.max_displacement)
+                return Outcome(time, position, problem, hint, cell)
             position = implicit.trial
             system.work.steps += 1
         return Outcome(motion.end, position)
@@ -123,7 +115,7 @@ class _Step:
         motion = system.motion
         radius = motion.radius + motion.radius_rate * (end - motion.begin)
         self.weight = system.drag * radius[:, None]
-        self.forcing = method.forcing
+        self.forcing = _FORCING
         self.room = self.most_room = 0.5 * float(radius.min(initial=np.inf))
         # with friction between cells the drag is a matrix that depends on their places
         self.descends = max(system.friction) == 0.0
@@ -132,10 +124,11 @@ class _Step:
     def solve(self) -> str:
         """Find the end of the step; return what went wrong, if anything did."""
         from multicell.mechanics.jacobian import limited
-        from multicell.mechanics.preconditioners import preconditioner
+        from multicell.mechanics.preconditioners import Sweeps
 
         method, system = self.method, self.system
-        approximate = preconditioner(method.preconditioner, system)
+        # with friction between cells J = Γ⁻¹K is not a matrix of pairs, which the sweeps need
+        approximate = system if max(system.friction) > 0.0 else Sweeps(system)
         residual = self._residual(self.trial)
         self.energy = self._energy(self.trial) if self.descends else 0.0
         for _ in range(method.newton):
@@ -143,8 +136,8 @@ class _Step:
             system.linearise(self.end, self.trial)
             self.linear = system.linearisation
             if not self.descends:
-                self.linear, _ = limited(system, method.softening)
-            approximate.setup(system, self.step, self.linear)
+                self.linear, _ = limited(system, _SOFTENING)
+            approximate.setup_preconditioner(self.step, self.linear)
             correction = self._correction(residual, approximate)
             found = self._search(residual, correction)
             if found is None and self.descends:
@@ -225,13 +218,15 @@ class _Step:
         self.system.jacobian_product(vector, out, self.linear)
         return np.asarray(vector - self.step * out)
 
-    def _correction(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
+    def _correction(self, residual: FloatArray, approximate: Sweeps | Mechanics) -> FloatArray:
         """Solve (I - ΔtJ) x = -residual as far as ``forcing`` asks, or find a way down."""
         if self.descends:
             return self._conjugate_gradients(residual, approximate)
         return self._gmres(residual, approximate)
 
-    def _conjugate_gradients(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
+    def _conjugate_gradients(
+        self, residual: FloatArray, approximate: Sweeps | Mechanics
+    ) -> FloatArray:
         """Return the solution, or a way down that ends where the curvature is not positive.
 
         The last direction is then followed as far as cells may move (Steihaug 1983).
@@ -243,7 +238,7 @@ class _Step:
         for _ in range(_MAX_ITERATIONS):
             if self._norm(left) <= target:
                 break
-            approximate.solve(self.system, left, better)
+            approximate.precondition(left, better)
             product = self._product(left, better)
             direction = better + product / before * direction
             before = product
@@ -257,7 +252,7 @@ class _Step:
                 break
         return solution
 
-    def _gmres(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
+    def _gmres(self, residual: FloatArray, approximate: Sweeps | Mechanics) -> FloatArray:
         from scipy.sparse.linalg import LinearOperator, gmres
 
         shape = (residual.size, residual.size)
@@ -267,7 +262,7 @@ class _Step:
 
         def approximately(vector: FloatArray) -> Any:
             out = np.empty_like(residual)
-            approximate.solve(self.system, vector.reshape(-1, 3), out)
+            approximate.precondition(vector.reshape(-1, 3), out)
             return out.ravel()
 
         solution, _ = gmres(

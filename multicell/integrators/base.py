@@ -111,6 +111,17 @@ class EqualSteps:
     max_displacement: float = 0.5
 
 
+OUT_OF_STEPS_HINT = "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
+
+
+def move_words(step: float, moved: float, allowed: float) -> str:
+    """Return the words for a step, s, that would move a cell too far, both in its radius."""
+    return (
+        f"a step of {step:.3g} s would move the cell by {moved:.3g} of its radius "
+        f"(allowed: {allowed:g})"
+    )
+
+
 def equal_steps(length: float, longest: float) -> int:
     """Return how many equal steps no longer than ``longest`` make up an interval; both in s."""
     return max(1, math.ceil(length / longest * (1.0 - 1e-12)))

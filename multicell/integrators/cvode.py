@@ -20,25 +20,10 @@ if TYPE_CHECKING:
 class Cvode(ErrorControl):
     """Variable-order, variable-step BDF with a preconditioned Krylov method.
 
-    The defaults are what ``tests/benchmarks/tune_cvode.py`` found best over its scenes.
-
-    - ``krylov_dim``: dimension of the Krylov space
-    - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``, or ``"none"``. Mild steps,
-      γλ < 3, go without.
-    - ``side``: ``"left"``, ``"right"`` or ``"both"``. On the right the Krylov method measures the
-      true residual.
-    - ``refresh``: when the Jacobian is taken anew: ``"moved"``, where some coordinate has changed
-      by more than ``far`` since (further where the step is mild); ``"asked"``, only when SUNDIALS
-      asks for it (``jok`` is zero)
-    - ``far``: see ``refresh``, in mean radii
-    - ``max_order``: highest order
-    - ``newton``: most Newton iterations in a step
-    - ``softening``: Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope
-      tends to -∞ at first contact); infinite for the true slope. It leaves the solution as it is.
     - ``formula``: ``"BDF"`` or ``"Adams"``. Adams formulas are solved by the same Newton method.
     - ``light``: begin with difference quotients for products and no preconditioner, which costs
-      least while steps are mild, and go over to the settings above as soon as the evaluations of
-      the last steps say that they are not. False for the settings above from the start.
+      least while steps are mild, and go over to the preconditioned method as soon as the
+      evaluations of the last steps say that they are not. False for that from the start.
     - ``each_cell``: hold the tolerance for single cells. False for SUNDIALS's own norm, a mean over
       all coordinates, in which one cell among many may be wrong by many tolerances.
     - ``part``: part of the usual share of the tolerances (:func:`.limits.norm_share`) that SUNDIALS
@@ -52,14 +37,6 @@ class Cvode(ErrorControl):
         stable=math.inf, colour="#1f7f54", marker="o", atol=0.01,
     )  # fmt: skip
 
-    krylov_dim: int = 8
-    preconditioner: str = "blocks"
-    side: str = "right"
-    refresh: str = "moved"
-    far: float = 0.003
-    max_order: int = 5
-    newton: int = 3
-    softening: float = 0.5
     formula: str = "BDF"
     light: bool = True
     each_cell: bool = True
@@ -108,7 +85,7 @@ class CvodeAdams(ErrorControl):
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
         options = self.rtol, self.atol, self.max_steps, self.max_displacement
-        return Cvode(*options, max_order=12, formula="Adams").integrate(system, position)
+        return Cvode(*options, formula="Adams").integrate(system, position)
 
 
 METHODS = (Cvode, CvodeAdams)

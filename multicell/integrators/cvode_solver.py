@@ -16,13 +16,20 @@ from multicell.compiling import KERNEL, typed
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
-from multicell.mechanics.preconditioners import preconditioner
 
 if TYPE_CHECKING:
     from multicell.integrators.cvode import Cvode
 
 _jit = typed(**KERNEL)
 
+_MAX_ORDER = {"BDF": 5, "Adams": 12}
+_NEWTON, _KRYLOV = 3, 8  # most Newton iterations in a step, dimension of the Krylov space
+_FAR = 0.003
+"""Change of a coordinate from which on J is taken anew, in mean radii (further where the step is
+mild): SUNDIALS itself asks for it much too seldom (docs/theory/integrators.md)."""
+_SOFTENING = 0.5
+"""Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope tends to -∞ at first
+contact). It leaves the solution as it is."""
 _CONTACTS = 8.0  # largest decay rate of packed cells, in stiffness of the stiffest pair over drag
 _SLOW_START = 5e-4
 """Share of the interval below which the first two steps of a mild start say that it is stiff."""
@@ -64,8 +71,8 @@ class _Session:
         self._predictor = Predictor(run)
         self.solver = CVODE(
             self._predictor.velocity, method=method.formula, rtol=run.share * method.rtol,
-            atol=run.share * method.atol, max_order=method.max_order,
-            max_nonlin_iters=method.newton, linsolver="gmres", **options,
+            atol=run.share * method.atol, max_order=_MAX_ORDER[method.formula],
+            max_nonlin_iters=_NEWTON, linsolver="gmres", **options,
         )  # fmt: skip
         self.solver.init_step(0.0, run.position.ravel())
 
@@ -160,17 +167,15 @@ class Krylov(_Session):
         self.system = run.system
         self._fresh, self._stale = False, True
         self._reference = np.full(3 * len(run.position), np.inf)
-        # without a preconditioner γ is unknown: J is renewed as often as for stiff steps
+        # as long as γ is unknown J is renewed as often as for stiff steps
         self._gamma, self._rate = np.inf, 1.0
         self._used, self._reached = np.inf, 0.0
-        self._far = method.far * float(run.system.motion.radius.mean())
-        options: dict[str, Any] = {}
-        if method.preconditioner != "none":
-            self._preconditioner = preconditioner(method.preconditioner, run.system)
-            options["precond"] = CVODEPrecond(self.setup, self.solve, side=method.side)
+        self._far = _FAR * float(run.system.motion.radius.mean())
         super().__init__(
-            method, run, krylov_dim=method.krylov_dim, max_step=ceiling,
-            jactimes=CVODEJacTimes(self.linearise, self.product), **options,
+            method, run, krylov_dim=_KRYLOV, max_step=ceiling,
+            jactimes=CVODEJacTimes(self.linearise, self.product),
+            # on the right the Krylov method measures the true residual
+            precond=CVODEPrecond(self.setup, self.solve, side="right"),
         )  # fmt: skip
 
     def step(self) -> tuple[float, FloatArray, float]:
@@ -184,7 +189,7 @@ class Krylov(_Session):
         """Return the order of a step of BDF, by its γ: h/γ = 1 + 1/2 + ... + 1/q."""
         if self.method.formula != "BDF" or not self._used < np.inf:
             return 1
-        sums = np.cumsum(1.0 / np.arange(1, self.method.max_order + 1))
+        sums = np.cumsum(1.0 / np.arange(1, _MAX_ORDER["BDF"] + 1))
         return 1 + int(np.abs(sums - step / self._used).argmin())
 
     def linearise(self, t: float, y: FloatArray, yp: FloatArray) -> None:
@@ -192,12 +197,12 @@ class Krylov(_Session):
         self.system.work.newton_iterations += 1
         if self._fresh:
             self._fresh = False
-        elif self.method.refresh == "moved" and self._moved(y):
+        elif self._moved(y):
             self._take_jacobian(t, y)
 
     def _take_jacobian(self, t: float, y: FloatArray) -> None:
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
-        self._linear, stiffest = limited(self.system, self.method.softening)
+        self._linear, stiffest = limited(self.system, _SOFTENING)
         self._reference = np.array(y)
         drag = self.system.drag * float(self.system.motion.radius.mean())
         self._rate = _CONTACTS * stiffest / drag
@@ -223,7 +228,7 @@ class Krylov(_Session):
     ) -> None:
         """Preconditioner for a new γ."""
         self._gamma = gamma
-        if not jok or (self.method.refresh == "moved" and self._moved(y)):
+        if not jok or self._moved(y):
             self._take_jacobian(t, y)
             self._fresh = True
             jnew[0] = 1
@@ -239,6 +244,6 @@ class Krylov(_Session):
             z[:] = r
             return
         if self._stale:
-            self._preconditioner.setup(self.system, gamma, self._linear)
+            self.system.setup_preconditioner(gamma, self._linear)
             self._stale = False
-        self._preconditioner.solve(self.system, r.reshape(-1, 3), z.reshape(-1, 3))
+        self.system.precondition(r.reshape(-1, 3), z.reshape(-1, 3))

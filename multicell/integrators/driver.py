@@ -145,13 +145,10 @@ def _failure(
     step = f"step of {report.step:.3g} s"
     cell = int(report.cell) if report.cell >= 0 else None
     if report.status == stepping.MOVED:
-        problem = (
-            f"a {step} would move the cell by {report.moved:.3g} of its radius "
-            f"(allowed: {max_displacement:g})"
-        )
+        problem = base.move_words(report.step, report.moved, max_displacement)
     elif report.status == stepping.OUT_OF_STEPS:
         problem = f"the largest number of internal steps did not reach the end (last {step})"
-        hint = "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
+        hint = base.OUT_OF_STEPS_HINT
     elif report.status == stepping.TOO_LONG:
         problem = f"the whole interval would take about {report.moved:.0f} evaluations"
         hint = "Take a method for stiff problems, such as 'cvode' or 'rkc2'"
@@ -171,9 +168,6 @@ def source_of(
     system: Mechanics, counts: Any, *, passes: bool = False
 ) -> tuple[stepping.Source, forces.PairData]:
     """Return what a loop needs, with a neighbour list of its own."""
-    data = system.kernel_data()
-    source = stepping.Source(
-        data.cells, data.law, data.list_radius, data.least_margin, data.rows, counts
-    )
-    placed = stepping.with_addresses(source, data.pairs, shared=data.shared, passes=passes)
-    return placed, data.pairs
+    known, pairs, shared = system.kernel_data()
+    source = stepping.Source(*known, counts)
+    return stepping.with_addresses(source, pairs, shared=shared, passes=passes), pairs

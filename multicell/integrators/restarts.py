@@ -22,7 +22,7 @@ from typing import Any, Protocol, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.integrators.base import ErrorControl, Outcome
+from multicell.integrators.base import OUT_OF_STEPS_HINT, ErrorControl, Outcome, move_words
 from multicell.integrators.limits import beyond, norm_share
 from multicell.integrators.stepping import furthest_move, largest_length
 from multicell.mechanics.motion import StateRejected
@@ -173,9 +173,7 @@ class Run:
         while self.elapsed < self.length:
             if self.steps >= self.method.max_steps:
                 self.problem = f"{self.steps} internal steps did not reach the end"
-                self.hint = (
-                    "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
-                )
+                self.hint = OUT_OF_STEPS_HINT
                 return False
             step = self._step(solver)
             held = held + 1 if step > 0.9 * ceiling else 0
@@ -198,10 +196,8 @@ class Run:
         cell, moved = furthest_move(self.position, moved_to, self.system.motion.radius)
         # a move that is no number is the largest
         if not moved <= self.method.max_displacement:
-            raise _Refused(
-                f"a step of {reached - before:.3g} s would move the cell by {moved:.3g} of its "
-                f"radius (allowed: {self.method.max_displacement:g})", reached - before, cell,
-            )  # fmt: skip
+            words = move_words(reached - before, moved, self.method.max_displacement)
+            raise _Refused(words, reached - before, cell)
         self.position = moved_to
         self.elapsed = self.length if reached >= self.left else self.offset + reached
         self.steps += 1

@@ -54,11 +54,8 @@ class Rosenbrock(ErrorControl):
       what a shift of its start by the tolerance of 0.1 µm does, with 0.5 by less than that shift
     - ``growth``: largest product of a step and an eigenvalue of the matrix, above which steps are
       refused; at most 3, beyond 3.4 modes that grow would be damped
-    - ``softening``: as for :class:`~multicell.integrators.cvode.Cvode`; the order does not depend
-      on it
-    - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``
-    - ``forcing``: error that a linear system may leave in a position, in the error that a step may
-      have
+    - ``softening``: the matrix shows no dF/dh below minus this times E_ij r_ij; the order does not
+      depend on it
 
     Raises ValueError for a ``growth`` out of its range, or tolerances that are not positive.
     """
@@ -73,8 +70,6 @@ class Rosenbrock(ErrorControl):
     sharp: float = 0.5
     growth: float = 0.5
     softening: float = 1.0
-    preconditioner: str = "blocks"
-    forcing: float = 0.03
 
     def __post_init__(self) -> None:
         ErrorControl.__post_init__(self)

@@ -14,7 +14,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL, typed
-from multicell.integrators.base import Outcome
+from multicell.integrators.base import OUT_OF_STEPS_HINT, Outcome, move_words
 from multicell.integrators.driver import control
 from multicell.integrators.stepping import (
     fit_step,
@@ -26,7 +26,6 @@ from multicell.integrators.stepping import (
 )
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
-from multicell.mechanics.preconditioners import preconditioner
 from multicell.random import Purpose, normal
 
 if TYPE_CHECKING:
@@ -44,6 +43,7 @@ _MOST_ITERATIONS = 200
 _PROBE = 5  # iterations of the search for an eigenvalue above the bound
 _AGE, _LONGER = 10, 1.5
 """The search is repeated after so many steps, or once steps are so much longer."""
+_FORCING = 0.03  # error that a linear system may leave in a position, in that of a step
 _SHARE = 0.1  # of its right-hand side that the residual of a linear system may have
 _FORGOTTEN, _LARGEST = 40.0, 4.0
 """Steps of the present length before the end from which on larger errors are allowed, since they
@@ -141,7 +141,6 @@ class Resolvent:
 
     def __init__(self, method: Rosenbrock, system: Mechanics) -> None:
         self.method, self.system = method, system
-        self.preconditioner = preconditioner(method.preconditioner, system)
         shape = (len(system), 3)
         self._left, self._better = np.empty(shape), np.empty(shape)
         self._direction, self._image = np.empty(shape), np.empty(shape)
@@ -157,7 +156,7 @@ class Resolvent:
     def setup(self, step: float) -> None:
         """Prepare for a step; refuse one that is too long for what grows."""
         self.step = step
-        self.preconditioner.setup(self.system, _D * step, self.linear)
+        self.system.setup_preconditioner(_D * step, self.linear)
         self._age += 1
         if self._age > _AGE or step > _LONGER * self._probed:
             self._probe()
@@ -208,7 +207,7 @@ class Resolvent:
         for _ in range(most):
             if size <= allowed:
                 break
-            self.preconditioner.solve(system, left, better)
+            system.precondition(left, better)
             product = _product(radius, left, better)
             if product == 0.0:
                 break
@@ -284,11 +283,8 @@ class Walk:
         """Return how the integration ends if no further step can be tried."""
         time = self.system.motion.begin + self.elapsed
         if self._steps == self.method.max_steps:
-            return Outcome(
-                time, self.position, f"{self._steps} internal steps did not reach the end",
-                "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step",
-                self._cell,
-            )  # fmt: skip
+            problem = f"{self._steps} internal steps did not reach the end"
+            return Outcome(time, self.position, problem, OUT_OF_STEPS_HINT, self._cell)
         if step < _SHORTEST * self.length:
             problem = f"steps became too short to continue: {self._problem}"
             return Outcome(time, self.position, problem, _HINT, self._cell)
@@ -342,7 +338,7 @@ class Walk:
         """
         method, system, start = self.method, self.system, self.position
         solve = self._resolvent.solve
-        allowed = method.forcing * self._bound * method.atol / step
+        allowed = _FORCING * self._bound * method.atol / step
         drift = self._drift(begin, step)
         first = solve(self.velocity + drift, self._slope, allowed)
         system.velocity(0.5 * (begin + end), start + (0.5 * step) * first, self._middle)
@@ -350,11 +346,12 @@ class Walk:
         trial = start + step * second
         cell, moved = furthest_move(start, trial, system.motion.radius)
         if not moved <= method.max_displacement:
+            allowed_move = method.max_displacement
             raise Refused(
-                f"a step of {step:.3g} s would move the cell by {moved:.3g} of its radius "
-                f"(allowed: {method.max_displacement:g})",
-                step_after_move(1.0, moved, method.max_displacement), cell,
-            )  # fmt: skip
+                move_words(step, moved, allowed_move),
+                step_after_move(1.0, moved, allowed_move),
+                cell,
+            )
         system.velocity(end, trial, self._end)
         right = self._end - _E * (second - self._middle) - 2.0 * (first - self.velocity) + drift
         # only the estimate depends on it, by a sixth

@@ -16,7 +16,7 @@ import numpy as np
 
 from multicell.integrators.base import equal_steps, info_of
 from multicell.integrators.shift import SHARE
-from multicell.mechanics.growth_rate import RECORDED, largest_decay_rate
+from multicell.mechanics.decay_rate import RECORDED, largest_decay_rate
 from multicell.mechanics.motion import StateRejected
 
 if TYPE_CHECKING:

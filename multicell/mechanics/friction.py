@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from multicell.compiling import KERNEL
 from multicell.compiling.threads import two_drivers
+from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.neighbours import PairList
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.prescribed import Prescribed
 
 _TINY = 1e-300
+_MOST = 2000  # iterations after which a solution is given up
 
 
 class Gamma(NamedTuple):
@@ -294,10 +296,6 @@ def apply(gamma, v, out):
         _apply_chunk(c, gamma, v, out)
 
 
-class FrictionNotSolvedError(Exception):
-    """Conjugate gradients did not reach their tolerance."""
-
-
 @final
 class FrictionMatrix:
     """Γ at one state of the cells, with the work arrays of its solution.
@@ -310,19 +308,18 @@ class FrictionMatrix:
       in a chunk
     - ``tolerance``: Γ v = F is solved to |F - Γ v| <= tolerance |F| (Euclidean norms over all
       cells)
-    - ``most``: iterations after which the solution is given up
     """
 
     def __init__(
         self, coefficients: tuple[float, float], n: int, drag: float, chunk: int, *,
-        tolerance: float = 1e-6, most: int = 2000,
+        tolerance: float = 1e-6,
     ) -> None:  # fmt: skip
         self.coefficients, self.drag, self.chunk = coefficients, drag, chunk
-        self.tolerance, self.most = tolerance, most
+        self.tolerance = tolerance
         self._stokes, self._inverse = np.empty(n), np.empty(n)
         self._work = Vectors(*(np.empty((n, 3)) for _ in range(5)))
         self._pairs: PairList | None = None
-        self._gamma: Gamma | None = None
+        self.gamma: Gamma
         self._shared = False
 
     def measure(self, rows: FloatArray, pairs: PairList, shared: bool = False) -> None:
@@ -332,10 +329,10 @@ class FrictionMatrix:
         - ``shared``: whether chunks are shared among threads, here and in what follows; same bits
         """
         normal, tangential = self.coefficients
-        if self._gamma is None or self._pairs is not pairs:
+        if self._pairs is not pairs:
             sign = float(np.sign(normal - tangential))
             room, chunks = len(pairs.first), len(pairs.start)
-            self._gamma = Gamma(
+            self.gamma = Gamma(
                 self.chunk, sign, pairs.start, np.empty((chunks, 2), dtype=np.int64),
                 np.empty((room, 2), dtype=np.int32), np.empty((room, 4 if sign else 1)),
                 self._stokes, self._inverse,
@@ -346,13 +343,13 @@ class FrictionMatrix:
         run = measure_parallel if shared else measure
         ends = pairs.inner_end, pairs.outer_end
         run(
-            self._gamma, pairs.first, pairs.second, *ends, rows, normal, tangential,
+            self.gamma, pairs.first, pairs.second, *ends, rows, normal, tangential,
             self.drag,
         )  # fmt: skip
 
     def apply(self, vector: FloatArray, out: FloatArray) -> None:
         """Write Γ v, nN, for ``vector`` in µm/s."""
-        apply(self._measured(), vector, out)
+        apply(self.gamma, vector, out)
 
     def solve(
         self,
@@ -370,14 +367,14 @@ class FrictionMatrix:
         - ``warm``: whether ``velocity`` holds a guess; if not, the iteration starts from rest
         - ``held``: cells that stand still: theirs are no unknowns, and have zero force and velocity
         """
-        gamma = self._measured() if held is None else self._measured()._replace(held=held)
+        gamma = self.gamma if held is None else self.gamma._replace(held=held)
         wanted = self.tolerance if tolerance is None else tolerance
         if not warm:
             velocity[:] = 0.0
             self._work.w[:] = 0.0
         run: Any = conjugate_gradients_parallel if self._shared else conjugate_gradients
         steps, left, scale = run(
-            gamma, force, wanted, self.most, warm, self._work, self._part, velocity,
+            gamma, force, wanted, _MOST, warm, self._work, self._part, velocity,
         )  # fmt: skip
         if scale == 0.0:
             # nothing pushes: no relative tolerance could be met from a guess that moves
@@ -385,20 +382,11 @@ class FrictionMatrix:
             return 0
         if not left <= wanted**2 * scale:
             reached = math.sqrt(left / scale) if scale > 0.0 else math.nan
-            raise FrictionNotSolvedError(
+            raise StateRejected(
                 f"after {steps} iterations the friction between cells is balanced to "
                 f"{reached:.2g} of the forces, not to {wanted:.2g}"
             )
         return int(steps)
-
-    def diagonal(self) -> FloatArray:
-        """Return the mean of each cell's three diagonal entries of Γ, (n,) nN s/µm."""
-        return np.asarray(1.0 / self._measured().inverse)
-
-    def _measured(self) -> Gamma:
-        if self._gamma is None:
-            raise RuntimeError("measure() must come first")
-        return self._gamma
 
 
 _INNER = 0.1
@@ -414,8 +402,6 @@ class PairFriction:
     - ``coefficients``: friction per contact area along the line of centres and across it, nN s/µm³
     - ``n``, ``drag``, ``chunk``: number of cells, 6πη in kPa·s, and cells in a chunk
     """
-
-    failure = FrictionNotSolvedError
 
     def __init__(self, coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> None:
         self._present = FrictionMatrix(coefficients, n, drag, chunk)
@@ -440,7 +426,7 @@ class PairFriction:
             force, held = given.released(force - dragged), given.held
         try:
             iterations = self._present.solve(force, self._last, held=held)
-        except FrictionNotSolvedError:
+        except StateRejected:
             self._last[:] = 0.0
             raise
         out[:] = self._last
@@ -455,7 +441,7 @@ class PairFriction:
 
         At the state last given to :meth:`linearise`, as a preconditioner of Γ - γK needs it.
         """
-        return self._linearised.diagonal()
+        return np.asarray(1.0 / self._linearised.gamma.inverse)
 
     def resistance(self, velocity: FloatArray) -> FloatArray:
         """Return Γ v at the last state of :meth:`velocity`, (n, 3) nN."""

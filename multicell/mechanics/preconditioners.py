@@ -1,11 +1,11 @@
-"""Approximate inverses of I - γJ by name, for the methods that solve with it iteratively.
+"""An approximate inverse of I - γJ by symmetric Gauss-Seidel, for backward Euler.
 
 Written as in :mod:`multicell.mechanics.jacobian`, (I - γJ) x = b is M x = Γ b with the symmetric
 
     M = Γ - γK:   M_ii = Γ_i + γ Σ_j P_ij,   M_ij = -γ P_ij.
 
-Preconditioners take the stable part of each pair alone (max(k, 0) along n and max(-F/d, 0)
-across), so that they are symmetric positive definite for every γ > 0, where M itself need not
+The preconditioner takes the stable part of each pair alone (max(k, 0) along n and max(-F/d, 0)
+across), so that it is symmetric positive definite for every γ > 0, where M itself need not
 be: pairs that are pressed together push each other sideways.
 
 The chunks of :mod:`multicell.mechanics.neighbours` list inner pairs by growing first cell, smaller
@@ -18,9 +18,7 @@ No fastmath, see :mod:`multicell.mechanics.forces`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numba import njit, prange
@@ -36,29 +34,6 @@ if TYPE_CHECKING:
 _EPS = float(np.finfo(float).eps)
 _FLAT = 1.0 / NEARLY_SINGULAR**2
 """Determinant over the product of the diagonal below which cofactors are rounding."""
-
-
-class Preconditioner(Protocol):
-    """Made ready by ``setup`` at a linearisation, applied by ``solve``."""
-
-    def setup(self, system: Mechanics, gamma: float, linear: Linearisation) -> None:
-        """Prepare for I - γJ."""
-
-    def solve(self, system: Mechanics, vector: FloatArray, out: FloatArray) -> None:
-        """Write the approximate solution for ``vector``, both (n, 3)."""
-
-
-@final
-class Blocks:
-    """The inverse 3 x 3 diagonal blocks (see :meth:`Mechanics.setup_preconditioner`)."""
-
-    def setup(self, system: Mechanics, gamma: float, linear: Linearisation) -> None:
-        """Invert the blocks."""
-        system.setup_preconditioner(gamma, linear)
-
-    def solve(self, system: Mechanics, vector: FloatArray, out: FloatArray) -> None:
-        """Multiply by the inverses."""
-        system.precondition(vector, out)
 
 
 @njit(**KERNEL)
@@ -116,14 +91,14 @@ def _collect_chunk(
 
 @njit(**KERNEL)
 def _invert(blocks, i):
-    """Replace a symmetric 3 x 3 block by its inverse; return its determinant."""
+    """Replace a symmetric 3 x 3 block by its inverse."""
     a, b, c = blocks[i, 0], blocks[i, 1], blocks[i, 2]
     f, g, h = blocks[i, 3], blocks[i, 4], blocks[i, 5]
     xx, xy, xz = b * c - h * h, g * h - f * c, f * h - b * g
     determinant = a * xx + f * xy + g * xz
     if not determinant > _FLAT * a * b * c:
         invert_by_pivots(a, b, c, f, g, h, _EPS * max(a, b, c), blocks[i])
-        return determinant
+        return
     scale = 1.0 / determinant
     blocks[i, 0] = xx * scale
     blocks[i, 1] = (a * c - g * g) * scale
@@ -131,44 +106,11 @@ def _invert(blocks, i):
     blocks[i, 3] = xy * scale
     blocks[i, 4] = xz * scale
     blocks[i, 5] = (f * g - a * h) * scale
-    return determinant
-
-
-@njit(**KERNEL)
-def _subtract(blocks, i, j, link, e):
-    """Subtract P B⁻¹ P from block j, with the inverted block i and P of the pair ``e``."""
-    nx, ny, nz, w, s = link[e, 0], link[e, 1], link[e, 2], link[e, 3], link[e, 4]
-    xx, yy, zz = blocks[i, 0], blocks[i, 1], blocks[i, 2]
-    xy, xz, yz = blocks[i, 3], blocks[i, 4], blocks[i, 5]
-    # with q = B⁻¹ n:  P B⁻¹ P = w² (n·q) n nᵀ + w s (n qᵀ + q nᵀ) + s² B⁻¹
-    qx, qy, qz = (
-        xx * nx + xy * ny + xz * nz,
-        xy * nx + yy * ny + yz * nz,
-        xz * nx + yz * ny + zz * nz,
-    )
-    a, b, c = w * w * (nx * qx + ny * qy + nz * qz), w * s, s * s
-    blocks[j, 0] -= a * nx * nx + 2.0 * b * nx * qx + c * xx
-    blocks[j, 1] -= a * ny * ny + 2.0 * b * ny * qy + c * yy
-    blocks[j, 2] -= a * nz * nz + 2.0 * b * nz * qz + c * zz
-    blocks[j, 3] -= a * nx * ny + b * (nx * qy + qx * ny) + c * xy
-    blocks[j, 4] -= a * nx * nz + b * (nx * qz + qx * nz) + c * xz
-    blocks[j, 5] -= a * ny * nz + b * (ny * qz + qy * nz) + c * yz
-
-
-@njit(**KERNEL)
-def _factor_chunk(c, chunk, incomplete, begin, near, link, blocks):
-    """Invert the diagonal blocks; ``incomplete`` corrects them as a factorisation does."""
-    low, high = c * chunk, min((c + 1) * chunk, blocks.shape[0])
-    for i in range(low, high):
-        _invert(blocks, i)
-        if incomplete:
-            for e in range(begin[i, 0], begin[i, 1]):
-                _subtract(blocks, i, near[e], link, e)
 
 
 def _factor(
     chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
-    gamma, drag, walls, incomplete, begin, near, link, blocks,
+    gamma, drag, walls, begin, near, link, blocks,
 ):  # fmt: skip
     """Prepare the sweeps for a γ at the linearisation given by its pairs."""
     for c in prange(start.size):
@@ -176,7 +118,8 @@ def _factor(
             c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
             gamma, drag, walls, begin, near, link, blocks,
         )  # fmt: skip
-        _factor_chunk(c, chunk, incomplete, begin, near, link, blocks)
+        for i in range(c * chunk, min((c + 1) * chunk, blocks.shape[0])):
+            _invert(blocks, i)
 
 
 @njit(**KERNEL)
@@ -227,21 +170,18 @@ _DRIVERS = tuple(zip(two_drivers(_factor), two_drivers(_sweep), strict=True))
 
 @final
 class Sweeps:
-    """Symmetric Gauss-Seidel on M, or an incomplete factorisation of it, chunk by chunk.
+    """Symmetric Gauss-Seidel on M, chunk by chunk."""
 
-    - ``incomplete``: correct each diagonal block for the blocks eliminated before it (the D-ILU of
-      the literature), instead of taking it as it is
-    """
-
-    def __init__(self, incomplete: bool = False) -> None:
-        self.incomplete = incomplete
+    def __init__(self, system: Mechanics) -> None:
+        self.system = system
         # a tissue may have no pairs at all: then nothing below asks for room
         self._near = np.empty(0, dtype=np.int32)
         self._link = np.empty((0, 5))
         self._begin = np.empty((0, 2), dtype=np.int64)
 
-    def setup(self, system: Mechanics, gamma: float, linear: Linearisation) -> None:
+    def setup_preconditioner(self, gamma: float, linear: Linearisation) -> None:
         """Prepare for (I - γJ) at a linearisation."""
+        system = self.system
         system.work.preconditioner_setups += 1
         linear = linear.stiffened()
         pairs = linear.pairs
@@ -257,12 +197,12 @@ class Sweeps:
         factor(
             system.chunk, system.weighed_rows, pairs.first, pairs.second, pairs.start,
             pairs.inner_end, pairs.outer_end, linear.normal, linear.along, linear.across, gamma,
-            system.drag, linear.walls, self.incomplete, self._begin, self._near, self._link,
-            self._blocks,
+            system.drag, linear.walls, self._begin, self._near, self._link, self._blocks,
         )  # fmt: skip
 
-    def solve(self, system: Mechanics, vector: FloatArray, out: FloatArray) -> None:
+    def precondition(self, vector: FloatArray, out: FloatArray) -> None:
         """Write the approximate solution for ``vector``, both (n, 3)."""
+        system = self.system
         system.work.preconditioner_solves += 1
         given = system.prescribed
         free = vector.view() if given is None else given.released(vector)
@@ -273,22 +213,3 @@ class Sweeps:
         )  # fmt: skip
         if given is not None:
             out[given.held] = vector[given.held]
-
-
-PRECONDITIONERS: dict[str, Callable[[], Preconditioner]] = {
-    "blocks": Blocks,
-    "gauss-seidel": Sweeps,
-    "incomplete": partial(Sweeps, incomplete=True),
-}
-"""Name -> maker. ``"none"`` stands for no preconditioner where a method allows it."""
-
-
-def preconditioner(name: str, system: Mechanics) -> Preconditioner:
-    """Return the preconditioner called ``name`` for a system.
-
-    With friction between cells J = Γ⁻¹K is not a matrix of pairs, and the system's own
-    blocks are taken in place of the sweeps.
-    """
-    if max(system.friction) > 0.0:
-        return Blocks()
-    return PRECONDITIONERS[name]()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,17 +71,8 @@ class Linearisation:
         return compression.stiffened(self)
 
 
-@final
-class KernelData(NamedTuple):
-    """What the compiled kernels take of a system; ``shared`` says whether threads share them."""
-
-    cells: forces.CellData
-    pairs: forces.PairData
-    law: Any
-    list_radius: FloatArray
-    least_margin: float
-    rows: FloatArray
-    shared: bool
+Kernels = tuple[forces.CellData, Any, FloatArray, float, FloatArray]
+"""What kernels take of a system besides pairs: cells, law, reach of the list, margin, rows."""
 
 
 @final
@@ -182,10 +173,8 @@ class Mechanics:
                 out[given.held] = 0.0
             return
         pairs = self._forces(time, position, False, friction.force)
-        try:
-            iterations = friction.velocity(self._rows, pairs, self._shared(pairs), out, given)
-        except friction.failure as error:
-            raise StateRejected(str(error)) from error
+        shared = self._shared(pairs)
+        iterations = friction.velocity(self._rows, pairs, shared, out, given)
         self.work.friction_iterations += iterations
 
     def linearise(self, time: float, position: FloatArray) -> Linearisation:
@@ -262,17 +251,13 @@ class Mechanics:
             out += force / (drag * self._rows[:, 3, None]) if drag > 0.0 else force
         if given is not None:
             out[given.held] = 0.0
-        friction = self._pair_friction
-        if friction is not None:
-            try:
-                self.work.friction_iterations += friction.divide(out, given)
-            except friction.failure as error:
-                raise StateRejected(str(error)) from error
+        if self._pair_friction is not None:
+            self.work.friction_iterations += self._pair_friction.divide(out, given)
 
-    def setup_preconditioner(self, gamma: float, linear: Linearisation | None = None) -> None:
+    def setup_preconditioner(self, gamma: float, linear: Linearisation) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""
         self.work.preconditioner_setups += 1
-        self._fill_blocks(self.linearisation if linear is None else linear)
+        self._fill_blocks(linear)
         if self._pair_friction is not None:
             # the drag that the blocks are divided by is that of Γ's diagonal
             stokes = self.drag * self._rows[:, 3]
@@ -503,10 +488,11 @@ class Mechanics:
         between_types = self.surface_energies is not None and self.motion.kind is not None
         return between_types or self.law.remembers
 
-    def kernel_data(self) -> KernelData:
+    def kernel_data(self) -> tuple[Kernels, forces.PairData, bool]:
         """Return what the kernels take, for a loop that rebuilds the neighbour list itself.
 
-        The list is a copy; :meth:`take_list` takes the one that the loop has built last.
+        The last says whether threads share them. The list is a copy; :meth:`take_list` takes the
+        one that the loop has built last.
         """
         chunks = -(-len(self) // self.chunk)
         if self._pairs is None:
@@ -517,10 +503,9 @@ class Mechanics:
             reference = np.full((len(self), 3), np.nan)
         else:
             pairs, reference = self._pair_data, np.array(self._cells.reference)
-        return KernelData(
-            self._cell_data(reference), pairs, self._law, self._list_radius, self._least_margin,
-            self._rows, self.threads > 1 and chunks >= self.shared_chunks,
-        )  # fmt: skip
+        shared = self.threads > 1 and chunks >= self.shared_chunks
+        law, reach, margin = self._law, self._list_radius, self._least_margin
+        return (self._cell_data(reference), law, reach, margin, self._rows), pairs, shared
 
     def _cell_data(self, reference: FloatArray) -> forces.CellData:
         """Return what is known of the cells, with the positions that a list was built at."""

@@ -43,7 +43,7 @@ from multicell.comparison.record import Recorder
 from multicell.comparison.replay import Problem, Step
 from multicell.errors import SceneError
 from multicell.integrators.registry import from_options
-from multicell.mechanics.growth_rate import largest_decay_rate
+from multicell.mechanics.decay_rate import largest_decay_rate
 
 GOALS = (0.01, 0.001)
 SECONDS, MOST_STEPS = 3.0, 200

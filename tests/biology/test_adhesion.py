@@ -13,7 +13,7 @@ from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.runge_kutta import Euler
-from multicell.mechanics.friction import FrictionMatrix, FrictionNotSolvedError
+from multicell.mechanics.friction import FrictionMatrix
 from multicell.mechanics.motion import Motion, StateRejected
 from multicell.mechanics.system import Mechanics
 from multicell.results.observables import contact_rows
@@ -140,7 +140,7 @@ def test_friction_that_cannot_be_solved_for_rejects_the_state(monkeypatch):
     system.linearise(0.0, position)
 
     def fails(*_, **__):
-        raise FrictionNotSolvedError("after 2000 iterations")
+        raise StateRejected("after 2000 iterations")
 
     monkeypatch.setattr(FrictionMatrix, "solve", fails)
     with pytest.raises(StateRejected, match="2000 iterations"):

@@ -250,3 +250,9 @@ def dense_jacobian(system, position, step=1e-6):
     return np.stack(
         [slope(velocity_of(system), position, unit, step).ravel() for unit in units], axis=1
     )
+
+
+def growth_rate_of(system, position, dimensions=3):
+    """Return the largest real part of an eigenvalue of the dense J, 1/s."""
+    free = np.arange(position.size) % 3 < dimensions
+    return np.linalg.eigvals(dense_jacobian(system, position)[np.ix_(free, free)]).real.max()

@@ -105,7 +105,7 @@ WITH = {
     "held and moved": {
         "motions": {"a": {"cells": [0]}, "b": {"cells": [3, 4], "velocity": [1e-3, 0, 0]}}
     },
-    "a force that rises": {"pull": {"force": 0.02, "rate": 1e-3}},
+    "a force that rises": {"pull": {"force": 0.2, "rate": 1e-3}},
     "crawling": {"motility": {"force": "0.1 nN", "persistence": "10 min"}},
     "exact-jkr": {"contact": {"law": "exact-jkr"}},
     "hertz": {"contact": {"law": "hertz"}},

@@ -64,8 +64,8 @@ def test_an_object_of_ours_with_other_settings_is_recorded_with_them():
     usual = mc.run(scene(), integrator=Cvode(atol=1e-3))
     assert usual.scene.integrator.method == "cvode"
     assert usual.scene.integrator.atol == 1e-3
-    other = mc.run(scene(), integrator=Cvode(atol=1e-3, krylov_dim=3))
-    assert other.scene.integrator.method.endswith("cvode.py:Cvode(krylov_dim=3)")
+    other = mc.run(scene(), integrator=Cvode(atol=1e-3, light=False))
+    assert other.scene.integrator.method.endswith("cvode.py:Cvode(light=False)")
 
 
 def test_a_run_is_resumed_when_the_method_is_given_again(mine, tmp_path):

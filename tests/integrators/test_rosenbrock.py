@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from formulas import growth_rate_of
 from oracles import exact_end, four_cells, reference
 from strategies import cluster, mechanics
 
@@ -14,7 +15,6 @@ from multicell.integrators import rosenbrock_solver
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.rosenbrock_solver import Resolvent, Walk, worst_cell
-from multicell.mechanics.growth_rate import largest_growth_rate
 from multicell.mechanics.jacobian import sparse_jacobian
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -156,9 +156,9 @@ def test_no_step_beyond_the_bound_is_taken(growth, monkeypatch):
     step = Walk._step
 
     def noted(walk, length):
-        time, start = walk.elapsed, walk.position.copy()
+        start = walk.position.copy()
         size = step(walk, length)
-        taken.append((time, length, start))
+        taken.append((length, start))
         return size
 
     monkeypatch.setattr(Walk, "_step", noted)
@@ -166,9 +166,7 @@ def test_no_step_beyond_the_bound_is_taken(growth, monkeypatch):
     outcome = Rosenbrock(1e-6, 1e-2, growth=growth).integrate(used, position)
     assert outcome.done
     assert used.work.rejections > 0
-    products = [
-        length * largest_growth_rate(system(), time, start).rate for time, length, start in taken
-    ]
+    products = [length * growth_rate_of(system(), start) for length, start in taken]
     # the largest eigenvalue is a tenth above the Rayleigh quotient of a direction close to it
     assert max(products) < 1.3 * growth
     assert max(products) > 0.5 * growth
@@ -177,7 +175,7 @@ def test_no_step_beyond_the_bound_is_taken(growth, monkeypatch):
 def test_conjugate_gradients_tell_how_fast_a_disturbance_grows():
     position, system = chain(8, 1e-3, 1000.0)
     used = system()
-    rate = largest_growth_rate(used, 0.0, position).rate
+    rate = growth_rate_of(used, position)
     resolvent = Resolvent(Rosenbrock(), used)
     resolvent.linearise(0.0, position)
     resolvent.setup(0.3 / rate)

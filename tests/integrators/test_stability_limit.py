@@ -18,7 +18,7 @@ from multicell.integrators.rkc import Rkc2
 from multicell.integrators.runge_kutta import Euler
 from multicell.integrators.shift import SHARE
 from multicell.integrators.stability import glance, limit_of
-from multicell.mechanics.growth_rate import largest_decay_rate
+from multicell.mechanics.decay_rate import largest_decay_rate
 from multicell.scene.parts import IntegratorOptions
 from multicell.simulation import Simulation
 
@@ -62,6 +62,10 @@ def test_the_rate_is_the_eigenvalue_of_the_dense_matrix(n, friction, dimensions)
     # with friction velocities are known to some digits, and have no differences
     exact = dense_rate(system, position, dimensions, whole=friction[0] > 0.0)
     assert found == pytest.approx(exact, rel=0.01, abs=1e-12)
+    assert found == largest_decay_rate(system, 0.0, position, dimensions=dimensions)
+    apart = mechanics(np.full(n, 5.0), np.ones(n), friction=friction)
+    far = np.arange(3.0 * n).reshape(n, 3) * 50.0
+    assert largest_decay_rate(apart, 0.0, far, dimensions=dimensions) == 0.0
 
 
 def test_a_look_at_the_velocity_is_never_above_the_rate_and_sees_rattling():

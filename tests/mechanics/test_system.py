@@ -74,7 +74,7 @@ def test_preconditioner_solves_the_block_diagonal_system():
     system = mechanics(radius, young, Hertz())
     system.linearise(0.0, position)
     gamma = 25.0
-    system.setup_preconditioner(gamma)
+    system.setup_preconditioner(gamma, system.linearisation)
     vector = np.random.default_rng(0).normal(size=position.shape)
     found = np.empty_like(vector)
     system.precondition(vector, found)

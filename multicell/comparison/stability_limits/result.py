@@ -33,7 +33,7 @@ class StabilityMap(Comparison):
         step, s; infinite for implicit methods, NaN where there is none), ``of_theory``,
         ``of_euler`` (mean step over 2/λ_max),
         ``kind`` (a key of :data:`multicell.comparison.stability_limits.trial.KINDS`), ``words``
-        (what was seen), ``also`` (what else), ``steps``, ``wall`` (s).
+        (what was seen), ``steps``, ``wall`` (s).
     facts : dict
         ``precision`` of the bisection, ``wall`` (s), ``versions``.
     """

@@ -163,7 +163,7 @@ def bisect(stable: Trial, low: float, high: float) -> float:
 def _row(state: State, method: Method, setting: float, theory: float, patience: float) -> Row:
     """Try one setting."""
     trace, _ = solve_compiled(lambda: run_trial(state, method, setting, patience))
-    verdict = judge(state, trace)
+    kind, words = judge(state, trace)
     fixed = method.control == "step"
     mean = setting if fixed else float(trace.times[-1]) / max(trace.steps, 1)
     return {
@@ -173,9 +173,8 @@ def _row(state: State, method: Method, setting: float, theory: float, patience: 
         "theory": theory,
         "of_theory": setting / theory if fixed else math.nan,
         "of_euler": mean / state.stiff_limit,
-        "kind": verdict.kind,
-        "also": "; ".join(verdict.also),
-        "words": verdict.words,
+        "kind": kind,
+        "words": words,
         "steps": len(trace.times) - 1 if fixed else trace.steps,
         "wall": trace.wall,
     }

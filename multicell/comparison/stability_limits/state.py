@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, eigs, eigsh
 from multicell.cells import FloatArray, IntArray
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.cvode import Cvode
-from multicell.mechanics.growth_rate import symmetric_product
+from multicell.mechanics.decay_rate import symmetric_product
 from multicell.mechanics.motion import Motion, Work
 from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene

@@ -60,7 +60,6 @@ class Trace:
     - ``out_of_bounds``, bool: whether it ended because positions or energy left all bounds
     - ``steps``, int: steps that the method took
     - ``wall``, float, s
-    - ``late``, int: number of displacements at the end that are looked at for alternation
     """
 
     times: list[float]
@@ -71,22 +70,6 @@ class Trace:
     out_of_bounds: bool = False
     steps: int = 0
     wall: float = 0.0
-    late: int = 3
-
-
-@final
-@dataclass(frozen=True)
-class Verdict:
-    """How a trial went.
-
-    - ``kind``, str: a key of :data:`KINDS`
-    - ``words``, str: what was seen
-    - ``also``, tuple of str: what else was seen, in words
-    """
-
-    kind: str
-    words: str
-    also: tuple[str, ...]
 
 
 def run_trial(state: State, method: Method, setting: float, patience: float = 20.0) -> Trace:
@@ -110,7 +93,7 @@ def run_trial(state: State, method: Method, setting: float, patience: float = 20
     system = state.system(0.0, times[0])
     touching = at_start = system.contacts(0.0, state.start)
     energy = system.energy(0.0, state.start)
-    trace = Trace([0.0], [state.start], [energy], times[-1], late=max(3, count // 4))
+    trace = Trace([0.0], [state.start], [energy], times[-1])
     for k, end in enumerate(times):
         first = 0 if again else k
         state.ready(system, trace.times[first], end, touching if first else at_start)
@@ -142,24 +125,24 @@ def _energy(state: State, system: Mechanics, time: float, position: FloatArray) 
         return np.inf
 
 
-def judge(state: State, trace: Trace) -> Verdict:
-    """Say how a trial went, by comparing it with the reference."""
+def judge(state: State, trace: Trace) -> tuple[str, str]:
+    """Return how a trial went, a key of :data:`KINDS`, and what was seen, in words.
+
+    It is compared with the reference.
+    """
     problem = trace.problem
     true_end = state.at(trace.end)
     rest = state.energy(trace.end, true_end)
     released = max(trace.energy[0] - rest, 0.0)
     noticed = max(_RISE_NOTICED * released, 1e-12 * state.energy_unit)
-    found: list[tuple[str, str]] = []
     if trace.out_of_bounds or _THROWN.search(problem):
-        found.append((BLOW_UP, problem or "positions or energy left all bounds"))
-    elif problem:
-        found.append((STALL, problem))
-    if not problem and not trace.out_of_bounds:
-        deviation = pair_deviation(state, trace.positions[-1], true_end, trace.end)
-        excess, climb = (trace.energy[-1] - rest) / noticed, _climb(trace.energy) / noticed
-        found += [(WRONG, said) for said in _wrong(state, trace, climb, excess, deviation)]
-    kind, words = found[0] if found else (STABLE, "")
-    return Verdict(kind, words, tuple(words for _, words in found[1:]))
+        return BLOW_UP, problem or "positions or energy left all bounds"
+    if problem:
+        return STALL, problem
+    deviation = pair_deviation(state, trace.positions[-1], true_end, trace.end)
+    excess, climb = (trace.energy[-1] - rest) / noticed, _climb(trace.energy) / noticed
+    words = "; ".join(_wrong(state, trace, climb, excess, deviation))
+    return WRONG if words else STABLE, words
 
 
 def pair_deviation(state: State, position: FloatArray, true: FloatArray, time: float) -> float:
@@ -195,7 +178,7 @@ def _wrong(
 def _alternation(state: State, trace: Trace) -> tuple[bool, float]:
     """Return whether the last displacements alternate, and their size in radii."""
     moves = np.diff(np.array(trace.positions), axis=0)
-    late = moves[-trace.late :]
+    late = moves[-max(3, len(moves) // 4) :]
     size = float(np.sqrt(np.square(late).sum(axis=2)).max()) / state.radius
     flat = late.reshape(len(late), -1)
     product = np.einsum("ij,ij->i", flat[1:], flat[:-1])
