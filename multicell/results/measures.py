@@ -84,9 +84,16 @@ OBSERVABLES: Final = (
     _length("radius", lambda s: s.extent.radius(), doc="R"),
     _tissue_length(
         "viable_rim",
-        lambda s: s.extent.rim(),
+        lambda s: s.extent.rim(State.NECROTIC),
         absent="without a core, and where the dead lie outside the living",
         doc="R less the necrotic radius",
+    ),
+    _tissue_length(
+        "proliferating_rim",
+        lambda s: s.extent.rim(State.QUIESCENT, State.NECROTIC),
+        exists=lambda scene: scene.growth,
+        absent="without quiescent and necrotic cells, and where they lie outside the others",
+        doc="R less the radius, by the same formula, of quiescent and necrotic cells",
     ),
     Observable(
         "growth_fraction",

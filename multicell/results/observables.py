@@ -90,14 +90,15 @@ class Extent:
         """Return twice the radius of all cells, µm; 0 without cells."""
         return 2.0 * self.radius()
 
-    def rim(self) -> float:
-        """Return the thickness of the layer outside the necrotic cells, µm; NaN without any.
+    def rim(self, *states: State) -> float:
+        """Return the thickness of the layer outside the cells in some states, µm; NaN without any.
 
-        Necrotic cells that lie further out than all on average are no core: there is no layer
-        outside them. A core that is hollow, because its oldest cells were removed, is measured
-        somewhat too large.
+        The states are necrotic for the viable rim, and quiescent too for the proliferating one.
+        Cells of these states that lie further out than all on average are no core: there is no
+        layer outside them. A core that is hollow, because its oldest cells were removed, is
+        measured somewhat too large.
         """
-        core = self.radius_of(State.NECROTIC)
+        core = self.radius_of(*states)
         thickness = self.radius() - core
         # rounding must not take the rim of a population that is all core
         lost = thickness < -1e-12 * core

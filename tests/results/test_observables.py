@@ -43,7 +43,7 @@ def test_packed_ball_does_not_depend_on_the_cells_overlap():
     assert large**2 - small**2 == pytest.approx(4.0 * (25.0 - 1.0), rel=1e-9)
 
 
-def test_layers_of_a_ball_give_core_rim_and_the_part_that_proliferates():
+def test_layers_of_a_ball_give_core_rims_and_the_part_that_proliferates():
     """A ball of radius 100 whose cells are necrotic within 60 and quiescent up to 80 µm."""
     position = _uniform_ball(100.0)
     states = np.array([State.NECROTIC, State.QUIESCENT, State.PROLIFERATING])
@@ -51,6 +51,7 @@ def test_layers_of_a_ball_give_core_rim_and_the_part_that_proliferates():
     state = states[layer]
     frame = Frame(0.0, 0, cells_at(position, radius=0.2, state=state), {})
     row = history_row(BARE.with_changes({"growth": {}}), frame)
+    assert row["proliferating_rim"] == pytest.approx(20.0, rel=2e-2)
     assert row["viable_rim"] == pytest.approx(40.0, rel=1e-2)
     assert row["necrotic_radius"] == pytest.approx(60.0, rel=4e-3)
     names = ("necrotic", "quiescent", "proliferating", "apoptotic")

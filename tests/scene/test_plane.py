@@ -54,11 +54,11 @@ def test_one_cell_has_its_own_size(dimensions):
     assert living.diameter() == pytest.approx(9.0, rel=1e-14)
     assert living.packing_ratio() == pytest.approx(1.0, rel=1e-13)
     assert living.radius_of(State.NECROTIC) == 0.0
-    assert np.isnan(living.rim())
+    assert np.isnan(living.rim(State.NECROTIC))
     cells.state[:] = State.NECROTIC
     dead = observables.Extent(cells, dimensions)
     assert dead.radius_of(State.NECROTIC) == pytest.approx(4.5, rel=1e-14)
-    assert dead.rim() == pytest.approx(0.0, abs=1e-12)
+    assert dead.rim(State.NECROTIC) == pytest.approx(0.0, abs=1e-12)
 
 
 @BOTH
@@ -87,7 +87,7 @@ def test_a_dense_tissue_with_a_core(dimensions):
     extent = observables.Extent(cells, dimensions)
     assert extent.diameter() == pytest.approx(2 * edge, rel=6e-3)
     assert extent.radius_of(State.NECROTIC) == pytest.approx(0.5 * edge, rel=1e-2)
-    assert extent.rim() == pytest.approx(0.5 * edge, rel=1e-2)
+    assert extent.rim(State.NECROTIC) == pytest.approx(0.5 * edge, rel=1e-2)
     assert extent.radius(distance < 0.7 * edge) == pytest.approx(0.7 * edge, rel=1e-2)
     filled = np.pi / 4 if dimensions == 2 else np.pi / 6
     assert extent.packing_ratio() == pytest.approx(filled, rel=2e-2)
@@ -156,7 +156,7 @@ def test_dead_cells_outside_the_others_are_no_core():
     outside = np.linalg.norm(position, axis=1) > 80.0
     cells = cells_at(position, radius=1.0, state=np.where(outside, State.NECROTIC, 0))
     assert observables.Extent(cells, 3).radius_of(State.NECROTIC) > 100.0
-    assert np.isnan(observables.Extent(cells, 3).rim())
+    assert np.isnan(observables.Extent(cells, 3).rim(State.NECROTIC))
 
 
 @BOTH
