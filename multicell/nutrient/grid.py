@@ -282,14 +282,6 @@ class ShellLayout:
         count = max(2, count)
         return cls(centre, outer / count, count)
 
-    @staticmethod
-    def round_ball(
-        radius: float, margin: float, spacing: float, layer: float | None = None
-    ) -> ShellLayout:
-        """Lay it round a ball of tissue, of which the outermost centres are at ``radius`` (µm)."""
-        outer = _CUBE * (radius + margin) if layer is None else radius + layer
-        return ShellLayout.to(np.zeros(3), outer, spacing)
-
     @property
     def radius(self) -> float:
         """Radius of the ball, µm."""

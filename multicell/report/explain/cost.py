@@ -14,7 +14,6 @@ from typing import Final, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.errors import NutrientFailed
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.runge_kutta import Euler, Heun, RungeKutta4
 from multicell.nutrient.parameters import FieldParameters
@@ -127,33 +126,17 @@ def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[f
 
 
 def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
-    """Return the number of nodes of a field round tissue of each radius, as a run lays them.
-
-    Where that is more than a run allows, and so ends, it is the most that it does.
-    """
-    from multicell.nutrient.grid import BoxLayout, ShellLayout
-
+    """Return the number of nodes of a field round tissue of each radius, as far as runs allow."""
     nutrient, p = scene.nutrients[name], FieldParameters.of(scene, name)
     if scene.box is not None:
         counts = box.filling(box.sides(scene.box), p.spacing)
         return np.full(len(radius), float(math.prod(counts or (1,))))
-    flat = p.height if scene.dimensions == 2 else None
-    shells = flat is None and nutrient.layout != "box"
-    centres = np.maximum(radius - typical_radius(scene), 0.0)
-    found = []
-    for outermost in centres.tolist():
-        try:
-            if shells:
-                own = outermost if nutrient.layer is None else outermost + typical_radius(scene)
-                laid = ShellLayout.round_ball(own, nutrient.margin, p.spacing, nutrient.layer)
-                found.append(float(laid.count))
-            else:
-                corners = np.array([[-outermost] * 3, [outermost] * 3])
-                cubes = BoxLayout.round(corners, nutrient.margin, p.spacing, flat)
-                found.append(float(cubes.box.nodes))
-        except NutrientFailed:
-            found.append(float(MAX_NODES))
-    return np.array(found)
+    reach = np.maximum(radius - typical_radius(scene), 0.0) + nutrient.margin
+    if scene.dimensions == 3 and nutrient.layout != "box":
+        nodes = (reach if nutrient.layer is None else radius + nutrient.layer) / p.spacing
+    else:
+        nodes = (2.0 * reach / p.spacing) ** scene.dimensions
+    return np.clip(np.ceil(nodes), 1.0, MAX_NODES)
 
 
 def cost_numbers(scene: Scene, expected: Prediction) -> list[Number]:

@@ -243,18 +243,16 @@ def draw_discs(
 
 def slice_at(field: Field, z: float) -> FloatArray:
     """Return the field on the plane at height z (µm), interpolated linearly: (nx, ny)."""
+    from scipy.interpolate import make_interp_spline
+
     if field.kind == "radial":
         field = field.in_plane(z)
-    if field.values.shape[2] == 1:
-        return np.asarray(field.values[:, :, 0])
     heights = field.axis(2)
+    if len(heights) == 1:
+        return np.asarray(field.values[:, :, 0])
     if not heights[0] <= z <= heights[-1]:
         raise ValueError(f"the plane z = {z:g} um lies outside the grid of {field.name}")
-    below = min(max(int(np.searchsorted(heights, z)) - 1, 0), max(len(heights) - 2, 0))
-    above = min(below + 1, len(heights) - 1)
-    weight = (z - heights[below]) / field.spacing
-    layers = field.values
-    return np.asarray((1.0 - weight) * layers[:, :, below] + weight * layers[:, :, above])
+    return np.asarray(make_interp_spline(heights, field.values, k=1, axis=2)(z))
 
 
 def refine(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
