@@ -132,10 +132,8 @@ def _draw_law(axes: Axes, pair: Pair, x: FloatArray) -> None:
     attraction = -pair.force(pair.rest - d)
     shown = attraction > 0.0
     axes.plot(d[shown], attraction[shown], color=style.QUIET, lw=1.2, label="attraction of the law")
-    simple = getattr(pair.law, "surface_energy", 0.0) > 0.0 and pair.bonds == 0.0
-    label = "theory: (3/2) π σ r_ij" if simple else "theory: largest attraction"
     if load > 0.0:
-        label = f"{label} = {load:.4g} nN"
+        label = f"theory: largest attraction = {load:.4g} nN"
         axes.axhline(load, color=style.INK, lw=1.6, ls="--", label=label)
     margin = 0.03 * (furthest - nearest)
     axes.set_xlim(nearest - margin, furthest + margin)

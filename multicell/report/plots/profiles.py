@@ -86,10 +86,8 @@ def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) 
     bottom, width, types = np.zeros(len(profile.counts)), np.diff(profile.edges), list(scene.types)
     parts, colours = profile.fractions, dict(style.COLOURS)
     if len(types) > 1:
-        radius, kind = (
-            distances(frame.cells, centre(frame.cells, scene.dimensions)),
-            frame.cells.kind,
-        )
+        kind = frame.cells.kind
+        radius = distances(frame.cells, centre(frame.cells, scene.dimensions))
         parts = {name: means(radius, profile.edges, kind == k) for k, name in enumerate(types)}
         colours |= style.type_colours(types)
     for name in [n for n in reversed(colours) if n in parts and np.nansum(parts[n]) > 0]:
