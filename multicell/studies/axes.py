@@ -20,7 +20,7 @@ from multicell.host.files import parse_toml
 from multicell.results.quantities import UNITS
 from multicell.scene.parts import own_names
 from multicell.scene.scene import Scene
-from multicell.studies.keys import Key, key_of
+from multicell.studies.keys import Key, key_of, refuse_ineffective
 from multicell.studies.limits import MAX_POINTS
 from multicell.units import shown
 
@@ -301,6 +301,7 @@ def check_ranges(scene: Scene, ranges: Sequence[Range]) -> None:
         others = [other for other in ranges if other is not free]
         for end in _ends_of(free):
             _somewhere(scene, {free.key: end}, others)
+    refuse_ineffective([({}, _somewhere(scene, {}, ranges))], [free.key for free in ranges])
 
 
 def _ends_of(free: Range) -> tuple[Any, Any]:

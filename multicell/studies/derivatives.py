@@ -83,8 +83,8 @@ def gradient(
     Raises
     ------
     SceneError
-        For an unknown observable; a key that is no number, absent or zero; a step after which the
-        scene is refused; before anything runs.
+        For an unknown observable; a key that is no number, absent, zero or without effect; a step
+        after which the scene is refused; before anything runs.
     OutputError
         If the folder cannot be used, or holds another study.
     MissingPackage, ClusterError

@@ -1,13 +1,19 @@
-"""Where a dotted key of a scene leads: its declaration, its unit, and what a value becomes."""
+"""Where a dotted key of a scene leads: its declaration, its unit, and what a value becomes.
+
+To vary a key without effect would be to run the same thing again. The rules for that are of keys
+that studies usually vary; a study of any other one runs, and shows that nothing depends on it.
+"""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from typing import Any, Final, final
 
 from multicell.errors import SceneError
+from multicell.integrators.registry import METHODS
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.responses import Response, in_base_units, unit_of
 from multicell.scene.scene import Scene, check_dotted
@@ -140,3 +146,83 @@ def _near(name: str, known: Sequence[str]) -> str:
     if not near:
         near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
+
+
+def no_effect(scene: Scene, key: str) -> str:
+    """Return why a key has no effect in a scene, in words; nothing where it may have one.
+
+    The reason follows from the other keys alone; whether a run ever gets to where a key matters is
+    for the run to show.
+    """
+    for pattern, holds, words in _PATTERNS:
+        match = pattern.fullmatch(key)
+        if match is not None and holds(scene, *match.groups()):
+            return words.format(*match.groups(), method=scene.integrator.method)
+    return ""
+
+
+def refuse_ineffective(
+    scenes: Iterable[tuple[Mapping[str, Any], Scene]], keys: Sequence[str]
+) -> None:
+    """Refuse keys that have no effect in a scene, or in some of several.
+
+    - ``scenes``: what sets each of them apart (key -> value), and the scene
+    - ``keys``: what is varied
+    """
+    found: dict[str, tuple[str, Mapping[str, Any]]] = {}
+    effective = set()
+    for changes, scene in scenes:
+        for key in keys:
+            reason = no_effect(scene, key)
+            if reason:
+                found.setdefault(key, (reason, changes))
+            else:
+                effective.add(key)
+    for key, (reason, changes) in found.items():
+        others = {name: value for name, value in changes.items() if name != key}
+        if key not in effective or not others:
+            raise SceneError(key, f"has no effect: {reason}", "Nothing would differ between runs.")
+        where = ", ".join(f"{name} = {value!r}" for name, value in others.items())
+        hint = "Vary it in a study of its own, or list the points that make sense."
+        raise SceneError(key, f"has no effect where {where}: {reason}", hint)
+
+
+def _controlled(scene: Scene) -> bool:
+    info = METHODS.get(scene.integrator.method)
+    return info is not None and info.control != "step"
+
+
+def _lacks(scene: Scene, name: str) -> bool:
+    """Return whether a known method does not have a setting."""
+    info = METHODS.get(scene.integrator.method)
+    return info is not None and name != "method" and name not in info.settings
+
+
+def _scheduled(scene: Scene, field: str) -> bool:
+    """Return whether the medium of a field is given from the start on."""
+    media, finite = scene.nutrients[field].media, scene.nutrients[field].finite_medium
+    return bool(media) and media[0][0] <= 0.0 and finite is None  # type: ignore[index]
+
+
+_RULES: Final[Sequence[tuple[str, Callable[..., Any], str]]] = (
+    ("growth.cycle_time growth.cycle_variation", lambda s: s.growth.phases,
+     "the phases of the cycle say how long it lasts"),
+    ("growth.phases.*.variation", lambda s, name: s.growth.phases[name].distribution == "fixed",
+     "the phase has a fixed duration"),
+    ("integrator.step", _controlled, "the method {method!r} chooses its steps"),
+    ("integrator.*", _lacks, "the method {method!r} has no {0}"),
+    ("cells.young", lambda s: s.types and all(k.young is not None for k in s.types.values()),
+     "every type of cell has a Young's modulus of its own"),
+    ("contact.surface_energy", lambda s: any(k.surface_energy for k in s.types.values()),
+     "every pair of types has a surface energy of its own"),
+    ("nutrients.*.boundary", _scheduled, "'media' says what the medium is from the start on"),
+)  # fmt: skip
+"""Keys, what holds where they have no effect, and that in words.
+
+Both get the scene, and the names that stand for the stars of the key.
+"""
+_PATTERNS: Final = [
+    (re.compile(r"([^.]+)".join(map(re.escape, key.split("*")))), holds, words)
+    for keys, holds, words in _RULES
+    for key in keys.split()
+]

@@ -22,6 +22,7 @@ from multicell.host.files import parse_toml, read_regular
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
 from multicell.studies.axes import Axis, change, parse_axis, with_unique_names
+from multicell.studies.keys import refuse_ineffective
 from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown
@@ -65,7 +66,7 @@ class Plan:
       same at all points, so that two of them differ by their parameters alone
 
     Raises SceneError if anything of it cannot be: a number of seeds below one, a point that the
-    scene refuses (with its values), two points that are one.
+    scene refuses (with its values), a key without effect, two points that are one.
     """
 
     scene: Scene
@@ -84,6 +85,8 @@ class Plan:
         object.__setattr__(self, "points", tuple(_points(self.axes, self.design)))
         scenes = tuple(change(self.scene, point.changes) for point in self.points)
         object.__setattr__(self, "scenes", scenes)
+        cases = zip((point.changes for point in self.points), scenes, strict=True)
+        refuse_ineffective(cases, [axis.key for axis in self.axes])
         self._refuse_equal_points()
 
     @cached_property

@@ -10,14 +10,8 @@ from rich_medium import RICH
 
 import multicell as mc
 from multicell import SceneError
-from multicell.studies.axes import (
-    check_ranges,
-    parse_axis,
-    parse_range,
-    parse_ranges,
-    with_unique_names,
-)
-from multicell.studies.keys import _keys_of
+from multicell.studies.axes import parse_axis, parse_range, with_unique_names
+from multicell.studies.keys import _keys_of, no_effect
 from multicell.studies.plan import axis_line
 
 OXYGEN = "nutrients.oxygen.boundary"
@@ -180,6 +174,7 @@ def test_every_value_of_a_scene_is_an_axis_of_itself(name):
     """Each of its keys, taken for an axis of the value that is there, changes nothing."""
     scene = mc.load_scene(name)
     for key in (key.name for key in _keys_of(scene, scene, "", [])):
+        assert isinstance(no_effect(scene, key), str)
         value = scene.to_dict()
         for step in key.split("."):
             value = value.get(step) if isinstance(value, dict) else None
@@ -194,12 +189,3 @@ def test_every_value_of_a_scene_is_an_axis_of_itself(name):
         for step in key.split("."):
             written = written[step]
         assert parse_axis(key, written, scene) == axis
-
-
-def test_ranges_are_refused_that_do_not_go_together(emt6):
-    """Each of two may leave the scene's own values behind: thresholds rise together."""
-    necrosis, quiescence = "nutrients.oxygen.necrosis", "nutrients.oxygen.quiescence"
-    with pytest.raises(SceneError, match="must be below quiescence"):
-        check_ranges(emt6, parse_ranges({necrosis: "0.001:0.05 mM"}, emt6))
-    together = {necrosis: "0.001:0.03 mM", quiescence: "0.02:0.06 mM"}
-    check_ranges(emt6, parse_ranges(together, emt6))

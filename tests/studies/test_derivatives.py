@@ -145,6 +145,8 @@ GROWS = mc.load_scene("growth")
         (CELL, {"keys": "contact.law"}, "contact.law", "must be a number"),
         (CELL, {"keys": "stop_cells"}, "stop_cells", "is absent"),
         (CELL, {"keys": "initial.count"}, "initial.count", "larger step"),
+        (GROWS, {"keys": "integrator.step", "step": 0.1, "scene": {"integrator.step": 5.0}},
+         "integrator.step", "no effect"),
         (CELL, {"keys": []}, "keys", "name none"),
         (CELL, {"seeds": 1}, "seeds", "from 2"),
         (CELL, {"times": ["1 h"]}, "times", "between 0 and 600"),
