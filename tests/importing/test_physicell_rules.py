@@ -142,8 +142,9 @@ def test_motion(project):
     share = values(made, "speed", 1.0)[3] * scene.types["hunter"].motility_scale
     speed = hill(2.0, up=[(6.0, 0.1, 2, 0.2)], down=[(0.5, 15.0, 3, 10.0)])
     assert share * scene.motility.force / drag * 60.0 == pytest.approx(speed, rel=2e-3)
-    assert scene.motility.bias == 0.25
-    assert [fate(made, n).fate for n in (3, 4)] == [Fate.LEFT_OUT] * 2
+    bias = values(made, "bias", scene.motility.bias)[3]
+    assert bias == pytest.approx(hill(0.25, up=[(1.0, 8.0, 2, 10.0)]), rel=2e-3)
+    assert fate(made, 4).fate is Fate.LEFT_OUT
     assert "persistence" in fate(made, 4).note
 
 

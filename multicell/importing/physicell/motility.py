@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True)
 class Migration:
-    """Motion of a type: µm/min, min, and the substance whose gradient it follows, if any.
+    """Motion of a type: µm/min, min, and the substance along or against whose gradient it is.
 
-    ``fastest`` is the largest speed that rules give it; ``bias`` is negative against a gradient.
+    ``fastest`` is the largest speed that rules give it; ``field`` is empty where it follows none.
     """
 
     speed: float
@@ -27,11 +27,13 @@ class Migration:
     persistence: float
     bias: float
     field: str
+    sign: float
 
     def pattern(self, lead: Migration) -> bool:
         """Return whether responses can let a type of this migration move in the pattern of one."""
+        biased = self.bias > 0.0 and self.field
         same = self.persistence == lead.persistence
-        return same and (not self.bias or self.field == lead.field)
+        return same and (not biased or self.field == lead.field)
 
 
 def read_motility(model: Model) -> None:
@@ -60,13 +62,12 @@ def _moves(kind: Kind) -> bool:
 
 
 def _migration(model: Model, kind: Kind) -> Migration:
-    field, sign = _direction(model, kind)
     bias = kind.number_of("motility/migration_bias", 0.0, at_least=0.0, at_most=1.0)
     speed = kind.number_of("motility/speed", 1.0)
     ends = [rule.end for rule in rules_of(model, "migration speed", [kind])]
     return Migration(
         speed, max(speed, *ends, 0.0), kind.number_of("motility/persistence_time", 1.0),
-        sign * bias if field else 0.0, field,
+        bias, *_direction(model, kind),
     )  # fmt: skip
 
 
@@ -101,21 +102,40 @@ def _direction(model: Model, kind: Kind) -> tuple[str, float]:
 def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
     how, fastest = moving[lead], max(moving, key=lambda kind: moving[kind].fastest * kind.drag)
     force = moving[fastest].fastest * fastest.drag / MINUTE
+    bias = _largest_bias(model, how, moving)
     motility = model.part("motility")
     motility.update(force=force, persistence=max(how.persistence * MINUTE, _step(model)))
     # below the step of mechanics PhysiCell takes a new direction in every step
     motility["renewal"] = "random" if how.persistence * MINUTE >= _step(model) else "regular"
-    biases = {kind: m.bias if m.field == how.field else 0.0 for kind, m in moving.items()}
-    most = max(map(abs, biases.values()))
-    if most > 0.0:
-        motility.update(bias=math.copysign(most, how.bias), towards=model.fields[how.field])
-        set_behaviour(model, "bias", motility["bias"], biases, (), lambda rule: rule.end)
+    if bias > 0.0:
+        motility.update(bias=math.copysign(bias, how.sign), towards=model.fields[how.field])
+        _set_biases(model, how, moving)
     for kind in model.kinds:
         own = moving[kind].fastest * kind.drag / MINUTE if kind in moving else 0.0
         model.of_type(kind, "motility_scale", own / force)
     # forces are held in a coupling step
     shortest = min(max(moving[kind].persistence * MINUTE, _step(model)) for kind in moving)
     model.scene["coupling_step"] = min(model.scene["coupling_step"], shortest)
+
+
+def _largest_bias(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> float:
+    """Return the largest bias of types and rules along the substance that all follow."""
+    if not lead.field:
+        return 0.0
+    along = {kind: how.bias for kind, how in moving.items() if how.field == lead.field}
+    ends = [rule.end for rule in rules_of(model, "migration bias", along)]
+    return min(max([*along.values(), *ends]), 1.0)
+
+
+def _set_biases(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> None:
+    """Set biases along the gradient of one substance; against it they are negative."""
+    signs = {kind: how.sign if how.field == lead.field else 0.0 for kind, how in moving.items()}
+    own = {kind: signs[kind] * how.bias for kind, how in moving.items()}
+    rules = rules_of(model, "migration bias", [kind for kind in moving if signs[kind]])
+    set_behaviour(
+        model, "bias", model.part("motility")["bias"], own, rules,
+        lambda rule: signs[rule.kind] * min(max(rule.end, 0.0), 1.0),
+    )  # fmt: skip
 
 
 def _step(model: Model) -> float:

@@ -98,6 +98,11 @@ The first pattern that fits counts; those of a type stand without what is above 
 """
 _OF_TYPES: Final = ("transformation_rate", "cell_adhesion_affinity")
 """Tags of what names another type."""
+_NEEDED: Final = {
+    "mechanics/(attachment_elastic|maximum_number_of_att|detachment)": "attachment_rate",
+    "cell_interactions/(attack_d|damage_rate)": "attack_rates/attack_rate",
+}
+"""What means nothing where all elements at a path beside it are zero."""
 _ZEROS: Final = (
     "domain|save|options/(virtual|random)|user_parameters|microenvironment_setup/variable|custom_|"
     "intracellular|cycle/phase|mechanics/(cell_(cell|adhesion)|relative)|motility/persistence"
@@ -115,6 +120,9 @@ def _account_for_rest(model: Model) -> None:
         fate, key, note = next(row[1:] for row in _SETTINGS if re.match(row[0], where))
         acts = bool(re.match(_ZEROS, where)) or not _says_nothing(leaf)
         acts = acts and not (leaf.tag in _OF_TYPES and leaf.attributes.get("name") not in names)
+        for pattern, path in _NEEDED.items():
+            if re.match(pattern, where) and leaf.above is not None:
+                acts = acts and not all(map(_says_nothing, leaf.above.all(path)))
         if leaf.is_off() or not acts:
             fate, key, note = _OFF, "", ""
         model.account.take(leaf, fate, key, note)

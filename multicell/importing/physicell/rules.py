@@ -102,7 +102,7 @@ def _read_row(model: Model, place: str, row: list[str]) -> None:
         raise SceneError(place, "has a number that is not finite")
     if row[2] not in ("increase", "increases", "promotes", "decrease", "decreases", "inhibits"):
         raise SceneError(place, f"says {row[2]!r}, must be 'increases' or 'decreases'")
-    signal, behaviour = (_first_name(word) for word in (row[1], row[3]))
+    signal, behaviour = (_first_name(model, word) for word in (row[1], row[3]))
     kind, level, text = model.kind_named(row[0]), _level(model, signal), ",".join(row)
     if kind is None:
         model.account.add(place, text, Fate.OFF, note="of a type that there is not")
@@ -119,13 +119,15 @@ def _read_row(model: Model, place: str, row: list[str]) -> None:
         model.rules.append(rule)
 
 
-def _first_name(word: str) -> str:
+def _first_name(model: Model, word: str) -> str:
     """Return the grammar's first name for a signal or behaviour."""
     for pattern, name in _SYNONYMS.items():
         found = re.match(pattern, word)
         if found:
             word = found.expand(name) + word[found.end() :]
-    return word
+    found = re.fullmatch(r"(.*) cell type (\d+)", word)
+    kind = next((k for k in model.kinds if found and k.number == int(found[2])), None)
+    return f"{found[1]} {kind.name}" if found and kind else word
 
 
 def _level(model: Model, signal: str) -> tuple[str, float, str] | None:
