@@ -76,6 +76,16 @@ def test_pairs_adhere_by_their_affinities(project):
             assert moved == pytest.approx(push, rel=1e-12)
 
 
+def test_a_distance_at_rest_sets_the_adhesion(project):
+    changes = ('set_relative_equilibrium_distance enabled="false"',
+               'set_relative_equilibrium_distance enabled="true"')  # fmt: skip
+    made = mc.import_physicell(project(changes))
+    pair = pair_of(made.scene, 0, 0, 8.0, 8.0)
+    assert pair.distance() == pytest.approx(1.8 * 8.0, rel=1e-9)
+    strength = "cell_definitions/cell_definition[tumour cell]/phenotype/mechanics/"
+    assert fates(made)[f"{strength}cell_cell_adhesion_strength"] is Fate.OFF
+
+
 def test_waiting_times_of_phases_are_those_of_physicell(project):
     scene = mc.import_physicell(project()).scene
     u = np.array([0.02, 0.3, 0.5, 0.9, 0.999])
@@ -184,7 +194,7 @@ def test_a_model_without_cells_has_them_at_random(project):
     assert fates(alone)["initial_conditions"] is Fate.LEFT_OUT
 
 
-def test_of_several_gradients_the_strongest_is_followed(project):
+def test_several_gradients_are_followed_each(project):
     simple = """<chemotaxis>
               <enabled>true</enabled>
               <substrate>growth factor</substrate>
@@ -195,7 +205,8 @@ def test_of_several_gradients_the_strongest_is_followed(project):
       <chemotactic_sensitivity substrate="growth factor">3</chemotactic_sensitivity>
       <chemotactic_sensitivity substrate="oxygen">-1</chemotactic_sensitivity>
       </chemotactic_sensitivities></advanced_chemotaxis>"""
-    alone, made = (mc.import_physicell(project(*c)) for c in ((), ((simple, advanced),)))
-    assert made.scene.motility == alone.scene.motility
-    stated = [e for e in made.entries if "chemotactic_sensitivity" in e.path]
-    assert [(e.fate, "largest" in e.note) for e in stated] == [(Fate.APPROXIMATED, True)] * 2
+    scene = mc.import_physicell(project((simple, advanced))).scene
+    forces = {name: law.force for name, law in scene.chemotaxis.items()}
+    whole = scene.motility.force / 0.75
+    assert forces["growth_factor"] == pytest.approx(0.25 * 0.75 * whole)
+    assert forces["oxygen"] == pytest.approx(-0.25 * 0.25 * whole)

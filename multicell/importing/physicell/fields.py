@@ -8,12 +8,14 @@ U are rate and target of secretion and the rate of uptake, E the net export. Her
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.importing.imported import Fate
 from multicell.importing.physicell import run
 from multicell.importing.physicell.model import MINUTE, Kind, Model, keys_of
+from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 from multicell.units import COMMON, oxygen_solubility
 
 if TYPE_CHECKING:
@@ -145,6 +147,22 @@ class Exchange:
     uptake: float
     export: float
 
+    def under(self, name: str, rule: Rule | None) -> Exchange:
+        """Return the exchange of a substance at the saturation of a rule."""
+        if rule is None:
+            return self
+        what = rule.behaviour.removeprefix(f"{name} ")
+        return replace(self, **{what.removeprefix("secretion "): max(rule.end, 0.0)})
+
+    def given_off(self, volume: float) -> float:
+        """Return what it gives off whatever there is, unit µm³ / min."""
+        return self.secretion * self.target * volume + max(self.export, 0.0)
+
+    @property
+    def taken_up(self) -> float:
+        """First-order uptake per volume, 1/min."""
+        return self.uptake + self.secretion
+
 
 def read_secretion(model: Model) -> None:
     """Read ``secretion`` of all types; to be called when the substances are known."""
@@ -179,27 +197,71 @@ def _set_field(model: Model, name: str, known: dict[Kind, Exchange]) -> None:
     key, unit = model.fields[name], model.unit[name]
     made = model.part("nutrients", key)
     top = max([model.top[name], *(x.target for x in known.values() if x.secretion > 0.0)])
-    taken = {kind: does.uptake + does.secretion for kind, does in known.items()}
-    fastest = max(taken.values())
+    rules = _rules(model, name)
+
+    def takes(kind: Kind, rule: Rule | None) -> float:
+        return known[kind].under(name, rule).taken_up
+
+    def gives(kind: Kind, rule: Rule | None) -> float:
+        return known[kind].under(name, rule).given_off(kind.volume)
+
+    def largest(kind: Kind, of: Callable[[Kind, Rule | None], float]) -> float:
+        return max(of(kind, rule) for rule in (None, *rules) if rule is None or rule.kind is kind)
+
+    limits = {kind: largest(kind, takes) for kind in known}
+    fastest = max(limits.values())
     if fastest > 0.0:
         half = min(max(_FAR * top * unit, _FAR * 1e-6), _MAX_HALF)
         del made["uptake"]
         made["half_saturation"] = half
         made["uptake_per_volume"] = fastest / MINUTE * half
-        _set_shares(model, "uptake_of", key, taken)
-    given = {
-        kind: does.secretion * does.target * kind.volume + max(does.export, 0.0)
-        for kind, does in known.items()
-    }
+        own = [rule for rule in rules if rule.behaviour == f"{name} uptake"]
+        for rule in rules:
+            if rule.behaviour == f"{name} secretion":
+                if any(rule.kind is other.kind for other in own):
+                    rule.note += "; what is given off only, beside rules of uptake"
+                else:
+                    own.append(rule)
+        _respond(model, "uptake", key, takes, limits, own)
+    given = {kind: largest(kind, gives) for kind in known}
     most = max(given.values())
     if most > 0.0:
         made["secretion"] = most * unit / MINUTE
-        _set_shares(model, "secretion_of", key, given)
+        others = [rule for rule in rules if rule.behaviour != f"{name} uptake"]
+        _respond(model, "secretion", key, gives, given, others)
 
 
-def _set_shares(model: Model, table: str, key: str, rates: dict[Kind, float]) -> None:
-    """Let types exchange with a field a part of what any of them does at most."""
-    most = max(rates.values())
-    for kind, rate in rates.items():
-        if rate != most and len(model.kinds) > 1:
-            model.part("types", kind.key, table)[key] = rate / most
+def _respond(
+    model: Model, what: str, key: str, of: Callable[[Kind, Rule | None], float],
+    limits: dict[Kind, float], rules: list[Rule],
+) -> None:  # fmt: skip
+    """Let types do a part of what any of them does at most with a field."""
+    most = max(limits.values())
+    for kind, limit in limits.items():
+        if limit / most != 1.0 and len(model.kinds) > 1:
+            model.part("types", kind.key, f"{what}_of")[key] = limit / most
+    own = {kind: of(kind, None) / limit for kind, limit in limits.items() if limit > 0.0}
+    rules = [rule for rule in rules if rule.kind in own]
+    behaviour = f"{what} of {key}"
+    set_behaviour(model, behaviour, 1.0, own, rules, lambda r: of(r.kind, r) / limits[r.kind])
+
+
+def _rules(model: Model, name: str) -> list[Rule]:
+    """Return the rules of a substance that fields, which are solved one by one, can follow."""
+    found, key = [], model.fields[name]
+    for what in ("uptake", "secretion", "secretion target", "export"):
+        for rule in rules_of(model, f"{name} {what}", model.kinds):
+            field = rule.signal in model.fields.values()
+            if field and not _leads(model, rule.signal, key):
+                model.needs.setdefault(key, set()).add(rule.signal)
+                found.append(rule)
+            elif rule.signal == "volume":
+                found.append(rule)
+            else:
+                rule.note = "fields respond to volumes, and to others that do not depend on them"
+    return found
+
+
+def _leads(model: Model, field: str, to: str) -> bool:
+    """Return whether a field is another one, or depends on it by rules."""
+    return field == to or any(_leads(model, one, to) for one in model.needs.get(field, ()))

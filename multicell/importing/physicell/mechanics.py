@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from multicell.cells import stokes_drag
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, VISCOSITY, Kind, Model
+from multicell.importing.physicell.rules import rules_of, set_behaviour
+
+if TYPE_CHECKING:
+    from multicell.importing.files import Element
 
 _WALL = 100.0 / MINUTE
 """Strength of PhysiCell's walls, µm/s."""
@@ -52,6 +57,7 @@ def _read_repulsion(model: Model) -> None:
     for kind, value in known.items():
         if mixed and value > 0.0:
             model.of_type(kind, "young", _young(value))
+    _read_stiffness(model, known)
     for kind, value in known.items():
         if value == 0.0:
             note = f"cells repel each other here: as those of '{model.leader.name}'"
@@ -59,6 +65,16 @@ def _read_repulsion(model: Model) -> None:
         elif mixed:
             note = "between types the harmonic mean of the strengths, not the geometric one"
             model.account.take(kind.own(_REPULSION), Fate.APPROXIMATED, "types.*.young", note)
+
+
+def _read_stiffness(model: Model, known: dict[Kind, float]) -> None:
+    """Let rules change how strongly cells repel others."""
+    firm = [kind for kind in model.kinds if known[kind] > 0.0]
+
+    rules = [rule for rule in rules_of(model, "cell-cell repulsion", firm) if rule.end > 0.0]
+    note = "the harmonic mean of two cells' strengths, not the geometric one"
+    own, end = dict.fromkeys(firm, 1.0), lambda rule: rule.end / known[rule.kind]
+    set_behaviour(model, "Young's modulus", 1.0, own, rules, end, note)
 
 
 def _range(kind: Kind) -> float:
@@ -79,9 +95,22 @@ def _read_range(model: Model) -> None:
             model.account.take(kind.own(_RANGE), Fate.APPROXIMATED, "contact.cutoff", note)
 
 
+def _equilibrium(kind: Kind) -> tuple[float, Element] | None:
+    """Return the distance at rest over the radius, where the model sets it, and where."""
+    for name, unit in (("absolute", kind.radius), ("relative", 1.0)):
+        found = kind.given(f"mechanics/options/set_{name}_equilibrium_distance")
+        if found is not None and found.says("enabled"):
+            return min(found.number() / unit, 2.0), found
+    return None
+
+
 def _adhesion(kind: Kind) -> float:
     """Return the strength of adhesion of a type, µm/min."""
-    return kind.number_of("mechanics/cell_cell_adhesion_strength", 0.4, at_least=0.0)
+    found = _equilibrium(kind)
+    if found is None:
+        return kind.number_of("mechanics/cell_cell_adhesion_strength", 0.4, at_least=0.0)
+    share, reach = 0.5 * found[0], _range(kind)
+    return float(_repulsion(kind) * ((1.0 - share) / (1.0 - share / max(reach, 1.0))) ** 2)
 
 
 def _affinities(model: Model, kind: Kind) -> dict[str, float]:
@@ -109,6 +138,10 @@ def _read_adhesion(model: Model) -> None:
                 j.key: pairs[i, j] if i.number <= j.number else pairs[j, i] for j in model.kinds
             }
             model.of_type(i, "surface_energy", energies)
+        ruled = _equilibrium(i)
+        if ruled is not None:
+            element = i.own("mechanics/cell_cell_adhesion_strength")
+            model.account.take(element, Fate.OFF, note=f"set by {ruled[1].tag}")
 
 
 def _read_wall(model: Model) -> None:

@@ -90,6 +90,7 @@ class Model:
     - ``unit``: mM for one unit of a substance, by its name
     - ``top``: the highest concentration of a substance that the settings name, in its own unit
     - ``rules``: those that are read, with what becomes of each
+    - ``needs``: the fields on which uptake and secretion of a field depend by rules
     - ``cells``: those at the start, once they are read
     """
 
@@ -101,6 +102,7 @@ class Model:
     unit: dict[str, float] = field(default_factory=dict)
     top: dict[str, float] = field(default_factory=dict)
     rules: list[Rule] = field(default_factory=list)
+    needs: dict[str, set[str]] = field(default_factory=dict)
     cells: Start | None = None
 
     @property

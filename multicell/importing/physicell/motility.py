@@ -13,27 +13,36 @@ from multicell.importing.physicell.rules import rules_of, set_behaviour
 if TYPE_CHECKING:
     from multicell.importing.files import Element
 
+_STEEP = 1e-9
+"""Gradient of half the force over the largest concentration, 1/µm: any gradient is followed."""
+
 
 @final
 @dataclass(frozen=True)
 class Migration:
-    """Motion of a type: µm/min, min, and the substance along or against whose gradient it is.
+    """Motion of a type: µm/min, min, and the signed share of its speed along each gradient.
 
-    ``fastest`` is the largest speed that rules give it; ``field`` is empty where it follows none.
+    ``fastest`` is the largest speed that rules give it.
     """
 
     speed: float
     fastest: float
     persistence: float
     bias: float
-    field: str
-    sign: float
+    along: tuple[tuple[str, float], ...]
+
+    @property
+    def field(self) -> str:
+        """The one substance that it moves along; empty where there is none, or several."""
+        return self.along[0][0] if len(self.along) == 1 else ""
 
     def pattern(self, lead: Migration) -> bool:
         """Return whether responses can let a type of this migration move in the pattern of one."""
-        biased = self.bias > 0.0 and self.field
+        biased = self.bias if self.along else 0.0
         same = self.persistence == lead.persistence
-        return same and (not biased or self.field == lead.field)
+        if len(lead.along) < 2 and len(self.along) < 2:
+            return same and (not biased or self.field == lead.field)
+        return same and self.along == lead.along and self.bias == lead.bias
 
 
 def read_motility(model: Model) -> None:
@@ -42,7 +51,7 @@ def read_motility(model: Model) -> None:
     moving = {kind: how for kind, how in moving.items() if how.fastest > 0.0}
     # the pattern of most cells that follow something, at the largest speed that any of them has
     lead = max(
-        moving, key=lambda k: (bool(moving[k].field) and k.count > 0, k.count, moving[k].fastest),
+        moving, key=lambda k: (bool(moving[k].along) and k.count > 0, k.count, moving[k].fastest),
         default=None,
     )  # fmt: skip
     if lead is not None:
@@ -62,12 +71,13 @@ def _moves(kind: Kind) -> bool:
 
 
 def _migration(model: Model, kind: Kind) -> Migration:
+    along = _directions(model, kind)
     bias = kind.number_of("motility/migration_bias", 0.0, at_least=0.0, at_most=1.0)
     speed = kind.number_of("motility/speed", 1.0)
     ends = [rule.end for rule in rules_of(model, "migration speed", [kind])]
     return Migration(
         speed, max(speed, *ends, 0.0), kind.number_of("motility/persistence_time", 1.0),
-        bias, *_direction(model, kind),
+        bias, tuple(along),
     )  # fmt: skip
 
 
@@ -78,8 +88,8 @@ def _on(kind: Kind, tag: str) -> Element | None:
     return found if enabled is not None and enabled.flag() else None
 
 
-def _direction(model: Model, kind: Kind) -> tuple[str, float]:
-    """Return the substance that a type follows most, and the sign; no name where it does not."""
+def _directions(model: Model, kind: Kind) -> list[tuple[str, float]]:
+    """Return the substances along which a type moves with their shares."""
     advanced = _on(kind, "advanced_chemotaxis")
     if advanced is not None:
         found = advanced.all("chemotactic_sensitivities/chemotactic_sensitivity")
@@ -88,15 +98,15 @@ def _direction(model: Model, kind: Kind) -> tuple[str, float]:
             for one in found
             if one.attributes.get("substrate") in model.fields and one.number() != 0.0
         }
-        strongest = max(known, key=lambda name: abs(known[name]), default="")
-        return strongest, math.copysign(1.0, known.get(strongest, 1.0))
+        total = sum(map(abs, known.values()))
+        return [(name, value / total) for name, value in known.items()]
     simple = _on(kind, "chemotaxis")
     if simple is None:
-        return "", 1.0
+        return []
     name, sign = simple.find("substrate"), simple.number_at("direction", 1.0)
     if name is None or name.word() not in model.fields:
         raise simple.error("follows no substance of the model")
-    return name.word() if sign else "", math.copysign(1.0, sign)
+    return [(name.word(), math.copysign(1.0, sign))] if sign else []
 
 
 def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
@@ -107,9 +117,18 @@ def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
     motility.update(force=force, persistence=max(how.persistence * MINUTE, _step(model)))
     # below the step of mechanics PhysiCell takes a new direction in every step
     motility["renewal"] = "random" if how.persistence * MINUTE >= _step(model) else "regular"
-    if bias > 0.0:
-        motility.update(bias=math.copysign(bias, how.sign), towards=model.fields[how.field])
+    if bias > 0.0 and how.field:
+        bias = math.copysign(bias, how.along[0][1])
+        motility.update(bias=bias, towards=model.fields[how.field])
         _set_biases(model, how, moving)
+    elif bias > 0.0:
+        motility["force"] = force * (1.0 - bias)
+        for name, share in how.along:
+            level = max(model.top[name], 1e-6) * model.unit[name]
+            model.part("chemotaxis")[model.fields[name]] = {
+                "force": force * bias * share,
+                "half": max(_STEEP * level, 1e-15),
+            }
     for kind in model.kinds:
         own = moving[kind].fastest * kind.drag / MINUTE if kind in moving else 0.0
         model.of_type(kind, "motility_scale", own / force)
@@ -119,9 +138,9 @@ def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
 
 
 def _largest_bias(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> float:
-    """Return the largest bias of types and rules along the substance that all follow."""
+    """Return the largest bias of types and rules along one substance, or that along several."""
     if not lead.field:
-        return 0.0
+        return lead.bias if lead.along else 0.0
     along = {kind: how.bias for kind, how in moving.items() if how.field == lead.field}
     ends = [rule.end for rule in rules_of(model, "migration bias", along)]
     return min(max([*along.values(), *ends]), 1.0)
@@ -129,7 +148,9 @@ def _largest_bias(model: Model, lead: Migration, moving: dict[Kind, Migration]) 
 
 def _set_biases(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> None:
     """Set biases along the gradient of one substance; against it they are negative."""
-    signs = {kind: how.sign if how.field == lead.field else 0.0 for kind, how in moving.items()}
+    signs = {
+        kind: how.along[0][1] if how.field == lead.field else 0.0 for kind, how in moving.items()
+    }
     own = {kind: signs[kind] * how.bias for kind, how in moving.items()}
     rules = rules_of(model, "migration bias", [kind for kind in moving if signs[kind]])
     set_behaviour(
@@ -157,11 +178,11 @@ def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migratio
     ways = [*table.all("options/chemotaxis"), *table.all("options/advanced_chemotaxis")]
     account.take_all([way for way in ways if way is not used], Fate.OFF)
     bias = table.all("migration_bias")
-    if not how.field:
+    if not how.along:
         account.take_all(bias, Fate.OFF, note="no gradient is followed")
-    if used is not None and used.tag == "advanced_chemotaxis":
-        note = "of several gradients only that of the largest sensitivity is followed"
-        account.take_all([used], Fate.APPROXIMATED, "motility.towards", note)
+    if len(how.along) > 1:
+        note = "gradients are followed each by itself, and random motion is added at full length"
+        account.take_all([*bias, *ways], Fate.APPROXIMATED, "chemotaxis", note)
     if not how.pattern(lead):
         note = "types share one persistence and one gradient, those of the most cells"
         shared = [*table.all("persistence_time"), *bias, *ways]

@@ -15,7 +15,7 @@ from multicell.importing.physicell.cycle import read_cycle
 from multicell.importing.physicell.death import read_death
 from multicell.importing.physicell.fields import name_fields, read_fields, read_secretion
 from multicell.importing.physicell.mechanics import read_mechanics
-from multicell.importing.physicell.model import MINUTE, Model, read_kinds
+from multicell.importing.physicell.model import MINUTE, Kind, Model, read_kinds
 from multicell.importing.physicell.motility import read_motility
 from multicell.importing.physicell.rules import (
     account_for_rules,
@@ -29,6 +29,7 @@ from multicell.scene.start_table import with_cells
 
 _CODE = "read by C++ code of the model only"
 _INSIDE = "there are no models inside cells"
+_HALVED = "each of two daughters has half the chance; in PhysiCell one of them has all of it"
 _SATURATES = "uptake saturates, a thousand times above the largest concentration that is named"
 _FALLS = "volumes of the dead fall exponentially, after necrosis from the volume of bursting"
 _MAPPED, _NEAR, _LEFT, _OFF = Fate.MAPPED, Fate.APPROXIMATED, Fate.LEFT_OUT, Fate.OFF
@@ -58,7 +59,7 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"microenvironment_setup/options/calculate", _MAPPED, "", "where chemotaxis asks for them"),
     (r"microenvironment_setup/options", _LEFT, "",
      "fields start even, are held on sides of the box only, and are not counted inside cells"),
-    (r"cycle/standard_asymmetric_division", _LEFT, "", "both daughters are of their mother's type"),
+    (r"cycle/standard_asymmetric_division", _NEAR, "responses.mutation_to_*", _HALVED),
     (r"cycle", _MAPPED, "growth.phases, responses.entry_into_*", ""),
     (r"death/model/(death_)?rate", _MAPPED, "death, responses.*_rate_of_*", ""),
     (r"death/model/.*calcification|volume/calcif", _LEFT, "", "no calcium"),
@@ -70,9 +71,8 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"volume", _LEFT, "", "a cell has one volume"),
     (r"mechanics/cell_cell_repulsion", _MAPPED, "cells.young", ""),
     (r"mechanics/relative_maximum_adhesion", _MAPPED, "contact.cutoff", ""),
-    (r"mechanics/(cell_cell_adhesion|cell_adhesion_affinities)", _MAPPED,
+    (r"mechanics/(cell_cell_adhesion|cell_adhesion_affinities|options/set_)", _MAPPED,
      "contact.surface_energy", ""),
-    (r"mechanics/options/set_", _LEFT, "", "the stated strength of adhesion counts"),
     (r"mechanics", _LEFT, "", "cells are not joined by springs"),
     (r"motility/speed", _NEAR, "motility.force", "a force that gives cells of this type the speed"),
     (r"motility/persistence_time", _MAPPED, "motility.persistence", ""),
@@ -139,22 +139,41 @@ def _says_nothing(leaf: Element) -> bool:
         return False
 
 
+def _chances(kind: Kind, table: str, tag: str) -> dict[str, float]:
+    """Return the numbers of a table of a type by the names of other types."""
+    found = kind.given(table)
+    if found is None or found.is_off():
+        return {}
+    return {one.attributes.get("name", ""): one.number(at_least=0.0) for one in found.all(tag)}
+
+
 def _read_changes(model: Model) -> None:
-    """Read the rates at which cells become others, and rules about it."""
-    known = {
-        kind: kind.listed("cell_transformations", "transformation_rates/transformation_rate")
-        for kind in model.kinds
-    }
-    rates = {
-        (kind, one.attributes.get("name", "")): one.number(at_least=0.0) / MINUTE
-        for kind, listed in known.items()
-        for one in listed
-        if not one.is_off()
-    }
+    """Read how cells become others, by rates and by division, and rules about it.
+
+    The chance of an asymmetric division is here that of each of two daughters.
+    """
+    _read_way(
+        model, "cell_transformations", "transformation_rates/transformation_rate",
+        "transform to", "change to", MINUTE,
+    )  # fmt: skip
+    if "growth" in model.scene:
+        _read_way(
+            model, "cycle/standard_asymmetric_division", "asymmetric_division_probability",
+            "asymmetric division to", "mutation to", 2.0, _HALVED,
+        )  # fmt: skip
+
+
+def _read_way(
+    model: Model, table: str, tag: str, theirs: str, ours: str, unit: float, note: str = ""
+) -> None:
     for to in model.kinds:
-        own = {kind: rates.get((kind, to.name), 0.0) for kind in model.kinds if kind is not to}
-        rules = rules_of(model, f"transform to {to.name}", own)
-        set_behaviour(model, f"change to {to.key}", 0.0, own, rules, lambda rule: rule.end / MINUTE)
+        own = {
+            kind: _chances(kind, table, tag).get(to.name, 0.0) / unit
+            for kind in model.kinds
+            if kind is not to
+        }
+        rules = rules_of(model, f"{theirs} {to.name}", own)
+        set_behaviour(model, f"{ours} {to.key}", 0.0, own, rules, lambda r: r.end / unit, note)
 
 
 _ROOT = "PhysiCell_settings"

@@ -1,8 +1,9 @@
 """Rules of PhysiCell's grammar as responses of a scene.
 
 A line of version 2 or 3 is: type, signal, increases or decreases, behaviour, its value at
-saturation, signal of half the effect, Hill power, and whether it holds for the dead. All rules of
-one behaviour combine by the rule ``physicell`` of :mod:`multicell.biology.responding`.
+saturation, signal of half the effect, Hill power, and whether it holds for the dead; version 1 has
+the type's own value before that at saturation. All rules of one behaviour combine by the rule
+``physicell`` of :mod:`multicell.biology.responding`.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ _SIGNALS: Final = {
 _SYNONYMS: Final = {
     r"exit from cycle phase 0": "cycle entry",
     r"(transition|transform) to ": "transform to ",
+    r"(.*) secretion saturation density": r"\1 secretion target",
     r"(current|global) time": "time",
     r"(contact with .*\bcell)s": r"\1",
 }
@@ -70,24 +72,25 @@ def read_rules(model: Model, folder: Path) -> None:
         csv = ruleset.attributes.get("format", "csv").lower() == "csv"
         if not ruleset.says("enabled"):
             model.account.take_all([ruleset], Fate.OFF)
-        elif not csv or not re.match(r"[2-9]|$", version):
-            note = "rules are read from tables (CSV) of versions 2 and 3 only"
+        elif not csv or not re.match(r"[1-9]|$", version):
+            note = "rules are read from tables (CSV) of versions 1, 2 and 3 only"
             model.account.take_all([ruleset], Fate.LEFT_OUT, note=note)
         else:
             note = "its rules have own entries"
             model.account.take_all([ruleset], Fate.MAPPED, note=note)
-            _read_table(model, found_file(ruleset, folder))
+            _read_table(model, found_file(ruleset, folder), version)
 
 
-def _read_table(model: Model, path: Path) -> None:
+def _read_table(model: Model, path: Path, version: str) -> None:
     for number, row in read_rows(path):
         place = f"{path.name}, line {number}"
         if row[0].startswith("//"):
             continue
         if len(row) == 1 and "\t" in row[0]:
             row = [word.strip() for word in row[0].split("\t")]
-        if len(row) != 8 or not all(row):
-            note = f"{len(row)} columns, not 8 that all say something: PhysiCell skips it"
+        columns = 9 if version[:1] == "1" or (not version and len(row) > 8) else 8
+        if len(row) != columns or not all(row):
+            note = f"{len(row)} columns, not {columns} that all say something: PhysiCell skips it"
             model.account.add(place, ",".join(row), Fate.OFF, note=note)
         else:
             _read_row(model, place, row)
@@ -115,6 +118,8 @@ def _read_row(model: Model, place: str, row: list[str]) -> None:
     else:
         name, unit, note = level
         note = "for living cells only" if dead else note
+        if len(row) == 9:
+            note += f"; the own value is that of the settings, not {row[4]} of this line"
         rule = Rule(place, text, kind, name, behaviour, end, half * unit, power, note)
         model.rules.append(rule)
 
@@ -203,6 +208,6 @@ def _respond(model: Model, kind: Kind, behaviour: str, signal: str, said: dict[s
 def account_for_rules(model: Model) -> None:
     """Account for all rules, those that nothing has read included."""
     for rule in model.rules:
-        if rule.fate is Fate.LEFT_OUT:
+        if rule.fate is Fate.LEFT_OUT and not rule.note.startswith("fields"):
             rule.note = f"'{rule.behaviour}' of this type has no counterpart here"
         model.account.add(rule.place, rule.text, rule.fate, rule.key, rule.note)
