@@ -17,7 +17,7 @@ from multicell.calibration.problem import Problem, free_of
 from multicell.calibration.simulator import SceneSimulator
 from multicell.errors import SceneError
 from multicell.host.extras import needs
-from multicell.studies.limits import MAX_RUNS, check_runs, check_seeds, whole
+from multicell.studies.limits import MAX_RUNS, check_cores, check_runs, check_seeds, whole
 from multicell.tables.columns import read_table
 
 if TYPE_CHECKING:
@@ -167,6 +167,7 @@ def carry_out(
 ) -> Fit:
     """Carry out a fit that was checked; parameters as of :func:`fit`."""
     needs("optuna", "distributed", "pandas", "sklearn")
+    check_cores(cores)
     with ExitStack() as stack:
         folder = None
         if output is not None:

