@@ -22,12 +22,12 @@ def test_no_reference_stands_twice():
     assert len(dois) == len(set(dois))
 
 
-def test_every_reference_is_cited_on_a_page():
+def test_every_reference_is_cited_on_a_page_and_every_citation_has_one():
     cited = set()
     for page in pages():
         for keys in re.findall(r"\{cite:[tp]\}`([\w, ]+)`", page.read_text("utf-8")):
             cited.update(key.strip() for key in keys.split(","))
-    assert sorted(set(entries()) - cited) == []
+    assert sorted(set(entries()) ^ cited) == []
 
 
 def test_papers_of_the_citation_file_are_among_the_references():
