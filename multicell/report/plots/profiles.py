@@ -40,7 +40,7 @@ def profiles(frame: Frame, scene: Scene) -> Figure:
     panels = max(len(names), 1) + 1
     grid = figure.add_gridspec(
         -(-panels // columns), columns,
-        left=0.1, right=0.97, top=0.82, bottom=0.1, wspace=0.24, hspace=0.5,
+        left=0.1, right=0.97, top=0.79, bottom=0.1, wspace=0.24, hspace=0.5,
     )  # fmt: skip
     *upper, last = (figure.add_subplot(grid[k]) for k in range(panels))
     for axes, name in zip(upper, names, strict=False):
@@ -50,11 +50,11 @@ def profiles(frame: Frame, scene: Scene) -> Figure:
         label = "mean pressure"
         upper[0].plot(profile.middles, pressure, "o-", color=style.BLUE, lw=2, label=label)
         upper[0].set(title="Pressure", ylabel="pressure (Pa)")
+        upper[0].margins(y=0.3)
     _draw_parts(last, frame, profile, scene)
     for axes in figure.axes:
         axes.set_xlim(0.0, float(profile.edges[-1]))
-        axes.legend(fontsize=9)
-    last.legend(loc="upper left", fontsize=9, ncols=3)
+        axes.legend(loc="upper left", fontsize=9, ncols=4 // columns)
     for axes in figure.axes[-columns:]:
         axes.set_xlabel("distance from the centre (µm)")
     return figure
@@ -79,7 +79,7 @@ def _draw_field(axes: Axes, frame: Frame, profile: RadialProfile, name: str, sce
             label = f"below: cells {meaning}"
             axes.axhline(level, color=style.RED, lw=1.4, ls=dashes, label=label)
     axes.set(title=style.type_label(name).capitalize(), ylabel="mM")
-    axes.set_ylim(0.0, 1.1 * top if top > 0.0 else 1.0)
+    axes.set_ylim(0.0, 1.4 * top if top > 0.0 else 1.0)  # room for the legend
 
 
 def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) -> None:
