@@ -1,6 +1,9 @@
 """Functions called at an address, and the collector of garbage while numba compiles."""
 
 import gc
+import os
+import subprocess
+import sys
 
 import numba.core.event as event
 import numpy as np
@@ -124,3 +127,37 @@ def test_the_collector_runs_again_after_an_error():
         wrong(1.0)
     assert gc.isenabled()
     assert compiling.COMPILATION.depth == 0
+
+
+GONE = """
+import os
+from typing import NamedTuple
+import multicell.compiling  # reads what earlier versions have left
+from numba import njit
+
+class {name}(NamedTuple):
+    value: float
+
+@njit(cache=True)
+def doubled(x):
+    return 2.0 * x.value
+
+assert doubled({name}(1.5)) == 3.0
+print(sum(doubled.stats.cache_hits.values()))
+"""
+
+
+def test_code_on_disk_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
+    """An upgrade leaves files of numba that name types of the version before it."""
+    hits = []
+    for name in ("Earlier", "Present", "Present"):
+        program = tmp_path / "kernels.py"
+        program.write_text(GONE.format(name=name))
+        os.utime(program, (1e9, 1e9))
+        done = subprocess.run(
+            [sys.executable, "-c", "import kernels"], cwd=tmp_path, capture_output=True, text=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr[-1500:]
+        hits.append(int(done.stdout))
+    assert hits == [0, 0, 1]

@@ -20,7 +20,7 @@ from typing import Any, TypeVar, cast, final
 import numpy as np
 from llvmlite import ir
 from numba import njit, typeof, types
-from numba.core import boxing, cgutils, event
+from numba.core import boxing, caching, cgutils, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.cpu import CPUContext
@@ -118,7 +118,17 @@ def _size_of(context: Any, kind: Any) -> int:
     return _SIZES[name]
 
 
+def _index_of(cache: Any) -> Any:
+    """Return numba's index of a file on disk; nothing of one that names types which are gone."""
+    try:
+        return _plain_index(cache)
+    except AttributeError:
+        return {}
+
+
 _templates: Any = _OverloadFunctionTemplate
+_caches: Any = caching.IndexDataCacheFile
+_plain_index, _caches._load_index = _caches._load_index, _index_of
 _options: Any = TargetConfig
 _context: Any = CPUContext
 _plain_jit = _templates._get_jit_decorator

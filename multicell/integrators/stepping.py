@@ -84,13 +84,6 @@ Source.__name__ = Source.__qualname__ = "Source_" + fingerprint_of(
 globals()[Source.__name__] = Source
 
 
-def __getattr__(name: str) -> Any:
-    """Return a type of this name: numba must be able to read what earlier files have left."""
-    if name.startswith("Source_") or name in ("Serial", "Shared"):
-        return type(name, (), {"__module__": __name__})
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
 class Control(NamedTuple):
     """Settings of error control.
 

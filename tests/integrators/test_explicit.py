@@ -306,9 +306,8 @@ def test_the_type_of_what_loops_take_changes_with_the_files_that_are_compiled_in
     assert fingerprint_of(loaded("x = 1")) == one
     files = loops, kernels, fused, neighbours
     assert loops.Source.__name__ == f"Source_{fingerprint_of(*files)}"
-    # numba names types in its files: those of other versions are read, and are others
+    # numba names types in its files
     assert pickle.loads(pickle.dumps(loops.Source)) is loops.Source
-    assert getattr(loops, f"Source_{one}") is not loops.Source
 
 
 @pytest.mark.parametrize("options", [{"stages": 5}, {"stages": 1, "step": 1.0}, {"stages": -2}])
