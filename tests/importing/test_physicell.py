@@ -1,5 +1,6 @@
 """What becomes of PhysiCell's settings: each element once, and numbers by closed forms."""
 
+import re
 from collections import Counter
 
 import numpy as np
@@ -12,7 +13,10 @@ import multicell as mc
 from multicell.biology.draws import quantile
 from multicell.importing.files import read_xml
 from multicell.importing.imported import Fate
+from multicell.importing.physicell.reader import _SETTINGS
 from multicell.scene.pairs import pair_of
+from multicell.scene.scene import Scene
+from multicell.schema import specs
 
 
 def fates(made):
@@ -210,3 +214,17 @@ def test_several_gradients_are_followed_each(project):
     whole = scene.motility.force / 0.75
     assert forces["growth_factor"] == pytest.approx(0.25 * 0.75 * whole)
     assert forces["oxygen"] == pytest.approx(-0.25 * 0.25 * whole)
+
+
+def test_the_account_names_keys_that_scenes_have():
+    text = "\n".join(setting[2] for setting in _SETTINGS)
+    named = re.findall(r"\b[a-z_]+(?:\.[a-z_*]+)+|^[a-z_]+", text, re.M)
+    own = ("responses", "cells.csv", "growth.parameters")  # names of the user's, and a file
+    keys = {key for key in named if not key.startswith(own)}
+    assert len(keys) > 15
+    for key in keys:
+        parts = [Scene]
+        for name in key.replace(".*", "").split("."):
+            found = [specs(part)[name] for part in parts if name in specs(part)]
+            assert found, key
+            parts = [p for s in found for p in (s.table, *(s.parts or {}).values()) if p]

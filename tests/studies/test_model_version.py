@@ -21,9 +21,6 @@ SCENES = {
     },
     "sorting-signal": {"duration": "30 min", "initial.count": 40},
 }
-ROUNDING = {"sorting-signal": 1e-4}
-"""How near numbers are where the last digits of NumPy's functions, which depend on the processor,
-decide about a step; 1e-9 elsewhere."""
 NUMBERS = {
     6: {
         "growth": {"cells": 4, "volume": 1413.2421188721287, "distance": 8.122308148673962},
@@ -41,6 +38,15 @@ NUMBERS = {
         },
     }
 }
+AVX512 = {
+    6: {
+        "sorting-signal": {
+            "distance": 88.64238279196776,
+            "factor": 2.5350318518826525e-07,
+        }
+    }
+}
+"""Where the last digits of NumPy's functions, which differ on such processors, decide of a step."""
 
 
 def numbers(name):
@@ -60,4 +66,5 @@ def numbers(name):
 def test_numbers_belong_to_the_version_of_the_model(name):
     found = numbers(name)
     known = NUMBERS[MODEL_VERSION][name]
-    assert found == pytest.approx(known, rel=ROUNDING.get(name, 1e-9)), CHANGED
+    there = known | AVX512[MODEL_VERSION].get(name, {})
+    assert any(found == pytest.approx(x, rel=1e-9) for x in (known, there)), CHANGED

@@ -46,7 +46,7 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"save/full_data", _MAPPED, "output.every", ""),
     (r"save/folder", _LEFT, "", "multicell run -o names the folder"),
     (r"save", _LEFT, "", "pictures and reports are made of the results of any run"),
-    (r"options/virtual_wall", _NEAR, "domain.wall",
+    (r"options/virtual_wall", _NEAR, "domain",
      "elastic walls; PhysiCell's push is quadratic, and cells without walls stop outside"),
     (r"options/(disable_automated|legacy)|cell_rules/settings", _OFF, "", ""),
     (r"(options|user_parameters)/random_seed", _MAPPED, "seed",
