@@ -57,7 +57,7 @@ def motion_of(
         push=pushed,
         kind=cells.kind if plan.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
-        held=held, velocity=velocity,
+        held=held, velocity=velocity, newborn=cells.age < length,
     )  # fmt: skip
 
 

@@ -74,6 +74,8 @@ class Motion:
       :mod:`multicell.mechanics.prescribed`.
     - ``velocity``, (n, 3), optional: their prescribed velocity, µm/s, zero for all others; given
       where ``held`` is
+    - ``newborn``, (n,) bool, optional: daughters of the step before. They part first of all, and
+      the neighbour list has room for that.
     """
 
     radius: FloatArray
@@ -88,6 +90,7 @@ class Motion:
     touching: NDArray[Any] | None = None
     held: NDArray[Any] | None = None
     velocity: FloatArray | None = None
+    newborn: NDArray[Any] | None = None
 
     @property
     def end_radius(self) -> FloatArray:

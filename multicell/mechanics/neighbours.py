@@ -41,11 +41,11 @@ _SLICES = 4  # bins along x for each along y and z
 
 REPAIRED = 1000  # cells from which on lists are repaired, which takes seconds to compile
 _USED = (0.25, 0.5)  # of the square of a margin: a repair gives new ones to cells beyond
-_FEW = 8  # a list is repaired where one cell in so many has drifted, or fewer
+FEW = 8  # a list is repaired where one cell in so many has drifted, or fewer
 _FOUND = 64  # pairs of a cell that a repair has room for
 _PART = 256  # cells whose pairs one thread looks for at a time
 
-_WIDEST = 8.0  # largest margin of a cell over the least
+WIDEST = 8.0  # largest margin of a cell over the least
 _FORESIGHT = 6.0  # how many times as far as since the last list a cell may move until the next one
 
 
@@ -580,7 +580,7 @@ rebuild, rebuild_parallel = two_drivers(_rebuild)
 @njit(**INLINED)
 def _next_margin(square, least, margin):
     """Return a cell's margin after it has drifted by the root of ``square``, µm."""
-    return max(least, min(max(_FORESIGHT * math.sqrt(square), 0.5 * margin), _WIDEST * least))
+    return max(least, min(max(_FORESIGHT * math.sqrt(square), 0.5 * margin), WIDEST * least))
 
 
 @njit(**INNER)
@@ -775,9 +775,9 @@ def _repair(
                 count += counts[c, k]
             if count < total:
                 total, mark = count, k
-        if total * _FEW <= margin.size:
+        if total * FEW <= margin.size:
             break
-    if total * _FEW > margin.size:
+    if total * FEW > margin.size:
         return False, inner_end, outer_end
     base, count = np.empty(chunks, np.int64), 0
     for c in range(chunks):

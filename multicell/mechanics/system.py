@@ -103,7 +103,7 @@ class Mechanics:
     law: PairLaw
     viscosity: float
     threads: int = 1
-    skin: float = 0.15
+    skin: float = 0.2
     chunk: int = neighbours.CHUNK
     shared_chunks: int = 8
     bond_strength: float = 0.0
@@ -145,6 +145,9 @@ class Mechanics:
         self._list_radius = self._reaching(largest)
         self._least_margin = 0.5 * self.skin * float(largest.mean()) if n else 0.0
         self._margin = np.full(n, self._least_margin)
+        newborn = motion.newborn
+        if newborn is not None and np.count_nonzero(newborn) * neighbours.FEW <= n:
+            self._margin[newborn] *= neighbours.WIDEST
         if self._pairs is not None and len(self._pairs.first) <= _ROOM * (n + 100):
             self.spare = self._pairs.first, self._pairs.second
         self._pairs = self._linear = None

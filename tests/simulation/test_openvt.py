@@ -138,9 +138,12 @@ def test_two_types_sort_or_mix_by_their_adhesion():
     alike, other = "0.05 nN/um", "0.2 nN/um"
     energies = {"A": {"A": alike, "B": other}, "B": {"A": other, "B": alike}}
     changes = {f"types.{name}.surface_energy": pair for name, pair in energies.items()}
-    small = changes | {"initial.count": 100, "duration": "10 h"}
-    first, *_, last = mc.run(scene.with_changes(small)).frames
-    assert mixed(last) > mixed(first) + 0.04
+    small, gains = changes | {"initial.count": 100, "duration": "10 h"}, []
+    for seed in (1, 2, 3):  # by 0.02 they differ
+        first, *_, last = mc.run(scene.with_changes({**small, "seed": seed})).frames
+        gains.append(mixed(last) - mixed(first))
+    assert min(gains) > 0.02
+    assert np.mean(gains) > 0.04
 
 
 def test_an_isolated_cell_moves_one_diameter_in_a_hundred_units_of_time():
