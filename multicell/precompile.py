@@ -1,9 +1,10 @@
 """Compile in another process what the first division of a run needs, while the run has one cell.
 
 A run that begins with one cell needs no forces before that cell has divided. On a new installation
-their compilation takes several seconds, so another process takes one coupling step of two cells
-that touch. Numba keeps the code on disk, where the run finds it. This changes no result and cannot
-make a run fail: what is not ready in time is compiled when it is needed.
+their compilation takes several seconds, so another process begins with it, part by part. Numba
+keeps the code on disk, where the run finds it. Once the cell has divided, the run itself compiles
+those parts that the process has not come to. This changes no result and cannot make a run fail:
+what is not ready in time is compiled when it is needed.
 """
 
 from __future__ import annotations
@@ -12,9 +13,13 @@ import os
 import pickle
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, final
+from shutil import rmtree
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -22,6 +27,7 @@ from multicell.coupling.timeline import Phase
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
+    from multicell.integrators.adams_bashforth import AdaptiveAdams
     from multicell.integrators.base import Integrator
     from multicell.mechanics.system import Mechanics
     from multicell.scene.scene import Scene
@@ -45,14 +51,18 @@ class Precompilation:
         self.process: subprocess.Popen[bytes] | None = None
         useful = threads > 1 and _core_count() > 1 and begins_alone(scene)
         if useful and not forces_are_cached():
-            self.process = _start(scene)
+            with suppress(OSError):  # no room for a folder or a process: nothing is done ahead
+                self._scene, self._taken = scene, TemporaryDirectory(ignore_cleanup_errors=True)
+                self.process = _start(scene, self._taken.name)
 
     def watch(self, simulation: Simulation) -> None:
-        """Wait for the process once the first cell has divided."""
+        """Share the rest with the process once the first cell has divided, and wait for it."""
         if self.process is not None and len(simulation.cells) > 1:
-            compiling = Phase(simulation.wall, "compile")
-            with compiling, suppress(subprocess.TimeoutExpired):
-                self.process.wait(MAX_WAIT)
+            with Phase(simulation.wall, "compile"):
+                with suppress(Exception):  # the process meets it as well, and so ends early
+                    take_step(self._scene, partial(take, self._taken.name))
+                with suppress(subprocess.TimeoutExpired):
+                    self.process.wait(MAX_WAIT)
             self.close()
 
     def close(self) -> None:
@@ -61,6 +71,7 @@ class Precompilation:
             self.process.kill()
             self.process.wait()
             self.process = None
+            self._taken.cleanup()
 
 
 def _core_count() -> int:
@@ -89,21 +100,26 @@ def forces_are_cached() -> bool:
     return any(Path(forces.stats.cache_path).glob(pattern))
 
 
-def _start(scene: Scene) -> subprocess.Popen[bytes] | None:
+def take(folder: str, part: str) -> bool:
+    """Return whether nobody has taken a part before; it is then the caller's."""
+    with suppress(OSError):  # it is there, or the run has ended
+        Path(folder, part).mkdir()
+        return True
+    return False
+
+
+def _start(scene: Scene, taken: str) -> subprocess.Popen[bytes]:
     # an empty place is the folder that this process is in
     places = [place or os.getcwd() for place in sys.path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
     nowhere = subprocess.DEVNULL
-    try:
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "multicell.precompile"],
-            stdin=subprocess.PIPE, stdout=nowhere, stderr=nowhere, env=environment,
-        )  # fmt: skip
-    except OSError:
-        return None
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "multicell.precompile"],
+        stdin=subprocess.PIPE, stdout=nowhere, stderr=nowhere, env=environment,
+    )  # fmt: skip
     assert process.stdin is not None
     with suppress(OSError), process.stdin as pipe:
-        pickle.dump(scene.to_dict(), pipe)
+        pickle.dump((scene.to_dict(), taken), pipe)
     return process
 
 
@@ -137,22 +153,70 @@ def first_method(scene: Scene) -> Integrator:
     return method.method(MILD) if isinstance(method, Auto) else method
 
 
-def take_step(scene: Scene) -> None:
-    """Do what two cells that touch need in a coupling step."""
+def parts(system: Mechanics, position: FloatArray, method: AdaptiveAdams) -> dict[str, list[Any]]:
+    """Return what takes longest first, each as :func:`multicell.compiling.address_of` takes it.
+
+    Nothing is run, so that no part needs the code of another one. Those that share functions, which
+    are compiled once in a process, are one part.
+    """
+    from multicell.integrators import driver, stepping
+    from multicell.integrators.loops.adams_bashforth import adaptive_adams
+    from multicell.mechanics import forces
+
+    known, pairs, shared = system.kernel_data()
+    source = stepping.Source(*known, counts=np.zeros(5, dtype=np.int64))
+    used = stepping.kernels(source, pairs, shared=shared, passes=True)
+    rows, placed = source.rows, position.view()
+    placed.flags.writeable = False  # as the forces have it
+    report = stepping.Report(0, 0.0, 0.0, -1, 0.0), pairs
+    settings = driver.control(method, system, 3.0, 2), method.patience
+    return {
+        "lists": [used["rebuild_at"]],
+        "forces": [
+            used["forces_at"],
+            (forces.pack, True, source.cells, placed, 0.0, rows),
+            (forces.half_virials, None, rows, pairs, source.law, 0.0, source.reach),
+        ],
+        "loop": [(
+            adaptive_adams, report, source, pairs, position, 1.0, source.reach, source.counts,
+            *settings,
+        )],
+        "evaluation": [used["evaluation_at"]],
+        "passes": [used["foresee_at"], used["assess_at"]],
+    }  # fmt: skip
+
+
+def take_step(scene: Scene, takes: Callable[[str], bool] = bool) -> None:
+    """Compile what a coupling step of two cells that touch needs.
+
+    - ``takes``: says of each part, by its name, whether it is for the caller
+    """
+    from multicell.compiling import address_of
+    from multicell.integrators.adams_bashforth import AdaptiveAdams
+    from multicell.integrators.driver import needs_python
     from multicell.results.observables import counts_contacts
 
-    system, position = two_cells(scene)
-    outcome = first_method(scene).integrate(system, position)
-    system.pressure(system.motion.end, outcome.position)
-    if counts_contacts(scene):
-        system.contacts(system.motion.end, outcome.position)
+    (system, position), method = two_cells(scene), first_method(scene)
+    counts = counts_contacts(scene)
+    if isinstance(method, AdaptiveAdams) and not (counts or needs_python(system)):
+        for part, kernels in parts(system, position, method).items():
+            for kernel in kernels if takes(part) else ():
+                address_of(*kernel)
+    elif takes("all"):
+        outcome = method.integrate(system, position)
+        system.pressure(system.motion.end, outcome.position)
+        if counts:
+            system.contacts(system.motion.end, outcome.position)
 
 
 def main() -> None:
-    """Take the step of the scene on standard input."""
+    """Take parts of what the scene on standard input needs, until none is left."""
     from multicell.scene.scene import Scene
 
-    take_step(Scene.from_dict(pickle.load(sys.stdin.buffer)))
+    (scene, taken), run = pickle.load(sys.stdin.buffer), os.getppid()
+    take_step(Scene.from_dict(scene), lambda part: os.getppid() == run and take(taken, part))
+    if os.getppid() != run:  # it was killed, and cannot clean up
+        rmtree(taken, ignore_errors=True)
 
 
 if __name__ == "__main__":

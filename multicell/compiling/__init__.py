@@ -13,6 +13,7 @@ import hashlib
 import sys
 import time as clock
 from collections.abc import Callable
+from inspect import Parameter, Signature
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar, cast, final
@@ -27,6 +28,7 @@ from numba.core.cpu import CPUContext
 from numba.core.pythonapi import _boxers
 from numba.core.targetconfig import TargetConfig
 from numba.core.typing.templates import _OverloadFunctionTemplate
+from numba.extending import intrinsic
 from numba.np import linalg
 from numba.np.numpy_support import as_dtype
 
@@ -331,3 +333,18 @@ def call_at(result: Any, address: Any, *arguments: Any) -> tuple[Any, Any]:
         return returned
 
     return result(address, *given), generate
+
+
+def called_at(count: int, result: Any) -> Any:
+    """Return what compiled code calls with an address and ``count`` arguments of a function there.
+
+    ``result`` returns its type, given those of address and arguments.
+    """
+
+    def call(context: Any, *given: Any) -> tuple[Any, Any]:
+        return call_at(result(*given), *given)
+
+    # numba packs what has no names of its own into a tuple
+    names = [Parameter(f"_{k}", Parameter.POSITIONAL_OR_KEYWORD) for k in range(count + 2)]
+    call.__signature__ = Signature(names)  # type: ignore[attr-defined]
+    return intrinsic(call)

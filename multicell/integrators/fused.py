@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 from numba import prange, types
-from numba.extending import intrinsic, overload
+from numba.extending import overload
 
 from multicell.cells import FloatArray
-from multicell.compiling import address_of, arithmetic, call_at
+from multicell.compiling import arithmetic, called_at
 from multicell.compiling.threads import two_drivers
 
 _CHUNK = 4096  # cells in a chunk
@@ -74,16 +74,15 @@ def _assess(a, new, b, now, c, old, position, trial, rtol, atol, found):
 _FORESEE, _ASSESS = two_drivers(_foresee), two_drivers(_assess)
 
 
-def addresses(radius: FloatArray, *, shared: bool) -> dict[str, int]:
-    """Return where the passes are, for one thread or for all; compile them if need be."""
+def kernels(radius: FloatArray, *, shared: bool) -> dict[str, tuple[Any, ...]]:
+    """Return the passes, for one thread or for all, as ``compiling.address_of`` takes them."""
     place, found = np.empty((0, 3)), np.empty((0, 2))
-    foresee_at = address_of(
-        _FORESEE[shared], 0, 0.0, place, 0.0, place, place, radius, place, found
-    )
-    assess_at = address_of(
-        _ASSESS[shared], 0, 0.0, place, 0.0, place, 0.0, place, place, place, 0.0, 0.0, found
-    )
-    return {"foresee_at": foresee_at, "assess_at": assess_at}
+    return {
+        "foresee_at": (_FORESEE[shared], 0, 0.0, place, 0.0, place, place, radius, place, found),
+        "assess_at": (
+            _ASSESS[shared], 0, 0.0, place, 0.0, place, 0.0, place, place, place, 0.0, 0.0, found
+        ),
+    }  # fmt: skip
 
 
 def foresee(source, a, u, b, v, position, radius, out, found):
@@ -122,16 +121,7 @@ def _compiled_assess(source, a, new, b, now, c, old, position, trial, control, f
     return run
 
 
-@intrinsic
-def _foresee_at(context: Any, address, a, u, b, v, position, radius, out, found):
-    """Call :func:`_foresee`, or what shares its loop, at an address."""
-    return call_at(types.int64, address, a, u, b, v, position, radius, out, found)
-
-
-@intrinsic
-def _assess_at(context: Any, address, a, new, b, now, c, old, place, trial, rtol, atol, found):
-    """Call :func:`_assess`, or what shares its loop, at an address."""
-    return call_at(types.int64, address, a, new, b, now, c, old, place, trial, rtol, atol, found)
+_foresee_at, _assess_at = (called_at(count, lambda *_: types.int64) for count in (8, 11))
 
 
 @arithmetic

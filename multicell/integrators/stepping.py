@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numba import njit, types
 from numba.core.errors import TypingError
-from numba.extending import intrinsic, overload, register_jitable
+from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
@@ -31,7 +31,7 @@ from multicell.compiling import (
     KERNEL,
     address_of,
     arithmetic,
-    call_at,
+    called_at,
     fingerprint_of,
     kind_of,
 )
@@ -153,12 +153,6 @@ def _compiled_evaluate(source, pairs, elapsed, position, out):
     return run
 
 
-@intrinsic
-def _evaluate_at(context, address, source, pairs, elapsed, position, out):
-    """Call :func:`_evaluation` at an address: it would be compiled into a loop at every call."""
-    return call_at(types.Tuple((types.intp, pairs)), address, source, pairs, elapsed, position, out)
-
-
 def _evaluation(source, pairs, elapsed, position, out):
     """Do the work of :func:`evaluate` in compiled code."""
     source.counts[EVALUATIONS] += 1
@@ -200,31 +194,14 @@ def _evaluation(source, pairs, elapsed, position, out):
     return DONE, pairs
 
 
-@intrinsic
-def _forces_at(context, address, cells, pairs, law, position, elapsed, stokes, rows, out):
-    """Call ``forces.forces``, or what shares its loops, at an address."""
-    return call_at(types.boolean, address, cells, pairs, law, position, elapsed, stokes, rows, out)
-
-
-@intrinsic
-def _rebuild_at(context, address, position, radius, skin, chunk, first, second):
-    """Call ``neighbours.rebuild``, or what shares its loops, at an address."""
-    index, end = types.int32[::1], types.int64[::1]
-    listed = types.Tuple((types.boolean, index, index, end, end, end))
-    return call_at(listed, address, position, radius, skin, chunk, first, second)
-
-
-@intrinsic
-def _repair_at(
-    context, address, position, reference, reach, margin, least, chunk, first, second, start,
-    inner_end, outer_end,
-):  # fmt: skip
-    """Call ``neighbours.repair``, or what shares its loops, at an address."""
-    ends = types.int64[::1]
-    return call_at(
-        types.Tuple((types.boolean, ends, ends)), address, position, reference, reach, margin,
-        least, chunk, first, second, start, inner_end, outer_end,
-    )  # fmt: skip
+_INDEX, _ENDS = types.int32[::1], types.int64[::1]
+_LISTED = types.Tuple((types.boolean, _INDEX, _INDEX, _ENDS, _ENDS, _ENDS))
+_REPAIRED = types.Tuple((types.boolean, _ENDS, _ENDS))
+_forces_at = called_at(8, lambda *_: types.boolean)
+_rebuild_at = called_at(6, lambda *_: _LISTED)
+_repair_at = called_at(11, lambda *_: _REPAIRED)
+# the evaluation would be compiled into a loop at every call
+_evaluate_at = called_at(5, lambda _, source, pairs, *__: types.Tuple((types.intp, pairs)))
 
 
 def with_addresses(
@@ -237,39 +214,37 @@ def with_addresses(
     """
     key = kind_of((source, pairs)), shared, passes, len(source.reach) >= neighbours.REPAIRED
     if key not in _PLACES:
-        _PLACES[key] = _addresses(source, pairs, shared=shared, passes=passes)
+        used = kernels(source, pairs, shared=shared, passes=passes)
+        _PLACES[key] = {name: address_of(*kernel) for name, kernel in used.items()}
     return source._replace(**_PLACES[key])
 
 
 _PLACES: dict[Any, dict[str, Any]] = {}
 
 
-def _addresses(
+def kernels(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
-) -> dict[str, Any]:
-    """Return the addresses of the kernels by their names in :class:`Source`."""
+) -> dict[str, tuple[Any, ...]]:
+    """Return what :func:`address_of` takes of the kernels by their names in :class:`Source`."""
     place, found = np.empty((0, 3)), (True, *pairs[:5])
     run, build, repair = forces.forces, neighbours.rebuild, neighbours.repair
     if shared:
         run, build = forces.forces_parallel, neighbours.rebuild_parallel
         repair = neighbours.repair_parallel
-    known = {
-        "forces_at": address_of(
-            run, True, source.cells, pairs, source.law, place, 0.0, True,
-            source.rows, place,
+    known: dict[str, tuple[Any, ...]] = {
+        "forces_at": (
+            run, True, source.cells, pairs, source.law, place, 0.0, True, source.rows, place
         ),
-        "rebuild_at": address_of(
-            build, found, place, source.reach, 0.0, source.cells.chunk, *pairs[:2]
-        ),
-        "evaluation_at": address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
+        "rebuild_at": (build, found, place, source.reach, 0.0, source.cells.chunk, *pairs[:2]),
+        "evaluation_at": (_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }  # fmt: skip
     if len(source.reach) >= neighbours.REPAIRED:
-        known["repair_at"] = address_of(
+        known["repair_at"] = (
             repair, (True, *pairs[3:5]), place, place, source.reach, source.cells.margin, 0.0,
             source.cells.chunk, *pairs[:5],
         )  # fmt: skip
     if passes:
-        known |= fused.addresses(source.cells.radius, shared=shared)
+        known |= fused.kernels(source.cells.radius, shared=shared)
     return known
 
 

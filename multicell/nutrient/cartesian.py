@@ -364,6 +364,8 @@ def gathered(
     if values.ndim != 3:
         raise ValueError(f"values has shape {values.shape}, expected (nx, ny, nz)")
     out = np.empty(len(points))
+    values = values.view()
+    values.flags.writeable = False  # as fields are, so that it is compiled once
     outside, flat_near, near = _gather(points, values, origin, spacing, out)
     _refuse_outside(outside, points)
     return out, near if axes == 3 else flat_near

@@ -134,11 +134,10 @@ def _fold(x: Float32Array) -> None:
     """Replace each two rows at the same distance from the middle by their sum and difference."""
     n, m = x.shape
     for i in range(n // 2):
-        low, high = x[i], x[n - 1 - i]
+        other = n - 1 - i
         for c in range(m):
-            s, d = low[c] + high[c], low[c] - high[c]
-            low[c] = s
-            high[c] = d
+            s, d = x[i, c] + x[other, c], x[i, c] - x[other, c]
+            x[i, c], x[other, c] = s, d
 
 
 @_inner
@@ -160,15 +159,15 @@ def _product(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
         for i in range(0, whole, 4):
             a0, a1, a2, a3 = f[a, i], f[a, i + 1], f[a, i + 2], f[a, i + 3]
             b0, b1, b2, b3 = f[b, i], f[b, i + 1], f[b, i + 2], f[b, i + 3]
-            s, t, u, v = x[i], x[i + 1], x[i + 2], x[i + 3]
             for c in range(m):
-                p[c] += (a0 * s[c] + a1 * t[c]) + (a2 * u[c] + a3 * v[c])
-                q[c] += (b0 * s[c] + b1 * t[c]) + (b2 * u[c] + b3 * v[c])
+                s, t, u, v = x[i, c], x[i + 1, c], x[i + 2, c], x[i + 3, c]
+                p[c] += (a0 * s + a1 * t) + (a2 * u + a3 * v)
+                q[c] += (b0 * s + b1 * t) + (b2 * u + b3 * v)
         for i in range(whole, n):
-            a0, b0, s = f[a, i], f[b, i], x[i]
+            a0, b0 = f[a, i], f[b, i]
             for c in range(m):
-                p[c] += a0 * s[c]
-                q[c] += b0 * s[c]
+                p[c] += a0 * x[i, c]
+                q[c] += b0 * x[i, c]
 
 
 @_inner
@@ -177,11 +176,9 @@ def _swap(x: Float32Array, y: Float32Array) -> None:
     n, m = x.shape[0], y.shape[0]
     k = x.shape[1] // m
     for i in range(n):
-        row = x[i]
         for j in range(m):
-            other = y[j]
             for c in range(k):
-                other[i * k + c] = row[j * k + c]
+                y[j, i * k + c] = x[i, j * k + c]
 
 
 @_inner

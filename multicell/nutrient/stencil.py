@@ -68,14 +68,9 @@ def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray)
 
 @_inner
 def _fill_varied(
-    p: FloatArray,
-    ghost: FloatArray,
-    weights: tuple[FloatArray, FloatArray, FloatArray],
-    i: int,
-    j: int,
-    row: FloatArray,
-    diagonal: FloatArray,
-) -> None:
+    p: FloatArray, ghost: FloatArray, weights: tuple[FloatArray, FloatArray, FloatArray], i: int,
+    j: int, row: FloatArray, diagonal: FloatArray,
+) -> None:  # fmt: skip
     """Write the weighted sums of neighbours to ``row`` and those of the weights."""
     nx, ny, nz = p.shape
     wx, wy, wz = weights
@@ -109,13 +104,9 @@ def _weight(weights: Weights, face: int, i: int, j: int, k: int) -> float:
 
 @_jit
 def apply_operator(
-    p: FloatArray,
-    rate: Floats,
-    stiffness: float,
-    ghost: FloatArray,
-    weights: Weights,
+    p: FloatArray, rate: Floats, stiffness: float, ghost: FloatArray, weights: Weights,
     out: FloatArray,
-) -> float:
+) -> float:  # fmt: skip
     """Write ``(-D L0 + rate) p`` to ``out`` and return its product with ``p``.
 
     ``rate`` (nx, ny, nz) is the linearised uptake at the nodes in 1/s.
@@ -140,18 +131,10 @@ def apply_operator(
 
 
 def imbalance(
-    c: FloatArray,
-    sink: FloatArray,
-    source: FloatArray,
-    half: float,
-    stiffness: float,
-    linear: float,
-    ghost: FloatArray,
-    weights: Weights,
-    residual: Floats,
-    rate: Floats,
+    c: FloatArray, sink: FloatArray, source: FloatArray, half: float, stiffness: float,
+    linear: float, ghost: FloatArray, weights: Weights, residual: Floats, rate: Floats,
     team: Team | None = None,
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float]:  # fmt: skip
     """Write sources minus sinks of all nodes (mM/s) and the sinks' derivative (1/s).
 
     The sinks are uptake, ``sink`` at most (mM/s), and ``linear`` (1/s) times c; ``source`` is in
@@ -162,17 +145,11 @@ def imbalance(
     ``team``, whose threads share the planes, of each plane first.
     """
     planes = len(c)
-    if team is None:
-        parts = np.empty((3, 1))
-        imbalance_of_planes(
-            0, planes, c, sink, source, half, stiffness, linear, ghost, weights, residual, rate,
-            parts, planes,
-        )  # fmt: skip
-        return parts.item(0), parts.item(1), parts.item(2)
-    parts = np.empty((3, planes))
-    team.share(
+    block = planes if team is None else 1
+    parts = np.empty((3, planes // block))
+    (team or Team()).share(
         imbalance_of_planes, planes, c, sink, source, half, stiffness, linear, ghost, weights,
-        residual, rate, parts, 1,
+        residual, rate, parts, block,
     )  # fmt: skip
     squares, total, size = parts.sum(axis=1)
     return float(squares), float(total), float(size)
@@ -180,21 +157,10 @@ def imbalance(
 
 @_jit
 def imbalance_of_planes(
-    begin: int,
-    end: int,
-    c: FloatArray,
-    sink: FloatArray,
-    source: FloatArray,
-    half: float,
-    stiffness: float,
-    linear: float,
-    ghost: FloatArray,
-    weights: Weights,
-    residual: Floats,
-    rate: Floats,
-    parts: FloatArray,
-    block: int,
-) -> None:
+    begin: int, end: int, c: FloatArray, sink: FloatArray, source: FloatArray, half: float,
+    stiffness: float, linear: float, ghost: FloatArray, weights: Weights, residual: Floats,
+    rate: Floats, parts: FloatArray, block: int,
+) -> None:  # fmt: skip
     """Do what :func:`imbalance` does for the planes from ``begin`` to ``end``.
 
     ``parts``, (3, planes / block), are the sums over each ``block`` of planes.
@@ -233,16 +199,9 @@ def imbalance_of_planes(
 
 @_jit
 def balance_negative(
-    c: FloatArray,
-    sink: FloatArray,
-    source: FloatArray,
-    half: float,
-    stiffness: float,
-    linear: float,
-    ghost: FloatArray,
-    weights: Weights,
-    most: int,
-) -> int:
+    c: FloatArray, sink: FloatArray, source: FloatArray, half: float, stiffness: float,
+    linear: float, ghost: FloatArray, weights: Weights, most: int,
+) -> int:  # fmt: skip
     """Bring all nodes below zero to their own balance, in sweeps, until there are none.
 
     A node is given the concentration at which its sinks meet its source and what comes from its
@@ -282,17 +241,9 @@ def balance_negative(
 
 @_jit
 def begin(
-    rate: Floats,
-    residual: Floats,
-    weight: FloatArray | None,
-    time: float,
-    size: float,
-    x: FloatArray,
-    r: FloatArray,
-    p: FloatArray,
-    scale: FloatArray,
-    y: Float32Array,
-) -> float:
+    rate: Floats, residual: Floats, weight: FloatArray | None, time: float, size: float,
+    x: FloatArray, r: FloatArray, p: FloatArray, scale: FloatArray, y: Float32Array,
+) -> float:  # fmt: skip
     """Start the linear solver: ``scale = (w + time rate)^(-1/2)``, ``y = scale r``, no direction.
 
     All arrays are flat, (nodes,). ``w`` is the relative coefficient of diffusion at the nodes, one
@@ -317,14 +268,9 @@ def begin(
 
 @_jit
 def advance(
-    step: float,
-    x: FloatArray,
-    p: FloatArray,
-    r: FloatArray,
-    q: FloatArray,
-    scale: FloatArray,
+    step: float, x: FloatArray, p: FloatArray, r: FloatArray, q: FloatArray, scale: FloatArray,
     y: Float32Array,
-) -> float:
+) -> float:  # fmt: skip
     """Do ``x += step p``, ``r -= step q``, ``y = scale r``, all flat; return ``r . r``."""
     product = 0.0
     for n in range(x.size):

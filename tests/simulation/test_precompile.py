@@ -12,7 +12,7 @@ import multicell as mc
 from multicell.compiling import kind_of
 from multicell.integrators.auto import MILD
 from multicell.integrators.base import info_of
-from multicell.precompile import begins_alone, first_method, take_step, two_cells
+from multicell.precompile import begins_alone, first_method, take, take_step, two_cells
 from multicell.simulation import Simulation
 
 SPHEROID = mc.load_scene("spheroid")
@@ -105,6 +105,19 @@ simulation = Simulation(scene, threads=1)
 while len(simulation.cells) < 3:
     simulation.step()
 assert not {"_forces", "_rebuild"} & set(names), names
+assert not {"pack", "_half_virials", "_evaluation", "adaptive_adams", "_assess"} & set(names), names
+"""
+SHARED = """
+parts = {"lists": "_rebuild", "forces": "_forces", "loop": "adaptive_adams"}
+parts |= {"evaluation": "_evaluation", "passes": "_foresee"}
+took, take = [], precompile.take
+def noted(folder, part):
+    if take(folder, part):
+        took.append(part)
+        return True
+precompile.take = noted
+mc.run(scene.with_changes({"stop_cells": 3}), threads=2, progress=False)
+assert took and [parts[part] for part in took] == [n for n in names if n in parts.values()], names
 """
 PROCESS = """
 from types import SimpleNamespace
@@ -122,6 +135,16 @@ ahead.process.kill()
 ahead.watch(two)
 assert ahead.process is None
 assert two.wall["compile"] > 0.0
+precompile.forces_are_cached = lambda: False
+def fail(*_, **__):
+    raise OSError("no space left")
+precompile.take_step = fail
+ahead = precompile.Precompilation(scene, 2)
+ahead.process.kill()
+ahead.watch(two)
+assert ahead.process is None
+precompile.TemporaryDirectory = fail
+assert precompile.Precompilation(scene, 2).process is None
 """
 
 
@@ -130,6 +153,22 @@ def test_the_process_ends_with_the_run_or_with_the_first_division(tmp_path):
     apart = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run(
         [sys.executable, "-c", COMPILED + PROCESS], capture_output=True, text=True, env=apart,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-1500:]
+
+
+def test_a_part_is_taken_once_and_none_after_the_run(tmp_path):
+    assert [take(tmp_path, "lists") for _ in range(2)] == [True, False]
+    assert not take(tmp_path / "gone", "lists")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.cpu_count() == 1, reason="no core is free for another process")
+def test_run_and_process_share_the_parts_and_compile_none_twice(tmp_path):
+    apart = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILED + SHARED], capture_output=True, text=True, env=apart,
         check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-1500:]
