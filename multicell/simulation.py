@@ -321,7 +321,7 @@ class Simulation(RunState):
         """Let cells turn to another state by what they find, and note those that die."""
         cells, found = self.cells, self.signals
         dead = decide(self.plan, cells, found, self.step_index, dt, self.time)
-        if dead.any():
+        if np.count_nonzero(dead):
             self.lineage.died(np.sort(cells.id[dead]), self.time)
         if dt > 0.0:
             self.cells = change_types(self.plan, cells, found, self.step_index, dt)

@@ -101,7 +101,7 @@ WHERE = {
     "removal": (biology, "remove_lysed"),
     "first field": (FieldGroup, "solve"),
     "second field": (FieldGroup, "advance"),
-    "sampling": (NutrientField, "sample"),
+    "sampling": (NutrientField, "read"),
     "states": (biology, "update_states"),
     "estimate": (simulation_module, "lag_after"),
 }

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 ROUNDING = 1e-12
 
 _NONE: Found = {}
+_GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
 
 
 def due_to_divide(plan: BiologyPlan, cells: Cells) -> Mask:
@@ -30,7 +31,7 @@ def due_to_divide(plan: BiologyPlan, cells: Cells) -> Mask:
         ripe = (cells.phase == Phase.M) & (cells.progress >= cells.phase_length)
     else:
         ripe = cells.volume >= plan.division_volume * (1.0 - ROUNDING)
-    return np.asarray(ripe & (cells.state == State.PROLIFERATING))
+    return np.asarray(ripe & (cells.state == _GROWING))
 
 
 def divide(
@@ -63,8 +64,8 @@ def divide(
     """
     if plan.growth is None:
         return cells, next_id
-    ripe = due_to_divide(plan, cells) & (cells.doomed != 1)
-    if not ripe.any():
+    ripe = due_to_divide(plan, cells)
+    if not np.count_nonzero(ripe) or not np.count_nonzero(ripe := ripe & (cells.doomed != 1)):
         return cells, next_id
     mothers = cells.take(ripe)
     rate = np.broadcast_to(factor, len(cells))[ripe]
@@ -73,7 +74,8 @@ def divide(
     if not plan.phased or plan.grows[Phase.G1]:
         age = np.divide(age, rate, out=np.zeros(len(age)), where=rate > 0.0)
     order = np.lexsort((mothers.id, -age))
-    mothers, waited, volume = mothers.take(order), waited[order], volume[order]
+    if len(order) > 1:
+        mothers, waited, volume = mothers.take(order), waited[order], volume[order]
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
     chances = _by_type(plan, "mutation to", found, cells)
     if chances is not None:

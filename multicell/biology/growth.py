@@ -77,7 +77,7 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
         else:
             share = np.where(living, dt * factor / cells.cycle_time, 0.0)
             volume = np.where(living, law.volume_after(volume, share, birth), volume)
-    if plan.death is not None and cells.dead.any():
+    if plan.death is not None and np.count_nonzero(cells.dead):
         necrotic = cells.state == State.NECROTIC
         volume[necrotic] *= _necrotic_factor(plan.death, cells.age[necrotic], dt)
         volume[cells.state == State.APOPTOTIC] *= np.exp(-dt / plan.death.apoptosis_time)
@@ -99,7 +99,7 @@ def corrected_factor(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: fl
     ``factor``, (n,): that of the step's beginning; see
     :func:`growth_factor`.
     """
-    if dt <= 0.0 or not cells.lag.any():
+    if dt <= 0.0 or not np.count_nonzero(cells.lag):
         return factor
     most = np.abs(factor)
     extra = np.clip(_SHARE / dt * cells.lag, -most, most)
@@ -115,10 +115,12 @@ def lag_after(
     - ``cells``, ``now``: those of its end, whose lag lacks this step, and their factors
     - ``dt``: its length, s
     """
-    grew = np.where(_grows(plan, began), before, np.nan)[rows_before(began, cells)]
-    change = np.where(_grows(plan, cells), now - grew, 0.0)
-    lag = cells.lag + 0.5 * dt * np.where(np.isnan(change), 0.0, change)
-    return np.where(cells.dead, 0.0, lag)
+    grew = _grows(plan, began)
+    if cells.id is not began.id:  # as in steps with divisions
+        row = rows_before(began, cells)
+        grew, before = grew[row], before[row]
+    change = np.where(grew & _grows(plan, cells), now - before, 0.0)
+    return np.where(cells.dead, 0.0, cells.lag + 0.5 * dt * change)
 
 
 def _grows(plan: BiologyPlan, cells: Cells) -> Mask:

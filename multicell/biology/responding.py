@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
 import numpy as np
@@ -66,7 +67,7 @@ class BoundResponse:
     needs: frozenset[str]
     mask: Mask | None
 
-    @property
+    @cached_property
     def yes_or_no(self) -> bool:
         """Whether its value is zero or one, as booleans."""
         ends = self.effect.low, self.effect.high
@@ -178,8 +179,9 @@ def combine(
     known: Known, own: float, found: Found, cells: Cells | None, pressure: FloatArray
 ) -> FloatArray:
     """Return the value that responses of one behaviour make of its own one, (n,)."""
-    out = np.full(len(pressure), own)
-    rule = known[-1].effect.combine if known else ""
+    if not known:
+        return np.full(len(pressure), own)
+    out, rule = cast("FloatArray", own), known[-1].effect.combine  # a number for all cells at first
     if rule == "physicell":
         return _physicell(known, own, found, cells, pressure)
     for place, part in enumerate(known):
@@ -237,19 +239,15 @@ def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
     A chance p is the part of cells that rest: each has its own level, drawn once for its life, and
     rests where p is above it. A threshold is p = 0 or 1.
     """
-    resting = np.zeros(len(cells), dtype=bool)
+    resting: Any = False
     known = plan.responses.get("rest", ())
+    graded = any(not part.yes_or_no for part in known)
+    own = random.uniform(plan.seed, Purpose.REST, 0, cells.id)[:, 0] if graded else None
     for part in known:
-        if part.yes_or_no:
-            share = part.share(found, cells)
-            resting |= share if part.mask is None else share & part.mask[cells.kind]
-    graded = [part for part in known if not part.yes_or_no]
-    if graded:
-        own = random.uniform(plan.seed, Purpose.REST, 0, cells.id)[:, 0]
-        for part in graded:
-            rests = part.value(found, cells) > own
-            resting |= rests if part.mask is None else rests & part.mask[cells.kind]
-    return resting
+        rests = part.value(found, cells)
+        rests = rests if part.yes_or_no else rests > own
+        resting = resting | (rests if part.mask is None else rests & part.mask[cells.kind])
+    return np.asarray(resting) if known else np.zeros(len(cells), dtype=np.bool_)
 
 
 def rate_of_harm(
@@ -271,7 +269,7 @@ def rate_of_harm(
         known = known[: -len(named)]
     for part in known:
         value = part.value(found, cells)
-        before = np.zeros(len(value)) if hazard is None else hazard
+        before: Any = 0.0 if hazard is None else hazard
         new = np.maximum(before, value) if part.effect.short else before + value
         hazard = new if part.mask is None else np.where(part.mask[_kind(cells)], new, before)
     return hazard

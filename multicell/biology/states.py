@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 
 _GOLDEN = float(0.5 * (np.sqrt(5.0) - 1.0))
-_GROWING, _RESTING = np.int8(State.PROLIFERATING), np.int8(State.QUIESCENT)
+# arrays compare with numbers of their own type faster than with names
+_GROWING, _RESTING, _NECROTIC, _APOPTOTIC = (np.int8(state) for state in State)
 
 
 def update_states(
@@ -50,22 +51,22 @@ def update_states(
     """
     state = cells.state.copy()
     if plan.may_rest and not plan.restricted:
-        resting = wants_rest(plan, cells, found)
-        due = deciding(cells, plan.step, plan.cells.reaction_time)
-        state = np.where(due, np.where(resting, _RESTING, _GROWING), state)
+        wanted = np.where(wants_rest(plan, cells, found), _RESTING, _GROWING)
+        if np.count_nonzero(wanted != state):  # else it does not matter who is due
+            due = deciding(cells, plan.step, plan.cells.reaction_time)
+            state = np.where(due, wanted, state)
     hazard = rate_of_harm(plan, "necrosis rate", found, cells)
-    fatal = "damage rate" in plan.responses and cells.damage >= 1.0 - ROUNDING
-    last = cells.doomed == 1 if plan.growth is not None else np.zeros(len(cells), dtype=bool)
-    if last.any():
-        last &= due_to_divide(plan, cells)
-    apoptosis = (cells.state == State.APOPTOTIC) | last
+    necrosis, apoptosis = cells.state == _NECROTIC, cells.state == _APOPTOTIC
+    if plan.growth is not None and np.count_nonzero(last := cells.doomed == 1):
+        apoptosis |= last & due_to_divide(plan, cells)
     if "apoptosis rate" in plan.base_rates:
         apoptosis |= apoptotic(plan, cells, found, step, dt, time) & ~cells.dead
-    necrosis = (cells.state == State.NECROTIC) | fatal
-    if hazard is not None:
+    if "damage rate" in plan.responses:
+        necrosis |= cells.damage >= 1.0 - ROUNDING
+    if hazard is not None and np.count_nonzero(hazard):
         necrosis |= necrotic(plan, cells, hazard, step, dt)
-    state[necrosis] = State.NECROTIC
-    state[apoptosis] = State.APOPTOTIC
+    state[necrosis] = _NECROTIC
+    state[apoptosis] = _APOPTOTIC
     return state
 
 
@@ -151,7 +152,7 @@ def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
     if plan.death is None:
         return cells, 0
     dead = cells.dead
-    if not dead.any():
+    if not np.count_nonzero(dead):
         return cells, 0
     smallest = plan.death.removal_fraction * plan.birth_volume
     gone = dead & (cells.volume < smallest)

@@ -86,7 +86,7 @@ def age_cells(
             setattr(after, name, getattr(grown.cycling, name))
     bind(plan, after, cells, concentrations, end)
     dead = cells.dead
-    if not dead.any():
+    if not np.count_nonzero(dead):
         return after, 0.0
     # what the dead took up when they swelled counts against what they lose
     lost = cubes(cells.radius[dead]) - cubes(grown.radius[dead])
@@ -141,7 +141,8 @@ def decide(
         due = deciding(cells, plan.step, plan.cells.reaction_time)
         well = ~wants_rest(plan, cells, concentrations)
         leave_rest(plan, cells, due & well)
-    dead = (cells.state != before) & cells.dead
-    if dead.any():
-        cells.age = np.where(dead, 0.0, cells.age)
-    return np.asarray(dead)
+    died = cells.state != before
+    if np.count_nonzero(died):
+        died &= cells.dead
+        cells.age = np.where(died, 0.0, cells.age)
+    return np.asarray(died)

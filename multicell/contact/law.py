@@ -14,6 +14,7 @@ it is for arrays of any shape. See :mod:`multicell.contact.constants` for its ar
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -71,7 +72,7 @@ class PairLaw(ABC):
         It never falls with ``radius`` and ``rest`` and never rises with ``modulus``, so that the
         extremes of a population bound it for all pairs.
         """
-        return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))
+        return np.zeros(np.broadcast(modulus, radius).shape)
 
     def contact_radius(
         self,
@@ -94,7 +95,7 @@ class PairLaw(ABC):
         """
         raise TypeError(f"{type(self).__name__} has no memory of contacts")
 
-    @property
+    @cached_property
     def adhesion(self) -> float:
         """√(6πσ) of the law's surface energy in (nN/µm)^½, zero for a law that has none."""
         return float(self.adhesion_of(getattr(self, "surface_energy", 0.0)))
@@ -155,7 +156,7 @@ class PairLaw(ABC):
             force, stiffness, energy = np.frompyfunc(one, len(columns), 3)(*columns)
         return _floats(force), _floats(stiffness), _floats(energy)
 
-    @property
+    @cached_property
     def remembers(self) -> bool:
         """Whether it matters if a pair was in contact before: the function asks for an onset."""
         return "onset" in function_of(self.constants()).further

@@ -71,9 +71,9 @@ class Mover:
         too long.
         """
         system, end = self.system, motion.end
-        system.begin(motion)
-        if len(cells) == 0 or self._is_alone(len(cells)):
+        if len(cells) == 0 or self._is_alone(motion):
             return Moved(cells.position.copy(), np.zeros(len(cells)), None, replays, known)
+        system.begin(motion)
         known = self._check_begin(cells.position, known)
         before = system.work.effort
         outcome = self.integrator.integrate(system, cells.position)
@@ -96,11 +96,10 @@ class Mover:
         self.system.begin(motion)
         return self.system.contacts(motion.begin, cells.position) if self._counts else None
 
-    def _is_alone(self, count: int) -> bool:
+    def _is_alone(self, motion: Motion) -> bool:
         """Return whether there is one cell that nothing acts on: it stays where it is."""
-        motion = self.system.motion
-        acting = (motion.push, motion.held, self.system.walls)
-        return count == 1 and all(part is None for part in acting)
+        moves = motion.push is not None or motion.held is not None
+        return len(motion.radius) == 1 and not moves and self.system.walls is None
 
     def _check_begin(self, position: FloatArray, known: Stability) -> Stability:
         """Measure, if that is due, how far a fixed step is from its limit before a step."""

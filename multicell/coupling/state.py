@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -41,6 +42,7 @@ _STATE: Final = (
     "cells", "timeline", "contacts", "named", "replays", "stability", *_NOTED,
 )  # fmt: skip
 """What a coupling step changes, beside fields, logs and counts of work."""
+_state_of: Final = attrgetter(*_STATE)
 
 
 def fields_of(
@@ -219,7 +221,7 @@ class RunState(ABC):
             "lineage": self.lineage.counts(),
             "work": vars(self.mechanics.work).copy(),
             "fields": self.field_system.snapshot(),
-            "rest": {name: getattr(self, name) for name in _STATE},
+            "rest": _state_of(self),
         }
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
@@ -228,7 +230,7 @@ class RunState(ABC):
             self.lineage.cut(snapshot["lineage"])
             self._count(snapshot["work"])
             self.field_system.undo(snapshot["fields"])
-            for name, value in snapshot["rest"].items():
+            for name, value in zip(_STATE, snapshot["rest"], strict=True):
                 setattr(self, name, value)
 
     def frame(self, *, shared: bool = False) -> Frame:
@@ -237,15 +239,10 @@ class RunState(ABC):
         One that is ``shared`` has the arrays of the state itself: a step makes new ones, but who
         writes into those of ``cells`` writes into the frame.
         """
-        if shared:
-            found = dict(self.concentrations)
-            return replace(self._view(), concentrations=found, fields=self.fields)
-        return replace(
-            self._view(),
-            cells=self.cells.copy(),
-            concentrations={name: values.copy() for name, values in self.concentrations.items()},
-            fields=self.fields,
-        )
+        cells, found = self.cells, dict(self.concentrations)
+        if not shared:
+            cells, found = cells.copy(), {name: values.copy() for name, values in found.items()}
+        return replace(self._view(), cells=cells, concentrations=found, fields=self.fields)
 
     def _view(self, *, whole: bool = True) -> Frame:
         """Return the state, without fields, as a frame that shares its arrays.

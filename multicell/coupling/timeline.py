@@ -40,7 +40,7 @@ class Timeline(NamedTuple):
 
     def after_step(self) -> Timeline:
         """Return the time after the next step."""
-        return self._replace(step=self.step + 1)
+        return Timeline(self.plan, self.step + 1, self.origin)
 
     @property
     def time(self) -> float:

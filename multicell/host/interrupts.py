@@ -11,6 +11,7 @@ other threads than the main one, where Python calls no handlers, both do nothing
 
 from __future__ import annotations
 
+import _signal  # type: ignore[import-not-found]  # signal's own look for names of handlers
 import _thread
 import signal
 import sys
@@ -77,11 +78,11 @@ class Block:
         if self.depth == 1:
             try:
                 for number in self._signals:
-                    handler = signal.getsignal(number)
+                    handler = _signal.getsignal(number)
                     if callable(handler) and number not in _replaced:
                         _replaced[number] = handler
                         self._own.append(number)
-                        signal.signal(number, _note)
+                        _signal.signal(number, _note)
             except BaseException:  # of the handler of a signal that has come just before
                 self._leave()
                 raise
@@ -104,8 +105,8 @@ class Block:
         while self._own:
             number = self._own[-1]
             try:
-                if signal.getsignal(number) is _note:
-                    signal.signal(number, _replaced[number])
+                if _signal.getsignal(number) is _note:
+                    _signal.signal(number, _replaced[number])
                 self._own.pop()
                 del _replaced[number]
             except BaseException as error:  # of the handler of another one that is in place again

@@ -18,7 +18,6 @@ from __future__ import annotations
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.contact.law import effective_modulus
 from multicell.integrators.base import Outcome
 from multicell.mechanics.system import Mechanics
 
@@ -51,10 +50,8 @@ def stiffness_scale(system: Mechanics) -> float:
     if len(system) < 2 or system.stiffness_scale is not None:
         return system.stiffness_scale or 0.0
     motion = system.motion
-    radius = float(motion.radius.mean())
-    at = int((motion.young / (1.0 - motion.poisson**2)).argmax())
-    young, poisson = motion.young.item(at), motion.poisson.item(at)
-    modulus = effective_modulus(young, poisson, young, poisson)
+    radius, least = float(motion.radius.mean()), float(system.rows[:, 4].min())
+    modulus = 0.5 / least  # of two cells with the least compliance
     _, slope, _ = system.law.evaluate(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
     system.stiffness_scale = _CONTACTS * abs(float(slope)) / (system.drag * radius)
     return system.stiffness_scale

@@ -143,7 +143,7 @@ class Mechanics:
         self._rows[:, 4] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)
         self._list_radius = self._reaching(largest)
-        self._least_margin = 0.5 * self.skin * float(largest.mean()) if n else 0.0
+        self._least_margin = 0.5 * self.skin * float(largest.sum() / n) if n else 0.0
         self._margin = np.full(n, self._least_margin)
         newborn = motion.newborn
         if newborn is not None and np.count_nonzero(newborn) * neighbours.FEW <= n:
@@ -460,11 +460,9 @@ class Mechanics:
 
     def _listing(self, pairs: neighbours.PairList) -> neighbours.PairList:
         """Take over a list, with what the law keeps for each pair; return it."""
-        values = (
-            self._values_of(*neighbours.listed(pairs))
-            if self.has_pair_values
-            else (None, None, None)
-        )
+        values: tuple[FloatArray | None, ...] = (None, None, None)
+        if self.has_pair_values:
+            values = self._values_of(*neighbours.listed(pairs))
         self._pair_data = forces.PairData(
             pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end, *values
         )

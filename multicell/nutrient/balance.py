@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from multicell.errors import NutrientFailed
 
@@ -34,8 +34,7 @@ more with an error relative to itself: steps would stay as short as ever down to
 
 
 @final
-@dataclass(frozen=True)
-class Exchange:
+class Exchange(NamedTuple):
     """What a field exchanged, and what it took to find that out.
 
     Rates (amol/s) of a field at rest, amounts (amol) of one that was brought through some time.
@@ -61,7 +60,7 @@ class Exchange:
 
     def entries(self) -> dict[str, float]:
         """Return what another one can be made from."""
-        found = vars(self).items()
+        found = self._asdict().items()
         return {name: x for name, x in found if x or (x is not None and name in _WHERE_ANY)}
 
 
@@ -135,9 +134,9 @@ class Ledger:
 
         ``relaid`` and ``stored`` are amounts (amol) always.
         """
-        own, new = self.__dict__, found.__dict__
+        own = self.__dict__
         for name in SIGNS:
-            value = new[name]
+            value = getattr(found, name)
             if value is not None:
                 own[name] = (own[name] or 0.0) + value * dt
         self.relaid += found.relaid

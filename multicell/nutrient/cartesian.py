@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import final
@@ -88,7 +88,12 @@ def lay(low: FloatArray, high: FloatArray, spacing: float, height: float | None 
     """
     axes = 3 if height is None else 2
     # bare numbers: of three of them arrays are ten times as slow
-    ends = list(zip(low[:axes].tolist(), high[:axes].tolist(), strict=True))
+    return _lay(tuple(zip(low[:axes].tolist(), high[:axes].tolist(), strict=True)), spacing, height)
+
+
+@lru_cache(maxsize=16)  # fields with the same margin lie on the same box
+def _lay(ends: tuple[tuple[float, float], ...], spacing: float, height: float | None) -> Box:
+    """Lay it between the two ends of each axis."""
     size = [b - a for a, b in ends]
     _refuse_too_large([s / spacing for s in size], size, spacing)
     _refuse_too_far(ends, spacing)
@@ -199,7 +204,7 @@ def _refuse_too_large(nodes: Sequence[float], size: Sequence[float], spacing: fl
     )
 
 
-def _refuse_too_far(ends: list[tuple[float, float]], spacing: float) -> None:
+def _refuse_too_far(ends: Iterable[tuple[float, float]], spacing: float) -> None:
     farthest = max(abs(end) for both in ends for end in both)
     if farthest > _FARTHEST * spacing:
         raise NutrientFailed(

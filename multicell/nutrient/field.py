@@ -121,7 +121,11 @@ class NutrientField:
         Between the last nodes and the faces by the conditions there: on a face with a value it is
         that value. Outside the grid, where it lies in stirred medium, by the nearest face.
         """
-        return self.layout.read(self._reached(position), self.values, self._conditions)
+        return self.read(self._reached(position))
+
+    def read(self, reached: FloatArray) -> FloatArray:
+        """Do the same at positions on the grid, where cells reach it."""
+        return self.layout.read(reached, self.values, self._conditions)
 
     def gradient(self, position: FloatArray) -> FloatArray:
         """Return the gradient at positions (n, 3) in µm, (n, 3) mM/µm.
@@ -145,7 +149,7 @@ class NutrientField:
 
     def stored(self) -> float:
         """Return what the field holds, amol."""
-        return float(np.sum(self.layout.volumes * self.values))
+        return float((self.layout.volumes * self.values).sum())
 
     def field(self) -> Field:
         """Return the last solution; its values are read-only."""

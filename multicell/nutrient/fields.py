@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -33,6 +32,8 @@ if TYPE_CHECKING:
 
 _MAX_TURNS = 200  # in which fields whose uptakes depend on each other are solved for
 _SETTLED = 1e-8  # change of a field, over its highest concentration, that ends the turns
+
+_CHANGED = ("concentrations", "reports", "_uptake", "_changes")  # by a step, beside the fields
 
 Demand = tuple[FloatArray, FloatArray | None]
 """Largest uptake of each cell, and its secretion, (n,) amol/s."""
@@ -81,6 +82,7 @@ class FieldSystem:
             for what in ("uptake", "secretion")
         }
         self._resting = {name for name in self.order if self._rests(name)}
+        self._marched = [name for name in self.order if name not in self._resting]
         around = circles(scene.nutrients, known, scene.responses)
         self._circles = {x[-1]: x for x in map(tuple, around.values()) if len(x) > 1}
         self._changes: dict[str, Mapping[str, float]] = {}  # of geometry, as frames store them
@@ -88,6 +90,7 @@ class FieldSystem:
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, Exchange] = {}
         self._uptake: dict[str, FloatArray] = {}
+        self._sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
 
     def _lay_out(
         self, scene: Scene, reactions: Mapping[str, Any] | None, known: Mapping[str, Any],
@@ -95,23 +98,17 @@ class FieldSystem:
     ) -> None:  # fmt: skip
         """Make the fields, and the groups that are solved for together."""
         from multicell.nutrient.field import NutrientField
+        from multicell.nutrient.group import joined, together
         from multicell.nutrient.parameters import FieldParameters
 
         self.order = solving_order(scene.nutrients, known, scene.responses)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
-            from multicell.nutrient.group import joined
-
             parameters |= joined(scene, parameters, reactions)
         self.fields = {
             name: NutrientField(name, parameters[name], threads) for name in scene.nutrients
         }
-        if known:
-            from multicell.nutrient.group import together
-
-            self.groups = together(self.fields, self.order, known)
-        else:
-            self.groups = [self.fields[name].group for name in self.order]
+        self.groups = together(self.fields, self.order, known)
 
     def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
         """Solve for the fields at the start of a run; ``again`` for other states of its cells."""
@@ -137,7 +134,7 @@ class FieldSystem:
                     cells.position, {name: demand}, radius=cells.radius, time=time
                 )
                 self.ledger[name].fill(self.fields[name].stored())
-                self._sample(name, cells, demand[0])
+                self._sample(name, other, cells, demand[0])
                 moved = np.abs(self.concentrations[name] - before).max(initial=0.0)
                 change = max(change, float(moved) / self._nutrients[name].highest)
             if change < _SETTLED:
@@ -162,7 +159,7 @@ class FieldSystem:
             if self._nutrients[name].finite_medium is not None:
                 field.attach_medium()
             self.ledger[name].note(field.well_mixed)
-            self._sample(name, cells, demand[name][0])
+            self._sample(name, group, cells, demand[name][0])
 
     def reacts(self, name: str) -> bool:
         """Return whether a field takes part in reactions."""
@@ -186,15 +183,14 @@ class FieldSystem:
         """
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
-        marched = [name for name in self.order if name not in self._resting]
-        if before is not None and marched:
-            if any(self._nutrients[name].secretion_from for name in marched):
+        if before is not None and self._marched:
+            if any(self._nutrients[name].secretion_from for name in self._marched):
                 for name, field in self.fields.items():
                     self._uptake[name] = field.uptake(
                         before.position, self._capacity(name, before, self.concentrations)
                     )
             row, earlier, shares = _shares(before, cells, end - begin)
-            for name in marched:
+            for name in self._marched:
                 one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
         for names in self._circles.values():  # as the fields of the last step have them
@@ -218,7 +214,7 @@ class FieldSystem:
         ``began`` is the part of the demand that the beginning sets, ``shares`` that of the end.
         """
         demand = {name: self.demand(name, cells) for name in group.names}
-        shells = {name: self._on_shells(name) for name in group.names}
+        shells = self._on_shells(group.names[0])
         if group.names[0] in self._resting:
             for name in group.names:
                 self.ledger[name].add(self.reports[name], end - begin)
@@ -237,30 +233,25 @@ class FieldSystem:
                 self.ledger[name].note(self.fields[name].well_mixed)
         for name in group.names:
             self.ledger[name].fill(self.fields[name].stored())
-        for name in group.names:
-            if self._on_shells(name) != shells[name]:
+            if self._on_shells(name) != shells:
                 number = self._changes.get(name, {"changes": 0})["changes"] + 1
                 self._changes[name] = {"changes": number, "changed_at": end}
-            self._sample(name, cells, demand[name][0])
+            self._sample(name, group, cells, demand[name][0])
 
     def snapshot(self) -> dict[str, Any]:
         """Return what :meth:`undo` needs to undo an :meth:`advance`."""
         return {
             "fields": {name: field.snapshot() for name, field in self.fields.items()},
-            "ledger": {name: copy(account) for name, account in self.ledger.items()},
-            "concentrations": dict(self.concentrations),
-            "reports": dict(self.reports),
-            "uptake": dict(self._uptake),
-            "changes": dict(self._changes),
+            "ledger": {name: vars(account).copy() for name, account in self.ledger.items()},
+            "rest": {name: getattr(self, name).copy() for name in _CHANGED},
         }
 
     def undo(self, snapshot: Mapping[str, Any]) -> None:
         """Make fields, concentrations and accounts what they were."""
         for name, field in self.fields.items():
             field.undo(snapshot["fields"][name])
-        self.ledger, self.concentrations = snapshot["ledger"], snapshot["concentrations"]
-        self.reports, self._uptake = snapshot["reports"], snapshot["uptake"]
-        self._changes = snapshot["changes"]
+            vars(self.ledger[name]).update(snapshot["ledger"][name])
+        vars(self).update(snapshot["rest"])
 
     def _on_shells(self, name: str) -> bool:
         return self.fields[name].layout.kind == "radial"
@@ -387,17 +378,17 @@ class FieldSystem:
         active = self._active("uptake", name, cells, found)
         volume = 0.0 if nutrient.uptake_per_volume is None else cells.volume
         capacity = nutrient.largest_uptake(volume) * active
-        factor = np.ones(len(cells))
+        factor: Any = 1.0
         for other, law in nutrient.uptake_on.items():
             if other in found:  # at the start one of a circle is not there yet
-                factor *= law.factor(found[other])
+                factor = factor * law.factor(found[other])
         return np.asarray(capacity * factor)
 
-    def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:
-        """Keep what the cells find and take up of a field."""
+    def _sample(self, name: str, group: FieldGroup, cells: Cells, capacity: FloatArray) -> None:
+        """Keep what the cells find and take up of a field that its group has just solved for."""
         field = self.fields[name]
-        self.concentrations[name] = field.sample(cells.position)
-        if any(name in (n.secretion_from or ()) for n in self._nutrients.values()):
+        self.concentrations[name] = field.read(group.position)
+        if name in self._sources:
             self._uptake[name] = field.uptake(cells.position, capacity)
 
     def _uptake_rate(self, name: str, cells: Cells) -> float:

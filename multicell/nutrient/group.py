@@ -43,11 +43,13 @@ class FieldGroup:
     - ``kinetics``: reactions between them, in the same order; None where there are none
 
     - ``layout``, ``equation``: of the last solve
+    - ``position``, (n, 3) µm: where the cells reached the grid in it
     - ``state``: its values for py-pde's solvers, which ask for no more than ``data``, (m, ...) mM
     - ``info``: what py-pde's solver said of it; see ``pde.SolverBase``
     """
 
     layout: Layout
+    position: FloatArray
     equation: FieldEquation
 
     def __init__(
@@ -58,6 +60,7 @@ class FieldGroup:
         self.first = next(iter(self.fields.values()))
         self._made_for: tuple[FieldParameters, ...] = ()
         self._may_stay = self._kept = False
+        self._solver: Any = None  # of the last solve
         self.state: Any = None
         self.info: dict[str, Any] = {}
 
@@ -68,10 +71,10 @@ class FieldGroup:
         self.begin(position, demand, radius, time, carry=False)
         self._run("multicell-steady", time, time)
         self.finish(time)
-        found, rows = self.info["reports"], zip(self.names, self.info["rates"], strict=True)
-        costs = ("newton", "cg", "residual")
+        reports, rows = self.info["reports"], zip(self.names, self.info["rates"], strict=True)
+        costs = ("newton", "cg", "residual")  # what a report begins with
         return {
-            name: self._exchange(row, **{cost: getattr(found[name], cost) for cost in costs})
+            name: self._exchange(row, **dict(zip(costs, reports[name], strict=False)))
             for name, row in rows
         }
 
@@ -120,8 +123,8 @@ class FieldGroup:
         radius = np.ones(len(position)) if radius is None else np.asarray(radius, dtype=np.float64)
         # what finds no medium beyond its own sides must have all cells on the grid they share
         strays = all(f.parameters.open_medium for f in fields)
-        self.layout, self._kept, position = self.first.lay(position, radius, strays=strays)
-        self._set_equation(self.layout, position, radius, demand)
+        self.layout, self._kept, self.position = self.first.lay(position, radius, strays=strays)
+        self._set_equation(self.layout, self.position, radius, demand)
         first = np.array([self._first(f, time, carry) for f in fields])
         self.state = SimpleNamespace(data=first, equation=self.equation)
 
@@ -144,7 +147,10 @@ class FieldGroup:
 
     def _run(self, name: str, begin: float, end: float, **options: Any) -> None:
         """Bring the state to ``end`` (s) by a solver of py-pde's registry."""
-        solver = SolverBase.from_name(name, self.equation, **options)
+        solver = self._solver
+        if solver is None or solver.pde is not self.equation or solver.name != name:
+            # options are those of the parameters that the equation was made for
+            solver = self._solver = SolverBase.from_name(name, self.equation, **options)
         solver.make_stepper(self.state)(self.state, begin, end)
         self.info = solver.info
 
@@ -241,8 +247,6 @@ def together(
     fields: Mapping[str, NutrientField], order: list[str], reactions: Mapping[str, Any]
 ) -> list[FieldGroup]:
     """Return the fields in the groups that are solved for together, in an order of the fields."""
-    from multicell.nutrient.reactions.kinetics import kinetics_of
-
     joined = groups(fields, reactions)
     found = []
     for name in order:
@@ -250,6 +254,8 @@ def together(
         if names is None:
             found.append(fields[name].group)
         elif name == names[0]:
+            from multicell.nutrient.reactions.kinetics import kinetics_of
+
             own = {n: r for n, r in reactions.items() if r.fields[0] in names}
             members = {member: fields[member] for member in names}
             found.append(FieldGroup(members, kinetics_of(names, own)))

@@ -34,9 +34,8 @@ from __future__ import annotations
 
 import math
 import sys
-from copy import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 
@@ -81,8 +80,7 @@ class StepRefused(Exception):  # noqa: N818 - a shorter step may do
 
 
 @final
-@dataclass(frozen=True)
-class SolveReport:
+class SolveReport(NamedTuple):
     """What a solve took and how well it balances.
 
     - ``newton``, ``cg``, int: Newton steps and, over all of them, conjugate-gradient steps
@@ -122,13 +120,13 @@ def solve_steady(
     - ``supply``, (nx, ny, nz), mM/s, optional: what the nodes gain besides diffusion, not negative
     """
     nodes = math.prod(operator.shape)
-    with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
-        shared = team if nodes >= MANY else None
-        problem = _Problem(operator, sink, half_saturation, linear, supply, shared)
-        if shared is None:
-            return _solve(problem, start, _Linear(operator))
-        from multicell.nutrient.multigrid import MultigridSolver
+    if nodes < MANY:
+        problem = _Problem(operator, sink, half_saturation, linear, supply, None)
+        return _solve(problem, start, _Linear(operator))
+    from multicell.nutrient.multigrid import MultigridSolver
 
+    with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
+        problem = _Problem(operator, sink, half_saturation, linear, supply, team)
         return _solve(problem, start, MultigridSolver(operator, team))
 
 
@@ -136,7 +134,7 @@ def _solve(
     problem: _Problem, start: FloatArray, solver: _Linear | MultigridSolver
 ) -> tuple[FloatArray, SolveReport]:
     """Solve, first as it is and then, where that fails, over larger half saturations."""
-    if not problem.source.any():
+    if not np.count_nonzero(problem.source):
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
     state, done = _newton(_State(problem, np.array(start, dtype=np.float64)), TOLERANCE, solver)
@@ -166,7 +164,7 @@ def _newton(
     for _ in range(MAX_NEWTON):
         target = state.target(tolerance)
         if state.size <= target or not math.isfinite(state.size):
-            break
+            return state, state.size <= target
         trial = trial or state.empty_copy()
         goal = max(forcing, 0.3 * target / state.size)
         correction = linear.solve(state.rate, state.residual, state.size, goal)
@@ -281,8 +279,8 @@ class _State:
 
         It overwrites imbalance and derivative: nobody asks for those of two states at a time.
         """
-        other = copy(self)
-        other.c = np.empty_like(self.c)
+        other = object.__new__(_State)
+        vars(other).update(vars(self), c=np.empty_like(self.c))
         return other
 
     def report(self, linear: _Linear | MultigridSolver) -> SolveReport:
@@ -339,11 +337,11 @@ class _Linear:
         )  # fmt: skip
         shift = SHIFT * total / rate.size
         u, rho = op.invert(self._single, shift)
-        beta = 0.0
+        beta, direction, image = 0.0, p.reshape(shape), q.reshape(shape)
         for _ in range(MAX_CG):
             stencil.new_direction(p, u.ravel(), scale, beta)
             curvature = stencil.apply_operator(
-                p.reshape(shape), rate, op.stiffness, op.ghost, op.weights, q.reshape(shape)
+                direction, rate, op.stiffness, op.ghost, op.weights, image
             )
             if not curvature > 0.0:  # single precision has no smaller numbers
                 break

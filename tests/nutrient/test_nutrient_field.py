@@ -1,5 +1,7 @@
 """The nutrient field: laying, keeping and moving its grid, and what it gives to the cells."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -179,3 +181,51 @@ def test_bad_input_is_refused():
     walled.solve(np.zeros((1, 3)), np.ones(1))
     with pytest.raises(ValueError, match="outside the nutrient grid"):
         walled.sample(np.full((1, 3), 1e3))
+
+
+@pytest.mark.parametrize("geometry", ["box", "radial"])
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_a_field_that_goes_on_is_as_one_made_anew_from_its_values(geometry, regime):
+    """What is kept of equation, solver and conditions follows grid, medium and parameters."""
+    field = oxygen(geometry=geometry, media=((600.0, 0.02), (1500.0, 0.07)), decay=1e-3)
+    field.parameters = replace(field.parameters, regime=regime)
+    position, capacity = ball(30.0)
+    size = {"radius": np.full(len(position), 5.0)}
+    field.group.fill(position, **size, time=0.0)
+    # the tissue stays, moves, grows over numbers of nodes, and is again what it was
+    course = [(1.0, 0.0), (1.0, 0.0), (1.0, 7.0), (1.3, 7.0), (1.8, 0.0), (1.0, 0.0), (1.0, 0.0)]
+    for step, (scale, shift) in enumerate(course):
+        begin, place = 300.0 * step, scale * position + shift
+        if step == 5:
+            nutrient = replace(field.parameters.nutrient, decay=0.0, time_tolerance=1e-4)
+            field.parameters = replace(field.parameters, nutrient=nutrient)
+        anew = NutrientField("oxygen", field.parameters)
+        anew.restore(field.field(), begin)
+        for each in (field, anew):
+            demand = {"oxygen": ((1.0 + step) * capacity, None)}
+            if regime == "steady":
+                each.group.solve(place, demand, **size, time=begin + 300.0)
+            else:
+                each.group.advance(place, demand, **size, begin=begin, end=begin + 300.0)
+        np.testing.assert_array_equal(field.values, anew.values)
+        np.testing.assert_array_equal(field.read(field.group.position), anew.sample(place))
+
+
+def test_a_grid_whose_laying_was_cut_short_is_laid_again(monkeypatch):
+    position, capacity = ball(30.0)
+    field, plain = oxygen(), oxygen()
+    for each in (field, plain):
+        each.solve(position, capacity)
+    kept = field.snapshot()
+
+    def cut(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("multicell.nutrient.equations.placed.Diffusion", cut)
+    with pytest.raises(KeyboardInterrupt):
+        field.solve(1.1 * position, capacity)
+    monkeypatch.undo()
+    field.undo(kept)
+    for each in (field, plain):
+        each.solve(1.1 * position, capacity)
+    np.testing.assert_array_equal(field.values, plain.values)

@@ -244,7 +244,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
 
         ``start`` is the first guess, and ``t`` the time in s at the end.
         """
-        nodes = dict(self.nodes(start))
+        nodes = self.nodes(start)
         earlier = None if before is None else self.nodes(before)
         if self.reactions is not None:
             found, reports = self.reactions.solution(nodes, t, dt, earlier)
@@ -253,7 +253,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         for name, each in self.substances.items():
             last, level = None if earlier is None else earlier[name], each.schedule.at(t)
             nodes[name], reports[name] = each.solve(nodes[name], level, dt=dt, before=last)
-        states = [nodes[name] for name in self.names]
+        states = list(nodes.values())
         return states[0][None] if len(states) == 1 else np.array(states), reports
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:

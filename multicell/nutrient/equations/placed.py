@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, cast, final
 
 import numpy as np
 
@@ -44,6 +44,7 @@ class PlacedSubstance:
         self.layout, self.shape = layout, layout.shape
         self.schedule = substance.schedule
         self.linear = substance.decay + substance.perfusion
+        self._conditions: Any = None
         self._scale()
         self.place(layout, position, substance.capacity, substance.production)
 
@@ -55,11 +56,9 @@ class PlacedSubstance:
 
         ``layout`` may lie elsewhere too, and have other nodes of the same kind.
         """
-        if layout is not self.layout:
-            scaled = (layout.shape, layout.spacing) != (self.shape, self.layout.spacing)
-            self.layout, self.shape = layout, layout.shape
-            if scaled:
-                self._scale()
+        self.layout, self.shape = layout, layout.shape
+        if self._scaled != (layout.shape, layout.spacing):
+            self._scale()
         none = np.zeros(len(position))
         self.sink = self.spread(position, none if capacity is None else capacity, "capacity")
         self.secreted, self._production = np.zeros(self.shape), 0.0
@@ -70,18 +69,17 @@ class PlacedSubstance:
 
     def _scale(self) -> None:
         """Renew what depends on the number of nodes and their distance."""
-        p, layout = self.substance, self.layout
+        p, layout, level = self.substance, self.layout, self.schedule.at(0.0)
         varied = None if p.varied is None else np.asarray(p.varied, float).reshape(self.shape)
-        self._level = self.schedule.at(0.0)
-        conditions = self.conditions_at(self._level)
+        conditions = self.conditions_at(level)
+        operator: AnyOperator
         if isinstance(layout, BoxLayout):
-            box = Diffusion(layout.box, p.diffusion, conditions, varied=varied)
-            self.operator: AnyOperator = box
-            box.threads = self._threads
+            operator = Diffusion(layout.box, p.diffusion, conditions, varied=varied)
+            operator.threads = self._threads
         else:
-            count = layout.count
-            radius = layout.spacing * count
-            self.operator = Shells(radius, count, p.diffusion, conditions, varied=varied)
+            operator = Shells(layout.radius, layout.count, p.diffusion, conditions, varied=varied)
+        # at once: what is interrupted must not leave one beside the others
+        self.operator, self._level, self._scaled = operator, level, (layout.shape, layout.spacing)
 
     def follow(self, level: float) -> None:
         """Take another concentration of a medium that does not change by itself, mM."""
@@ -90,7 +88,10 @@ class PlacedSubstance:
     def conditions_at(self, level: float) -> Conditions:
         """Return the conditions at a concentration of the medium in mM, for every side."""
         given = self.substance.conditions
-        return conditions_on(self.layout, given(level) if callable(given) else given)
+        given = given(level) if callable(given) else given
+        if given != self._conditions:  # those of the last time have been found to be right
+            self._conditions = conditions_on(self.layout, given)
+        return cast("Conditions", self._conditions)
 
     def spread(self, position: FloatArray, amount: FloatArray, what: str) -> FloatArray:
         """Return amounts of the cells, (n,) amol/s, as densities of the nodes, mM/s."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -108,7 +107,7 @@ class Reactions:
             supplied = float(np.sum(volumes * coupled.supplies[i]))
             left = abs(a.inflow + supplied + a.made - a.used - a.uptake - spent)
             newton, cg = (coupled.newton, coupled.linear_steps) if i == 0 else (0, 0)
-            reports[each.name] = replace(a, newton=newton, cg=cg, residual=left)
+            reports[each.name] = a._replace(newton=newton, cg=cg, residual=left)
         return c, reports
 
     def ahead(self, nodes: Nodes, begin: float, end: float) -> FloatArray:
