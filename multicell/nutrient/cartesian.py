@@ -241,7 +241,7 @@ def departure(position: FloatArray, radius: FloatArray) -> float:
     return float(1.0 - np.sqrt(squares[0] / squares[-1]))
 
 
-def round_enough(position: FloatArray, radius: FloatArray, *, now_radial: bool) -> bool:
+def round_enough(position: FloatArray, radius: FloatArray, now_radial: bool) -> bool:
     """Return whether shells do for a population.
 
     It depends on the state and on the present geometry only: what is radial stays so up to the

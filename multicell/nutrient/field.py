@@ -10,7 +10,7 @@ from multicell.cells import FloatArray
 from multicell.nutrient import grid as layouts
 from multicell.nutrient.cartesian import round_enough
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
-from multicell.nutrient.tissue import drawn_in, drawn_to_ball
+from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class NutrientField:
           tissue, and for shells
         """
         demand = {self.name: (capacity, production)}
-        return self.group.solve(position, demand, radius=radius, time=time)[self.name]
+        return self.group.solve(Tissue(position, radius), demand, time=time)[self.name]
 
     @property
     def group(self) -> FieldGroup:
@@ -175,28 +175,26 @@ class NutrientField:
         """Return where on the grid cells exchange with the field: strays at its surface."""
         return self.layout.nearest(position) if self.parameters.open_medium else position
 
-    def lay(
-        self, position: FloatArray, radius: FloatArray, *, strays: bool = True
-    ) -> tuple[Layout, bool, FloatArray]:
+    def lay(self, cells: Tissue, *, strays: bool = True) -> tuple[Layout, bool, FloatArray]:
         """Return the layout round the tissue, whether it is the last one, and where cells reach it.
 
         Without ``strays`` every cell is tissue.
         """
-        p = self.parameters
+        p, position, radius = self.parameters, cells.position, cells.radius
         tissue, strays = position, strays and p.open_medium
         if strays:
-            tissue = drawn_in(position, radius)
+            tissue = cells.once(drawn_in, position, radius)
         radial = p.geometry == "radial"
         if p.geometry == "auto":
             now = isinstance(self._layout, ShellLayout)
-            radial = round_enough(tissue, radius, now_radial=now)
+            radial = cells.once(round_enough, tissue, radius, now)
         if radial:
             if strays:
-                tissue = drawn_to_ball(tissue, radius)
-            shells = ShellLayout.round(
-                tissue, radius, p.nutrient.margin, p.spacing, p.nutrient.layer
-            )
-            return shells, False, position if tissue is position else shells.nearest(position)
+                tissue = cells.once(drawn_to_ball, tissue, radius)
+            widths = p.nutrient.margin, p.spacing, p.nutrient.layer
+            shells = cells.once(ShellLayout.round, tissue, radius, *widths)
+            outside = tissue is not position
+            return shells, False, cells.once(shells.nearest, position) if outside else position
         height = p.height if p.dimensions == 2 else None
         if p.domain is None:
             found = BoxLayout.round(tissue, p.nutrient.margin, p.spacing, height)

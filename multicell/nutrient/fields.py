@@ -18,6 +18,7 @@ import numpy as np
 from multicell.cells import Cells, FloatArray, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import Exchange, Ledger
+from multicell.nutrient.tissue import Tissue
 from multicell.results.observables import viable_volume
 from multicell.scene.checks import circles, followed, solving_order
 
@@ -112,15 +113,16 @@ class FieldSystem:
 
     def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
         """Solve for the fields at the start of a run; ``again`` for other states of its cells."""
+        tissue = Tissue(cells.position, cells.radius)
         for group in self.groups:
             if again:
                 # the account begins anew, and a finite medium with it
                 for name in group.names:
                     self.ledger[name], self.fields[name].well_mixed = Ledger(), None
-            self._begin(group, cells, time)
-            self._settle(group, cells, time)
+            self._begin(group, cells, tissue, time)
+            self._settle(group, cells, tissue, time)
 
-    def _settle(self, group: FieldGroup, cells: Cells, time: float) -> None:
+    def _settle(self, group: FieldGroup, cells: Cells, tissue: Tissue, time: float) -> None:
         """Solve in turn for the steady fields of a circle that ends with this one."""
         names = self._circles.get(group.names[-1], ())
         if not names or not self._resting.issuperset(names):
@@ -130,9 +132,7 @@ class FieldSystem:
             for other in (one for one in self.groups if one.names[0] in names):
                 name = other.names[0]
                 before, demand = self.concentrations[name], self.demand(name, cells)
-                self.reports |= other.solve(
-                    cells.position, {name: demand}, radius=cells.radius, time=time
-                )
+                self.reports |= other.solve(tissue, {name: demand}, time=time)
                 self.ledger[name].fill(self.fields[name].stored())
                 self._sample(name, other, cells, demand[0])
                 moved = np.abs(self.concentrations[name] - before).max(initial=0.0)
@@ -142,15 +142,15 @@ class FieldSystem:
         problem = f"{' and '.join(names)} do not settle: their uptakes depend on each other"
         raise NutrientFailed(problem, "Make one of these dependences weaker (uptake_on.*.effect).")
 
-    def _begin(self, group: FieldGroup, cells: Cells, time: float) -> None:
+    def _begin(self, group: FieldGroup, cells: Cells, tissue: Tissue, time: float) -> None:
         """Solve for fields at the start of a run."""
         demand = {name: self.demand(name, cells) for name in group.names}
         first = group.names[0]
         steady = self.fields[first].parameters.regime == "steady"
         if steady or self._nutrients[first].initial == "steady":
-            self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=time)
+            self.reports |= group.solve(tissue, demand, time=time)
         else:
-            group.fill(cells.position, radius=cells.radius, time=time)
+            group.fill(tissue, time=time)
         none = None if group.kinetics is None else 0.0
         for name in group.names:
             field = self.fields[name]
@@ -193,17 +193,19 @@ class FieldSystem:
             for name in self._marched:
                 one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
+        tissue = Tissue(cells.position, cells.radius)
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample(cells.position) for x in names}
             self.concentrations = {**self.concentrations, **found}
         for group in self.groups:
-            self._advance(group, cells, begin, end, began, shares)
-            self._settle(group, cells, end)
+            self._advance(group, cells, tissue, begin, end, began, shares)
+            self._settle(group, cells, tissue, end)
 
     def _advance(
         self,
         group: FieldGroup,
         cells: Cells,
+        tissue: Tissue,
         begin: float,
         end: float,
         began: Mapping[str, Demand],
@@ -218,7 +220,7 @@ class FieldSystem:
         if group.names[0] in self._resting:
             for name in group.names:
                 self.ledger[name].add(self.reports[name], end - begin)
-            self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=end)
+            self.reports |= group.solve(tissue, demand, time=end)
         else:
             content = {name: self.fields[name].stored() for name in group.names}
             mean = dict(demand)
@@ -226,7 +228,7 @@ class FieldSystem:
                 (one, two), (uptake, made) = began[name], demand[name]
                 made = None if made is None or two is None else two + shares * made
                 mean[name] = one + shares * uptake, made
-            found = group.advance(cells.position, mean, radius=cells.radius, begin=begin, end=end)
+            found = group.advance(tissue, mean, begin=begin, end=end)
             for name, exchange in found.items():
                 gained = self.fields[name].stored() - content[name]
                 self.ledger[name].add(exchange, stored=gained)

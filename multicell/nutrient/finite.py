@@ -34,6 +34,7 @@ from multicell.nutrient.balance import COLUMNS, SIGNS, Exchange, WellMixed, beyo
 if TYPE_CHECKING:
     from multicell.nutrient.group import Demand, FieldGroup
     from multicell.nutrient.steady import SolveReport
+    from multicell.nutrient.tissue import Tissue
 
 _FADED: Final = 1e-3
 """Part of the highest concentration below which a medium that is used up is not followed with an
@@ -51,12 +52,7 @@ _PATIENCE: Final = 15
 
 
 def advance(
-    group: FieldGroup,
-    position: FloatArray,
-    demand: Demand,
-    radius: FloatArray | None,
-    begin: float,
-    end: float,
+    group: FieldGroup, tissue: Tissue, demand: Demand, begin: float, end: float
 ) -> dict[str, Exchange]:
     """Bring fields, one of them with a finite medium, from ``begin`` to ``end`` (s).
 
@@ -64,7 +60,7 @@ def advance(
     have not been done are done at their times. A steady field counts as ``relaid`` what its content
     has changed by.
     """
-    exchange = _Exchange(group, position, demand, radius, begin)
+    exchange = _Exchange(group, tissue, demand, begin)
     for time, level in (exchange.nutrient.media or ())[exchange.medium.changes :]:
         if time <= end:
             exchange.march(max(time, exchange.now))
@@ -81,10 +77,7 @@ class _Exchange:
     - ``guess``, mM: concentration of the medium; of a steady field a first guess
     """
 
-    def __init__(
-        self, group: FieldGroup, position: FloatArray, demand: Demand, radius: FloatArray | None,
-        begin: float,
-    ) -> None:  # fmt: skip
+    def __init__(self, group: FieldGroup, tissue: Tissue, demand: Demand, begin: float) -> None:
         self.group, self.now = group, begin
         fields = list(group.fields.values())
         self.row = next(i for i, field in enumerate(fields) if field.well_mixed is not None)
@@ -92,7 +85,7 @@ class _Exchange:
         self.nutrient = self.field.parameters.nutrient
         self.steady = group.first.parameters.regime == "steady"
         self.before = np.array([field.stored() for field in fields])
-        group.begin(position, demand, radius, begin, carry=not self.steady)
+        group.begin(tissue, demand, begin, carry=not self.steady)
         self.relaid = group.masses() - self.before
         medium = self.field.well_mixed
         assert medium is not None

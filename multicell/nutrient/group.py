@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.parameters import FieldParameters
     from multicell.nutrient.reactions.kinetics import Kinetics
+    from multicell.nutrient.tissue import Tissue
     from multicell.scene.scene import Scene
 
 Demand = Mapping[str, tuple[FloatArray, FloatArray | None]]
@@ -64,11 +65,9 @@ class FieldGroup:
         self.state: Any = None
         self.info: dict[str, Any] = {}
 
-    def solve(
-        self, position: FloatArray, demand: Demand, *, radius: FloatArray | None, time: float
-    ) -> dict[str, Exchange]:
+    def solve(self, tissue: Tissue, demand: Demand, *, time: float) -> dict[str, Exchange]:
         """Bring the fields to rest with the cells' uptake and secretion."""
-        self.begin(position, demand, radius, time, carry=False)
+        self.begin(tissue, demand, time, carry=False)
         self._run("multicell-steady", time, time)
         self.finish(time)
         reports, rows = self.info["reports"], zip(self.names, self.info["rates"], strict=True)
@@ -79,13 +78,7 @@ class FieldGroup:
         }
 
     def advance(
-        self,
-        position: FloatArray,
-        demand: Demand,
-        *,
-        radius: FloatArray | None,
-        begin: float,
-        end: float,
+        self, tissue: Tissue, demand: Demand, *, begin: float, end: float
     ) -> dict[str, Exchange]:
         """Bring transient fields from ``begin`` to ``end`` (s).
 
@@ -93,9 +86,9 @@ class FieldGroup:
         medium of the moment, counted as ``relaid``.
         """
         if any(field.well_mixed is not None for field in self.fields.values()):
-            return finite.advance(self, position, demand, radius, begin, end)
+            return finite.advance(self, tissue, demand, begin, end)
         before = [field.stored() for field in self.fields.values()]
-        self.begin(position, demand, radius, begin, carry=True)
+        self.begin(tissue, demand, begin, carry=True)
         relaid = self.masses() - np.array(before)
         nutrients = [field.parameters.nutrient for field in self.fields.values()]
         scales = np.array([FADED * n.highest for n in nutrients])
@@ -104,27 +97,21 @@ class FieldGroup:
         self.finish(end)
         return self.exchanges(self.info["amounts"], relaid)
 
-    def fill(self, position: FloatArray, *, radius: FloatArray | None, time: float) -> None:
+    def fill(self, tissue: Tissue, *, time: float) -> None:
         """Begin with the media's concentrations everywhere."""
-        nothing = np.zeros(len(position)), None
-        self.begin(position, dict.fromkeys(self.names, nothing), radius, time, carry=False)
+        nothing = np.zeros(len(tissue.position)), None
+        self.begin(tissue, dict.fromkeys(self.names, nothing), time, carry=False)
         for nodes, field in zip(self.state.data, self.fields.values(), strict=True):
             nodes[...] = field.level(time)
         self.finish(time)
 
-    def begin(
-        self, position: FloatArray, demand: Demand, radius: FloatArray | None, time: float, *,
-        carry: bool,
-    ) -> None:  # fmt: skip
+    def begin(self, tissue: Tissue, demand: Demand, time: float, *, carry: bool) -> None:
         """Lay the grid round the cells, and take over values; amounts stay where they ``carry``."""
-        fields, position = self.fields.values(), np.asarray(position, dtype=np.float64)
-        if position.ndim != 2 or position.shape[1] != 3:
-            raise ValueError(f"position has shape {position.shape}, expected (n, 3)")
-        radius = np.ones(len(position)) if radius is None else np.asarray(radius, dtype=np.float64)
+        fields = self.fields.values()
         # what finds no medium beyond its own sides must have all cells on the grid they share
         strays = all(f.parameters.open_medium for f in fields)
-        self.layout, self._kept, self.position = self.first.lay(position, radius, strays=strays)
-        self._set_equation(self.layout, self.position, radius, demand)
+        self.layout, self._kept, self.position = self.first.lay(tissue, strays=strays)
+        self._set_equation(self.layout, self.position, tissue.radius, demand)
         first = np.array([self._first(f, time, carry) for f in fields])
         self.state = SimpleNamespace(data=first, equation=self.equation)
 

@@ -10,6 +10,7 @@ import multicell as mc
 from multicell.errors import SceneError, StepFailed
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
+from multicell.nutrient.tissue import Tissue
 from multicell.report.explain.scene import explain
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
@@ -66,17 +67,17 @@ def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
     parameters = FieldParameters(nutrient, 1.0, 10.0, "transient", dimensions=3)
     place, nothing = np.zeros((1, 3)), np.zeros(1)
     probe = NutrientField("a", parameters)
-    probe.group.fill(place, radius=np.ones(1), time=0.0)
+    probe.group.fill(Tissue(place), time=0.0)
     a = probe.layout.radius
     sphere = 4.0 / 3.0 * np.pi * a**3
     finite = {"volume": (1.0 + ratio) * sphere}
     whole = Nutrient(**{**vars(nutrient), "finite_medium": finite})
     field = NutrientField("a", FieldParameters(whole, 1.0, 10.0, "transient", dimensions=3))
-    field.group.fill(place, radius=np.ones(1), time=0.0)
+    field.group.fill(Tissue(place), time=0.0)
     field.attach_medium()
     assert field.well_mixed.volume == pytest.approx(ratio * sphere)
-    still = place, {"a": (nothing, None)}
-    field.group.advance(*still, radius=np.ones(1), begin=0.0, end=1.0)
+    still = Tissue(place), {"a": (nothing, None)}
+    field.group.advance(*still, begin=0.0, end=1.0)
     assert field.well_mixed.concentration == 2.0
     roots = [
         brentq(lambda q: (3 + ratio * q * q) * np.sin(q) - 3 * q * np.cos(q), low, low + np.pi)
@@ -85,7 +86,7 @@ def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
     q, now = np.array(roots), 1.0
     final = 2.0 * ratio * sphere / (1.0 + ratio)
     for time in (0.5, 2.0, 6.0):
-        field.group.advance(*still, radius=np.ones(1), begin=now, end=1.0 + time)
+        field.group.advance(*still, begin=now, end=1.0 + time)
         now = 1.0 + time
         terms = 6 * ratio * (ratio + 1) * np.exp(-diffusion * q**2 * time / a**2)
         exact = 1.0 - np.sum(terms / (9 + 9 * ratio + q**2 * ratio**2))

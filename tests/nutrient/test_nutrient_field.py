@@ -13,6 +13,7 @@ from multicell.nutrient.cartesian import extent, lay
 from multicell.nutrient.equations.grid import grid_on
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
+from multicell.nutrient.tissue import Tissue
 from multicell.scene.nutrient import Nutrient, Side
 from multicell.scene.scales import MAX_NODES
 
@@ -190,8 +191,8 @@ def test_a_field_that_goes_on_is_as_one_made_anew_from_its_values(geometry, regi
     field = oxygen(geometry=geometry, media=((600.0, 0.02), (1500.0, 0.07)), decay=1e-3)
     field.parameters = replace(field.parameters, regime=regime)
     position, capacity = ball(30.0)
-    size = {"radius": np.full(len(position), 5.0)}
-    field.group.fill(position, **size, time=0.0)
+    radius = np.full(len(position), 5.0)
+    field.group.fill(Tissue(position, radius), time=0.0)
     # the tissue stays, moves, grows over numbers of nodes, and is again what it was
     course = [(1.0, 0.0), (1.0, 0.0), (1.0, 7.0), (1.3, 7.0), (1.8, 0.0), (1.0, 0.0), (1.0, 0.0)]
     for step, (scale, shift) in enumerate(course):
@@ -204,9 +205,9 @@ def test_a_field_that_goes_on_is_as_one_made_anew_from_its_values(geometry, regi
         for each in (field, anew):
             demand = {"oxygen": ((1.0 + step) * capacity, None)}
             if regime == "steady":
-                each.group.solve(place, demand, **size, time=begin + 300.0)
+                each.group.solve(Tissue(place, radius), demand, time=begin + 300.0)
             else:
-                each.group.advance(place, demand, **size, begin=begin, end=begin + 300.0)
+                each.group.advance(Tissue(place, radius), demand, begin=begin, end=begin + 300.0)
         np.testing.assert_array_equal(field.values, anew.values)
         np.testing.assert_array_equal(field.read(field.group.position), anew.sample(place))
 

@@ -5,9 +5,10 @@ import pytest
 from running import finished
 
 import multicell as mc
+from multicell.nutrient import cartesian
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
-from multicell.nutrient.tissue import drawn_in, drawn_to_ball
+from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball
 from multicell.scene.nutrient import Nutrient
 
 RADIUS = 5.0
@@ -127,3 +128,22 @@ def test_a_thread_of_cells_is_tissue():
     thread[:, 0] = 9.0 * np.arange(60)
     radius = np.full(60, RADIUS)
     assert drawn_in(thread, radius) is thread
+
+
+@pytest.mark.parametrize("geometry", GEOMETRIES)
+def test_fields_round_the_same_cells_have_the_grids_of_fields_alone(geometry, monkeypatch):
+    position, radius = np.vstack([ball(400), FAR]), np.full(406, RADIUS)
+    asked, departure = [], cartesian.departure
+    monkeypatch.setattr(cartesian, "departure", lambda *all: asked.append(1) or departure(*all))
+    together, shapes = Tissue(position, radius), []
+    for margin in (40.0, 40.0, 80.0):
+        one = field(**{"margin": margin} | GEOMETRIES[geometry])
+        layout, _, reached = one.lay(together)
+        alone, _, there = one.lay(Tissue(position, radius))
+        np.testing.assert_array_equal(reached, there)
+        assert not np.array_equal(reached, position)
+        assert (layout.shape, layout.spacing) == (alone.shape, alone.spacing)
+        shapes.append(layout.shape)
+    assert shapes[0] == shapes[1]
+    assert (shapes[1] != shapes[2]) == (geometry != "layer")
+    assert len(asked) == (4 if geometry == "either" else 0)  # once together, three times alone
