@@ -148,14 +148,18 @@ assert precompile.Precompilation(scene, 2).process is None
 """
 
 
-@pytest.mark.skipif(os.cpu_count() == 1, reason="no core is free for another process")
-def test_the_process_ends_with_the_run_or_with_the_first_division(tmp_path):
-    apart = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+def check_apart(program, cache):
+    """Run a program in a process with a cache of its own for what numba compiles."""
     done = subprocess.run(
-        [sys.executable, "-c", COMPILED + PROCESS], capture_output=True, text=True, env=apart,
-        check=False,
+        [sys.executable, "-c", COMPILED + program], capture_output=True, text=True, check=False,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-1500:]
+
+
+@pytest.mark.skipif(os.cpu_count() == 1, reason="no core is free for another process")
+def test_the_process_ends_with_the_run_or_with_the_first_division(tmp_path):
+    check_apart(PROCESS, tmp_path)
 
 
 def test_a_part_is_taken_once_and_none_after_the_run(tmp_path):
@@ -166,19 +170,10 @@ def test_a_part_is_taken_once_and_none_after_the_run(tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(os.cpu_count() == 1, reason="no core is free for another process")
 def test_run_and_process_share_the_parts_and_compile_none_twice(tmp_path):
-    apart = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", COMPILED + SHARED], capture_output=True, text=True, env=apart,
-        check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-1500:]
+    check_apart(SHARED, tmp_path)
 
 
 @pytest.mark.slow
 def test_a_run_finds_on_disk_what_the_process_has_compiled(tmp_path):
-    apart = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    for program in (COMPILED + AHEAD, COMPILED + RUN):
-        done = subprocess.run(
-            [sys.executable, "-c", program], capture_output=True, text=True, env=apart, check=False
-        )
-        assert done.returncode == 0, done.stderr[-1500:]
+    check_apart(AHEAD, tmp_path)
+    check_apart(RUN, tmp_path)
