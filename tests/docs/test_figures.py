@@ -69,7 +69,7 @@ def unmarked(text: str) -> list[str]:
         for said in sentences(text)
         if MARK not in said
         and (
-            (re.search(r"million cells|hour of [\d,]+", said) and re.search(r"\d (s|GB)\b", said))
+            (re.search(r"\bmillion\b|\bhour of\b", said) and re.search(r"\d (s|GB)\b", said))
             or ("PhysiCell" in said and re.search(r"\d (times|×)", said))
         )
     ]
