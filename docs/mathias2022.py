@@ -24,6 +24,7 @@ from mathias2022_problems import LAWS, inexact_euler, problems, trajectory_error
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from papers import HERE, Array, mechanics, motion, order, pick, reached, solve, table
+from picture_origins import record
 
 from multicell.integrators.registry import METHODS
 from multicell.report.plots.style import blank, save, styled
@@ -237,7 +238,9 @@ def main() -> None:
         frame["row"] = np.round(np.log(frame[column] / 1e-3) / np.log(1.25)).astype(int)
     title = "Separation of two daughters, in cell diameters (figure 3)"
     print(f"{title}\n\n{daughters(pd.read_csv(DAUGHTERS))}\n\n{tables(data, published)}")
-    save(draw(data, published), HERE / "figures" / "mathias2022.png")
+    picture = HERE / "figures" / "mathias2022.png"
+    save(draw(data, published), picture)
+    record(picture, "python docs/mathias2022.py", {*OVER_STEP, *OVER_COST} - {"theirs"})
 
 
 if __name__ == "__main__":

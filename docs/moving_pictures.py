@@ -1,9 +1,11 @@
-"""Makes the film of the README and the stills of the view that docs/pictures.md shows.
+"""Makes the film of the README, the section of the first page and the stills of docs/pictures.md.
 
 ``python docs/moving_pictures.py [--run FOLDER]`` runs the built-in scene ``spheroid`` (about ten
 seconds on one core) unless FOLDER holds that run already, and writes ``figures/spheroid.webp`` by
-``multicell movie``. The stills ``figures/view-light.png`` and ``figures/view-dark.png`` are taken
-of the run's page in Chromium, by playwright; without either they are left as they are.
+``multicell movie`` and ``figures/section.png`` by ``multicell plot``. How many cells the run ends
+with, and how large it is, is noted beside them (docs/picture_origins.py): pages quote it from
+there. The stills ``figures/view-light.png`` and ``figures/view-dark.png`` are taken of the run's
+page in Chromium, by playwright; without either they are left as they are.
 """
 
 from __future__ import annotations
@@ -14,23 +16,43 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from picture_origins import FIGURES, record
+from PIL import Image
+
 import multicell as mc
 from multicell.report.plots.movie import movie
+from multicell.report.plots.style import save
+from multicell.studies.runs import MODEL_VERSION
 
-FIGURES = Path(__file__).parent / "figures"
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+COMMAND = "python docs/moving_pictures.py"
 
 
-def film(result: mc.Result) -> None:
-    """Write the film."""
-    path = FIGURES / "spheroid.webp"
-    movie(result, path, space=True, turn=100.0, rate=10.0, transparent=True)
-    print(path, f"{path.stat().st_size / 1e6:.2f} MB")
+def draw_run(result: mc.Result) -> None:
+    """Write the film and the section, and what pages say of the run."""
+    end = result.summary()
+    facts = {
+        "days": round(end["time"] / 86400.0, 3),
+        "cells": end["cells"],
+        "diameter in um": round(end["diameter"], 1),
+        "necrotic cells": end["states"]["necrotic"],
+    }
+    film, section = FIGURES / "spheroid.webp", FIGURES / "section.png"
+    movie(result, film, space=True, turn=100.0, rate=10.0, transparent=True)
+    save(result.plot.section(), section)
+    reduce_colours(Image.open(section)).save(section, optimize=True)
+    for picture in (film, section):
+        print(picture, f"{picture.stat().st_size / 1e6:.2f} MB")
+        record(picture, COMMAND, model=MODEL_VERSION, facts=facts)
+
+
+def reduce_colours(picture: Image.Image) -> Image.Image:
+    """Return a picture with 256 colours, of a third of the size in a file."""
+    return picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
 
 
 def stills(page: Path) -> None:
     """Take the view, cut across x and coloured by the state of the cells."""
-    from PIL import Image
     from playwright.sync_api import sync_playwright
 
     names = ("chromium", "chromium-browser", "google-chrome")
@@ -47,8 +69,10 @@ def stills(page: Path) -> None:
             tab.select_option('[data-part="axis"]', "y")
             tab.wait_for_timeout(1500)  # it is drawn finely when it rests
             shot = tab.locator("#viewer").screenshot()
-            few = Image.open(io.BytesIO(shot)).convert("RGB").quantize(256, dither=0)
-            few.save(FIGURES / f"view-{scheme}.png", optimize=True)
+            few = reduce_colours(Image.open(io.BytesIO(shot)))
+            picture = FIGURES / f"view-{scheme}.png"
+            few.save(picture, optimize=True)
+            record(picture, COMMAND, model=MODEL_VERSION)
         browser.close()
 
 
@@ -62,7 +86,7 @@ def main() -> None:
             result = mc.run("spheroid", output=Path(place) / "run", report=False)
         else:
             result = mc.load_result(given)
-        film(result)
+        draw_run(result)
         stills(result.report(place))
 
 

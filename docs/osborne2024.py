@@ -35,6 +35,7 @@ from osborne2024_problems import (
     threshold,
 )
 from papers import HERE, order, pick, reached, solve, table
+from picture_origins import record
 
 from multicell.integrators.registry import METHODS
 from multicell.report.plots.style import blank, save, styled
@@ -183,7 +184,9 @@ def main() -> None:
         measure().to_csv(DATA, index=False, float_format="%.6g", lineterminator="\n")
     data = pd.read_csv(DATA)
     print(tables(data))
-    save(draw(data), HERE / "figures" / "osborne2024.png")
+    picture = HERE / "figures" / "osborne2024.png"
+    save(draw(data), picture)
+    record(picture, "python docs/osborne2024.py", {*OURS.values(), *FIXED, *TOLERANT})
 
 
 if __name__ == "__main__":

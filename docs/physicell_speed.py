@@ -1,49 +1,62 @@
-"""An hour of a ball of growing cells in PhysiCell, built from its sources, and here.
+"""An hour of a ball of growing cells in PhysiCell, for docs/performance.py.
 
 Problem   a ball of cells that grow, divide and take up oxygen from a field with 38 mmHg at its
           faces, in the template project of PhysiCell 1.14.2 with its default steps (0.01, 0.1 and
-          6 min) and voxels of 20 um, without output; here scene `spheroid` in rich medium
-Measured  wall time of two runs of PhysiCell of different length, whose difference leaves start-up
-          out, scaled to an hour; here the hour of docs/performance.py
-Separated compilation in both, and reading of the settings
-Cost      building 2 minutes; 10,000 cells 1 minute, 100,000 some 10; needs make and g++
-Command   python docs/physicell_speed.py [ARCHIVE] [--cells 10000 100000] [--threads 2]
-
-ARCHIVE is a folder, a .zip or .tar.gz with the sources, or where to download one; by default that
-of the release. The table of docs/performance.md is made anew.
+          6 min) and voxels of 20 um, without output
+Measured  what the program itself reports at simulated times 6 minutes apart, one step of its
+          phenotypes: the time between two of them, after a warm-up, scaled to an hour
+Separated start, reading of the settings, the two snapshots and the pictures that the template
+          writes before its loop and after it
 """
 
 from __future__ import annotations
 
-import argparse
 import os
+import re
 import shutil
 import subprocess
-import tempfile
-import time
-import urllib.request
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
-from marked import replaced
-from performance import HERE, apart, table
 
-RELEASE = "https://github.com/MathCancer/PhysiCell/archive/refs/tags/1.14.2.zip"
 RADIUS = 8.41
 """Radius of a cell of the template's 2494 um^3, um."""
 VOXEL = 20.0
+PHENOTYPES = 6.0
+"""Step of phenotypes, min: a window of whole steps has its share of them."""
+TEMPLATE = Path("sample_projects") / "template" / "config" / "PhysiCell_settings.xml"
+_TOTAL = re.compile(
+    r"total wall time: *(\d+) days, (\d+) hours, (\d+) minutes, and ([\d.e+-]+) seconds"
+)
 
 
-def unpacked(archive: str, folder: Path) -> Path:
-    """Return a copy of the sources below a folder."""
-    if Path(archive).is_dir():
-        return Path(shutil.copytree(archive, folder / "sources"))
-    if archive.startswith("https://"):
-        archive, _ = urllib.request.urlretrieve(archive, folder / Path(archive).name)
-    shutil.unpack_archive(archive, folder)
-    (makefile,) = folder.glob("*/Makefile")
-    return makefile.parent
+def build(source: Path, folder: Path) -> Path:
+    """Return a folder with the program, its version and a place for settings, for runs to change.
+
+    ``source`` is a folder of PhysiCell, built as template project or not, or an archive of one.
+    """
+    if not source.is_dir():
+        shutil.unpack_archive(source, folder / "sources")
+        (makefile,) = (folder / "sources").glob("*/Makefile")
+        source = makefile.parent
+    elif not (source / "project").exists():
+        source = Path(shutil.copytree(source, folder / "sources"))
+    if not (source / "project").exists():
+        for command in (["make", "template"], ["make", "-j2"]):
+            subprocess.run(command, cwd=source, check=True, capture_output=True)
+    place = folder / "physicell"
+    for name in ("project", "VERSION.txt", str(TEMPLATE)):
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(source / name, place / name)
+    for name in ("config", "output"):
+        (place / name).mkdir()
+    return place
+
+
+def version(place: Path) -> str:
+    """Return the program's name and version."""
+    return f"PhysiCell {(place / 'VERSION.txt').read_text().strip()}"
 
 
 def ball(cells: int) -> np.ndarray:
@@ -57,15 +70,16 @@ def ball(cells: int) -> np.ndarray:
     return places[np.argsort(np.linalg.norm(places, axis=1), kind="stable")[:cells]]
 
 
-def prepare(sources: Path, cells: int, minutes: float, threads: int) -> None:
-    """Write settings and cells of one run into the project."""
-    settings = sources / "config" / "PhysiCell_settings.xml"
-    root = ET.parse(sources / "sample_projects/template/config/PhysiCell_settings.xml")
+def prepare(place: Path, cells: int, minutes: float, threads: int) -> None:
+    """Write settings and cells of one run of so many simulated minutes."""
+    root = ET.parse(place / TEMPLATE)
     places = ball(cells)
     half = VOXEL * np.ceil((np.abs(places).max() + 100.0) / VOXEL)
     entries = {
         "domain/use_2D": "false", "overall/max_time": f"{minutes:g}",
         "parallel/omp_num_threads": str(threads), "save/full_data/enable": "false",
+        # reports of the time come at this interval, whether data are saved or not
+        "save/full_data/interval": f"{PHENOTYPES:g}",
         "save/SVG/enable": "false", "user_parameters/number_of_cells": "0",
     }  # fmt: skip
     for axis in "xyz":
@@ -87,58 +101,33 @@ def prepare(sources: Path, cells: int, minutes: float, threads: int) -> None:
     for face in root.findall(f"{substrate}/Dirichlet_options/boundary_value"):
         face.set("enabled", "true")
         face.text = "38"
-    root.write(settings)
+    root.write(place / "config" / "PhysiCell_settings.xml")
     rows = np.column_stack([places, np.zeros(cells)])
-    np.savetxt(sources / "config" / "cells.csv", rows, delimiter=",", fmt=["%.6f"] * 3 + ["%d"])
+    np.savetxt(place / "config" / "cells.csv", rows, delimiter=",", fmt=["%.6f"] * 3 + ["%d"])
 
 
-def timed(sources: Path, cells: int, minutes: float, threads: int) -> float:
-    """Return the wall time of a run of PhysiCell, s."""
-    prepare(sources, cells, minutes, threads)
-    begin = time.perf_counter()
+def hour(place: Path, cells: int, minutes: tuple[float, float], threads: int) -> float:
+    """Return the wall time of a simulated hour, s: that of a window after a warm-up, scaled.
+
+    Raises
+    ------
+    ValueError
+        If warm-up or window are not whole steps of phenotypes, or the program did something else.
+    """
+    warm, window = (round(m / PHENOTYPES) for m in minutes)
+    if [warm * PHENOTYPES, window * PHENOTYPES] != list(minutes) or window < 1:
+        raise ValueError(f"warm-up and window must be multiples of {PHENOTYPES:g} min")
+    prepare(place, cells, (warm + window) * PHENOTYPES, threads)
     done = subprocess.run(
-        [sources / "project"], cwd=sources, check=True, capture_output=True, text=True,
+        [place / "project"], cwd=place, check=True, capture_output=True, text=True,
         env={**os.environ, "OMP_NUM_THREADS": str(threads)},
     )  # fmt: skip
-    took = time.perf_counter() - begin
     if f"total agents: {cells}\n" not in done.stdout:
         raise ValueError(f"PhysiCell did not begin with {cells} cells")
-    return took
-
-
-def main() -> None:
-    """Build, measure, and write the table into the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("archive", nargs="?", default=RELEASE)
-    parser.add_argument("--cells", type=int, nargs="+", default=[10_000, 100_000])
-    parser.add_argument(
-        "--minutes",
-        type=float,
-        nargs=2,
-        default=[2.0, 3.0],
-        help="length of the shorter run, and what the longer one has beyond",
-    )
-    parser.add_argument("--threads", type=int, default=2)
-    given = parser.parse_args()
-    first, more = given.minutes
-    rows = [["cells", "PhysiCell, a simulated hour", "multicell, a simulated hour", "ratio"]]
-    with tempfile.TemporaryDirectory() as folder:
-        sources = unpacked(given.archive, Path(folder))
-        for command in (["make", "template"], ["make", "-j2"]):
-            subprocess.run(command, cwd=sources, check=True, capture_output=True)
-        version = (sources / "VERSION.txt").read_text().strip()
-        rows[0][1] = f"PhysiCell {version}, a simulated hour"
-        for cells in given.cells:
-            short, long = (timed(sources, cells, m, given.threads) for m in (first, first + more))
-            theirs = (long - short) * 60.0 / more
-            ours = apart(cells, given.threads)["wall"]
-            rows.append([f"{cells:,}", f"{theirs:,.0f} s", f"{ours:.3g} s", f"{theirs / ours:.0f}"])
-            print(rows[-1], f"short {short:.3g} s, long {long:.3g} s", flush=True)
-    page = HERE / "performance.md"
-    page.write_text(
-        replaced(page.read_text(encoding="utf-8"), "PhysiCell", table(rows)), encoding="utf-8"
-    )
-
-
-if __name__ == "__main__":
-    main()
+    totals = [
+        ((int(days) * 24 + int(hours)) * 60 + int(some)) * 60 + float(seconds)
+        for days, hours, some, seconds in _TOTAL.findall(done.stdout)
+    ]
+    if len(totals) != warm + window + 1:
+        raise ValueError(f"PhysiCell reported {len(totals)} times, not {warm + window + 1}")
+    return (totals[-1] - totals[warm]) * 60.0 / (window * PHENOTYPES)

@@ -29,10 +29,11 @@ from pathlib import Path
 from statistics import median
 
 from marked import replaced
+from picture_origins import record
 from tile_picture import draw
 from tile_problems import GOALS, STATES, Solved, Tile, solved
 from tile_race import DEFAULT, REACHED, Row, race
-from tile_tables import again_table, defaults_table, main_table, states_table
+from tile_tables import again_table, defaults_table, main_table, points, states_table
 
 from multicell.comparison.ladders import find_method
 from multicell.comparison.null_methods import NULL_METHODS
@@ -314,7 +315,10 @@ def show(given: argparse.Namespace) -> None:
     given.figures.mkdir(parents=True, exist_ok=True)
     for goal in GOALS:
         end = "" if goal == GOALS[0] else "-fine"
-        save(draw(*first, goal), given.figures / f"tiles{end}.png")
+        picture = given.figures / f"tiles{end}.png"
+        save(draw(*first, goal), picture)
+        best = {point.best for point in points(*first, goal)} - {""}
+        record(picture, "python docs/tiles.py", best)
     if given.page is not None:
         page = given.page.read_text(encoding="utf-8")
         for name, text in pages.items():
