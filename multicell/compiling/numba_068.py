@@ -13,8 +13,12 @@ source stamps of our files   truth      numba compares a kernel's own file with 
 index of a cache file        safety     an index that names types which are gone (after an
                                         upgrade) raises ``AttributeError`` in every run: it counts
                                         as empty, and is written anew.
+files of other users         safety     to read compiled code is to run it: index and data that
+                                        are not the user's or root's own count as absent.
 boxes of arrays and tuples   safety     numba's run Python, and do not ask whether it raised: a
                                         signal's handler there ends in a segmentation fault.
+folder of compiled code      safety     one that others can write to is replaced by a private one
+                                        (:mod:`multicell.host.closed`).
 signals while numba works    safety     an exception within its lock leaves parts of a function
                                         behind, and numba ends in errors of its own.
 jit of numba's own           speed      ``np.empty`` and others are compiled as pieces of their
@@ -40,7 +44,7 @@ from typing import Any, final
 
 from llvmlite import ir
 from numba import types
-from numba.core import boxing, caching, cgutils, event
+from numba.core import boxing, caching, cgutils, config, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.cpu import CPUContext
@@ -50,6 +54,8 @@ from numba.core.targetconfig import TargetConfig
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.np import linalg
 from numba.np.numpy_support import as_dtype
+
+from multicell.host.closed import choose_cache, is_own
 
 __all__ = ["PieceCompiler", "cgutils", "change_numba", "event", "install_recorder"]
 
@@ -145,11 +151,22 @@ _plain_index = caching.IndexDataCacheFile._load_index
 
 
 def _index_of(cache: Any) -> Any:
-    """Return numba's index of a file on disk; nothing of one that names types which are gone."""
+    """Return numba's index of a file on disk; nothing of one that names types which are gone.
+
+    Nor of one that another user has made, or could have changed: to read it is to run it.
+    """
     try:
-        return _plain_index(cache)  # type: ignore[no-untyped-call]
-    except AttributeError:
+        return _plain_index(cache) if is_own(cache._index_path) else {}  # type: ignore[no-untyped-call]
+    except (AttributeError, FileNotFoundError):
         return {}
+
+
+_plain_data = caching.IndexDataCacheFile._load_data
+
+
+def _data_of(cache: Any, name: str) -> Any:
+    """Return a compiled function from disk, with the same care; None to compile it anew."""
+    return _plain_data(cache, name) if is_own(cache._data_path(name)) else None  # type: ignore[no-untyped-call]
 
 
 def _constant(c: Any, value: Any) -> Any:
@@ -198,6 +215,7 @@ def change_numba(stamp_of: Callable[[str], Any]) -> None:
 
     - ``stamp_of``: returns the source stamp of kernels in a file of ours; None for other files
     """
+    choose_cache(vars(config))
     locator: Any = caching._SourceFileBackedLocatorMixin
     plain_stamp = locator.get_source_stamp
 
@@ -207,7 +225,7 @@ def change_numba(stamp_of: Callable[[str], Any]) -> None:
 
     locator.get_source_stamp = stamp
     index: Any = caching.IndexDataCacheFile
-    index._load_index = _index_of
+    index._load_index, index._load_data = _index_of, _data_of
     template: Any = _OverloadFunctionTemplate
     template._get_jit_decorator = _jit_of_overloads
     options: Any = TargetConfig
