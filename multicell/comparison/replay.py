@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar, final
 
 import numpy as np
-from numba.core.event import install_recorder
 
 from multicell.cells import FloatArray, IntArray
+from multicell.compiling.numba_068 import install_recorder
 from multicell.integrators.base import Integrator
 from multicell.mechanics.motion import Motion, Work
 from multicell.mechanics.system import Mechanics

@@ -61,7 +61,7 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     """
     from numba import njit
 
-    from multicell.compiling import KERNEL
+    from multicell.compiling.options import KERNEL
 
     name = f"{body.__name__}_parallel"
     twin = FunctionType(body.__code__, body.__globals__, name, body.__defaults__, body.__closure__)

@@ -43,6 +43,9 @@ SHARED = ("adhesion_constant", "bond_strength", "medium_drag")
 """What the kernels add to the constants of each law: √(6πσ) where it is one for all pairs, f_ad
 of receptors in nN/µm² (None without any), and 6πη in kPa s."""
 
+_UNCHANGING = ("cmath", "math", "numba", "numpy")
+"""Modules that numba compiles by itself: with another version of them it compiles anew."""
+
 _TYPES: dict[str, Any] = {}
 _FUNCTIONS: dict[Any, LawFunction] = {}
 
@@ -156,11 +159,27 @@ def _code(code: CodeType) -> Iterator[bytes]:
 
 
 def _read_by(function: Any) -> list[tuple[str, Any]]:
-    """Return the globals and the enclosing variables that a function reads, by name."""
-    names = [n for n in function.__code__.co_names if n in function.__globals__]
+    """Return what a function reads by name: globals, enclosing variables, attributes of modules."""
+    names = list(_names(function.__code__))
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    inside = [(name, cell.cell_contents) for name, cell in cells]
-    return [(name, function.__globals__[name]) for name in names] + inside
+    found = [(n, function.__globals__[n]) for n in names if n in function.__globals__]
+    found += [(name, cell.cell_contents) for name, cell in cells]
+    modules = [value for _, value in found if isinstance(value, ModuleType)]
+    for module in modules:  # those of modules in modules are found in the same way
+        if module.__name__.split(".")[0] in _UNCHANGING:
+            continue
+        inside = [(n, getattr(module, n)) for n in names if hasattr(module, n)]
+        modules += [x for _, x in inside if isinstance(x, ModuleType) and x not in modules]
+        found += inside
+    return found
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """Yield the names that a function reads, and those that functions within it read."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
 
 
 def _type(name: str) -> Any:

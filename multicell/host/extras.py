@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from multicell import __version__
 from multicell.errors import MissingPackage
+from multicell.host.closed import cache_folder, choose_cache
 from multicell.host.memory import physical_memory
 
 EXTRAS: Final = {
@@ -76,7 +77,8 @@ def checkup() -> dict[str, Any]:
     needed, extras = _requirements()
     memory = physical_memory()
     settings: Any = numba.config
-    cache = settings.CACHE_DIR or os.path.join(os.path.dirname(__file__), "__pycache__")
+    choose_cache(vars(settings))
+    cache = cache_folder(settings)
     return {
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import errno
 import os
-import stat
 import sys
 import warnings
 from importlib.machinery import ModuleSpec, PathFinder
@@ -86,22 +85,6 @@ class _Loader:
             said = str(error).strip().splitlines()[0]
             words = f"numba refuses its settings by environment variables ({said})"
             raise OSError(errno.EINVAL, words, "NUMBA_...") from error
-        _refuse_cache_of_others(vars(module)["CACHE_DIR"])
-
-
-def _refuse_cache_of_others(folder: str) -> None:
-    """Refuse a folder of compiled code where other users can put some, which would be run."""
-    if not folder or not hasattr(os, "geteuid") or not os.path.isdir(folder):
-        return
-    about = os.stat(folder)
-    if about.st_uid in (0, os.geteuid()) and not about.st_mode & stat.S_IWOTH:
-        return
-    raise PermissionError(
-        errno.EPERM,
-        "NUMBA_CACHE_DIR must name a folder of your own that only you can write to: compiled code "
-        "in it is run",
-        folder,
-    )
 
 
 @final

@@ -49,24 +49,38 @@ def read_rows(path: Path) -> list[tuple[int, list[str]]]:
 
 
 _MAX_DEPTH = 50
-_MAX_ELEMENTS = 1_000_000
+_MAX_ELEMENTS = 200_000  # the largest models of PhysiCell have some thousand
+_MAX_NAME = 80  # characters of a tag or a name that places in messages and accounts show
 _YES = ("1", "t", "T", "y", "Y")
 """How true, yes and 1 begin; the rest is not read."""
 
 
+def shortened(text: str, most: int) -> str:
+    """Return a text, or its beginning and a mark where it is longer than ``most`` characters."""
+    return text if len(text) <= most else f"{text[:most]}…"
+
+
 @final
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Element:
     """An element: its tag, what it holds, and where it stands."""
 
     tag: str
     attributes: dict[str, str]
-    path: str  # tags from below the root, with the name of those that have one: a/b[name]/c
     file: str
     line: int
     above: Element | None
     text: str = ""
     children: list[Element] = field(default_factory=list)
+    _off: bool | None = None
+
+    @property
+    def path(self) -> str:
+        """Its place: tags from below the root, with names of those that have one: a/b[name]/c."""
+        about = self.attributes
+        name = shortened(about.get("name", about.get("ID", about.get("index", ""))), _MAX_NAME)
+        own = shortened(self.tag, _MAX_NAME) + (f"[{name}]" if name else "")
+        return own if self.above is None or self.above.above is None else f"{self.above.path}/{own}"
 
     def all(self, path: str) -> list[Element]:
         """Return the elements at a path of tags below this one."""
@@ -94,11 +108,12 @@ class Element:
 
     def is_off(self) -> bool:
         """Return whether it, or what it stands in, is disabled by an attribute or an element."""
-        switches = [one for one in self.children if one.tag in ("enable", "enabled")]
-        if any(not one.flag() for one in switches):
-            return True
-        off = "enabled" in self.attributes and not self.says("enabled")
-        return off or (self.above is not None and self.above.is_off())
+        if self._off is None:  # looked for once: each of many children asks
+            switches = [one for one in self.children if one.tag in ("enable", "enabled")]
+            off = "enabled" in self.attributes and not self.says("enabled")
+            off = off or any(not one.flag() for one in switches)
+            self._off = off or (self.above is not None and self.above.is_off())
+        return self._off
 
     def error(self, problem: str, hint: str = "") -> SceneError:
         """Return the error of what stands here."""
@@ -145,6 +160,7 @@ class Element:
 def read_xml(path: Path) -> Element:
     """Return the root element of an XML file."""
     parser, elements, above = expat.ParserCreate(), list[Element](), list[Element]()
+    pieces: list[list[str]] = []  # of the texts of elements that are open
 
     def refuse(problem: str, hint: str = "") -> SceneError:
         return SceneError(f"{path.name}, line {parser.CurrentLineNumber}", problem, hint)
@@ -152,25 +168,26 @@ def read_xml(path: Path) -> Element:
     def begin(tag: str, attributes: dict[str, str]) -> None:
         if len(above) >= _MAX_DEPTH or len(elements) >= _MAX_ELEMENTS:
             raise refuse("is nested too deeply, or too large")
-        name = attributes.get("name", attributes.get("ID", attributes.get("index", "")))
-        higher = f"{above[-1].path}/" if len(above) > 1 else ""
-        place = f"{higher}{tag}[{name}]" if name else f"{higher}{tag}"
-        made = Element(tag, attributes, place, path.name, parser.CurrentLineNumber,
-                       above[-1] if above else None)  # fmt: skip
+        line = parser.CurrentLineNumber
+        made = Element(tag, attributes, path.name, line, above[-1] if above else None)
         elements.append(made)
         if above:
             above[-1].children.append(made)
         above.append(made)
+        pieces.append([])
+
+    def end(_: str) -> None:
+        above.pop().text = "".join(pieces.pop())
 
     def text(characters: str) -> None:
-        above[-1].text += characters
+        pieces[-1].append(characters)
 
     def document_type(*_: object) -> None:
         hint = "Entities may name files or grow without bound; remove <!DOCTYPE …>."
         raise refuse("has a document type, which is not read", hint)
 
     parser.buffer_text = True
-    parser.StartElementHandler, parser.EndElementHandler = begin, lambda _: above.pop()
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = text, document_type
     try:
         parser.Parse(read_text(path), True)

@@ -15,13 +15,11 @@ returns a :class:`Report`.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numba import njit, types
-from numba.core.errors import TypingError
+from numba import TypingError, njit, types
 from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
@@ -32,7 +30,6 @@ from multicell.compiling import (
     address_of,
     arithmetic,
     called_at,
-    fingerprint_of,
     kind_of,
 )
 from multicell.integrators import fused
@@ -74,14 +71,6 @@ class Source(NamedTuple):
     evaluation_at: int = 0
     foresee_at: int = 0
     assess_at: int = 0
-
-
-# numba's cache on disk compares the date of a loop's own file only, but code of these files is
-# compiled into it: after a change of one of them the loops take arguments of another type
-Source.__name__ = Source.__qualname__ = "Source_" + fingerprint_of(
-    sys.modules[__name__], forces, fused, neighbours
-)
-globals()[Source.__name__] = Source
 
 
 class Control(NamedTuple):

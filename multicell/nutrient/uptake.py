@@ -3,9 +3,6 @@
 With the largest uptake V and the half saturation K (mM), uptake at the concentration c (mM) is
 V c / (K + c), in the unit of V: amol/s of a cell or a shell, mM/s of a node (Michaelis & Menten
 1913).
-
-:mod:`multicell.nutrient.stencil` compiles them into its kernels, and numba's disk cache notices
-changes of a kernel's own file only: after a change here, save that file as well.
 """
 
 from __future__ import annotations

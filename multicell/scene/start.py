@@ -40,8 +40,11 @@ def separate(scene: Scene, cells: Cells) -> Cells:
     """
     if len(cells) < 2:
         return cells
-    near = neighbours.neighbour_pairs(cells.position, 1e-9 * float(cells.radius.min()))
-    moved = np.unique(near[:, 1])
+    # a thousand cells at one place are half a million pairs: those behind the first are only named
+    first = np.sort(np.unique(cells.position, axis=0, return_index=True)[1])
+    near = neighbours.neighbour_pairs(cells.position[first], 1e-9 * float(cells.radius.min()))
+    later = np.delete(np.arange(len(cells)), first)
+    moved = np.union1d(later, first[near[:, 1]])
     if len(moved):
         cells = cells.copy()
         axis = random.directions(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -51,6 +52,7 @@ IGNORED_COLUMNS: Final[Mapping[str, str]] = {
 }  # fmt: skip
 """Columns of an exported frame that are ignored, as are concentrations."""
 _COINCIDING: Final = 0.01
+_CROWDED: Final = 50  # pairs of deep overlaps for each cell; packed tissue has a few
 """Distance of two centres over the sum of the radii below which they are at one place."""
 CONCENTRATION_PREFIX: Final = "concentration_"
 """Beginning of the names of columns with what cells found of a field."""
@@ -307,26 +309,55 @@ def normalise(source: Columns) -> Given:
 
 def _refuse_coinciding(given: Given) -> None:
     """Refuse two cells at one place: between them no force has a direction."""
-    pairs = near_pairs(given, _COINCIDING, 0.5)
+    pairs = _same_places(positions(given))
+    if not len(pairs):
+        pairs = near_pairs(given, _COINCIDING, 0.5)
     if len(pairs):
         first, second = sorted(pairs[np.lexsort(pairs.T)][0].tolist())
         other = given.place(first).removeprefix(f"{given.source.name}, ")
+        more = len(np.unique(pairs[:, 1])) - 1
         problem = f"is at the place of {other}: their centres coincide"
+        problem += f", and so do {more:,} more" if more else ""
         raise DataError(given.place(second, "position_x"), problem, "One cell has one row.")
+
+
+def _same_places(place: FloatArray) -> NDArray[np.int64]:
+    """Return the cells at exactly the place of an earlier one, each with the first there, (m, 2).
+
+    Sorted, not paired: a thousand cells at one place are half a million pairs.
+    """
+    _, first, code = np.unique(place, axis=0, return_index=True, return_inverse=True)
+    earliest = first[code.reshape(-1)]
+    later = np.flatnonzero(earliest != np.arange(len(place)))
+    return np.stack([earliest[later], later], axis=1)
 
 
 def near_pairs(given: Given, part: float, usual_radius: float) -> NDArray[np.int64]:
     """Return the pairs (m, 2) of cells nearer than a part of the sum of their radii.
 
-    ``usual_radius``, µm, is that of cells in a table without radii.
+    ``usual_radius``, µm, is that of cells in a table without radii. They are counted before they
+    are listed; ``DataError`` for more than a run could work with.
     """
     from scipy.spatial import KDTree
 
     place = positions(given)
     radius = given.columns.get("radius", np.full(len(given), usual_radius))
-    pairs = KDTree(place).query_pairs(2.0 * part * float(radius.max()), output_type="ndarray")
-    apart = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
-    return np.asarray(pairs[apart < part * radius[pairs].sum(axis=1)])
+    tree, distance = KDTree(place), 2.0 * part * float(radius.max())
+    most = _CROWDED * len(place) + 10**5
+    if (tree.count_neighbors(tree, distance) - len(place)) // 2 <= most:
+        pairs = tree.query_pairs(distance, output_type="ndarray")
+        apart = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
+        return np.asarray(pairs[apart < part * radius[pairs].sum(axis=1)])
+    if radius.max() > 2.0 * radius.min():  # a few large cells among small ones, perhaps
+        from multicell.mechanics import neighbours  # loads numba
+
+        with suppress(neighbours.TooManyPairsError):
+            found = neighbours.build(np.ascontiguousarray(place), part * radius, 0.0)
+            if len(found) <= most:
+                return found.pairs().astype(np.int64)
+    problem = f"has {len(place):,} cells of which more than {most:,} pairs lie on top of each other"
+    hint = "Check the units of places and radii, and whether cells stand in it twice."
+    raise DataError(given.source.name, problem, hint)
 
 
 def positions(given: Given) -> FloatArray:

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -138,6 +139,22 @@ def test_fingerprints_change_with_all_that_a_function_reads():
         made(plain.format("x").replace("return g(x)", "return x"), {"A": 1.0}),
     ]
     assert len({base, *others}) == 5
+
+
+def test_fingerprints_change_with_what_a_function_reads_of_modules_and_within():
+    def made(source, *, half=2.0, power="x * x"):
+        inner, helpers = ModuleType("inner"), ModuleType("helpers")
+        inner.HALF, helpers.inner = half, inner
+        exec(f"def power(x):\n    return {power}", vars(helpers))
+        space = {"helpers": helpers, "math": math}
+        exec(source, space)
+        return fingerprint(space["f"])
+
+    reads = "def f(x):\n    return math.sqrt(helpers.power(x)) / helpers.inner.HALF"
+    within = "def f(x):\n    g = lambda y: helpers.power(y)\n    return g(x)"
+    assert made(reads) == made(reads)
+    assert len({made(reads), made(reads, half=3.0), made(reads, power="x * 2")}) == 3
+    assert made(within) == made(within, half=3.0) != made(within, power="x * 2")
 
 
 def test_a_scene_names_its_law_and_runs_no_file(tmp_path):

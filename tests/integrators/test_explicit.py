@@ -1,9 +1,7 @@
 """Explicit methods against SciPy, the spectrum of the Jacobian, and each other's code paths."""
 
-import pickle
 import re
 from functools import partial
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -12,10 +10,8 @@ from oracles import four_cells
 from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
-from multicell.compiling import fingerprint_of
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.integrators import driver as explicit
-from multicell.integrators import fused
 from multicell.integrators import stepping as loops
 from multicell.integrators.adams_bashforth import AdamsBashforth2, AdaptiveAdams
 from multicell.integrators.auto import Auto
@@ -25,8 +21,6 @@ from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.runge_kutta import AdaptiveEuler, Dopri5, Euler, Heun, RungeKutta4
 from multicell.integrators.scipy import Scipy
-from multicell.mechanics import forces as kernels
-from multicell.mechanics import neighbours
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
@@ -292,22 +286,6 @@ def test_external_forces_reach_the_loops(method):
     # a straight ramp is exact for methods of order two, one step behind for Euler
     tolerance = 0.06 * expected[1] if "Euler" in type(method).__name__ else 1e-9
     np.testing.assert_allclose(end, expected, atol=tolerance)
-
-
-def test_the_type_of_what_loops_take_changes_with_the_files_that_are_compiled_into_them(tmp_path):
-    def loaded(text):
-        (tmp_path / "part.py").write_text(text)
-        part = ModuleType("part")
-        part.__file__ = str(tmp_path / "part.py")
-        return part
-
-    one, other = fingerprint_of(loaded("x = 1")), fingerprint_of(loaded("x = 2"))
-    assert one != other
-    assert fingerprint_of(loaded("x = 1")) == one
-    files = loops, kernels, fused, neighbours
-    assert loops.Source.__name__ == f"Source_{fingerprint_of(*files)}"
-    # numba names types in its files
-    assert pickle.loads(pickle.dumps(loops.Source)) is loops.Source
 
 
 @pytest.mark.parametrize("options", [{"stages": 5}, {"stages": 1, "step": 1.0}, {"stages": -2}])

@@ -23,6 +23,9 @@ MINUTE = 60.0
 VISCOSITY = 5.0
 """Viscosity of the medium, kPa s: PhysiCell has none, and nothing but forces depends on it."""
 
+_MAX_TYPES = 1000
+"""Types of cells that are read; what each says of each other one grows with the square of it."""
+
 _FROM_ZERO = ("motility/options", "secretion", "cell_interactions", "cell_transformations")
 """What a type does not take over from the first one, unless it names that as its parent."""
 
@@ -129,16 +132,16 @@ class Model:
 
 def keys_of(names: Iterable[str], prefix: str) -> list[str]:
     """Return names of letters, digits and ``_`` for names of any kind, no two alike."""
-    made: list[str] = []
+    made: dict[str, int] = {}  # and the number that the next name like it gets
     for name in names:
         key = re.sub(r"\W+", "_", name.strip(), flags=re.ASCII).strip("_")
         if not key or key[0].isdigit():
             key = f"{prefix}_{key}".rstrip("_")
-        first, number = key, 2
+        first, number = key, made.get(key, 2)
         while key in made:
             key, number = f"{first}_{number}", number + 1
-        made.append(key)
-    return made
+        made[first], made[key] = number, made.get(key, 2)
+    return list(made)
 
 
 def read_kinds(root: Element, account: Account) -> list[Kind]:
@@ -151,6 +154,8 @@ def read_kinds(root: Element, account: Account) -> list[Kind]:
     if not elements:
         problem = "has no cell_definition: its cells are defined by C++ code, which is not read"
         raise SceneError(root.file, problem, "Such files were written before PhysiCell 1.8.")
+    if len(elements) > _MAX_TYPES:
+        raise elements[_MAX_TYPES].error(f"is one of more than {_MAX_TYPES} types of cells")
     for element in elements:
         if not element.attributes.get("name"):
             raise element.error("has no name")

@@ -113,6 +113,7 @@ _ZEROS: Final = (
 def _account_for_rest(model: Model) -> None:
     """Account for all settings that have no entry yet; without effect in the model they are off."""
     names = {kind.name for kind in model.kinds}
+    is_zero: dict[tuple[Element, str], bool] = {}  # one answer for all leaves beside each other
     for leaf in model.root.leaves():
         if leaf in model.account:
             continue
@@ -121,8 +122,11 @@ def _account_for_rest(model: Model) -> None:
         acts = bool(re.match(_ZEROS, where)) or not _says_nothing(leaf)
         acts = acts and not (leaf.tag in _OF_TYPES and leaf.attributes.get("name") not in names)
         for pattern, path in _NEEDED.items():
-            if re.match(pattern, where) and leaf.above is not None:
-                acts = acts and not all(map(_says_nothing, leaf.above.all(path)))
+            if acts and re.match(pattern, where) and leaf.above is not None:
+                asked = leaf.above, path
+                if asked not in is_zero:
+                    is_zero[asked] = all(map(_says_nothing, leaf.above.all(path)))
+                acts = not is_zero[asked]
         if leaf.is_off() or not acts:
             fate, key, note = _OFF, "", ""
         model.account.take(leaf, fate, key, note)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _MAX_LINES = 10**7
+_CROWDED = 50  # pairs for each cell; more than a few coincide in no model that has run
 _NEAR, _AWAY = 0.021, 0.1
 """How near two cells are taken to coincide, and by how much one of them is moved, in radii."""
 
@@ -174,13 +175,22 @@ def _inside(model: Model, path: Path, position: FloatArray) -> NDArray[np.bool_]
     return keep
 
 
-def _move_apart(model: Model, source: str, start: Start) -> Start:
-    """Return cells of which no two coincide: one of each two that do is moved."""
+def _coinciding(source: str, position: FloatArray, distance: float) -> NDArray[np.int64]:
+    """Return the pairs of cells no further apart than a distance in µm; refuse a crowd of them."""
     from scipy.spatial import KDTree
 
+    tree, most = KDTree(position), _CROWDED * len(position) + 10**5
+    if (tree.count_neighbors(tree, distance) - len(position)) // 2 > most:
+        problem = f"has more than {most:,} pairs of cells that lie on top of each other"
+        raise SceneError(source, problem, "Check the unit of their places: it is um.")
+    return np.asarray(tree.query_pairs(distance, output_type="ndarray"))
+
+
+def _move_apart(model: Model, source: str, start: Start) -> Start:
+    """Return cells of which no two coincide: one of each two that do is moved."""
     position, radius = start.position, float(np.cbrt(start.volume.max() / SPHERE))
     random, moved = np.random.default_rng(0), 0
-    while (near := KDTree(position).query_pairs(_NEAR * radius, output_type="ndarray")).size:
+    while (near := _coinciding(source, position, _NEAR * radius)).size:
         again = np.unique(near[:, 1])
         moved += again.size
         angle = 2.0 * np.pi * random.random(again.size)

@@ -1,0 +1,88 @@
+"""Calls of compiled functions at their addresses, and what stands for the types of arguments.
+
+What is large and called from several loops is compiled once, and called at its address
+(:func:`address_of`, :func:`call_at`), where numba would put its code into each caller.
+"""
+
+from __future__ import annotations
+
+from inspect import Parameter, Signature
+from typing import Any
+
+import numpy as np
+from numba import typeof, types
+from numba.extending import intrinsic
+
+from multicell.compiling.numba_068 import cgutils
+
+_typeof: Any = typeof
+
+
+_OWNED = 0x4  # flag of arrays whose memory is their own, which is no part of their type
+
+
+def kind_of(value: Any) -> Any:
+    """Return what stands for the type of an argument: equal where numba's types are equal.
+
+    Numba's own ``typeof`` takes a quarter of a millisecond for the tuples that loops are given.
+    """
+    if isinstance(value, np.ndarray):
+        return value.dtype.char, value.ndim, value.flags.num & ~_OWNED
+    if isinstance(value, tuple):
+        return type(value), *map(kind_of, value)
+    return type(value)
+
+
+_ADDRESSES: dict[Any, int] = {}
+
+
+def address_of(function: Any, result: Any, *arguments: Any) -> int:
+    """Return where a jitted function is that takes values like these; compile it if need be.
+
+    - ``result``: a value of the type that it must return
+    """
+    key = (function, kind_of(result), kind_of(arguments))
+    if key not in _ADDRESSES:
+        signature = tuple(map(_typeof, arguments))
+        function.compile(signature)
+        found = function.overloads[signature]
+        if found.signature.return_type != _typeof(result):
+            raise TypeError(f"{function} returns {found.signature.return_type}")
+        _ADDRESSES[key] = found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
+    return _ADDRESSES[key]
+
+
+def call_at(result: Any, address: Any, *arguments: Any) -> tuple[Any, Any]:
+    """Return what an intrinsic needs that calls the function at an address, its first argument.
+
+    The function must have been compiled for exactly the types of the other arguments, literal
+    ones apart, and return ``result``. Exceptions come through.
+    """
+    given = tuple(map(types.unliteral, arguments))
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        convention = context.call_conv
+        kind = convention.get_function_type(result, given).as_pointer()
+        function = builder.inttoptr(values[0], kind)
+        status, returned = convention.call_function(builder, function, result, given, values[1:])
+        failed = cgutils.if_unlikely(builder, status.is_error)  # type: ignore[no-untyped-call]
+        with failed:
+            convention.return_status_propagate(builder, status)
+        return returned
+
+    return result(address, *given), generate
+
+
+def called_at(count: int, result: Any) -> Any:
+    """Return what compiled code calls with an address and ``count`` arguments of a function there.
+
+    ``result`` returns its type, given those of address and arguments.
+    """
+
+    def call(context: Any, *given: Any) -> tuple[Any, Any]:
+        return call_at(result(*given), *given)
+
+    # numba packs what has no names of its own into a tuple
+    names = [Parameter(f"_{k}", Parameter.POSITIONAL_OR_KEYWORD) for k in range(count + 2)]
+    call.__signature__ = Signature(names)  # type: ignore[attr-defined]
+    return intrinsic(call)

@@ -1,0 +1,241 @@
+"""The insides of numba 0.68 that this package reads or changes; no other module touches them.
+
+Changes hold for the whole process, also for a user's own numba code in it. What that code computes
+does not change. All of them are made once, by :func:`change_numba`, when a module with kernels is
+first imported.
+
+===========================  =========  ==========================================================
+what                         for        why
+===========================  =========  ==========================================================
+source stamps of our files   truth      numba compares a kernel's own file with its code on disk.
+                                        Ours take in helpers of other files: their stamp is a
+                                        digest of all files that compile. Others' stay as they are.
+index of a cache file        safety     an index that names types which are gone (after an
+                                        upgrade) raises ``AttributeError`` in every run: it counts
+                                        as empty, and is written anew.
+files of other users         safety     to read compiled code is to run it: index and data that
+                                        are not the user's or root's own count as absent.
+boxes of arrays and tuples   safety     numba's run Python, and do not ask whether it raised: a
+                                        signal's handler there ends in a segmentation fault.
+folder of compiled code      safety     one that others can write to is replaced by a private one
+                                        (:mod:`multicell.host.closed`).
+signals while numba works    safety     an exception within its lock leaves parts of a function
+                                        behind, and numba ends in errors of its own.
+jit of numba's own           speed      ``np.empty`` and others are compiled as pieces of their
+functions                               callers; each would be optimised and turned into machine
+                                        code that nothing calls.
+equality of options          speed      asked for each call in a kernel, and slow by default.
+size of a type               speed      numba has LLVM read a program for each question.
+collector of garbage         speed      numba makes millions of objects that live until it is done.
+SciPy's BLAS                 speed      numba imports ``scipy.linalg`` to ask whether it is there;
+                                        it is loaded when a kernel calls it.
+===========================  =========  ==========================================================
+
+:mod:`multicell.host.surroundings` keeps ``numba.core.config`` from reading files of the working
+folder, before numba is imported. The pin ``numba>=0.68,<0.69`` stands for all this: with another
+version each row is tried without the change first, by its test in ``tests/test_compiling.py``.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any, final
+
+from llvmlite import ir
+from numba import types
+from numba.core import boxing, caching, cgutils, config, event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.cpu import CPUContext
+from numba.core.event import install_recorder
+from numba.core.pythonapi import _boxers
+from numba.core.targetconfig import TargetConfig
+from numba.core.typing.templates import _OverloadFunctionTemplate
+from numba.np import linalg
+from numba.np.numpy_support import as_dtype
+
+from multicell.host.closed import choose_cache, is_own
+
+__all__ = ["PieceCompiler", "cgutils", "change_numba", "event", "install_recorder"]
+
+_ensure_blas = linalg.ensure_blas
+
+
+def _assume_blas() -> None:
+    """Load nothing of scipy.linalg until a kernel calls it; numba asks once whether it is there."""
+    linalg.ensure_blas = _ensure_blas
+
+
+@final
+class _Piece(JITCodeLibrary):
+    """Code that other functions take in, and that has no machine code of its own."""
+
+    @property
+    def codegen(self) -> Any:
+        """A stand-in for the code generator: no caller needs the function's environment."""
+        return _Nowhere()
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return that it is nowhere."""
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
+        return 0
+
+    def _optimize_functions(self, module: Any) -> None:
+        """Leave that to those who take it in."""
+        module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        """Leave that to those who take it in."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        self._verify_declare_only_symbols()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+
+@final
+class _Nowhere:
+    def set_env(self, name: str, environment: Any) -> None:
+        """Do nothing."""
+
+
+@final
+class PieceCompiler(Compiler):
+    """Compile a function as a piece of its callers, without machine code of its own."""
+
+    def __init__(
+        self,
+        typing: Any,
+        target: Any,
+        library: Any,
+        arguments: Any,
+        result: Any,
+        flags: Any,
+        local: Any,
+    ) -> None:
+        library = _Piece(target.codegen(), "piece")  # type: ignore[no-untyped-call]
+        super().__init__(typing, target, library, arguments, result, flags, local)  # type: ignore[no-untyped-call]
+
+
+_plain_jit = _OverloadFunctionTemplate._get_jit_decorator
+
+
+def _jit_of_overloads(template: Any) -> Callable[..., Any]:
+    """Return what compiles numba's own functions, such as ``np.empty``: as pieces of callers."""
+    compiles = _plain_jit(template)  # type: ignore[no-untyped-call]
+    return lambda **options: compiles(
+        **{"pipeline_class": PieceCompiler, "no_cfunc_wrapper": True, **options}
+    )
+
+
+def _same_options(one: Any, other: Any) -> Any:
+    """Return whether options of functions are equal, which numba asks for each call in a kernel."""
+    if not isinstance(other, type(one)):
+        return NotImplemented
+    return one._values == other._values or one.values() == other.values()
+
+
+_SIZES: dict[str, int] = {}
+
+
+def _size_of(context: Any, kind: Any) -> int:
+    """Return the size of a type in bytes, for which numba has LLVM read a program each time."""
+    name = str(kind)
+    if name not in _SIZES:
+        _SIZES[name] = kind.get_abi_size(context.target_data)
+    return _SIZES[name]
+
+
+_plain_index = caching.IndexDataCacheFile._load_index
+
+
+def _index_of(cache: Any) -> Any:
+    """Return numba's index of a file on disk; nothing of one that names types which are gone.
+
+    Nor of one that another user has made, or could have changed: to read it is to run it.
+    """
+    try:
+        return _plain_index(cache) if is_own(cache._index_path) else {}  # type: ignore[no-untyped-call]
+    except (AttributeError, FileNotFoundError):
+        return {}
+
+
+_plain_data = caching.IndexDataCacheFile._load_data
+
+
+def _data_of(cache: Any, name: str) -> Any:
+    """Return a compiled function from disk, with the same care; None to compile it anew."""
+    return _plain_data(cache, name) if is_own(cache._data_path(name)) else None  # type: ignore[no-untyped-call]
+
+
+def _constant(c: Any, value: Any) -> Any:
+    """Return code that finds a constant that was stored together with a compiled function."""
+    return c.env_manager.read_const(c.env_manager.add_const(value))
+
+
+def _box_array(kind: Any, value: Any, c: Any) -> Any:
+    """Return code that makes the array of Python that a kernel returns, and runs no Python.
+
+    Numba's own unpickles the class of the array by a function in Python, and does not ask whether
+    that succeeded: where the handler of a signal raises an exception there, the process ends with
+    a segmentation fault.
+    """
+    number = ir.IntType(32)
+    native = cgutils.alloca_once_value(c.builder, value)  # type: ignore[no-untyped-call]
+    shape = ir.FunctionType(
+        c.pyapi.pyobj, [c.pyapi.voidptr, c.pyapi.pyobj, number, number, c.pyapi.pyobj]
+    )
+    adapt = c.pyapi._get_function(shape, name="NRT_adapt_ndarray_to_python_acqref")
+    made = c.builder.call(
+        adapt,
+        [
+            c.builder.bitcast(native, c.pyapi.voidptr),
+            _constant(c, kind.box_type),
+            number(kind.ndim),
+            number(int(kind.mutable)),
+            _constant(c, as_dtype(kind.dtype)),
+        ],
+    )
+    c.context.nrt.decref(c.builder, kind, value)
+    return made
+
+
+def _box_named_tuple(kind: Any, value: Any, c: Any) -> Any:
+    """Return code that makes the NamedTuple that a kernel returns, as :func:`_box_array` does."""
+    plain = boxing.box_tuple(kind, value, c)
+    new = _constant(c, tuple.__new__)
+    made = c.pyapi.call_function_objargs(new, (_constant(c, kind.instance_class), plain))
+    c.pyapi.decref(plain)
+    return made
+
+
+def change_numba(stamp_of: Callable[[str], Any]) -> None:
+    """Change numba as the table of this module says.
+
+    - ``stamp_of``: returns the source stamp of kernels in a file of ours; None for other files
+    """
+    choose_cache(vars(config))
+    locator: Any = caching._SourceFileBackedLocatorMixin
+    plain_stamp = locator.get_source_stamp
+
+    def stamp(self: Any) -> Any:
+        own = stamp_of(self._py_file)
+        return plain_stamp(self) if own is None else own
+
+    locator.get_source_stamp = stamp
+    index: Any = caching.IndexDataCacheFile
+    index._load_index, index._load_data = _index_of, _data_of
+    template: Any = _OverloadFunctionTemplate
+    template._get_jit_decorator = _jit_of_overloads
+    options: Any = TargetConfig
+    options.__eq__, options.__hash__ = _same_options, lambda options: hash(type(options))
+    context: Any = CPUContext
+    context.get_abi_sizeof = _size_of
+    _boxers.functions |= {
+        types.Array: _box_array,
+        types.NamedTuple: _box_named_tuple,
+        types.NamedUniTuple: _box_named_tuple,
+    }
+    if "numba.np.arraymath" not in sys.modules:
+        linalg.ensure_blas = _assume_blas
