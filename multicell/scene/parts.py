@@ -349,7 +349,10 @@ class CellType:
         default=0.0, at_least=0, doc="ligand concentration on the surface over time"
     )
     cycle_scale: float = number(
-        default=1.0, above=0, doc="duration of the cycle or its phases / that of the scene"
+        default=1.0,
+        at_least=1e-9,
+        at_most=1e12,
+        doc="duration of the cycle or its phases / that of the scene",
     )
     uptake_scale: float = number(
         default=1.0, at_least=0, doc="uptake and secretion / those of the scene's fields"
