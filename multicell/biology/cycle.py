@@ -40,9 +40,26 @@ class Cycling:
     phase_length: FloatArray
 
 
-def growing_time(plan: BiologyPlan, lengths: FloatArray) -> FloatArray:
-    """Return the time that each cell spends in phases in which it grows, (n,) s."""
+def growing_time(plan: BiologyPlan, lengths: FloatArray, kind: NDArray[np.int16]) -> FloatArray:
+    """Return the time in which each cell doubles its volume, (n,) s.
+
+    It spends it in the phases in which it grows, unless the scene states it.
+    """
+    if plan.doubling is not None:
+        return plan.doubling[kind]
     return np.asarray(lengths[:, plan.grows[1:]].sum(axis=1))
+
+
+def volume_in(
+    plan: BiologyPlan, phase: NDArray[np.integer], volume: FloatArray, share: FloatArray,
+    birth: float = 1.0,
+) -> FloatArray:  # fmt: skip
+    """Return volumes after a share of a cycle without limits in a phase, (n,)."""
+    assert plan.law is not None
+    if plan.target_scale is None:
+        return plan.law.volume_after(volume, share, birth)
+    scale = plan.target_scale[phase]
+    return np.asarray(scale * plan.law.volume_after(volume / scale, share, birth))
 
 
 def advance(
@@ -120,7 +137,8 @@ def _grow(
     if law.constant:
         now.volume[index] += birth / cycle * factor * time
         return
-    now.volume[index] = law.volume_after(now.volume[index], factor * time / cycle, birth)
+    share = factor * time / cycle
+    now.volume[index] = volume_in(plan, now.phase[index], now.volume[index], share, birth)
 
 
 def _grow_as_two(
@@ -132,8 +150,8 @@ def _grow_as_two(
     if law.constant:
         now.volume[index] += 2.0 * ahead * birth / cycle
         return
-    half = 0.5 * now.volume[index]
-    now.volume[index] = 2.0 * law.volume_after(half, ahead / cycle, birth)
+    half, first = 0.5 * now.volume[index], np.full(len(index), Phase.G1)
+    now.volume[index] = 2.0 * volume_in(plan, first, half, ahead / cycle, birth)
 
 
 def _change(
@@ -182,7 +200,7 @@ def enter_cycle(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:
     cells.phase = np.full(len(cells), Phase.G1, dtype=np.int8)
     cells.progress = progress
     cells.phase_length = lengths[:, 0].copy()
-    cells.cycle_time = growing_time(plan, lengths)
+    cells.cycle_time = growing_time(plan, lengths, cells.kind)
 
 
 def place_in_cycle(
@@ -192,7 +210,7 @@ def place_in_cycle(
 
     ``lengths`` are those of their phases, (n, 4) s.
     """
-    cells.cycle_time = growing_time(plan, lengths)
+    cells.cycle_time = growing_time(plan, lengths, cells.kind)
     grows, ends = plan.grows[1:], np.cumsum(lengths, axis=1)
     elapsed = share * ends[:, -1]
     phase = np.minimum((elapsed[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
@@ -203,6 +221,8 @@ def place_in_cycle(
     before = np.arange(len(PHASES)) < phase[:, None]
     growing = (lengths * grows * before).sum(axis=1) + cells.progress * grows[phase]
     cells.age = elapsed
+    if plan.target_scale is not None:
+        return _volume_through(plan, cells, lengths)
     return volume_ratio(plan, growing / cells.cycle_time)
 
 
@@ -250,8 +270,21 @@ def time_before_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
 
 def volume_in_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
     """Return the volumes of cells in their phases over those at birth, (n,)."""
+    if plan.target_scale is not None:
+        return _volume_through(plan, cells, draw_lengths(plan, cells.id, cells.kind))
     elapsed = time_before_phase(plan, cells)[:, 1] + cells.progress * plan.grows[cells.phase]
     return volume_ratio(plan, elapsed / cells.cycle_time)
+
+
+def _volume_through(plan: BiologyPlan, cells: Cells, lengths: FloatArray) -> FloatArray:
+    """Return the volumes over those at birth after phases that have targets of their own, (n,)."""
+    volume = np.ones(len(cells))
+    place = np.where(cells.phase == Phase.G0, Phase.S, cells.phase)
+    for phase in (Phase.G1, Phase.S, Phase.G2, Phase.M):
+        spent = np.where(cells.phase == phase, cells.progress, 0.0)
+        spent = np.where(place > phase, lengths[:, phase - 1], spent) * plan.grows[phase]
+        volume = volume_in(plan, np.full(len(cells), phase), volume, spent / cells.cycle_time)
+    return volume
 
 
 def _length_of(

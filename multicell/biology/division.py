@@ -204,10 +204,11 @@ def _become(plan: BiologyPlan, cells: Cells, index: IntArray, kinds: IntArray) -
     """
     before, kind = cells.kind[index], cells.kind.copy()
     kind[index] = kinds
+    pace = plan.cycle_scale if plan.doubling is None else plan.doubling
     for name, values in (
         ("young", plan.young_ratio),
-        ("cycle_time", plan.cycle_scale),
-        ("lag", plan.cycle_scale),
+        ("cycle_time", pace),
+        ("lag", pace),
         ("progress", plan.cycle_scale),
         ("phase_length", plan.cycle_scale),
     ):
