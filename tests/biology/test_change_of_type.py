@@ -23,6 +23,8 @@ CYCLES = {
                           zip(("G1", "S", "G2", "M"), (9, 7, 4, 1), strict=True)}},
     "no growth": None,
 }  # fmt: skip
+CYCLES["rate"] = {**CYCLES["phases"], "law": "relaxation", "parameters": {"target": 1.2},
+                  "volume_doubling_time": 9 * HOUR}  # fmt: skip
 
 # the columns of a cell: what its type scales or sets, and what is its own
 OF_TYPE = {
@@ -42,6 +44,7 @@ KEYS = {
     "receptor": 2.0,
     "ligand": 2.0,
     "cycle_scale": 0.3,
+    "volume_doubling_time": 3.0 * HOUR,
     "uptake_scale": 3.0,
     "secretion_scale": 3.0,
     "uptake_of": {"oxygen": 0.1},
@@ -90,6 +93,11 @@ def become(described, cells, kind):
 B = {"young": 2.5, "cycle_scale": 0.3, "receptor": [[0.0, 5.0]], "ligand": [[0.0, 0.0]]}
 
 
+def of_b(cycle):
+    """Return the keys of type b, with one that only a rate of growth allows."""
+    return {**B, **({"volume_doubling_time": 3.0 * HOUR} if cycle == "rate" else {})}
+
+
 def test_each_column_and_each_key_of_a_type_is_classified():
     """A new column or key must say here what becomes of it, and how it is tested."""
     assert {*OF_TYPE, *OWN} == {name for name, _ in Cells.empty().columns()}
@@ -98,7 +106,7 @@ def test_each_column_and_each_key_of_a_type_is_classified():
 
 @pytest.mark.parametrize("cycle", CYCLES)
 def test_a_changed_cell_is_as_one_that_was_born_so(cycle):
-    described = scene(cycle, B, changes=False)
+    described = scene(cycle, of_b(cycle), changes=False)
     first, wanted = born(described, "a"), born(described, "b")
     after = become(described, first, "b")
     for name in OF_TYPE:
@@ -109,7 +117,7 @@ def test_a_changed_cell_is_as_one_that_was_born_so(cycle):
     # all that is of the type differs here where it can
     for name in OF_TYPE - {"lag"}:
         differs = getattr(after, name) != getattr(first, name)
-        none = name in ("progress", "phase_length") and cycle != "phases"
+        none = name in ("progress", "phase_length") and cycle not in ("phases", "rate")
         none |= name == "cycle_time" and cycle == "no growth"
         assert differs.all() != none, name
 
@@ -117,7 +125,7 @@ def test_a_changed_cell_is_as_one_that_was_born_so(cycle):
 @pytest.mark.parametrize("scale", [0.01, 0.7, 1e12])
 @pytest.mark.parametrize("cycle", CYCLES)
 def test_a_cell_that_comes_back_is_the_same(cycle, scale):
-    described = scene(cycle, {**B, "cycle_scale": scale}, changes=False)
+    described = scene(cycle, {**of_b(cycle), "cycle_scale": scale}, changes=False)
     first = born(described, "a")
     first.lag = np.linspace(-60.0, 60.0, len(first))
     now = first
@@ -132,7 +140,8 @@ def test_each_key_of_a_type_acts_on_a_cell_that_has_become_it(key):
     """Two steps, the change in the first: a key of the new type makes the second another one."""
 
     def after(b):
-        run = Simulation(scene("volume" if key == "cycle_scale" else "phases", b), threads=1)
+        cycle = {"cycle_scale": "volume", "volume_doubling_time": "rate"}.get(key, "phases")
+        run = Simulation(scene(cycle, b), threads=1)
         run.step()
         assert (run.cells.kind == 1).all()
         frame = run.frame()
