@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.draws import draw_lengths
+from multicell.biology.growth import growing
 from multicell.biology.responding import value_of
 from multicell.cells import Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.scene.parts import PHASES
@@ -91,8 +92,8 @@ def advance(
     # a clock that stands still never comes to the end of its phase
     active = np.flatnonzero(left > 0.0)
     while active.size:
-        in_growth = grows[now.phase[active]]
-        rate = np.where(in_growth, factor[active], 1.0)
+        grow = growing(plan, cells, now.phase)[active]
+        rate = np.where(grow, factor[active], np.where(grows[now.phase[active]], 0.0, 1.0))
         if pace is not None:
             rate *= pace[active, now.phase[active]]
         needed = np.full(active.size, np.inf)
@@ -100,8 +101,8 @@ def advance(
         np.divide(to_go, rate, out=needed, where=rate > 0.0)
         spent = np.minimum(np.maximum(needed, 0.0), left[active])
         now.progress[active] += rate * spent
-        growing = active[in_growth]
-        _grow(plan, cells, now, growing, factor[growing], spent[in_growth])
+        larger = active[grow]
+        _grow(plan, cells, now, larger, factor[larger], spent[grow])
         left[active] -= spent
         _change(plan, cells, now, active[needed <= spent], factor, unfavourable, left)
         active = active[(left[active] > 0.0) & (needed <= spent)]
@@ -168,11 +169,13 @@ def _change(
     ripe = at_end[phase == Phase.M]
     if ripe.size:
         # what is left of the step is the daughters' time in their first phase
-        grow = plan.grows[Phase.G1]
-        ahead = left[ripe] * (factor[ripe] if grow else 1.0)
-        now.progress[ripe] = now.phase_length[ripe] + ahead
-        if grow:
+        ahead = left[ripe]
+        if plan.grows[Phase.G1]:
+            newborn = cells.take(ripe)
+            newborn.age[:], newborn.phase[:] = 0.0, Phase.G1
+            ahead = np.where(growing(plan, newborn), ahead * factor[ripe], 0.0)
             _grow_as_two(plan, cells, now, ripe, ahead)
+        now.progress[ripe] = now.phase_length[ripe] + ahead
         left[ripe] = 0.0
     resting = np.zeros(len(at_end), dtype=bool)
     if plan.restricted:

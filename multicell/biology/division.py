@@ -9,6 +9,7 @@ import numpy as np
 from multicell import random
 from multicell.biology.cycle import enter_cycle
 from multicell.biology.draws import draw_cycle_times, draw_moduli, drift
+from multicell.biology.growth import growing
 from multicell.biology.responding import value_of
 from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.random import Purpose
@@ -148,7 +149,7 @@ def _grow_since(
     - ``waited``, (n,): time since then, s of unlimited growth
     """
     assert plan.law is not None
-    share = waited / daughters.cycle_time
+    share = np.where(growing(plan, daughters), waited / daughters.cycle_time, 0.0)
     volume = plan.law.volume_after(0.5 * mother, share, plan.birth_volume)
     daughters.radius = np.cbrt(volume / SPHERE)
 

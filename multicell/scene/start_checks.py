@@ -91,12 +91,9 @@ def _check_phases(scene: Scene, given: Given) -> None:
         return
     state, growth = columns.get("state", np.zeros(len(given))), scene.growth
     if "phase" not in columns:
-        if "radius" in columns and (
-            growth.volume_doubling_time or growth.target_scales is not None
-        ):
-            hint = (
-                "Sizes do not follow from phases where growth has volume_doubling_time or targets."
-            )
+        own_pace = growth.volume_doubling_time is not None or growth.target_scales is not None
+        if "radius" in columns and own_pace:
+            hint = "Sizes tell no phase where growth has volume_doubling_time or target_scale."
             raise DataError(given.source.name, "has no column 'phase'", hint)
         for name in (x for x in ("progress", "phase_length") if x in columns):
             where = f"{given.source.name}, '{given.titles[name]}'"

@@ -168,6 +168,19 @@ def test_a_start_in_the_first_phase_leaves_its_own_time(project):
     assert abs(left.mean() - 217.2) < 4.0 * 217.2 / np.sqrt(len(left))
 
 
+def test_cells_that_never_divide_are_ki67_negative(project):
+    cycle = ('<cycle code="6" name="Flow cytometry model (separated)">',
+             f'{KI67["advanced"]}<unread enabled="false">')  # fmt: skip
+    path = project(cycle)
+    text = path.read_text("utf-8").replace("</cycle>", "</unread>", 2)
+    path.write_text(text.replace("</unread><unread", "</cycle><unread", 1), "utf-8")
+    made = mc.import_physicell(path)
+    assert made.scene.growth.ki67_decay == 9000.0
+    run = Simulation(made.scene, threads=1)
+    assert run.history_row()["ki67_positive"] == 0.0
+    assert set(run.cells.kind.tolist()) == {0, 1}
+
+
 def test_a_large_type_that_does_not_divide_leaves_the_target_of_others(project):
     """A cell of ten times the volume sets the radius of division, not to what cells grow."""
     table = "x,y,z,type,volume\n" + "".join(f"{30 * k},0,0,tumour cell,\n" for k in range(3))

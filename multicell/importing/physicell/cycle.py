@@ -23,8 +23,8 @@ _NEVER = 1e6
 _RATE = "cytoplasmic_biomass_change_rate"
 _SLOWEST, _FASTEST = 0.7, 12.0
 """Bounds of rate times growing time for the volume that is called that of division."""
-_STILL = 1e-9
-"""Least rate of growth, 1/min: cells that do not grow need a time in which they double."""
+_PACES = 1e-9, 1e4
+"""Rates of growth, 1/min, that stand for those of cells that do not grow, or grow at once."""
 _NAMES = ("G1", "S", "G2", "M")
 
 
@@ -175,7 +175,8 @@ def _set_growth(model: Model, known: Mapping[Kind, Cycle], lead: Kind, target: f
         for phase in growth["phases"].values():
             phase["target_scale"] = phase.get("target_scale", 1.0) * target / law.target
     for kind in (lead, *known):
-        time = law.exponent * MINUTE / max(kind.number_of(f"volume/{_RATE}", 0.0045), _STILL)
+        rate = min(max(kind.number_of(f"volume/{_RATE}", 0.0045), _PACES[0]), _PACES[1])
+        time = law.exponent * MINUTE / rate
         if kind is lead:
             growth["volume_doubling_time"] = time
         elif time != growth["volume_doubling_time"]:
@@ -185,7 +186,7 @@ def _set_growth(model: Model, known: Mapping[Kind, Cycle], lead: Kind, target: f
 def _set_start(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
     """Set what is Ki67-positive, and begin after what precedes PhysiCell's first phase in G1."""
     growth, cycle = model.part("growth"), known[lead]
-    if cycle.model.has_ki67:
+    if all(own.model.has_ki67 for own in known.values() if math.isfinite(own.minutes)):
         growth["ki67_decay"] = cycle.after_division * MINUTE
     if not cycle.stages[-1].fixed:
         return
@@ -193,8 +194,10 @@ def _set_start(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
     if "shift" in first:
         begun = first["duration"] * first["shift"]  # as the shortest G1 is found, to the last bit
     assert model.cells is not None
-    alike = {kind: own for kind, own in known.items() if own.model is cycle.model}
-    model.cells.begun.update({k: begun * _scale(model, own, cycle) for k, own in alike.items()})
+    for kind, own in known.items():
+        # cells that never divide are where Ki67 is gone
+        if own.model is cycle.model or not math.isfinite(own.minutes):
+            model.cells.begun[kind] = begun * _scale(model, own, cycle)
 
 
 def _sizes(lead: Kind, cycle: Cycle) -> tuple[float, float]:
