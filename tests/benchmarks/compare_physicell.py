@@ -2,7 +2,7 @@
 
 Writes five models, runs PhysiCell on each with two seeds, and the import with three seeds. The
 program is that of the template project of PhysiCell, whose C++ code adds nothing to the settings.
-Cost: about ten minutes on one core, most of it for the disc after four days.
+Cost: about ten minutes on one core, most of it for the fields of the last model.
 Command: python tests/benchmarks/compare_physicell.py PROJECT [--models ki67,flow,volume,disc]
 """
 
@@ -39,7 +39,7 @@ MODELS = {
     "flow": (phases(2, -1 / 0.00324, -1 / 0.00208, -1 / 0.00333), 100, 12, 4, ""),
     "volume": (phases(5, -1 / 0.00072), 200, 1, 4,
                "default,volume,increases,cycle entry,0.05,2400,8,0\n"),
-    "disc": (phases(6, -500.0, 250.0, 240.0, 60.0), 73, 24, 4, ""),
+    "disc": (phases(6, -500.0, 250.0, 240.0, 60.0), 73, 24, 2, ""),
     # in oxygen, with 20 cells that move and become such ones where they touch them
     "rules": (phases(5, -1 / 0.0002), 121, 12, 4,
               "default,oxygen,increases,cycle entry,0.0015,20,4,0\n"
