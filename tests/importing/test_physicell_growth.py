@@ -5,8 +5,10 @@ import re
 import numpy as np
 import pytest
 from running import finished
+from scipy.stats import gamma
 
 import multicell as mc
+from multicell.biology.draws import quantile
 from multicell.importing.imported import Fate
 from multicell.simulation import Simulation
 
@@ -166,6 +168,21 @@ def test_a_start_in_the_first_phase_leaves_its_own_time(project):
     left = (cells.phase_length - cells.progress) / 60.0
     assert (left >= 0.0).all()
     assert abs(left.mean() - 217.2) < 4.0 * 217.2 / np.sqrt(len(left))
+
+
+@pytest.mark.parametrize("second", [217.2, 60.0])
+def test_two_random_stages_in_one_phase_have_mean_and_variance_of_their_sum(project, second):
+    """Of the Erlang distribution itself where they are alike."""
+    random = KI67["advanced"].replace(
+        'index="2" fixed_duration="true">150', f'index="2" fixed_duration="false">{second}'
+    )
+    phase = imported(project, random, 1).scene.growth.phases["G1"]
+    u = (np.arange(20000) + 0.5) / 20000
+    lengths = quantile(phase, u) / 60.0
+    assert lengths.mean() == pytest.approx(217.2 + second, rel=1e-4)
+    assert lengths.var() == pytest.approx(217.2**2 + second**2, rel=5e-3)
+    if second == 217.2:
+        np.testing.assert_allclose(lengths, gamma.ppf(u, 2, scale=second), rtol=1e-9)
 
 
 def test_cells_that_never_divide_are_ki67_negative(project):
