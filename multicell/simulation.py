@@ -23,7 +23,14 @@ from multicell.biology.motion import motion_of
 from multicell.biology.plan import biology_plan
 from multicell.biology.start_states import StartStates
 from multicell.biology.states import irradiate
-from multicell.biology.step import age_cells, bind, decide, divide_and_remove, grow
+from multicell.biology.step import (
+    age_cells,
+    bind,
+    bind_changed,
+    decide,
+    divide_and_remove,
+    grow,
+)
 from multicell.cells import Cells, FloatArray
 from multicell.compiling.threads import thread_count
 from multicell.contact.custom import Compiling
@@ -325,6 +332,7 @@ class Simulation(RunState):
             self.lineage.died(np.sort(cells.id[dead]), self.time)
         if dt > 0.0:
             self.cells = change_types(self.plan, cells, found, self.step_index, dt)
+            bind_changed(self.plan, cells, self.cells, found, self.time)
 
     def _irradiate(self, since: float) -> None:
         """Let cells be hit by what is due since a time in s, and note those that die."""

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.draws import draw_lengths
+from multicell.biology.growth import growing
 from multicell.biology.responding import value_of
 from multicell.cells import Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.scene.parts import PHASES
@@ -40,9 +41,26 @@ class Cycling:
     phase_length: FloatArray
 
 
-def growing_time(plan: BiologyPlan, lengths: FloatArray) -> FloatArray:
-    """Return the time that each cell spends in phases in which it grows, (n,) s."""
+def growing_time(plan: BiologyPlan, lengths: FloatArray, kind: NDArray[np.int16]) -> FloatArray:
+    """Return the time in which each cell doubles its volume, (n,) s.
+
+    It spends it in the phases in which it grows, unless the scene states it.
+    """
+    if plan.doubling is not None:
+        return plan.doubling[kind]
     return np.asarray(lengths[:, plan.grows[1:]].sum(axis=1))
+
+
+def volume_in(
+    plan: BiologyPlan, phase: NDArray[np.integer], volume: FloatArray, share: FloatArray,
+    birth: float = 1.0,
+) -> FloatArray:  # fmt: skip
+    """Return volumes after a share of a cycle without limits in a phase, (n,)."""
+    assert plan.law is not None
+    if plan.target_scale is None:
+        return plan.law.volume_after(volume, share, birth)
+    scale = plan.target_scale[phase]
+    return np.asarray(scale * plan.law.volume_after(volume / scale, share, birth))
 
 
 def advance(
@@ -74,8 +92,8 @@ def advance(
     # a clock that stands still never comes to the end of its phase
     active = np.flatnonzero(left > 0.0)
     while active.size:
-        in_growth = grows[now.phase[active]]
-        rate = np.where(in_growth, factor[active], 1.0)
+        grow = growing(plan, cells, now.phase)[active]
+        rate = np.where(grow, factor[active], np.where(grows[now.phase[active]], 0.0, 1.0))
         if pace is not None:
             rate *= pace[active, now.phase[active]]
         needed = np.full(active.size, np.inf)
@@ -83,8 +101,8 @@ def advance(
         np.divide(to_go, rate, out=needed, where=rate > 0.0)
         spent = np.minimum(np.maximum(needed, 0.0), left[active])
         now.progress[active] += rate * spent
-        growing = active[in_growth]
-        _grow(plan, cells, now, growing, factor[growing], spent[in_growth])
+        larger = active[grow]
+        _grow(plan, cells, now, larger, factor[larger], spent[grow])
         left[active] -= spent
         _change(plan, cells, now, active[needed <= spent], factor, unfavourable, left)
         active = active[(left[active] > 0.0) & (needed <= spent)]
@@ -120,7 +138,8 @@ def _grow(
     if law.constant:
         now.volume[index] += birth / cycle * factor * time
         return
-    now.volume[index] = law.volume_after(now.volume[index], factor * time / cycle, birth)
+    share = factor * time / cycle
+    now.volume[index] = volume_in(plan, now.phase[index], now.volume[index], share, birth)
 
 
 def _grow_as_two(
@@ -132,8 +151,8 @@ def _grow_as_two(
     if law.constant:
         now.volume[index] += 2.0 * ahead * birth / cycle
         return
-    half = 0.5 * now.volume[index]
-    now.volume[index] = 2.0 * law.volume_after(half, ahead / cycle, birth)
+    half, first = 0.5 * now.volume[index], np.full(len(index), Phase.G1)
+    now.volume[index] = 2.0 * volume_in(plan, first, half, ahead / cycle, birth)
 
 
 def _change(
@@ -150,11 +169,13 @@ def _change(
     ripe = at_end[phase == Phase.M]
     if ripe.size:
         # what is left of the step is the daughters' time in their first phase
-        grow = plan.grows[Phase.G1]
-        ahead = left[ripe] * (factor[ripe] if grow else 1.0)
-        now.progress[ripe] = now.phase_length[ripe] + ahead
-        if grow:
+        ahead = left[ripe]
+        if plan.grows[Phase.G1]:
+            newborn = cells.take(ripe)
+            newborn.age[:], newborn.phase[:] = 0.0, Phase.G1
+            ahead = np.where(growing(plan, newborn), ahead * factor[ripe], 0.0)
             _grow_as_two(plan, cells, now, ripe, ahead)
+        now.progress[ripe] = now.phase_length[ripe] + ahead
         left[ripe] = 0.0
     resting = np.zeros(len(at_end), dtype=bool)
     if plan.restricted:
@@ -182,7 +203,7 @@ def enter_cycle(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:
     cells.phase = np.full(len(cells), Phase.G1, dtype=np.int8)
     cells.progress = progress
     cells.phase_length = lengths[:, 0].copy()
-    cells.cycle_time = growing_time(plan, lengths)
+    cells.cycle_time = growing_time(plan, lengths, cells.kind)
 
 
 def place_in_cycle(
@@ -192,7 +213,7 @@ def place_in_cycle(
 
     ``lengths`` are those of their phases, (n, 4) s.
     """
-    cells.cycle_time = growing_time(plan, lengths)
+    cells.cycle_time = growing_time(plan, lengths, cells.kind)
     grows, ends = plan.grows[1:], np.cumsum(lengths, axis=1)
     elapsed = share * ends[:, -1]
     phase = np.minimum((elapsed[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
@@ -203,6 +224,8 @@ def place_in_cycle(
     before = np.arange(len(PHASES)) < phase[:, None]
     growing = (lengths * grows * before).sum(axis=1) + cells.progress * grows[phase]
     cells.age = elapsed
+    if plan.target_scale is not None:
+        return _volume_through(plan, cells, lengths)
     return volume_ratio(plan, growing / cells.cycle_time)
 
 
@@ -250,8 +273,21 @@ def time_before_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
 
 def volume_in_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
     """Return the volumes of cells in their phases over those at birth, (n,)."""
+    if plan.target_scale is not None:
+        return _volume_through(plan, cells, draw_lengths(plan, cells.id, cells.kind))
     elapsed = time_before_phase(plan, cells)[:, 1] + cells.progress * plan.grows[cells.phase]
     return volume_ratio(plan, elapsed / cells.cycle_time)
+
+
+def _volume_through(plan: BiologyPlan, cells: Cells, lengths: FloatArray) -> FloatArray:
+    """Return the volumes over those at birth after phases that have targets of their own, (n,)."""
+    volume = np.ones(len(cells))
+    place = np.where(cells.phase == Phase.G0, Phase.S, cells.phase)
+    for phase in (Phase.G1, Phase.S, Phase.G2, Phase.M):
+        spent = np.where(cells.phase == phase, cells.progress, 0.0)
+        spent = np.where(place > phase, lengths[:, phase - 1], spent) * plan.grows[phase]
+        volume = volume_in(plan, np.full(len(cells), phase), volume, spent / cells.cycle_time)
+    return volume
 
 
 def _length_of(

@@ -9,6 +9,7 @@ import numpy as np
 from multicell import random
 from multicell.biology.cycle import enter_cycle
 from multicell.biology.draws import draw_cycle_times, draw_moduli, drift
+from multicell.biology.growth import growing
 from multicell.biology.responding import value_of
 from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.random import Purpose
@@ -126,13 +127,14 @@ def _daughters(
     daughters.id = ids
     daughters.radius = daughters.radius * HALF
     daughters.doomed = np.maximum(daughters.doomed, 1) - np.int8(1)
+    since = daughters.progress - daughters.phase_length  # by the clock that brought the mother here
     if mutant is not None:
         mutate(plan, daughters, mutant)
     drift(plan, daughters)
     if "young" not in plan.cells.heritable:
         daughters.young = draw_moduli(plan, ids, daughters.kind)
     if plan.phased:
-        enter_cycle(plan, daughters, daughters.progress - daughters.phase_length)
+        enter_cycle(plan, daughters, since)
     elif "cycle_time" not in plan.cells.heritable:
         daughters.cycle_time = draw_cycle_times(plan, ids, daughters.kind)
     return daughters
@@ -147,7 +149,7 @@ def _grow_since(
     - ``waited``, (n,): time since then, s of unlimited growth
     """
     assert plan.law is not None
-    share = waited / daughters.cycle_time
+    share = np.where(growing(plan, daughters), waited / daughters.cycle_time, 0.0)
     volume = plan.law.volume_after(0.5 * mother, share, plan.birth_volume)
     daughters.radius = np.cbrt(volume / SPHERE)
 
@@ -196,12 +198,23 @@ def _by_type(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> F
 
 
 def _become(plan: BiologyPlan, cells: Cells, index: IntArray, kinds: IntArray) -> None:
-    """Make cells of other types: their moduli and cycles go with those of the types."""
+    """Make cells of other types: what the types scale is then as if they had been born so.
+
+    Their place in the cycle stays: the part of the phase that is behind them, their volume, and the
+    volume that they have yet to make good.
+    """
     before, kind = cells.kind[index], cells.kind.copy()
     kind[index] = kinds
-    for name, ratio in (("young", plan.young_ratio), ("cycle_time", plan.cycle_scale)):
-        if ratio is not None:
+    pace = plan.cycle_scale if plan.doubling is None else plan.doubling
+    for name, values in (
+        ("young", plan.young_ratio),
+        ("cycle_time", pace),
+        ("lag", pace),
+        ("progress", plan.cycle_scale),
+        ("phase_length", plan.cycle_scale),
+    ):
+        if values is not None:
             column = getattr(cells, name).copy()
-            column[index] *= ratio[kinds] / ratio[before]
+            column[index] *= values[kinds] / values[before]
             setattr(cells, name, column)
     cells.kind = kind

@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.biology.responding import combine
 from multicell.cells import Cells, FloatArray, Found, Mask, State, rows_before
@@ -42,7 +43,7 @@ def growth_factor(
     it, and min(1, max(0, 1 - p / p_crit)): pressure slows growth linearly and stops it at the
     critical pressure, tension does not speed it up (J. Monod, Annu. Rev. Microbiol. 3 (1949) 371;
     A. N. Malmi-Kakkada et al., Phys. Rev. X 8 (2018) 021025). It describes the surroundings only;
-    which cells do grow is decided by their state in :func:`volumes_after`.
+    which cells do grow is decided in :func:`growing`.
 
     Concentrations are in mM, the ``pressure`` of the neighbours in kPa, tension negative. Without
     ``cells`` responses of single types, or to the age or size of a cell, are left out.
@@ -54,6 +55,19 @@ def growth_factor(
     if cells is None:
         known = tuple(part for part in known if part.is_local)
     return combine(known, 1.0, concentrations, cells, pressure)
+
+
+def growing(plan: BiologyPlan, cells: Cells, phase: NDArray[np.int8] | None = None) -> Mask:
+    """Return which cells grow as their surroundings allow, (n,).
+
+    This alone decides it: for volumes, for what is made good, and for the clock of the cycle.
+
+    - ``phase``, (n,): where cells have come to within a step; None: as their column says
+    """
+    living = cells.state == _GROWING
+    if not plan.phased:
+        return np.asarray(living)
+    return np.asarray(living & plan.grows[cells.phase if phase is None else phase])
 
 
 def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float) -> FloatArray:
@@ -71,12 +85,12 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     volume = cells.volume
     law = plan.law
     if law is not None and not plan.phased:
-        birth, living = plan.birth_volume, cells.state == _GROWING
+        birth, grow = plan.birth_volume, growing(plan, cells)
         if law.constant:
-            volume += np.where(living, dt * (factor * birth / cells.cycle_time), 0.0)
+            volume += np.where(grow, dt * (factor * birth / cells.cycle_time), 0.0)
         else:
-            share = np.where(living, dt * factor / cells.cycle_time, 0.0)
-            volume = np.where(living, law.volume_after(volume, share, birth), volume)
+            share = np.where(grow, dt * factor / cells.cycle_time, 0.0)
+            volume = np.where(grow, law.volume_after(volume, share, birth), volume)
     if plan.death is not None and np.count_nonzero(cells.dead):
         necrotic = cells.state == State.NECROTIC
         volume[necrotic] *= _necrotic_factor(plan.death, cells.age[necrotic], dt)
@@ -103,7 +117,7 @@ def corrected_factor(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: fl
         return factor
     most = np.abs(factor)
     extra = np.clip(_SHARE / dt * cells.lag, -most, most)
-    return np.where(_grows(plan, cells), factor + extra, factor)
+    return np.where(growing(plan, cells), factor + extra, factor)
 
 
 def lag_after(
@@ -115,15 +129,9 @@ def lag_after(
     - ``cells``, ``now``: those of its end, whose lag lacks this step, and their factors
     - ``dt``: its length, s
     """
-    grew = _grows(plan, began)
+    grew = growing(plan, began)
     if cells.id is not began.id:  # as in steps with divisions
         row = rows_before(began, cells)
         grew, before = grew[row], before[row]
-    change = np.where(grew & _grows(plan, cells), now - before, 0.0)
+    change = np.where(grew & growing(plan, cells), now - before, 0.0)
     return np.where(cells.dead, 0.0, cells.lag + 0.5 * dt * change)
-
-
-def _grows(plan: BiologyPlan, cells: Cells) -> Mask:
-    """Return which cells grow as their surroundings allow, (n,)."""
-    living = cells.state == _GROWING
-    return np.asarray(living & plan.grows[cells.phase] if plan.phased else living)

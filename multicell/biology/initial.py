@@ -184,7 +184,7 @@ def _in_phases(plan: BiologyPlan, cells: Cells, given: Given | None) -> FloatArr
         share = stages(plan, cells.id, cells.kind, whole)
         return np.asarray(plan.birth_volume * place_in_cycle(plan, cells, lengths, share))
     columns = given.columns
-    cells.cycle_time = columns.get("cycle_time", growing_time(plan, lengths))
+    cells.cycle_time = columns.get("cycle_time", growing_time(plan, lengths, cells.kind))
     volume = _volumes(plan, given)
     if "phase" in columns:
         cells.phase = columns["phase"]

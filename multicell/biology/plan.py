@@ -60,6 +60,9 @@ class BiologyPlan:
     - ``types``: by name; empty where all cells are alike
     - ``cycle_scale``, ``motility_scale``, ``young_ratio``, (types,) or None: factors of each type;
       None where they are all 1
+    - ``doubling``, (types or 1,) s, or None: time in which volumes double, for all cells of a type;
+      None where it follows from the phases that each cell draws
+    - ``target_scale``, (5,) or None: of the volumes that growth goes to, for each phase
     - ``solubility``, field -> mM/kPa: of oxygen, in the fields that say what irradiation does
     - ``cells`` to ``motions``: parts of the scene that hold nothing but numbers and names
     """
@@ -87,6 +90,8 @@ class BiologyPlan:
     cycle_scale: FloatArray | None
     motility_scale: FloatArray | None
     young_ratio: FloatArray | None
+    doubling: FloatArray | None
+    target_scale: FloatArray | None
     solubility: Mapping[str, float]
     cells: CellParameters
     radiation: Mapping[str, Radiation]
@@ -138,6 +143,8 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,
         motility_scale=np.array([kind.motility_scale for kind in kinds]) if kinds else None,
         young_ratio=np.array(ratio) if any(own) else None,
+        doubling=_doubling(growth, kinds),
+        target_scale=None if growth is None else growth.target_scales,
         solubility={name: oxygen_solubility(scene.nutrients[name].temperature) for name in oxygen},
         growth=growth,
         **{name: getattr(scene, name) for name in _OF_SCENE},
@@ -153,6 +160,14 @@ def founders(scene: Scene) -> int:
         return initial.count
     given = initial.cells.given
     return int(given.columns["id"].max()) + 1 if "id" in given.columns else len(given)
+
+
+def _doubling(growth: Growth | None, kinds: list[CellType]) -> FloatArray | None:
+    """Return the time in which volumes of each type double, s; None where each cell has its own."""
+    if growth is None or growth.volume_doubling_time is None:
+        return None
+    own = [kind.volume_doubling_time for kind in kinds] or [None]
+    return np.array([growth.volume_doubling_time if time is None else time for time in own])
 
 
 def _varies(scene: Scene) -> bool:

@@ -16,7 +16,7 @@ from multicell.biology.growth import corrected_factor, volumes_after
 from multicell.biology.motion import bond_levels
 from multicell.biology.responding import wants_rest
 from multicell.biology.states import damage_after, deciding, remove_lysed, update_states
-from multicell.cells import SPHERE, Cells, FloatArray, Found, Mask
+from multicell.cells import SPHERE, Cells, FloatArray, Found, Mask, rows_before
 from multicell.scene.domain import check_inside
 from multicell.vectors import cubes
 
@@ -100,6 +100,23 @@ def bind(plan: BiologyPlan, after: Cells, cells: Cells, concentrations: Found, t
         after.receptor, after.ligand = np.ascontiguousarray(levels.T)
 
 
+def bind_changed(plan: BiologyPlan, before: Cells, cells: Cells, found: Found, time: float) -> None:
+    """Give cells of another type than ``before`` the receptors and ligands of theirs.
+
+    Those before are the cells or their mothers, and ``found`` is what these find; ``time`` in s.
+    """
+    if plan.adhesion is None or cells.kind is before.kind:
+        return
+    row = rows_before(before, cells)
+    changed = np.flatnonzero(cells.kind != before.kind[row])
+    here = {name: values[row[changed]] for name, values in found.items()}
+    levels = bond_levels(plan, cells.take(changed), here, time)
+    for place, name in enumerate(("receptor", "ligand")):
+        column = getattr(cells, name).copy()
+        column[changed] = levels[:, place]
+        setattr(cells, name, column)
+
+
 def divide_and_remove(
     plan: BiologyPlan,
     cells: Cells,
@@ -119,6 +136,7 @@ def divide_and_remove(
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
         check_inside(plan.domain, divided.id, divided.position, time)
+        bind_changed(plan, cells, divided, found, time)
     left, removals = remove_lysed(plan, divided)
     released = float(divided.volume.sum()) - float(left.volume.sum()) if removals else 0.0
     return Events(left, free, removals, released)

@@ -159,7 +159,7 @@ class Imported:
         import tomli_w
 
         head = f"# A scene of multicell\n# units: {BASE_UNITS}\n"
-        given = {**self.keys, "initial": {"cells": "cells.csv"}}
+        given = {**self.keys, "initial": {**self.keys.get("initial", {}), "cells": "cells.csv"}}
         ordered = {name: given[name] for name in self.scene.to_dict() if name in given}
         return head + with_units(self.scene, tomli_w.dumps(ordered))
 

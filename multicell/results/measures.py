@@ -13,7 +13,7 @@ from weakref import ref
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import State
+from multicell.cells import Phase, State
 from multicell.results import observables as of
 from multicell.results.observable import Observable, TissueState, find_own
 from multicell.results.observables import counts_contacts
@@ -66,6 +66,15 @@ def _pressure_factor(state: TissueState) -> float:
     assert growth.critical_pressure is not None
     pressure = state.cells.pressure[~state.cells.dead]
     return _mean(np.clip(1.0 - pressure / growth.critical_pressure, 0.0, 1.0))
+
+
+def _ki67_positive(state: TissueState) -> float:
+    growth, cells, types = state.scene.growth, state.cells, state.scene.types.values()
+    assert growth is not None
+    assert growth.ki67_decay is not None
+    scale = np.array([kind.cycle_scale for kind in types] or [1.0])[cells.kind]
+    early = (cells.phase == Phase.G1) & (cells.progress < growth.ki67_decay * scale)
+    return _mean((early | (cells.phase > Phase.G1))[~cells.dead])
 
 
 def _over_radius(state: TissueState, length: float) -> float:
@@ -201,6 +210,14 @@ OBSERVABLES: Final = (
         absent="without living cells",
         doc=r"mean of $\min(1, \max(0, 1 - p/p_\mathrm{crit}))$ over living cells: the factor of "
         "pressure on growth; only with `growth.critical_pressure`",
+    ),
+    Observable(
+        "ki67_positive",
+        _ki67_positive,
+        exists=lambda scene: scene.growth and scene.growth.ki67_decay is not None,
+        absent="without living cells",
+        doc="part of living cells in S, G2 or M, or in G1 with less than `growth.ki67_decay` "
+        "behind them there (times the `cycle_scale` of their type); only with it",
     ),
     _count("contacts", lambda s: len(s.frame.contacts), exists=counts_contacts, entry=None),
     Observable(

@@ -155,7 +155,10 @@ def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
     if scene.growth is None:
         return {}
     volume, living = cells.volume, ~cells.dead
-    rate = scene.growth.growth_law.rate(volume, birth_volume(scene)) / cells.cycle_time
+    scales = scene.growth.target_scales
+    scale = 1.0 if scales is None else scales[cells.phase]
+    rate = scale * scene.growth.growth_law.rate(volume / scale, birth_volume(scene))
+    rate /= cells.cycle_time
     excess = np.where(living, -rate * cells.lag, 0.0)
     total, error = float(volume.sum()), float(excess.sum())
     return {

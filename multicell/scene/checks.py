@@ -46,6 +46,10 @@ def check_types(scene: Scene) -> None:
     if types and not sum(kind.fraction for kind in types.values()) > 0.0:
         raise SceneError("types", "have fractions that add up to 0, must have some cells")
     for name, kind in types.items():
+        shared = None if scene.growth is None else scene.growth.volume_doubling_time
+        if kind.volume_doubling_time is not None and shared is None:
+            path, hint = f"types.{name}.volume_doubling_time", "cycle_scale scales cycles of types."
+            raise SceneError(path, "needs growth.volume_doubling_time", hint)
         if kind.surface_energy is not None:
             _check_energies(scene, f"types.{name}.surface_energy", kind)
         for key in ("uptake_of", "secretion_of"):

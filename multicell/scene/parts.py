@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from multicell.schema import (
     vector,
 )
 from multicell.units import shown
+
+if TYPE_CHECKING:
+    from multicell.vectors import FloatArray
 
 span = partial(interval, "um", at_least=-1e6, at_most=1e6)
 """Declares the ends of something along an axis."""
@@ -121,6 +124,10 @@ class PhaseLength:
         default=0.5, at_least=0, below=1, doc="of a shifted gamma distribution / mean"
     )
     grows: bool = flag(default=True, doc="whether the volume grows in this phase")
+    target_scale: float = number(
+        default=1.0, above=0, at_most=1e3,
+        doc="volume that relaxation goes to in this phase / that of the law",
+    )  # fmt: skip
 
 
 def loaded_in(laws: Any) -> Callable[[str], bool]:
@@ -144,7 +151,8 @@ class Growth:
 
     Without ``phases`` a cell divides at the division volume. With them it passes G1, S, G2 and M
     and divides at the end of M; the volume doubles in the phases in which it grows, and there
-    the cycle advances only as fast as growth does.
+    the cycle advances only as fast as growth does. With ``volume_doubling_time`` T is that time for
+    all cells: those with short phases divide at smaller volumes.
     """
 
     cycle_time: float = quantity(
@@ -163,6 +171,16 @@ class Growth:
     phases: Mapping[str, PhaseLength] = tables(
         PhaseLength, names=PHASES, doc="absent: volume triggers division"
     )
+    volume_doubling_time: float | None = quantity(
+        "s", default=None, above=0,
+        doc="with phases: in which growth from birth to the division volume takes place, whatever "
+        "phases last; absent: as long as the phases of the cell in which it grows",
+    )  # fmt: skip
+    ki67_decay: float | None = quantity(
+        "s", default=None, at_least=0,
+        doc="with phases: part of G1 after division in which cells are Ki67-positive still, as in "
+        "S, G2 and M; absent: no such observable",
+    )  # fmt: skip
     restriction: bool = flag(
         default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
     )
@@ -177,6 +195,9 @@ class Growth:
         """Raise ``SceneError`` for phases that make no cycle, and for a law's parameters."""
         build(LAWS[self.law], self.parameters or {}, "parameters")
         if not self.phases:
+            for name in ("volume_doubling_time", "ki67_decay"):
+                if getattr(self, name) is not None:
+                    raise SceneError(name, "needs phases", "Without them there is cycle_time.")
             return
         for name in PHASES:
             if name not in self.phases:
@@ -185,11 +206,24 @@ class Growth:
         if not any(phase.grows for phase in self.phases.values()):
             hint = "Let grows = true in one phase at least."
             raise SceneError("phases", "have no phase in which cells grow", hint)
+        if self.volume_doubling_time is not None and self.law == "exponential":
+            hint = "Take law = 'linear' or 'relaxation'."
+            problem = "lets sizes wander without bound where growth is exponential"
+            raise SceneError("volume_doubling_time", problem, hint)
+        for name, phase in self.phases.items():
+            if phase.target_scale != 1.0 and self.law != "relaxation":
+                raise SceneError(f"phases.{name}.target_scale", "needs law = 'relaxation'")
 
     @property
     def growth_law(self) -> GrowthLaw:
         """The law with its parameters."""
         return LAWS[self.law](**(self.parameters or {}))
+
+    @property
+    def target_scales(self) -> FloatArray | None:
+        """Of each phase, G0 first, (5,); None where all are 1."""
+        scales = [1.0, *(self.phases[name].target_scale for name in PHASES if self.phases)]
+        return None if set(scales) == {1.0} else np.array(scales)
 
     @property
     def mean_cycle(self) -> float:
@@ -349,7 +383,13 @@ class CellType:
         default=0.0, at_least=0, doc="ligand concentration on the surface over time"
     )
     cycle_scale: float = number(
-        default=1.0, above=0, doc="duration of the cycle or its phases / that of the scene"
+        default=1.0,
+        at_least=1e-9,
+        at_most=1e12,
+        doc="duration of the cycle or its phases / that of the scene",
+    )
+    volume_doubling_time: float | None = quantity(
+        "s", default=None, above=0, doc="as in growth, where that has one; absent: that of growth"
     )
     uptake_scale: float = number(
         default=1.0, at_least=0, doc="uptake and secretion / those of the scene's fields"

@@ -89,8 +89,12 @@ def _check_phases(scene: Scene, given: Given) -> None:
             hint = "growth.phases gives them; else leave the column out."
             given.refuse(columns[name] != 0, name, "is {}, but the scene has no phases", hint)
         return
-    state = columns.get("state", np.zeros(len(given)))
+    state, growth = columns.get("state", np.zeros(len(given))), scene.growth
     if "phase" not in columns:
+        own_pace = growth.volume_doubling_time is not None or growth.target_scales is not None
+        if "radius" in columns and own_pace:
+            hint = "Sizes tell no phase where growth has volume_doubling_time or target_scale."
+            raise DataError(given.source.name, "has no column 'phase'", hint)
         for name in (x for x in ("progress", "phase_length") if x in columns):
             where = f"{given.source.name}, '{given.titles[name]}'"
             raise DataError(where, "has no meaning without a column 'phase'")

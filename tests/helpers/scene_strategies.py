@@ -140,9 +140,9 @@ WILD = (
 
 OF_OWN_CODE = {
     "growth.parameters", "output.observables", "output.observables.*.function",
-    "output.observables.*.unit", "responses.*.parameters",
+    "output.observables.*.unit", "responses.*.parameters", "growth.phases.*.target_scale",
 }  # fmt: skip
-"""Keys that mean a user's own Python code, without which no scene with them is made."""
+"""Keys that need a user's own Python code, or the parameters of a law of growth: none is drawn."""
 
 
 def declared(part=Scene, path=""):

@@ -97,7 +97,8 @@ def test_waiting_times_of_phases_are_those_of_physicell(project):
     np.testing.assert_allclose(quantile(phases["G1"], u), 60 * expon.ppf(u, scale=300), rtol=1e-9)
     for name, minutes in (("S", 480), ("G2", 240), ("M", 60)):
         np.testing.assert_allclose(quantile(phases[name], u), 60.0 * minutes)
-    assert [phases[name].grows for name in ("G1", "S", "G2", "M")] == [False, True, True, True]
+    # the target of volume doubles on entry into S
+    assert [phases[p].target_scale for p in ("G1", "S", "G2", "M")] == [0.5, 1.0, 1.0, 1.0]
     assert scene.types["hunter"].cycle_scale * scene.growth.mean_cycle > 1e5 * scene.duration
 
 

@@ -252,6 +252,7 @@ FURTHER = {
     **dict.fromkeys(("necrotic_ratio", "inhibited_radius", "inhibited_ratio"), PHASED),
     **dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
     "domain_radius": GEL,
+    "ki67_positive": {**PHASED, "growth": {**PHASED["growth"], "ki67_decay": "1 h"}},
     "pull": PULLED, "clonogens": HIT, "doomed": HIT,
 }  # fmt: skip
 

@@ -26,7 +26,7 @@ SHORT = {"duration": "30 min", "output": {"every": "10 min"}}
 SCENES = {
     "all of biology and nutrients": {
         **SHORT, "initial": {"count": 60, "stage": "asynchronous"},
-        "growth": {"phases": PHASES, "critical_pressure": 0.1},
+        "growth": {"phases": PHASES, "critical_pressure": 0.1, "ki67_decay": "1 h"},
         "death": {"apoptosis_rate": 1e-4, "necrosis_rate": 1e-3, "inflow": True},
         "surface": {"tension": 0.1},
         "types": {"a": {"receptor": 1.0, "ligand": 1.0}, "b": {"young": 2.0}},

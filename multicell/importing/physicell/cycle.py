@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
+from multicell.behaviours.growth_laws.laws import Relaxation
 from multicell.cells import SPHERE
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
@@ -21,7 +22,9 @@ _NEVER = 1e6
 """Mean cycle over the duration of the run, for types whose cells do not divide."""
 _RATE = "cytoplasmic_biomass_change_rate"
 _SLOWEST, _FASTEST = 0.7, 12.0
-"""Bounds of rate times growing time: beyond, cells become ever smaller, or grow at once."""
+"""Bounds of rate times growing time for the volume that is called that of division."""
+_PACES = 1e-9, 1e4
+"""Rates of growth, 1/min, that stand for those of cells that do not grow, or grow at once."""
 _NAMES = ("G1", "S", "G2", "M")
 
 
@@ -41,6 +44,11 @@ class CycleModel:
     usual: tuple[tuple[float, bool], ...]  # its phases with what PhysiCell has for them
     homes: tuple[str, ...]  # the phase of ours in which each of them is
     doubles_before: bool = True  # whether volume doubles before division, not after it
+
+    @property
+    def has_ki67(self) -> bool:
+        """Whether its phases are those of Ki67."""
+        return self.name.startswith("Ki67")
 
 
 _SHORT = ((4.59 * 60, False), (15.5 * 60, True))
@@ -82,32 +90,53 @@ class Cycle:
         return sum(stage.minutes for stage in self.stages)
 
     def phases(self) -> dict[str, dict[str, Any]]:
-        """Return G1, S, G2 and M as a scene says them."""
+        """Return G1, S, G2 and M as a scene says them.
+
+        Cells grow in all of them. Where the target of volume doubles before division, it is half of
+        the others' in G1.
+        """
         made = {}
         for name in _NAMES:
             parts = [
                 s for s, home in zip(self.stages, self.model.homes, strict=True) if home == name
             ]
-            grows = name != "G1" or not self.model.doubles_before
-            made[name] = {**_length([s for s in parts if s.minutes > 0.0]), "grows": grows}
+            made[name] = _length([s for s in parts if s.minutes > 0.0])
+        if self.model.doubles_before:
+            made["G1"]["target_scale"] = 0.5
         return made
+
+    @property
+    def growing(self) -> float:
+        """Mean time from the moment when the target of volume doubles to division, min."""
+        stages = zip(self.stages, self.model.homes, strict=True)
+        before = self.model.doubles_before
+        return sum(stage.minutes for stage, home in stages if home != "G1" or not before)
+
+    @property
+    def after_division(self) -> float:
+        """Time from division to the first phase, where PhysiCell's cells start, min."""
+        return sum(
+            stage.minutes for stage, home in zip(self.stages[1:], self.model.homes[1:], strict=True)
+            if home == self.model.homes[0]
+        )  # fmt: skip
 
 
 def _length(parts: list[Stage]) -> dict[str, Any]:
-    """Return the distribution of the sum of fixed times and of at most one exponential one."""
+    """Return the distribution of the sum of fixed times and of exponential ones.
+
+    It is exact for one exponential time or several alike; else mean and variance are.
+    """
     mean = sum(stage.minutes for stage in parts) * MINUTE
-    random = sum(stage.minutes for stage in parts if not stage.fixed) * MINUTE
+    random = [stage.minutes * MINUTE for stage in parts if not stage.fixed]
     if mean < _INSTANT:
         return {"duration": _INSTANT}
-    if random == 0.0:
+    if not random:
         return {"duration": mean}
     # a gamma distribution whose variation is its mean is an exponential one
-    if random == mean:
-        return {"duration": mean, "distribution": "gamma", "variation": 1.0}
-    return {
-        "duration": mean, "distribution": "shifted-gamma", "shift": 1.0 - random / mean,
-        "variation": random / mean,
-    }  # fmt: skip
+    made = {"duration": mean, "distribution": "gamma", "variation": math.hypot(*random) / mean}
+    if len(random) < len(parts):
+        made |= {"distribution": "shifted-gamma", "shift": 1.0 - sum(random) / mean}
+    return made
 
 
 def read_cycle(model: Model) -> None:
@@ -119,7 +148,8 @@ def read_cycle(model: Model) -> None:
     if lead is not None:
         growth = model.part("growth")
         growth.update(phases=known[lead].phases(), restriction=False, law="relaxation")
-        sizes = _sizes(model, lead, known[lead])
+        model.part("initial")["stage"] = "birth"  # the table says where in their cycle they are
+        sizes = _sizes(lead, known[lead])
         for kind, cycle in known.items():
             model.of_type(kind, "cycle_scale", _scale(model, cycle, known[lead]))
         _set_paces(model, known, lead)
@@ -128,25 +158,59 @@ def read_cycle(model: Model) -> None:
     # with phases cells divide by their clock, at up to twice the volume of division
     assert model.cells is not None
     most = float(model.cells.volume.max()) * (1.0 if lead is None else 0.5)
-    model.part("cells")["division_radius"] = math.cbrt(max(sizes[0], most) / SPHERE)
+    volume = max(sizes[0], most)
+    model.part("cells")["division_radius"] = math.cbrt(volume / SPHERE)
     if lead is not None:
-        model.part("growth")["parameters"] = {"target": sizes[1]}
+        _set_growth(model, known, lead, sizes[1] * sizes[0] / volume)
+        _set_start(model, known, lead)
     for kind in model.kinds:
         _account_for(model, kind, known, lead)
 
 
-def _sizes(model: Model, lead: Kind, cycle: Cycle) -> tuple[float, float]:
+def _set_growth(model: Model, known: Mapping[Kind, Cycle], lead: Kind, target: float) -> None:
+    """Set how fast cells grow, and to which volume, given over that of division."""
+    growth, law = model.part("growth"), Relaxation(target=target if target > 1.0 else 2.0)
+    growth["parameters"] = {"target": law.target}
+    if law.target != target:  # some cells are larger at the start than those that divide
+        for phase in growth["phases"].values():
+            phase["target_scale"] = phase.get("target_scale", 1.0) * target / law.target
+    for kind in (lead, *known):
+        rate = min(max(kind.number_of(f"volume/{_RATE}", 0.0045), _PACES[0]), _PACES[1])
+        time = law.exponent * MINUTE / rate
+        if kind is lead:
+            growth["volume_doubling_time"] = time
+        elif time != growth["volume_doubling_time"]:
+            model.of_type(kind, "volume_doubling_time", time)
+
+
+def _set_start(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
+    """Set what is Ki67-positive, and begin after what precedes PhysiCell's first phase in G1."""
+    growth, cycle = model.part("growth"), known[lead]
+    if all(own.model.has_ki67 for own in known.values() if math.isfinite(own.minutes)):
+        growth["ki67_decay"] = cycle.after_division * MINUTE
+    if not cycle.stages[-1].fixed:
+        return
+    first, begun = growth["phases"]["G1"], cycle.after_division * MINUTE
+    if "shift" in first:
+        begun = first["duration"] * first["shift"]  # as the shortest G1 is found, to the last bit
+    assert model.cells is not None
+    for kind, own in known.items():
+        # cells that never divide are where Ki67 is gone
+        if own.model is cycle.model or not math.isfinite(own.minutes):
+            model.cells.begun[kind] = begun * _scale(model, own, cycle)
+
+
+def _sizes(lead: Kind, cycle: Cycle) -> tuple[float, float]:
     """Return the volume at division, µm³, and over it the volume K to which cells grow.
 
     PhysiCell's volumes go to a target at the rate r of the cytoplasm, V' = r (K - V), for the time
     T in which they grow, and need not reach it. Where the target is doubled before division, cells
     of the volume V₀ divide at V₀ (2 - exp(-r T)), with K V_d = 2 V₀. Where it is after division,
     they grow from half the volume V_d at division: with K V_d = V₀,
-    V_d = V₀ (1 - exp(-r T)) / (1 - exp(-r T) / 2).
+    V_d = V₀ (1 - exp(-r T)) / (1 - exp(-r T) / 2). They are those of mean phases.
     """
-    phases = model.part("growth")["phases"].values()
-    length = sum(phase["duration"] for phase in phases if phase["grows"]) / MINUTE
-    span = min(max(lead.number_of(f"volume/{_RATE}", 0.0045) * length, _SLOWEST), _FASTEST)
+    span = lead.number_of(f"volume/{_RATE}", 0.0045) * cycle.growing
+    span = min(max(span, _SLOWEST), _FASTEST)
     if cycle.model.doubles_before:
         share = 1.0 - 0.5 * math.exp(-span)
         return 2.0 * lead.volume * share, 1.0 / share
@@ -156,7 +220,8 @@ def _sizes(model: Model, lead: Kind, cycle: Cycle) -> tuple[float, float]:
 
 def _scale(model: Model, cycle: Cycle, lead: Cycle) -> float:
     if not math.isfinite(cycle.minutes):
-        return max(_NEVER * float(model.scene["duration"]) / (lead.minutes * MINUTE), 1.0)
+        never = _NEVER * float(model.scene["duration"]) / (lead.minutes * MINUTE)
+        return min(max(never, 1.0), 1e12)
     return cycle.minutes / lead.minutes
 
 
@@ -261,7 +326,7 @@ def _account_for(model: Model, kind: Kind, known: Mapping[Kind, Cycle], lead: Ki
     element, account, cycle = kind.own("cycle"), model.account, known[kind]
     divides = lead is not None and math.isfinite(cycle.minutes)
     homes = ", ".join(f"{n} {home}" for n, home in enumerate(cycle.model.homes))
-    note = f"volume doubles in the time in which it grows; its phases here: {homes}"
+    note = f"cells grow at their rate however long phases last; its phases here: {homes}"
     said = (Fate.APPROXIMATED, "growth.phases", note) if divides else (
         Fate.MAPPED, "types.*.cycle_scale", "these cells do not divide")  # fmt: skip
     account.take(element, *said, cycle.model.name)

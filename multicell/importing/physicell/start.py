@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -26,16 +26,20 @@ _NEAR, _AWAY = 0.021, 0.1
 @final
 @dataclass(frozen=True)
 class Start:
-    """The cells at the start: (n, 3) µm, their types, and (n,) µm³."""
+    """The cells at the start: (n, 3) µm, their types, and (n,) µm³.
+
+    ``begun``: of each type how long its cells have been in G1, s; 0 where it is not there.
+    """
 
     position: FloatArray
     kinds: list[Kind]
     volume: FloatArray
+    begun: dict[Kind, float] = field(default_factory=dict)
 
     def columns(self, *, phases: bool) -> dict[str, NDArray[np.generic]]:
         """Return the columns of the table of cells that a scene starts from, by their titles.
 
-        With ``phases`` all begin with their first one, as in PhysiCell.
+        With ``phases`` all are at the beginning of PhysiCell's first one.
         """
         made: dict[str, NDArray[np.generic]] = {
             f"position_{axis}_um": self.position[:, k] for k, axis in enumerate("xyz")
@@ -45,7 +49,7 @@ class Start:
             made["kind"] = np.array([kind.key for kind in self.kinds], dtype=object)
         if phases:
             made["phase"] = np.full(len(self.kinds), "G1", dtype=object)
-            made["progress_s"] = np.zeros(len(self.kinds))
+            made["progress_s"] = np.array([self.begun.get(kind, 0.0) for kind in self.kinds])
         return made
 
 

@@ -95,6 +95,11 @@ def _growth_words(scene: Scene) -> str:
     if growth is None:
         return ""
     words = f"cells double their volume in {hours(growth.mean_cycle)} and divide"
+    if growth.volume_doubling_time is not None:
+        doubling = hours(growth.volume_doubling_time)
+        words = (
+            f"cells divide after {hours(growth.mean_cycle)}, and double their volume in {doubling}"
+        )
     if growth.law != "linear":
         words += f"; growth is {growth.law}"
     given = ", ".join(f"{name} = {x:g}" for name, x in (growth.parameters or {}).items())

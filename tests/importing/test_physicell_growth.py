@@ -1,0 +1,209 @@
+"""Growth and the cycle of imported cells: PhysiCell's rates, its first phase, and what is Ki67+."""
+
+import re
+
+import numpy as np
+import pytest
+from running import finished
+from scipy.stats import gamma
+
+import multicell as mc
+from multicell.biology.draws import quantile
+from multicell.importing.imported import Fate
+from multicell.simulation import Simulation
+
+RATE = 0.005  # 1/min, of the settings
+VOLUME = 2494.0
+STEP = 6.0  # min, the coupling step
+LIVE = """<cycle code="5" name="live"><phase_transition_rates units="1/min">
+<rate start_index="0" end_index="0" fixed_duration="false">0.00072</rate>
+</phase_transition_rates></cycle>"""
+FLOW = """<cycle code="2" name="flow cytometry (basic)"><phase_transition_rates units="1/min">
+<rate start_index="0" end_index="1" fixed_duration="false">0.00324</rate>
+<rate start_index="1" end_index="2" fixed_duration="false">0.00208</rate>
+<rate start_index="2" end_index="0" fixed_duration="false">0.00333</rate>
+</phase_transition_rates></cycle>"""
+KI67 = {
+    "basic": """<cycle code="1" name="Ki67 (basic)"><phase_durations units="min">
+<duration index="0" fixed_duration="false">275.4</duration>
+<duration index="1" fixed_duration="true">930</duration></phase_durations></cycle>""",
+    "advanced": """<cycle code="0" name="Ki67 (advanced)"><phase_durations units="min">
+<duration index="0" fixed_duration="false">217.2</duration>
+<duration index="1" fixed_duration="true">780</duration>
+<duration index="2" fixed_duration="true">150</duration></phase_durations></cycle>""",
+}
+ALONE = ("<death>", '<unread enabled="false">'), ("</death>", "</unread>")
+
+
+def imported(project, cycle, hours, side=7, rules=None, *changes):
+    """Return the import of one type with a cycle, on a grid of ``side`` times ``side`` cells."""
+    step = 30.0
+    places = (step * (np.indices((side, side)).reshape(2, -1).T - (side - 1) / 2)).tolist()
+    wide = [(f"<{a}_m{b}>{c}<", f"<{a}_m{b}>{d}<") for a, b, c, d in (
+        ("x", "in", -100, -500), ("x", "ax", 100, 500), ("y", "in", -80, -500),
+        ("y", "ax", 80, 500), ("z", "in", -60, -10), ("z", "ax", 60, 10))]  # fmt: skip
+    on = [('format="csv" enabled="false"', 'format="csv" enabled="true"')] if rules else []
+    path = project(
+        *wide, *on, *ALONE, *changes,
+        ("<use_2D>false", "<use_2D>true"), (">60</max_time>", f">{60 * hours}</max_time>"),
+        cells="".join(f"{x},{y},0,0\n" for x, y in places), rules=rules,
+    )  # fmt: skip
+    text = path.read_text("utf-8")
+    text = re.sub(r'<cycle code="6".*?</cycle>', cycle, text, flags=re.DOTALL)
+    text = re.sub(r'<cell_definition name="hunter".*?</cell_definition>', "", text, flags=re.DOTALL)
+    for part in ("cell_adhesion_affinities", "cell_interactions", "secretion"):
+        text = re.sub(rf"<{part}>.*?</{part}>", "", text, flags=re.DOTALL)
+    text = re.sub(r'<variable name="growth factor".*?</variable>', "", text, flags=re.DOTALL)
+    path.write_text(text, "utf-8")
+    return mc.import_physicell(path)
+
+
+def quick(made, **changes):
+    """Return the scene without what does not matter to growth."""
+    return made.scene.with_changes({"nutrients": None, "integrator": "euler", **changes})
+
+
+@pytest.mark.parametrize("cycle", [LIVE, FLOW, *KI67.values()])
+def test_all_cells_grow_at_the_rate_of_the_settings(project, cycle):
+    """V' = r (K - V), r of the cytoplasm, whatever the phases that a cell has drawn last.
+
+    K is the volume of the settings, and twice that from S to division.
+    """
+    run = Simulation(quick(imported(project, cycle, 30)), threads=1)
+    seen = []
+    while not run.finished:
+        before = run.cells
+        run.step()
+        same = run.cells.rows_of(before.id)
+        stayed = (same >= 0) & (run.cells.phase[same] == before.phase)
+        after = run.cells.take(same[stayed])
+        first = before.take(np.flatnonzero(stayed))
+        doubled = (first.phase > 1) & (cycle is not LIVE)
+        largest = VOLUME * (1.0 + doubled)
+        gap = largest - first.volume, largest - after.volume
+        open_ = np.abs(gap[0]) > 0.01 * VOLUME
+        seen.append(np.log(gap[0][open_] / gap[1][open_]) / STEP)
+    rates = np.concatenate(seen)
+    assert len(rates) > 3000
+    np.testing.assert_allclose(rates, RATE, rtol=1e-6)
+
+
+def test_the_account_states_the_rate(project):
+    made = imported(project, FLOW, 1)
+    entry = next(
+        e for e in made.entries if e.path.endswith("volume/cytoplasmic_biomass_change_rate")
+    )
+    assert entry.fate is Fate.APPROXIMATED
+    assert "growth.volume_doubling_time" in entry.key
+
+
+def numbers_by_volume(seed, hours, count, rate, step=0.5):
+    """Return how many cells there are under a rule by which their volume lets them divide.
+
+    A second program: each grows back to its volume and divides at the rate of the rule.
+    """
+    rng, volume = np.random.default_rng(seed), np.full(count, VOLUME)
+    for _ in range(round(hours * 60 / step)):
+        volume = VOLUME - (VOLUME - volume) * np.exp(-rate * step)
+        odds = (volume / 2400.0) ** 8
+        chance = 0.00072 + (0.05 - 0.00072) * odds / (1.0 + odds)
+        divides = rng.random(len(volume)) < -np.expm1(-chance * step)
+        volume = np.concatenate([volume[~divides], np.repeat(0.5 * volume[divides], 2)])
+    return len(volume)
+
+
+def test_a_rule_about_volume_lets_cells_divide_when_they_have_grown(project):
+    """PhysiCell 1.14.2: 594 and 588 cells of 200 after 4 h, 2.95 of one.
+
+    Its water lags behind, so that there are fewer than by one rate of growth.
+    """
+    rules = "tumour cell,volume,increases,cycle entry,0.05,2400,8,0\n"
+    slower = ('change_rate units="1/min">0.005<', 'change_rate units="1/min">0.0045<')
+    made = imported(project, LIVE, 4, 10, rules, slower)
+    numbers = [len(finished(quick(made, seed=n), threads=1).cells) for n in range(2)]
+    expected = [numbers_by_volume(seed, 4, 100, 0.0045) for seed in range(50)]
+    assert abs(np.mean(numbers) - np.mean(expected)) < 3.5 * np.std(expected)
+    assert np.mean(numbers) < 1.25 * 2.95 * 100
+
+
+def ki67(hours, count, cycle, seed):
+    """Return numbers of all and of Ki67-positive cells, by the times of all divisions."""
+    rng, after = np.random.default_rng(seed), 150.0 if cycle == "advanced" else 0.0
+    mean, before = (217.2, 780.0) if cycle == "advanced" else (275.4, 930.0)
+    born, all_, positive, end = np.full(count, -after), 0, 0, 60.0 * hours
+    while len(born):
+        enters = born + after + rng.exponential(mean, len(born))
+        there = enters + before > end
+        all_ += int(there.sum())
+        positive += int((there & ((enters <= end) | (born + after > end))).sum())
+        born = np.repeat(enters[~there] + before, 2)
+    return all_, positive / all_
+
+
+@pytest.mark.parametrize("cycle", KI67)
+def test_numbers_and_ki67_are_those_of_cells_that_start_in_the_first_phase(project, cycle):
+    """After 45 h; PhysiCell 1.14.2 has 321 of 50 cells by the advanced model after 54 h.
+
+    Its Ki67-positive part there is 0.65, and 0.73 after 36 h.
+    """
+    made = imported(project, KI67[cycle], 45)
+    run = Simulation(quick(made), threads=1)
+    assert run.history_row()["ki67_positive"] == 0.0
+    expected = np.array([ki67(45, 49, cycle, seed) for seed in range(2000)])
+    finished(run)
+    row = run.history_row()
+    found = np.array([row["cells"], row["ki67_positive"]])
+    assert (np.abs(found - expected.mean(axis=0)) < 3.5 * expected.std(axis=0)).all()
+
+
+def test_there_is_no_ki67_without_its_model(project):
+    run = Simulation(quick(imported(project, FLOW, 1)), threads=1)
+    assert "ki67_positive" not in run.history_row()
+
+
+def test_a_start_in_the_first_phase_leaves_its_own_time(project):
+    """G1 is what is left of Ki67+ after division and then Ki67-: only this lies ahead."""
+    cells = Simulation(quick(imported(project, KI67["advanced"], 1, 20)), threads=1).cells
+    np.testing.assert_allclose(cells.progress, 150.0 * 60.0, rtol=1e-12)
+    left = (cells.phase_length - cells.progress) / 60.0
+    assert (left >= 0.0).all()
+    assert abs(left.mean() - 217.2) < 4.0 * 217.2 / np.sqrt(len(left))
+
+
+@pytest.mark.parametrize("second", [217.2, 60.0])
+def test_two_random_stages_in_one_phase_have_mean_and_variance_of_their_sum(project, second):
+    """Of the Erlang distribution itself where they are alike."""
+    random = KI67["advanced"].replace(
+        'index="2" fixed_duration="true">150', f'index="2" fixed_duration="false">{second}'
+    )
+    phase = imported(project, random, 1).scene.growth.phases["G1"]
+    u = (np.arange(20000) + 0.5) / 20000
+    lengths = quantile(phase, u) / 60.0
+    assert lengths.mean() == pytest.approx(217.2 + second, rel=1e-4)
+    assert lengths.var() == pytest.approx(217.2**2 + second**2, rel=5e-3)
+    if second == 217.2:
+        np.testing.assert_allclose(lengths, gamma.ppf(u, 2, scale=second), rtol=1e-9)
+
+
+def test_cells_that_never_divide_are_ki67_negative(project):
+    cycle = ('<cycle code="6" name="Flow cytometry model (separated)">',
+             f'{KI67["advanced"]}<unread enabled="false">')  # fmt: skip
+    path = project(cycle)
+    text = path.read_text("utf-8").replace("</cycle>", "</unread>", 2)
+    path.write_text(text.replace("</unread><unread", "</cycle><unread", 1), "utf-8")
+    made = mc.import_physicell(path)
+    assert made.scene.growth.ki67_decay == 9000.0
+    run = Simulation(made.scene, threads=1)
+    assert run.history_row()["ki67_positive"] == 0.0
+    assert set(run.cells.kind.tolist()) == {0, 1}
+
+
+def test_a_large_type_that_does_not_divide_leaves_the_target_of_others(project):
+    """A cell of ten times the volume sets the radius of division, not to what cells grow."""
+    table = "x,y,z,type,volume\n" + "".join(f"{30 * k},0,0,tumour cell,\n" for k in range(3))
+    made = mc.import_physicell(project(cells=f"{table}-60,0,0,hunter,24940\n"))
+    growth, radius = made.scene.growth, made.scene.cells.division_radius
+    scale = growth.parameters["target"] * 4.0 / 3.0 * np.pi * radius**3
+    targets = [growth.phases[name].target_scale * scale for name in ("G1", "S", "G2", "M")]
+    np.testing.assert_allclose(targets, VOLUME * np.array([1.0, 2.0, 2.0, 2.0]), rtol=1e-9)
+    assert "hunter" in made.scene.types
