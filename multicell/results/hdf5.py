@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import io
+import math
 import os
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -114,6 +115,7 @@ NAME: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
+_AHEAD: Final = 1 << 19  # bytes of a data set that are read back at once
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
 
@@ -125,20 +127,33 @@ def write(
     history: Mapping[str, NDArray[np.float64]],
     absorbed: str,
 ) -> None:
-    """Write a file in the place of ``path``; until it is complete the old one stays.
+    """Write a file in the place of ``path``; until it has been read back the old one stays.
 
     - ``scene``: text of ``scene.toml``
     - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
     - ``history``, column -> (m,) float64
     - ``absorbed``: identity of the journal that is part of the file now: 32 letters
     """
-    with replace_file(path, "w+b") as file:
+    identity, digests = uuid.uuid4().hex, []
+
+    def noted() -> Iterator[tuple[Arrays, int, Arrays]]:
+        for frame in frames:
+            digests.append(frame[1])
+            yield frame
+
+    def check(part: Path) -> None:
+        written = File(part)
+        if written.identity != identity or written.digests.tolist() != digests:
+            raise _damage(part, "it is not what was written")
+        written.check()
+
+    with replace_file(path, check) as file:
         sink = Sink(file)
         try:
             with h5py.File(sink, "w", libver=_LIBVER) as target:
-                target.attrs["identity"] = np.bytes_(uuid.uuid4().hex)
+                target.attrs["identity"] = np.bytes_(identity)
                 target.attrs["absorbed"] = np.bytes_(absorbed)
-                _fill(target, scene, _Log(target, nutrients, sink), frames, history)
+                _fill(target, scene, _Log(target, nutrients, sink), noted(), history)
         except OutputError:
             raise
         except Exception:
@@ -322,6 +337,20 @@ def check_whole(path: Path) -> None:
         _check_format(path, file)
 
 
+def check_readable(path: Path) -> None:
+    """Read all data of a file of HDF5, whatever it holds; raises OutputError if that fails."""
+    with _open_file(path) as file:
+        groups = [file]
+        while groups:
+            for entry in groups.pop().values():
+                if isinstance(entry, h5py.Group):
+                    groups.append(entry)
+                elif isinstance(entry, h5py.Dataset) and entry.shape:
+                    step = max(1, _BATCH * len(entry) // max(entry.nbytes, 1))
+                    for begin in range(0, len(entry), step):
+                        entry[begin : begin + step]
+
+
 def _check_format(path: Path, file: Any) -> None:
     written = file.attrs.get("format", 0)
     if not np.array_equal(written, FORMAT):
@@ -352,6 +381,46 @@ def _damage(path: Path, problem: str) -> OutputError:
 def _short(error: BaseException) -> str:
     lines = str(error).strip("'\" ").splitlines()
     return lines[0][:200] if lines else type(error).__name__
+
+
+@final
+class _Columns:
+    """The data sets of an open file, for one who goes through their rows.
+
+    HDF5 takes as long to find a few rows as to read many.
+    """
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self._known: dict[str, _Column] = {}
+
+    def __contains__(self, path: str) -> bool:
+        return path in self._file
+
+    def __getitem__(self, path: str) -> _Column:
+        if path not in self._known:
+            self._known[path] = _Column(self._file[path])
+        return self._known[path]
+
+
+@final
+class _Column:
+    """A data set of which blocks of rows are kept until others are asked for."""
+
+    def __init__(self, rows: Any) -> None:
+        self._rows = rows
+        self._block = max(1, _AHEAD // (rows.dtype.itemsize * math.prod(rows.shape[1:])))
+        self._begin, self._held = 0, rows[:0]
+
+    def __getitem__(self, wanted: int | slice) -> NDArray[Any]:
+        if not isinstance(wanted, slice):
+            row: NDArray[Any] = self[wanted : wanted + 1][0]
+            return row
+        begin, end = wanted.start, wanted.stop
+        if begin < self._begin or end > self._begin + len(self._held):
+            self._begin, self._held = begin, self._rows[begin : max(end, begin + self._block)]
+        found: NDArray[Any] = self._held[begin - self._begin : end - self._begin]
+        return found
 
 
 @final
@@ -404,7 +473,18 @@ class File:
     def frame(self, place: int) -> Arrays:
         """Return the arrays of a frame; raises OutputError if they are not what was written."""
         with self._again() as file:
-            arrays = read_frame(file, place, self.nutrients, self._offsets)
+            return self._frame(file, place)
+
+    def check(self) -> None:
+        """Read all of it once; raises OutputError if something is not what was written."""
+        self.history()
+        with self._again() as file:
+            columns = _Columns(file)
+            for place in range(len(self.digests)):
+                self._frame(columns, place)
+
+    def _frame(self, file: Any, place: int) -> Arrays:
+        arrays = read_frame(file, place, self.nutrients, self._offsets)
         if digest(arrays) != int(self.digests[place]):
             raise OutputError(f"it is not what was written to '{self.path}'", damaged=True)
         return arrays
