@@ -13,6 +13,7 @@ import errno
 import io
 import math
 import os
+import struct
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.folder import package_version, replace_file
+from multicell.results.folder import file_errors, package_version, replace_file
 from multicell.results.journal import digest
 from multicell.results.layout import FORMAT, Kind, frame_rows, layout, of_rows, read_frame
 from multicell.results.lineage import COLUMNS
@@ -302,20 +303,86 @@ def _shared(sets: Mapping[str, Kind]) -> list[str]:
     ]
 
 
+_SUPERBLOCK: Final = struct.Struct("<8s3BB32sI")  # signature, ..., marks, ..., checksum: 48 bytes
+
+
+def _unmarked(path: Path) -> bytes | None:
+    """Return the bytes of a file that HDF5 takes for one that is being written, without its marks.
+
+    A program that has the file open for writing, or was killed then, leaves them; HDF5 refuses such
+    a file, whole as it may be. Checksums tell whether it is. None where there are no marks.
+    """
+    with file_errors("read", path), path.open("rb") as file:
+        head = file.read(_SUPERBLOCK.size)
+        if not head.startswith(b"\x89HDF\r\n\x1a\n\x03") or not head[11]:
+            return None
+        head = head[:11] + b"\0" + head[12:-4]
+        return head + _lookup3(head).to_bytes(4, "little") + file.read()
+
+
+def _lookup3(data: bytes) -> int:
+    """Return HDF5's checksum of up to a multiple of 12 bytes (B. Jenkins, 2006: ``hashlittle``)."""
+    mask, size = 0xFFFFFFFF, len(data)
+
+    def turned(x: int, by: int) -> int:
+        return (x << by | x >> (32 - by)) & mask
+
+    words = [x for (x,) in struct.iter_unpack("<I", data + bytes(-size % 12))]
+    a = b = c = (0xDEADBEEF + size) & mask
+    while len(words) > 3:
+        a, b, c = a + words[0] & mask, b + words[1] & mask, c + words[2] & mask
+        for by in (4, 6, 8, 16, 19, 4):
+            a = (a - c & mask) ^ turned(c, by)
+            a, b, c = b, c + b & mask, a
+        words = words[3:]
+    a, b, c = a + words[0] & mask, b + words[1] & mask, c + words[2] & mask
+    for by in (14, 11, 25, 16, 4, 14, 24):
+        c = (c ^ b) - turned(b, by) & mask
+        a, b, c = b, c, a
+    return b
+
+
 @contextmanager
-def _open_file(path: Path) -> Iterator[Any]:
+def _open_file(path: Path, image: bytes | None = None) -> Iterator[Any]:
     """Open a file for reading and turn all that HDF5 has to say into words.
 
     Not in HDF5's mode for files that are being written: in that a damaged one is read again and
-    again for ever.
+    again for ever. Nor with locks: a file of ours is never changed, and what others do to it is
+    seen by its checksums.
+
+    - ``image``: all bytes, in place of those on disk
     """
     try:
-        with h5py.File(path, "r", libver=_LIBVER, locking="best-effort") as file:
+        with _opened(path, image) as file:
             yield file
-    except OutputError:
-        raise
     except Exception as error:  # h5py raises almost any kind where a file is damaged
-        raise _in_words(path, error) from error
+        found = error if isinstance(error, OutputError) else _in_words(path, error)
+        if image is not None and found.damaged and _is_locked(path):
+            problem = f"'{path}' is open for writing in another program: close it there"
+            raise OutputError(problem) from error
+        if found is error:
+            raise
+        raise found from error
+
+
+def _opened(path: Path, image: bytes | None) -> Any:
+    if image is None:
+        return h5py.File(path, "r", libver=_LIBVER, locking=False)
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_fapl_core(backing_store=False)
+    access.set_file_image(image)
+    return h5py.File(h5py.h5f.open(b"image", h5py.h5f.ACC_RDONLY, access))
+
+
+def _is_locked(path: Path) -> bool:
+    """Return whether HDF5 of another program holds a file."""
+    try:
+        h5py.File(path, "r", locking=True).close()
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _in_words(path: Path, error: Exception) -> OutputError:
@@ -333,7 +400,7 @@ def check_whole(path: Path) -> None:
     """Refuse a file that is missing, cut short, or not one of ours; its data are not read."""
     if not path.is_file():
         raise OutputError(f"'{path}' is missing")
-    with _open_file(path) as file:
+    with _open_file(path, _unmarked(path)) as file:
         _check_format(path, file)
 
 
@@ -436,8 +503,8 @@ class File:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        with _open_file(path) as file:
+        self.path, self._image = path, _unmarked(path)
+        with _open_file(path, self._image) as file:
             _check_format(path, file)
             _check_links(path, file, 2)
             self.nutrients = tuple(sorted(file["fields"]))
@@ -497,7 +564,7 @@ class File:
     @contextmanager
     def _again(self) -> Iterator[Any]:
         """Open the file once more, and make sure that it still is the same one."""
-        with _open_file(self.path) as file:
+        with _open_file(self.path, self._image) as file:
             if file.attrs["identity"].decode("ascii") != self.identity:
                 raise OutputError(f"'{self.path}' has been replaced since it was opened")
             yield file
