@@ -427,7 +427,11 @@ def record_resumed(
         simulation = _simulation(scene, contents, place, options)
         scene = simulation.scene
         # all of it is read: what is damaged is better known before the run than after it
-        rows = int((contents.history()["step"] <= simulation.step_index).sum())
+        steps = contents.history().get("step")
+        if steps is None:
+            problem = f"'{folder}' is damaged: its history does not count steps"
+            raise OutputError(problem, damaged=True)
+        rows = int((steps <= simulation.step_index).sum())
         interrupt = stack.enter_context(STEP).deliver
         if here:
             for k in range(place):

@@ -445,6 +445,41 @@ def _damage(path: Path, problem: str) -> OutputError:
     return OutputError(f"'{path}' is damaged: {problem}", damaged=True)
 
 
+_RATIO: Final = 1032  # of what deflate unpacks to what it unpacks it from, at most
+_FILTERS: Final = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+
+
+def _check_sets(path: Path, file: Any, sets: Mapping[str, Kind]) -> dict[str, int]:
+    """Refuse data sets that are not of their kinds, before any of them is read.
+
+    What is resized in a file takes no room there, and memory where it is read. Returns the number
+    of rows by pool, where the history is one.
+    """
+    lengths: dict[str, int] = {}
+    for name, kind in sets.items():
+        column = file.get(name)
+        if column is None and name in SPARSE:
+            continue
+        width = () if kind.width is None else (kind.width,)
+        if not isinstance(column, h5py.Dataset) or column.dtype != np.dtype(kind.dtype):
+            raise _damage(path, f"{name} is not what it should be")
+        if column.shape[:1] + width != column.shape:
+            raise _damage(path, f"{name} has the shape {column.shape}")
+        storage = column.id.get_create_plist()
+        filters = {storage.get_filter(k)[0] for k in range(storage.get_nfilters())}
+        rows = max(len(column), column.chunks[0] if column.chunks and len(column) else 0)
+        size = rows * column.dtype.itemsize * math.prod(width)
+        if not filters <= _FILTERS or size > _RATIO * column.id.get_storage_size():
+            raise _damage(path, f"{name} says that it is larger than it can be")
+        pool = name.partition("/")[0] if kind.pool == "" else kind.pool
+        if lengths.setdefault(pool, len(column)) != len(column):
+            raise _damage(path, f"{name} has {len(column)} rows")
+    frames = lengths["frames"]
+    if lengths["ends"] != frames + 1:
+        raise _damage(path, f"there are {frames} frames and {lengths['ends']} ends of them")
+    return lengths
+
+
 def _short(error: BaseException) -> str:
     lines = str(error).strip("'\" ").splitlines()
     return lines[0][:200] if lines else type(error).__name__
@@ -509,11 +544,19 @@ class File:
             _check_links(path, file, 2)
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
+            sets = {f"history/{name}": of_rows("<f8") for name in self.columns}
+            sets |= {"scene": of_rows("|u1"), **layout(self.nutrients)}
+            lengths = _check_sets(path, file, sets)
             shared = {p: file[p][()] for p in ("scene", *_shared(layout(self.nutrients)))}
             if digest(shared) != int(file.attrs["digest"]):
                 problem = "its scene, index or lineage is not what was written"
                 raise _damage(path, f"{problem}. Nothing in it can be read")
-            self.rows = len(file["history"][self.columns[0]]) if self.columns else 0
+            self.rows = lengths.get("history", 0)
+            for name, ends in shared.items():
+                if name.endswith("/offset") and (
+                    ends[0] or ends[-1] != lengths[name] or (np.diff(ends) < 0).any()
+                ):
+                    raise _damage(path, f"{name} does not count rows")
             self.identity, self.absorbed = (
                 file.attrs[key].decode("ascii") for key in ("identity", "absorbed")
             )

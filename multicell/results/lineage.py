@@ -77,10 +77,25 @@ class Lineage:
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Lineage:
-        """Return the lineage of arrays, log/column -> rows."""
+        """Return the lineage of arrays, log/column -> rows.
+
+        Raises ValueError if they can be none.
+        """
         lineage = cls()
         for log, columns in COLUMNS.items():
-            lineage._note(log, tuple(arrays[f"{log}/{name}"] for name in columns))
+            wanted = [(f"{log}/{name}", np.dtype(dtype)) for name, dtype in columns.items()]
+            length = len(arrays.get(f"{log}/id", ()))
+            for path, dtype in wanted:
+                if path not in arrays or arrays[path].dtype != dtype:
+                    raise ValueError(f"it has no {path}")
+                if arrays[path].shape != (length,):
+                    raise ValueError(f"{path} has the shape {arrays[path].shape}")
+            lineage._note(log, tuple(arrays[path] for path, _ in wanted))
+        for log in ("deaths", "ends"):
+            if not np.isin(arrays[f"{log}/id"], arrays["births/id"]).all():
+                raise ValueError(f"{log} are of cells that were not born")
+        if not np.isin(arrays["ends/cause"], [_DIVIDED, *State]).all():
+            raise ValueError("an end has no known cause")
         return lineage
 
     def table(self) -> dict[str, NDArray[Any]]:

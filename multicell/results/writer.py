@@ -230,6 +230,7 @@ class Store:
     def _settle(self) -> None:
         self.flush()
         contents = Contents(self.folder)
+        contents.whole()
         frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
         held = contents.scene, contents.nutrients, frames, contents.history(), contents.identity
         try:
