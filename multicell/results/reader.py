@@ -178,8 +178,10 @@ class Contents:
         """Return the lineage up to a frame; raises OutputError if it is damaged."""
         paths = [f"{log}/{name}" for log, columns in COLUMNS.items() for name in columns]
         parts = [entry.log() for entry in self.places[: place + 1]]
-        whole = {path: np.concatenate([part[path] for part in parts]) for path in paths}
         try:
+            for part in parts:
+                Lineage.check(part)
+            whole = {path: np.concatenate([part[path] for part in parts]) for path in paths}
             return Lineage.of(whole)
         except ValueError as error:
             raise OutputError(
