@@ -367,29 +367,34 @@ except KeyboardInterrupt:
     print("whole", energy, flush=True)
     raise SystemExit(130)
 """
-SMALL = ["--set", "initial.count=100", "--set", "duration=9 d"]
+LONG, SHORT = "9 d", "3 h"  # the end of a short one comes soon, and with it all that is written
 DATA = "time / h,diameter / um\n6,60\n12,70\n18,80\n"
 
 
-def _commands(folder):
+def _commands(folder, duration):
     """Return commands by name, and the preparation that they need."""
-    out = folder / "out"
+    out, small = folder / "out", _small(duration)
     free = ["--free", "growth.cycle_time=18:30 h", "--cores", "1", "--yes"]
+    last = "9 d" if duration == LONG else "30 min"
     return {
-        "run": ["run", "growth", "-o", out, *SMALL, "--set", "output.every=10 min"],
-        "spheroid": ["run", "spheroid", "-o", out, "--threads", "1"],
-        "resume": ["resume", out, "--set", "duration=9 d"],
-        "compare": ["compare", "growth", *SMALL, "-o", folder / "chart"],
+        "run": ["run", "growth", "-o", out, *small, "--set", "output.every=10 min"],
+        "spheroid": ["run", "spheroid", "-o", out, "--threads", "1", "--set", f"duration={last}"],
+        "resume": ["resume", out, "--set", f"duration={duration}"],
+        "compare": ["compare", "growth", *small, "-o", folder / "chart"],
         "stability": ["stability", "settle", "-o", folder / "chart"],
         "study": ["study", "run", folder / "study", "--cores", "1", "--yes"],
-        "sensitivity": ["sensitivity", "growth", *SMALL, "-o", folder / "indices", *free],
-        "fit": ["fit", "growth", *SMALL[:2], "-o", folder / "fit", "--data", folder / "data.csv",
+        "sensitivity": ["sensitivity", "growth", *small, "-o", folder / "indices", *free],
+        "fit": ["fit", "growth", *small[:2], "-o", folder / "fit", "--data", folder / "data.csv",
                 *free],
         "explain": ["explain", "spheroid"],
-        "doses": ["dose-response", "growth", *SMALL, "--dose", "growth.cycle_time=18,24,30 h",
+        "doses": ["dose-response", "growth", *small, "--dose", "growth.cycle_time=18,24,30 h",
                   "--seeds", "1", "-o", folder / "doses", "--cores", "1", "--yes"],
         "export": ["export", out, "-o", folder / "tables", "--format", "netcdf", "--overwrite"],
     }  # fmt: skip
+
+
+def _small(duration):
+    return ["--set", "initial.count=100", "--set", f"duration={duration}"]
 
 
 def _multicell(*arguments):
@@ -399,13 +404,13 @@ def _multicell(*arguments):
     assert done.returncode == 0, done.stderr
 
 
-def _prepare(name, folder):
+def _prepare(name, folder, duration):
     if name in ("resume", "export"):
-        _multicell("run", "growth", "-o", folder / "out", *SMALL, "--set", "duration=1 h",
-                   "--no-report", "--quiet")  # fmt: skip
+        out = folder / "out"
+        _multicell("run", "growth", "-o", out, *_small("1 h"), "--no-report", "--quiet")
     (folder / "data.csv").write_text(DATA)
     if name == "study":
-        _multicell("study", "new", "growth", "-o", folder / "study", *SMALL,
+        _multicell("study", "new", "growth", "-o", folder / "study", *_small(duration),
                    "--vary", "growth.cycle_time=18,24,30 h")  # fmt: skip
 
 
@@ -490,7 +495,7 @@ def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
         rng = random.Random(case)
         folder = tmp_path / str(case)
         folder.mkdir()
-        names = [*_commands(folder), "loop auto", "loop cvode", "runs"]
+        names = [*_commands(folder, LONG), "loop auto", "loop cvode", "runs"]
         name = names[case % len(names)]
         presses = rng.choice([1, 2, 2, 3])
         # half of them when something is written: frames.h5, or any file
@@ -501,7 +506,7 @@ def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
         moments = [rng.uniform(0.0, 8.0), *(rng.uniform(0.0, 0.5) for _ in range(presses - 1))]
         if name in ("study", "sensitivity", "fit", "doses", "runs"):
             moments[0] *= 2.0
-        aim = ""
+        aim, duration = "", SHORT if aimed else LONG
         if aimed:
             wanted, number = rng.choice([("frames.h5", 0), ("", rng.randrange(4))])
             aim = (AIMED.replace("CASE", str(case)).replace("PRESSES", str(presses))
@@ -514,8 +519,9 @@ def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
             command = [sys.executable, "-c", program]
             moments[0] = rng.uniform(5.0, 15.0)
         else:
-            _prepare(name, folder)
-            command = [sys.executable, "-c", aim + READY, *map(str, _commands(folder)[name])]
+            _prepare(name, folder, duration)
+            told = map(str, _commands(folder, duration)[name])
+            command = [sys.executable, "-c", aim + READY, *told]
         code, output, errors = _interrupted(command, environment, moments, folder)
         told = (case, name, presses, aim[-300:], moments, environment, code, output[-500:],
                 errors[-1500:])  # fmt: skip

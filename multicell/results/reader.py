@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.results import hdf5, journal
 from multicell.results.frame import Frame
+from multicell.results.layout import check_frame
 from multicell.results.lineage import COLUMNS, Lineage
 from multicell.results.records import Arrays, frame_of
 
@@ -166,7 +167,9 @@ class Contents:
     def frame(self, place: int) -> Frame:
         """Return a frame."""
         try:
-            return frame_of(self.places[place].arrays(), self.nutrients)
+            arrays = self.places[place].arrays()
+            check_frame(arrays, self.nutrients)
+            return frame_of(arrays, self.nutrients)
         except OutputError as error:
             how = "is damaged" if error.damaged else "cannot be read"
             problem = f"frame {place} in '{self.folder}' {how}: {error}"

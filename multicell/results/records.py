@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, State
+from multicell.cells import Cells
 from multicell.errors import OutputError
 from multicell.results.frame import Field, Frame, Progress
 from multicell.results.lineage import COLUMNS, Lineage
@@ -84,7 +84,6 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
     try:
         there = [name for name in names if f"fields/{name}/values" in arrays]
         progress = arrays["progress/text"].tobytes()
-        _check_kinds(arrays, names)
         return Frame(
             time=float(arrays["time"]),
             step=int(arrays["step"]),
@@ -98,28 +97,6 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
         raise OutputError(f"it has no {error.args[0]}", damaged=True) from None
     except (ValueError, TypeError, AttributeError) as error:
         raise OutputError(str(error), damaged=True) from None
-
-
-def _check_kinds(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> None:
-    """Refuse arrays of another type or shape than a frame has; those of cells check themselves."""
-    count = (len(arrays["cells/id"]),)
-    wanted: dict[str, tuple[str, tuple[int | None, ...]]] = {
-        "time": ("<f8", ()), "step": ("<i8", ()), "contacts/pair": ("<i8", (None, 2)),
-        "progress/text": ("|u1", (None,)), "cells/state": ("|i1", count),
-    }  # fmt: skip
-    for name in names:
-        wanted[f"cells/concentration_{name}"] = "<f8", count
-        wanted[f"fields/{name}/values"] = "<f8", (None, None, None)
-        for key, entry in FIELD.items():
-            wanted[f"fields/{name}/{key}"] = entry.dtype, (entry.width,) if entry.width else ()
-    for path in wanted.keys() & arrays.keys():
-        dtype, shape = wanted[path]
-        array = arrays[path]
-        known = [n if m is None else m for n, m in zip(array.shape, shape, strict=False)]
-        if array.dtype.str != dtype or [*array.shape] != known or array.ndim != len(shape):
-            raise ValueError(f"{path} has the type {array.dtype.str} and shape {array.shape}")
-    if not np.isin(arrays["cells/state"], [*State]).all():
-        raise ValueError("a cell is in no known state")
 
 
 def _field_of(name: str, arrays: Mapping[str, NDArray[Any]]) -> Field:
