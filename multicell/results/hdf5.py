@@ -327,7 +327,7 @@ def _lookup3(data: bytes) -> int:
     def turned(x: int, by: int) -> int:
         return (x << by | x >> (32 - by)) & mask
 
-    words = [x for (x,) in struct.iter_unpack("<I", data + bytes(-size % 12))]
+    words: list[int] = [x for (x,) in struct.iter_unpack("<I", data + bytes(-size % 12))]
     a = b = c = (0xDEADBEEF + size) & mask
     while len(words) > 3:
         a, b, c = a + words[0] & mask, b + words[1] & mask, c + words[2] & mask

@@ -217,11 +217,10 @@ def _header(text: bytes, length: int, *, first: bool) -> dict[str, Any] | None:
 
 def _is_right(entry: Any, wanted: type) -> bool:
     """Return whether an entry of a header is of its type, and can be."""
-    if type(entry) is not wanted:
-        return False
-    if wanted is list:
+    same: bool = type(entry) is wanted  # True is no number
+    if same and wanted is list:
         return all(type(name) is str for name in entry) and len({*entry}) == len(entry)
-    return wanted is str or 0 <= entry < 1 << 62
+    return same and (wanted is str or 0 <= entry < 1 << 62)
 
 
 def _size(name: Any, kind: Any, shape: Any) -> int:
@@ -229,7 +228,7 @@ def _size(name: Any, kind: Any, shape: Any) -> int:
     entries = [type(n) is int and n >= 0 for n in shape]
     if type(name) is not str or not _TYPE.fullmatch(kind) or not all(entries):
         raise ValueError
-    size = math.prod(shape) * int(kind[2:])
+    size: int = math.prod(shape) * int(kind[2:])
     if len(shape) > _MOST_AXES or (not size and max(shape) > _WIDEST):
         raise ValueError
     return size

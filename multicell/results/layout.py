@@ -114,7 +114,7 @@ def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) ->
     """Refuse arrays of another type or shape than a frame has; raises OutputError."""
     sets = layout(nutrients)
     sets |= {"time": sets["frames/time"], "step": sets["frames/step"]}
-    count = np.shape(arrays.get("cells/id"))
+    count = arrays["cells/id"].shape if "cells/id" in arrays else ()
     for path, array in arrays.items():
         kind = sets.get(path, Kind("<f8", None, "values" if path.endswith("/values") else ""))
         axes = {"frames": 0, "values": 3}.get(kind.pool, 1)

@@ -95,7 +95,7 @@ class Lineage:
     def check(arrays: Mapping[str, NDArray[Any]]) -> None:
         """Refuse arrays, log/column -> rows, that have not the columns of the logs: ValueError."""
         for log, columns in COLUMNS.items():
-            shape = np.shape(arrays.get(f"{log}/id"))
+            shape = arrays[f"{log}/id"].shape if f"{log}/id" in arrays else ()
             for path, dtype in ((f"{log}/{name}", dtype) for name, dtype in columns.items()):
                 rows = arrays.get(path)
                 if rows is None or rows.dtype != dtype or rows.ndim != 1 or rows.shape != shape:
