@@ -387,7 +387,7 @@ def _commands(folder, duration):
         "fit": ["fit", "growth", *small[:2], "-o", folder / "fit", "--data", folder / "data.csv",
                 *free],
         "explain": ["explain", "spheroid"],
-        "doses": ["dose-response", "growth", *small, "--dose", "growth.cycle_variation=0,0.1,0.2",
+        "doses": ["dose-response", "growth", *small, "--dose", "growth.cycle_variation=0,0.05,0.1,0.15,0.2",
                   "--seeds", "1", "-o", folder / "doses", "--cores", "1", "--yes"],
         "export": ["export", out, "-o", folder / "tables", "--format", "netcdf", "--overwrite"],
     }  # fmt: skip
