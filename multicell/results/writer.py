@@ -222,12 +222,8 @@ class Store:
     def settle(self) -> None:
         """Make one file ``frames.h5`` of all that there is.
 
-        The journal goes when that file has been read back. No signal comes in between.
+        The journal goes when that file has been read back.
         """
-        with UNCUT:
-            self._settle()
-
-    def _settle(self) -> None:
         self.flush()
         contents = Contents(self.folder)
         contents.whole()
