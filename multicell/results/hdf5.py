@@ -303,7 +303,7 @@ def _shared(sets: Mapping[str, Kind]) -> list[str]:
     ]
 
 
-_SUPERBLOCK: Final = struct.Struct("<8s3BB32sI")  # signature, ..., marks, ..., checksum: 48 bytes
+_SUPERBLOCK: Final = 48  # bytes: a signature of 8, the version, ..., marks at 11, ..., a checksum
 
 
 def _unmarked(path: Path) -> bytes | None:
@@ -313,11 +313,15 @@ def _unmarked(path: Path) -> bytes | None:
     a file, whole as it may be. Checksums tell whether it is. None where there are no marks.
     """
     with file_errors("read", path), path.open("rb") as file:
-        head = file.read(_SUPERBLOCK.size)
-        if not head.startswith(b"\x89HDF\r\n\x1a\n\x03") or not head[11]:
+        head = file.read(_SUPERBLOCK)
+        begins = head.startswith(b"\x89HDF\r\n\x1a\n\x03") and len(head) == _SUPERBLOCK
+        if not begins or not head[11]:
             return None
-        head = head[:11] + b"\0" + head[12:-4]
-        return head + _lookup3(head).to_bytes(4, "little") + file.read()
+        plain = head[:11] + b"\0" + head[12:-4]
+        right = _lookup3(plain).to_bytes(4, "little")
+        if head[-4:] not in (right, _lookup3(head[:-4]).to_bytes(4, "little")):
+            return None  # HDF5 will say what is wrong with it
+        return plain + right + file.read()
 
 
 def _lookup3(data: bytes) -> int:
@@ -446,7 +450,10 @@ def _damage(path: Path, problem: str) -> OutputError:
 
 
 _RATIO: Final = 1032  # of what deflate unpacks to what it unpacks it from, at most
-_FILTERS: Final = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+_FILTERS: Final = {
+    getattr(h5py.h5z, f"FILTER_{name}") for name in ("DEFLATE", "LZF", "SHUFFLE", "FLETCHER32")
+}
+"""Those that unpack to no more than that; others make much of nothing."""
 
 
 def _check_sets(path: Path, file: Any, sets: Mapping[str, Kind]) -> dict[str, int]:
