@@ -9,8 +9,11 @@ of HDF5, and each frame one of ours over all that it holds. Nothing that leads o
 
 from __future__ import annotations
 
+import errno
 import io
+import math
 import os
+import struct
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.folder import package_version, replace_file
+from multicell.results.folder import file_errors, package_version, replace_file
 from multicell.results.journal import digest
 from multicell.results.layout import FORMAT, Kind, frame_rows, layout, of_rows, read_frame
 from multicell.results.lineage import COLUMNS
@@ -113,6 +116,7 @@ NAME: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
+_AHEAD: Final = 1 << 19  # bytes of a data set that are read back at once
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
 
@@ -124,20 +128,33 @@ def write(
     history: Mapping[str, NDArray[np.float64]],
     absorbed: str,
 ) -> None:
-    """Write a file in the place of ``path``; until it is complete the old one stays.
+    """Write a file in the place of ``path``; until it has been read back the old one stays.
 
     - ``scene``: text of ``scene.toml``
     - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
     - ``history``, column -> (m,) float64
     - ``absorbed``: identity of the journal that is part of the file now: 32 letters
     """
-    with replace_file(path, "w+b") as file:
+    identity, digests = uuid.uuid4().hex, []
+
+    def noted() -> Iterator[tuple[Arrays, int, Arrays]]:
+        for frame in frames:
+            digests.append(frame[1])
+            yield frame
+
+    def check(part: Path) -> None:
+        written = File(part)
+        if written.identity != identity or written.digests.tolist() != digests:
+            raise _damage(part, "it is not what was written")
+        written.check()
+
+    with replace_file(path, check) as file:
         sink = Sink(file)
         try:
             with h5py.File(sink, "w", libver=_LIBVER) as target:
-                target.attrs["identity"] = np.bytes_(uuid.uuid4().hex)
+                target.attrs["identity"] = np.bytes_(identity)
                 target.attrs["absorbed"] = np.bytes_(absorbed)
-                _fill(target, scene, _Log(target, nutrients, sink), frames, history)
+                _fill(target, scene, _Log(target, nutrients, sink), noted(), history)
         except OutputError:
             raise
         except Exception:
@@ -286,28 +303,123 @@ def _shared(sets: Mapping[str, Kind]) -> list[str]:
     ]
 
 
+_SUPERBLOCK: Final = 48  # bytes: a signature of 8, the version, ..., marks at 11, ..., a checksum
+
+
+def _unmarked(path: Path) -> bytes | None:
+    """Return the bytes of a file that HDF5 takes for one that is being written, without its marks.
+
+    A program that has the file open for writing, or was killed then, leaves them; HDF5 refuses such
+    a file, whole as it may be. Checksums tell whether it is. None where there are no marks.
+    """
+    with file_errors("read", path), path.open("rb") as file:
+        head = file.read(_SUPERBLOCK)
+        begins = head.startswith(b"\x89HDF\r\n\x1a\n\x03") and len(head) == _SUPERBLOCK
+        if not begins or not head[11]:
+            return None
+        plain = head[:11] + b"\0" + head[12:-4]
+        right = _lookup3(plain).to_bytes(4, "little")
+        if head[-4:] not in (right, _lookup3(head[:-4]).to_bytes(4, "little")):
+            return None  # HDF5 will say what is wrong with it
+        return plain + right + file.read()
+
+
+def _lookup3(data: bytes) -> int:
+    """Return HDF5's checksum of up to a multiple of 12 bytes (B. Jenkins, 2006: ``hashlittle``)."""
+    mask, size = 0xFFFFFFFF, len(data)
+
+    def turned(x: int, by: int) -> int:
+        return (x << by | x >> (32 - by)) & mask
+
+    words: list[int] = [x for (x,) in struct.iter_unpack("<I", data + bytes(-size % 12))]
+    a = b = c = (0xDEADBEEF + size) & mask
+    while len(words) > 3:
+        a, b, c = a + words[0] & mask, b + words[1] & mask, c + words[2] & mask
+        for by in (4, 6, 8, 16, 19, 4):
+            a = (a - c & mask) ^ turned(c, by)
+            a, b, c = b, c + b & mask, a
+        words = words[3:]
+    a, b, c = a + words[0] & mask, b + words[1] & mask, c + words[2] & mask
+    for by in (14, 11, 25, 16, 4, 14, 24):
+        c = (c ^ b) - turned(b, by) & mask
+        a, b, c = b, c, a
+    return b
+
+
 @contextmanager
-def _open_file(path: Path) -> Iterator[Any]:
+def _open_file(path: Path, image: bytes | None = None) -> Iterator[Any]:
     """Open a file for reading and turn all that HDF5 has to say into words.
 
     Not in HDF5's mode for files that are being written: in that a damaged one is read again and
-    again for ever.
+    again for ever. Nor with locks: a file of ours is never changed, and what others do to it is
+    seen by its checksums.
+
+    - ``image``: all bytes, in place of those on disk
     """
     try:
-        with h5py.File(path, "r", libver=_LIBVER, locking="best-effort") as file:
+        with _opened(path, image) as file:
             yield file
-    except OutputError:
-        raise
     except Exception as error:  # h5py raises almost any kind where a file is damaged
-        raise OutputError(f"cannot read '{path}': it is damaged ({_short(error)})") from error
+        found = error if isinstance(error, OutputError) else _in_words(path, error)
+        if image is not None and found.damaged and _is_locked(path):
+            problem = f"'{path}' is open for writing in another program: close it there"
+            raise OutputError(problem) from error
+        if found is error:
+            raise
+        raise found from error
+
+
+def _opened(path: Path, image: bytes | None) -> Any:
+    if image is None:
+        return h5py.File(path, "r", libver=_LIBVER, locking=False)
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_fapl_core(backing_store=False)
+    access.set_file_image(image)
+    return h5py.File(h5py.h5f.open(b"image", h5py.h5f.ACC_RDONLY, access))
+
+
+def _is_locked(path: Path) -> bool:
+    """Return whether HDF5 of another program holds a file."""
+    try:
+        h5py.File(path, "r", locking=True).close()
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def _in_words(path: Path, error: Exception) -> OutputError:
+    """Return what HDF5 says of a file: of damage, or of a machine that cannot read it."""
+    if isinstance(error, MemoryError):
+        return OutputError(f"cannot read '{path}': there is not enough memory")
+    number = getattr(error, "errno", None)  # of the system; HDF5 has none of its own
+    if number is None or number == errno.EINVAL:  # a place in the file that cannot be
+        problem = f"cannot read '{path}': it is damaged ({_short(error)})"
+        return OutputError(problem, damaged=True)
+    return OutputError(f"cannot read '{path}': {os.strerror(number)}")
 
 
 def check_whole(path: Path) -> None:
     """Refuse a file that is missing, cut short, or not one of ours; its data are not read."""
     if not path.is_file():
         raise OutputError(f"'{path}' is missing")
-    with _open_file(path) as file:
+    with _open_file(path, _unmarked(path)) as file:
         _check_format(path, file)
+
+
+def check_readable(path: Path) -> None:
+    """Read all data of a file of HDF5, whatever it holds; raises OutputError if that fails."""
+    with _open_file(path) as file:
+        groups = [file]
+        while groups:
+            for entry in groups.pop().values():
+                if isinstance(entry, h5py.Group):
+                    groups.append(entry)
+                elif isinstance(entry, h5py.Dataset) and entry.shape:
+                    step = max(1, _BATCH * len(entry) // max(entry.nbytes, 1))
+                    for begin in range(0, len(entry), step):
+                        entry[begin : begin + step]
 
 
 def _check_format(path: Path, file: Any) -> None:
@@ -321,21 +433,103 @@ def _check_links(path: Path, group: Any, depth: int) -> None:
     """Refuse links, groups below a depth, and data that are kept in another file."""
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-            raise OutputError(f"'{path}' is damaged: {name} is a link")
+            raise _damage(path, f"{name} is a link")
         entry = group[name]
         if isinstance(entry, h5py.Group):
             if not depth:
-                raise OutputError(f"'{path}' is damaged: {name} is a group")
+                raise _damage(path, f"{name} is a group")
             _check_links(path, entry, depth - 1)
         elif isinstance(entry, h5py.Dataset) and (
             entry.is_virtual or entry.id.get_create_plist().get_external_count()
         ):
-            raise OutputError(f"'{path}' is damaged: {name} keeps its data elsewhere")
+            raise _damage(path, f"{name} keeps its data elsewhere")
+
+
+def _damage(path: Path, problem: str) -> OutputError:
+    return OutputError(f"'{path}' is damaged: {problem}", damaged=True)
+
+
+_RATIO: Final = 1032  # of what deflate unpacks to what it unpacks it from, at most
+_FILTERS: Final = {
+    getattr(h5py.h5z, f"FILTER_{name}") for name in ("DEFLATE", "LZF", "SHUFFLE", "FLETCHER32")
+}
+"""Those that unpack to no more than that; others make much of nothing."""
+
+
+def _check_sets(path: Path, file: Any, sets: Mapping[str, Kind]) -> dict[str, int]:
+    """Refuse data sets that are not of their kinds, before any of them is read.
+
+    What is resized in a file takes no room there, and memory where it is read. Returns the number
+    of rows by pool, where the history is one.
+    """
+    lengths: dict[str, int] = {}
+    for name, kind in sets.items():
+        column = file.get(name)
+        if column is None and name in SPARSE:
+            continue
+        width = () if kind.width is None else (kind.width,)
+        if not isinstance(column, h5py.Dataset) or column.dtype != np.dtype(kind.dtype):
+            raise _damage(path, f"{name} is not what it should be")
+        if column.shape[:1] + width != column.shape:
+            raise _damage(path, f"{name} has the shape {column.shape}")
+        storage = column.id.get_create_plist()
+        filters = {storage.get_filter(k)[0] for k in range(storage.get_nfilters())}
+        rows = max(len(column), column.chunks[0] if column.chunks and len(column) else 0)
+        size = rows * column.dtype.itemsize * math.prod(width)
+        if not filters <= _FILTERS or size > _RATIO * column.id.get_storage_size():
+            raise _damage(path, f"{name} says that it is larger than it can be")
+        pool = name.partition("/")[0] if kind.pool == "" else kind.pool
+        if lengths.setdefault(pool, len(column)) != len(column):
+            raise _damage(path, f"{name} has {len(column)} rows")
+    frames = lengths["frames"]
+    if lengths["ends"] != frames + 1:
+        raise _damage(path, f"there are {frames} frames and {lengths['ends']} ends of them")
+    return lengths
 
 
 def _short(error: BaseException) -> str:
     lines = str(error).strip("'\" ").splitlines()
     return lines[0][:200] if lines else type(error).__name__
+
+
+@final
+class _Columns:
+    """The data sets of an open file, for one who goes through their rows.
+
+    HDF5 takes as long to find a few rows as to read many.
+    """
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self._known: dict[str, _Column] = {}
+
+    def __contains__(self, path: str) -> bool:
+        return path in self._file
+
+    def __getitem__(self, path: str) -> _Column:
+        if path not in self._known:
+            self._known[path] = _Column(self._file[path])
+        return self._known[path]
+
+
+@final
+class _Column:
+    """A data set of which blocks of rows are kept until others are asked for."""
+
+    def __init__(self, rows: Any) -> None:
+        self._rows = rows
+        self._block = max(1, _AHEAD // (rows.dtype.itemsize * math.prod(rows.shape[1:])))
+        self._begin, self._held = 0, rows[:0]
+
+    def __getitem__(self, wanted: int | slice) -> NDArray[Any]:
+        if not isinstance(wanted, slice):
+            row: NDArray[Any] = self[wanted : wanted + 1][0]
+            return row
+        begin, end = wanted.start, wanted.stop
+        if begin < self._begin or end > self._begin + len(self._held):
+            self._begin, self._held = begin, self._rows[begin : max(end, begin + self._block)]
+        found: NDArray[Any] = self._held[begin - self._begin : end - self._begin]
+        return found
 
 
 @final
@@ -351,17 +545,25 @@ class File:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        with _open_file(path) as file:
+        self.path, self._image = path, _unmarked(path)
+        with _open_file(path, self._image) as file:
             _check_format(path, file)
             _check_links(path, file, 2)
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
+            sets = {f"history/{name}": of_rows("<f8") for name in self.columns}
+            sets |= {"scene": of_rows("|u1"), **layout(self.nutrients)}
+            lengths = _check_sets(path, file, sets)
             shared = {p: file[p][()] for p in ("scene", *_shared(layout(self.nutrients)))}
             if digest(shared) != int(file.attrs["digest"]):
                 problem = "its scene, index or lineage is not what was written"
-                raise OutputError(f"'{path}' is damaged: {problem}. Nothing in it can be read")
-            self.rows = len(file["history"][self.columns[0]]) if self.columns else 0
+                raise _damage(path, f"{problem}. Nothing in it can be read")
+            self.rows = lengths.get("history", 0)
+            for name, ends in shared.items():
+                if name.endswith("/offset") and (
+                    ends[0] or ends[-1] != lengths[name] or (np.diff(ends) < 0).any()
+                ):
+                    raise _damage(path, f"{name} does not count rows")
             self.identity, self.absorbed = (
                 file.attrs[key].decode("ascii") for key in ("identity", "absorbed")
             )
@@ -381,15 +583,27 @@ class File:
         with self._again() as file:
             columns = {name: file["history"][name][()] for name in self.columns}
             if digest(columns) != int(file["history"].attrs["digest"]):
-                raise OutputError(f"the history in '{self.path}' is not what was written")
+                problem = f"the history in '{self.path}' is not what was written"
+                raise OutputError(problem, damaged=True)
         return columns
 
     def frame(self, place: int) -> Arrays:
         """Return the arrays of a frame; raises OutputError if they are not what was written."""
         with self._again() as file:
-            arrays = read_frame(file, place, self.nutrients, self._offsets)
+            return self._frame(file, place)
+
+    def check(self) -> None:
+        """Read all of it once; raises OutputError if something is not what was written."""
+        self.history()
+        with self._again() as file:
+            columns = _Columns(file)
+            for place in range(len(self.digests)):
+                self._frame(columns, place)
+
+    def _frame(self, file: Any, place: int) -> Arrays:
+        arrays = read_frame(file, place, self.nutrients, self._offsets)
         if digest(arrays) != int(self.digests[place]):
-            raise OutputError(f"it is not what was written to '{self.path}'")
+            raise OutputError(f"it is not what was written to '{self.path}'", damaged=True)
         return arrays
 
     def log(self, place: int) -> Arrays:
@@ -400,7 +614,7 @@ class File:
     @contextmanager
     def _again(self) -> Iterator[Any]:
         """Open the file once more, and make sure that it still is the same one."""
-        with _open_file(self.path) as file:
+        with _open_file(self.path, self._image) as file:
             if file.attrs["identity"].decode("ascii") != self.identity:
                 raise OutputError(f"'{self.path}' has been replaced since it was opened")
             yield file

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.results.documents import read_table
-from multicell.results.folder import file_errors, put_in_place, replace_file, sync_file, versions
+from multicell.results.folder import file_errors, put_in_place, sync_file, versions, write_bytes
 from multicell.results.quantities import known_unit
 from multicell.studies.runs import MODEL_VERSION, digest
 from multicell.tables.titles import titled
@@ -200,5 +200,5 @@ def write_csv(table: xarray.Dataset, path: Path) -> None:
     needs("pandas")
     frame = table.to_dataframe().reset_index()
     names = {n: titled(n, table[n].attrs.get("units", "")) for n in frame if n in table.variables}
-    with replace_file(path, "w", newline="", encoding="utf-8") as file:
-        frame.rename(columns=names).to_csv(file, index=False)
+    text = frame.rename(columns=names).to_csv(index=False, lineterminator=os.linesep)
+    write_bytes(path, text.encode())

@@ -10,6 +10,7 @@ and https://github.com/rheiland/OpenVT_monolayer_PhysiCell (``analysis/gen_time_
 from __future__ import annotations
 
 import csv
+import filecmp
 import hashlib
 import json
 import shutil
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
+from multicell.host.interrupts import UNCUT
 from multicell.report.tables import TABLES, Frames, joined
 from multicell.report.wording import measures
 from multicell.results.folder import versions
@@ -54,11 +56,13 @@ _KINDS: Final = {
 def write_netcdf(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
     """Write the history and each frame into files of their own and return the names."""
     names = ["history.nc"]
-    run.to_xarray().to_netcdf(folder / names[0], engine="h5netcdf")
+    with UNCUT:  # of HDF5 too
+        run.to_xarray().to_netcdf(folder / names[0], engine="h5netcdf")
     for number, frame in frames():
         names.append(f"frame-{number:04d}.nc")
         arrays = frame_arrays(frame, tuple(run.scene.types))
-        arrays.to_netcdf(folder / names[-1], engine="h5netcdf")
+        with UNCUT:
+            arrays.to_netcdf(folder / names[-1], engine="h5netcdf")
     return names
 
 
@@ -101,7 +105,8 @@ def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[st
         uns={"scene": run.scene.to_toml(), "versions": versions()},
     )
     _connect(data, [frame for _, frame in frames()])
-    data.write_h5ad(folder / name, compression="gzip")
+    with UNCUT:
+        data.write_h5ad(folder / name, compression="gzip")
     return [name]
 
 
@@ -176,6 +181,8 @@ def write_crate(run: Result, frames: Frames, folder: Path, tables: Sequence[str]
     files = [path for path in files if path.name != _CRATE]
     for path in files:
         shutil.copyfile(path, folder / path.name)
+        if not filecmp.cmp(path, folder / path.name, shallow=False):
+            raise OutputError(f"the copy of '{path}' does not read back as it was written")
     text = json.dumps(_described(run, files), indent=2, ensure_ascii=False)
     (folder / _CRATE).write_text(text + "\n", "utf-8")
     return [_CRATE, *(path.name for path in files)]
