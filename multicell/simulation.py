@@ -209,7 +209,7 @@ class Simulation(RunState):
         with self.phase("biology"):
             self._decide(end - begin)
             self._irradiate(begin)
-            if plan.growth is not None and end not in self.timeline.plan.jumps:
+            if plan.growth is not None and not self.timeline.plan.jumps_at(end):
                 # a jump changes nothing of the step that it ends
                 now = self._growth_factor()
                 self.cells.lag = lag_after(plan, began, factor, self.cells, now, end - begin)

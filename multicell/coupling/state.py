@@ -20,7 +20,7 @@ from multicell.nutrient.fields import FieldSystem
 from multicell.results.frame import Frame, Progress
 from multicell.results.lineage import Lineage
 from multicell.scene.domain import check_start
-from multicell.scene.scales import step_plan
+from multicell.scene.steps import step_plan
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -96,7 +96,7 @@ class RunState(ABC):
         self.scene, self.mover, self.field_system = scene, mover, fields
         self.plan = plan
         self.wall = dict.fromkeys(PHASES, 0.0)
-        self.timeline = Timeline.at_start(step_plan(scene))
+        self.timeline = Timeline(step_plan(scene))
         self.divisions = self.removals = 0
         self.released = 0.0
         self.replays: Replays | None = Replays()
