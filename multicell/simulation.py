@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.biology import driven
-from multicell.biology.division import change_types
+from multicell.biology.division import change_types, changing
+from multicell.biology.exposure import Exposure
 from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
@@ -41,7 +42,7 @@ from multicell.scene.domain import check_start
 from multicell.scene.ranges import check_memory
 
 if TYPE_CHECKING:
-    from multicell.cells import IntArray
+    from multicell.cells import Found, IntArray
     from multicell.integrators.base import Integrator
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
@@ -145,7 +146,7 @@ class Simulation(RunState):
                 bind(self.plan, self.cells, self.cells, self.signals, self.time)
         if given_states or not self.scene.nutrients:
             with self.phase("biology"):
-                self._decide(0.0)
+                self._decide()
         self._irradiate(-math.inf)
 
     def _find_states(self) -> None:
@@ -193,8 +194,9 @@ class Simulation(RunState):
         plan, begin, end = self.plan, self.time, self.timeline.next_time
         with self.phase("biology"):
             factor = self._growth_factor()
-            grown = grow(plan, self.cells, self.signals, factor, end - begin)
-            began = self.cells
+            began, found = self.cells, self.signals
+            grown = grow(plan, began, found, factor, end - begin)
+            found = dict(found)  # the fields will write what they find in place of this
         with self.phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
         with self.phase("events"):
@@ -205,9 +207,10 @@ class Simulation(RunState):
             self._divide_and_remove(end - begin, grown.factor)
             self._sort()
         with self.phase("nutrient"):
-            self.field_system.advance(self.cells, begin, end, before=began)
+            followed = plan.exposed if plan.acting or begin in self.timeline.plan.changes else ()
+            self.field_system.advance(self.cells, begin, end, before=began, follow=followed)
         with self.phase("biology"):
-            self._decide(end - begin)
+            self._decide(end - begin, self._exposure(began, found, end - begin))
             self._irradiate(begin)
             if plan.growth is not None and not self.timeline.plan.jumps_at(end):
                 # a jump changes nothing of the step that it ends
@@ -317,14 +320,29 @@ class Simulation(RunState):
             self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
             self.unsorted = 0
 
-    def _decide(self, dt: float) -> None:
-        """Let cells turn to another state by what they find, and note those that die."""
-        cells, found = self.cells, self.signals
-        dead = decide(self.plan, cells, found, self.step_index, dt, self.time)
+    def _exposure(self, began: Cells, before: Found, dt: float) -> Exposure | None:
+        """Return what a step of ``dt`` s knows of signals; None where nothing acts in it."""
+        inner = self.field_system.courses
+        if not (self.plan.acting or inner):
+            return None
+        held = self.field_system.steady if self.timeline.plan.jumps_at(self.time) else ()
+        return Exposure(
+            self.cells, self.signals, dt, began=began, before=before, inner=inner, held=held
+        )
+
+    def _decide(self, dt: float | None = None, exposure: Exposure | None = None) -> None:
+        """Let cells turn to another state by what they find, and note those that die.
+
+        At the end of a step of ``dt`` s in which they were exposed, or at the start.
+        """
+        cells, ahead = self.cells, self.timeline.ahead
+        dead = decide(
+            self.plan, cells, self.signals, exposure, dt=dt, ahead=ahead, time=self.time
+        )
         if np.count_nonzero(dead):
             self.lineage.died(np.sort(cells.id[dead]), self.time)
-        if dt > 0.0:
-            self.cells = change_types(self.plan, cells, found, self.step_index, dt)
+        if exposure is not None and changing(self.plan.acting):
+            self.cells = change_types(self.plan, cells, exposure)
 
     def _irradiate(self, since: float) -> None:
         """Let cells be hit by what is due since a time in s, and note those that die."""

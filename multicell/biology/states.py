@@ -10,6 +10,7 @@ rests. So each cell decides at birth and then once in a reaction time, at times 
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +18,13 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.division import ROUNDING, due_to_divide
+from multicell.biology.exposure import comes_to_pass
 from multicell.biology.responding import rate_of_harm, value_of, wants_rest
 from multicell.cells import Cells, FloatArray, Found, Mask, Phase, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
+    from multicell.biology.exposure import Exposure
     from multicell.biology.plan import BiologyPlan
     from multicell.scene.radiation import Radiation
 
@@ -32,45 +35,55 @@ _GROWING, _RESTING, _NECROTIC, _APOPTOTIC = (np.int8(state) for state in State)
 
 
 def update_states(
-    plan: BiologyPlan, cells: Cells, found: Found, step: int = 0, dt: float = 0.0, time: float = 0.0
+    plan: BiologyPlan,
+    cells: Cells,
+    found: Found,
+    exposure: Exposure | None = None,
+    *,
+    dt: float | None = None,
+    ahead: float | None = None,
+    time: float = 0.0,
 ) -> NDArray[np.int8]:
-    """Return the new state of each cell.
+    """Return the new state of each cell; integrals of rates are noted in ``cells``.
 
-    A cell turns necrotic at the rate that its responses give (a threshold: at once;
-    :func:`necrotic`) or with as much damage as it bears, and stays so for ever; one whose life by
+    A cell turns necrotic where it finds what kills at once, by the rate that its responses give,
+    or with as much damage as it bears, and stays so for ever; one whose life by
     apoptosis has run out turns apoptotic, and so does one at the end of its cycle that irradiation
     has doomed to die in place of this division. Another cell that is due to decide
     (:func:`deciding`) rests (quiescent) if a response lets it
     (:func:`multicell.biology.responding.wants_rest`), and proliferates if none does. Where nothing
     lets cells rest, their states stay as they are.
 
-    - ``step``, ``dt``, ``time``: number of the coupling step that has ended, its length and its
-      end, s; 0 at the start of a run
+    - ``exposure``: to the signals of the step that has ended; absent at the start of a run, and
+      where no rate acts
+    - ``dt``, ``ahead``: lengths of that step and of the next one, s; absent: the usual one
+    - ``time``: the end of that step, s; 0 at the start of a run
 
-    Returns (n,) int8: values of :class:`multicell.cells.State`; ``cells`` is not changed.
+    Returns (n,) int8: values of :class:`multicell.cells.State`.
     """
     state = cells.state.copy()
     if plan.may_rest and not plan.restricted:
         wanted = np.where(wants_rest(plan, cells, found), _RESTING, _GROWING)
         if np.count_nonzero(wanted != state):  # else it does not matter who is due
-            due = deciding(cells, plan.step, plan.cells.reaction_time)
+            due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
             state = np.where(due, wanted, state)
-    hazard = rate_of_harm(plan, "necrosis rate", found, cells)
     necrosis, apoptosis = cells.state == _NECROTIC, cells.state == _APOPTOTIC
     if plan.growth is not None and np.count_nonzero(last := cells.doomed == 1):
         apoptosis |= last & due_to_divide(plan, cells)
     if "apoptosis rate" in plan.base_rates:
-        apoptosis |= apoptotic(plan, cells, found, step, dt, time) & ~cells.dead
+        apoptosis |= apoptotic(plan, cells, exposure, time) & ~cells.dead
     if "damage rate" in plan.responses:
         necrosis |= cells.damage >= 1.0 - ROUNDING
-    if hazard is not None and np.count_nonzero(hazard):
-        necrosis |= necrotic(plan, cells, hazard, step, dt)
+    if "necrosis rate" in plan.responses:
+        necrosis |= necrotic(plan, cells, found, exposure)
     state[necrosis] = _NECROTIC
     state[apoptosis] = _APOPTOTIC
     return state
 
 
-def deciding(cells: Cells, dt: float, reaction_time: float) -> Mask:
+def deciding(
+    cells: Cells, dt: float, reaction_time: float, ahead: float | None = None
+) -> Mask:
     """Return which cells decide in a step of length ``dt`` (s) that ends now, (n,).
 
     A cell decides at birth and whenever its age passes a multiple of the reaction time, shifted by
@@ -78,15 +91,17 @@ def deciding(cells: Cells, dt: float, reaction_time: float) -> Mask:
     and far apart for sisters. It does so at the end of the step that is nearest to that moment, so
     that decisions are neither late nor early on average. With a reaction time up to ``dt`` every
     cell decides in every step.
+
+    ``ahead`` is the length of the next step, s; absent: as that of this one.
     """
     shift = (cells.id + 1) * _GOLDEN % 1.0
-    now = np.floor((cells.age + 0.5 * dt) / reaction_time + shift)
+    now = np.floor((cells.age + 0.5 * (dt if ahead is None else ahead)) / reaction_time + shift)
     before = np.floor((cells.age - 0.5 * dt) / reaction_time + shift)
     return np.asarray((now > before) | (cells.age < dt))
 
 
 def apoptotic(
-    plan: BiologyPlan, cells: Cells, found: Found, step: int, dt: float, time: float
+    plan: BiologyPlan, cells: Cells, exposure: Exposure | None, time: float
 ) -> Mask:
     """Return which cells have reached the end of their life by apoptosis, (n,).
 
@@ -95,56 +110,68 @@ def apoptotic(
     or since the start for a cell that was there then. An exponential life has no memory, so the age
     of a cell at the start says nothing about what remains. Survivors are N exp(-kt) from t = 0 on,
     and the outcome knows nothing of the coupling step but for the moment at which the death is
-    noticed. With a rate that responds to signals each cell dies in a step with the probability
-    1 - exp(-k dt).
+    noticed. A rate that responds to signals counts by its integral, against the same draw.
 
-    - ``step``, ``dt``: number of the coupling step that ends, and its length, s
+    ``time`` is the end of the step, s.
     """
     rate = plan.base_rates["apoptosis rate"]
-    hazard = value_of(plan, "apoptosis rate", rate, found, cells)
-    if hazard is not None:
-        u = random.uniform(plan.seed, Purpose.APOPTOSIS, step + 1, cells.id)[:, 0]
-        return np.asarray(u < -np.expm1(-hazard * dt))
-    u = random.uniform(plan.seed, Purpose.APOPTOSIS, 0, cells.id)[:, 0]
-    # who was there at the start is older than the run, who was born in it is younger
-    lived = np.minimum(cells.age, time)
-    return np.asarray(lived * rate > -np.log1p(-u))
+    known = plan.responses.get("apoptosis rate")
+    if known is None:
+        life = random.thresholds(plan.seed, Purpose.APOPTOSIS, 0, cells.id)
+        # who was there at the start is older than the run, who was born in it is younger
+        return np.asarray(np.minimum(cells.age, time) * rate > life)
+    if exposure is None:
+        return np.zeros(len(cells), dtype=np.bool_)
+    gained = exposure.integral(
+        known, lambda found, cells: value_of(plan, "apoptosis rate", rate, found, cells)
+    )
+    return comes_to_pass(plan, Purpose.APOPTOSIS, cells, "apoptosis_hazard", gained)
 
 
-def necrotic(plan: BiologyPlan, cells: Cells, hazard: FloatArray, step: int, dt: float) -> Mask:
+def necrotic(
+    plan: BiologyPlan, cells: Cells, found: Found, exposure: Exposure | None
+) -> Mask:
     """Return which of the cells die by necrosis, (n,).
 
-    All with an infinite rate; with another rate k each cell dies in a time dt with the probability
-    1 - exp(-k dt). Times until death are distributed exponentially whatever the coupling step.
-
-    - ``hazard``, (n,), 1/s: from :func:`multicell.biology.responding.rate_of_harm`
-    - ``dt``: time since the last decision, s
+    All that find what kills at once, now or at a time in the step; and those for which the integral
+    of their rate reaches a threshold, so that times until death are distributed exponentially
+    whatever the coupling step.
     """
-    dies = np.isinf(hazard)
-    at_rate = (hazard > 0.0) & ~dies
-    if at_rate.any():
-        u = random.uniform(plan.seed, Purpose.NECROSIS, step, cells.id[at_rate])[:, 0]
-        dies[at_rate] = u < -np.expm1(-hazard[at_rate] * dt)
+    known, dies = plan.responses["necrosis rate"], np.zeros(len(cells), dtype=np.bool_)
+
+    def rate(found: Found, cells: Cells) -> FloatArray | None:
+        return rate_of_harm(plan, "necrosis rate", found, cells)
+
+    if any(math.isinf(part.effect.high) for part in known):
+        hazard = rate(found, cells)
+        if hazard is not None and np.count_nonzero(hazard):
+            dies |= np.isinf(hazard)
+    if exposure is not None:
+        gained = exposure.integral(known, rate)
+        dies |= comes_to_pass(plan, Purpose.NECROSIS, cells, "necrosis_hazard", gained)
     return dies
 
 
-def damage_after(plan: BiologyPlan, cells: Cells, found: Found, dt: float) -> FloatArray:
-    """Return the damage of the cells after a time ``dt`` (s), (n,), in parts of what kills them.
+def damage_after(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> FloatArray:
+    """Return the damage of the cells after a step, (n,), in parts of what kills them.
 
-    dD/dt = k/θ, with the damage rate k held for the step and the tolerance θ of the cell (gamma,
-    mean 1, drawn once by its identity). The dead keep theirs.
+    dD/dt = k/θ, with the damage rate k and the tolerance θ of the cell (gamma, mean 1, drawn once
+    by its identity). The dead keep theirs.
     """
-    rate = rate_of_harm(plan, "damage rate", found, cells)
+    gained = exposure.integral(
+        plan.responses["damage rate"],
+        lambda found, cells: rate_of_harm(plan, "damage rate", found, cells),
+    )
     death, dead = plan.death, cells.dead
-    if rate is None or not (rate.any() or cells.damage.any()):
+    if not gained.any():
         return cells.damage
     if death is not None and death.damage_variation > 0.0:
         from scipy.special import gammainccinv  # loaded where it is used
 
-        hit, shape = np.flatnonzero(rate), death.damage_variation**-2
+        hit, shape = np.flatnonzero(gained), death.damage_variation**-2
         u = random.uniform(plan.seed, Purpose.TOLERANCE, 0, cells.id[hit])[:, 0]
-        rate[hit] *= shape / gammainccinv(shape, u)
-    return np.where(dead, cells.damage, cells.damage + rate * dt)
+        gained[hit] *= shape / gammainccinv(shape, u)
+    return np.where(dead, cells.damage, cells.damage + gained)
 
 
 def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:

@@ -21,6 +21,7 @@ from multicell.scene.domain import check_inside
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
+    from multicell.biology.exposure import Exposure
     from multicell.biology.plan import BiologyPlan
 
 
@@ -127,19 +128,26 @@ def divide_and_remove(
 def decide(
     plan: BiologyPlan,
     cells: Cells,
-    concentrations: Found,
-    step: int,
-    dt: float,
-    time: float,
+    found: Found,
+    exposure: Exposure | None = None,
+    *,
+    dt: float | None = None,
+    ahead: float | None = None,
+    time: float = 0.0,
 ) -> Mask:
-    """Set damage and states of cells by what they find; return which have died, (n,) bool."""
+    """Set damage and states of cells by what they find; return which have died, (n,) bool.
+
+    - ``exposure``: to the signals of the step that has ended, where rates act
+    - ``dt``, ``ahead``: lengths of that step and of the next one, s; absent: the usual one
+    - ``time``: the end of that step, s
+    """
     before = cells.state
-    if "damage rate" in plan.responses:
-        cells.damage = damage_after(plan, cells, concentrations, dt)
-    cells.state = update_states(plan, cells, concentrations, step, dt, time)
+    if exposure is not None and "damage rate" in plan.responses:
+        cells.damage = damage_after(plan, cells, exposure)
+    cells.state = update_states(plan, cells, found, exposure, dt=dt, ahead=ahead, time=time)
     if plan.restricted:
-        due = deciding(cells, plan.step, plan.cells.reaction_time)
-        well = ~wants_rest(plan, cells, concentrations)
+        due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
+        well = ~wants_rest(plan, cells, found)
         leave_rest(plan, cells, due & well)
     died = cells.state != before
     if np.count_nonzero(died):

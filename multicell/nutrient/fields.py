@@ -9,8 +9,9 @@ the cells: each field may have a grid and a geometry of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -56,6 +57,9 @@ class FieldSystem:
       order of solving
     - ``ledger``, name -> Ledger
     - ``concentrations``, name -> (n,) float64, mM: at the cells of the last call
+    - ``courses``, name -> parts of the last step, (m,), and concentrations then, (m, n) mM, at the
+      cells' places at its end: of fields that were followed through it
+    - ``steady``: names of the fields that are solved as steady, also with a finite medium
 
     Raises SceneError for reactions that do not fit the fields.
     """
@@ -84,12 +88,14 @@ class FieldSystem:
         }
         self._resting = {name for name in self.order if self._rests(name)}
         self._marched = [name for name in self.order if name not in self._resting]
+        self.steady = [n for n, x in self.fields.items() if x.parameters.regime == "steady"]
         around = circles(scene.nutrients, known, scene.responses)
         self._circles = {x[-1]: x for x in map(tuple, around.values()) if len(x) > 1}
         self._changes: dict[str, Mapping[str, float]] = {}  # of geometry, as frames store them
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, Exchange] = {}
+        self.courses: dict[str, tuple[FloatArray, FloatArray]] = {}
         self._uptake: dict[str, FloatArray] = {}
         self._sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
 
@@ -173,14 +179,22 @@ class FieldSystem:
         return self.fields[name].parameters.regime == "steady" and not finite
 
     def advance(
-        self, cells: Cells, begin: float, end: float, *, before: Cells | None = None
+        self,
+        cells: Cells,
+        begin: float,
+        end: float,
+        *,
+        before: Cells | None = None,
+        follow: Collection[str] = (),
     ) -> None:
         """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
 
         What a steady field exchanged in this time is what its solution of ``begin`` said. With
         transient ones each cell exchanges the mean of the step, at its place at the end;
-        ``before`` are the cells at the beginning.
+        ``before`` are the cells at the beginning. What cells find of the transient ones of ``follow``
+        on the way is kept in ``courses``.
         """
+        self.courses = {}
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
         if before is not None and self._marched:
@@ -198,8 +212,27 @@ class FieldSystem:
             found = {x: self.fields[x].sample(cells.position) for x in names}
             self.concentrations = {**self.concentrations, **found}
         for group in self.groups:
+            followed = [name for name in group.names if name in follow and name in self._marched]
+            seen: list[tuple[float, list[FloatArray]]] = []
+            group.watch = partial(self._follow, group, seen) if followed else None
             self._advance(group, cells, tissue, begin, end, began, shares)
             self._settle(group, cells, tissue, end)
+            for name in followed:
+                times = np.array([(time - begin) / (end - begin) for time, _ in seen])
+                values = np.stack([found[group.names.index(name)] for _, found in seen])
+                self.courses[name] = times, values
+
+    def _follow(
+        self, group: FieldGroup, seen: list[tuple[float, list[FloatArray]]], time: float,
+        nodes: FloatArray,
+    ) -> None:  # fmt: skip
+        """Note what cells find of a group's fields on the way, whose values are given."""
+        layout, found = group.layout, []
+        for values, field in zip(nodes, group.fields.values(), strict=True):
+            conditions = field.parameters.conditions(layout, field.level(time))
+            found.append(layout.read(group.position, values, conditions))
+        if not seen or time > seen[-1][0]:
+            seen.append((time, found))
 
     def _advance(
         self,

@@ -47,7 +47,7 @@ class StepPlan:
         """
         regular = self.step * (math.floor((time + self._near(time)) / self.step) + 1)
         ahead = self.changes[bisect_right(self.changes, time + self._near(time)) :]
-        first = min(regular, *ahead[:1])
+        first = min((regular, *ahead[:1]))
         same = [x for x in (regular, *ahead) if x <= first + self._near(first)]
         return max(same)
 
