@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
+_GRAIN = 1e-3  # of a coupling step, to which the time of a separation is known
 _STALE_ORDER = 0.05  # part of the cells that may be new before all are sorted in space again
 
 
@@ -134,7 +135,7 @@ class Simulation(RunState):
         self._sort()
         with self.phase("mechanics"), self._compiling:
             motion = self._motion(self.time, self.time, cells.radius)
-            self._note_contacts(self.time, self.mover.contacts(self.cells, motion))
+            self._note_contacts(self.mover.contacts(self.cells, motion))
         with self.phase("nutrient"):
             try:
                 self.field_system.begin(self.cells, self.time)
@@ -283,16 +284,29 @@ class Simulation(RunState):
         motion = self._motion(begin, end, radius)
         moved = self.mover.move(self.cells, motion, self.step_index, self.replays, self.stability)
         self.replays, self.stability = moved.replays, moved.stability
-        self._note_contacts(end, moved.contacts)
+        pull, none_left = self.scene.pull, moved.contacts is not None and not len(moved.contacts)
+        if pull is not None and len(self.contacts) and none_left:
+            time = self._parting(begin, end, radius)
+            self.separation = {"time": time, "force": pull.load(time)}
+        self._note_contacts(moved.contacts)
         return moved.position, moved.pressure
 
-    def _note_contacts(self, time: float, found: IntArray | None) -> None:
-        """Remember contacts by identity, and the pull at which the last one broke."""
-        if found is None:
-            return
-        before, self.contacts = len(self.contacts), self.cells.id[found]
-        if self.scene.pull is not None and before and not len(found):
-            self.separation = {"time": time, "force": self.scene.pull.load(time)}
+    def _parting(self, begin: float, end: float, radius: FloatArray) -> float:
+        """Return when in a step the last contact breaks, s: halving it until the time is known."""
+        cells, low, high = self.cells, begin, end
+        while high - low > _GRAIN * (end - begin):
+            middle = 0.5 * (low + high)
+            grown = cells.radius + (middle - begin) / (end - begin) * (radius - cells.radius)
+            motion = self._motion(begin, middle, grown)
+            moved = self.mover.move(cells, motion, self.step_index, None, self.stability)
+            joined = moved.contacts is not None and len(moved.contacts) > 0
+            low, high = (middle, high) if joined else (low, middle)
+        return high
+
+    def _note_contacts(self, found: IntArray | None) -> None:
+        """Remember contacts by identity."""
+        if found is not None:
+            self.contacts = self.cells.id[found]
 
     def _divide_and_remove(self, dt: float, factor: FloatArray) -> None:
         """Change the number of cells after a step of ``dt`` s, and all that is noted of them.

@@ -168,8 +168,10 @@ def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
     known = tuple(part for name in changing(plan.responses) for part in plan.responses[name])
     after, rows = cells.shared(), np.flatnonzero(~cells.dead)
     integral, count = np.zeros(len(cells)), np.zeros(len(cells), dtype=np.int32)
-    if cells.change_hazard is not None and cells.type_changes is not None:
-        integral, count = cells.change_hazard.copy(), cells.type_changes.copy()
+    if cells.change_hazard is not None:
+        integral += cells.change_hazard
+    if cells.type_changes is not None:
+        count += cells.type_changes
     exposure, since = exposure[rows], np.zeros(len(rows))
     while rows.size:
         rates = exposure.integral(

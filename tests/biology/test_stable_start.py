@@ -56,7 +56,7 @@ def lived(scene, hours, step=0.1):
         cells, _ = age_cells(biology_plan(scene), cells, grown, {}, time, end)
         after = divide_and_remove(biology_plan(scene), cells, next_id, end, end - time)
         cells, next_id = after.cells.copy(), after.next_id
-        decide(biology_plan(scene), cells, {}, number, end - time, end)
+        decide(biology_plan(scene), cells, {}, dt=end - time, time=end)
         time = end
     counts.append(int((~cells.dead).sum()))
     return cells, np.arange(steps + 1) * step, np.array(counts)
