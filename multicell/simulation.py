@@ -211,7 +211,7 @@ class Simulation(RunState):
             followed = plan.exposed if plan.acting or begin in self.timeline.plan.changes else ()
             self.field_system.advance(self.cells, begin, end, before=began, follow=followed)
         with self.phase("biology"):
-            self._decide(end - begin, self._exposure(began, found, end - begin))
+            self._decide(self._exposure(began, found, end - begin))
             self._irradiate(begin)
             if plan.growth is not None and not self.timeline.plan.jumps_at(end):
                 # a jump changes nothing of the step that it ends
@@ -334,25 +334,23 @@ class Simulation(RunState):
             self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
             self.unsorted = 0
 
-    def _exposure(self, began: Cells, before: Found, dt: float) -> Exposure | None:
-        """Return what a step of ``dt`` s knows of signals; None where nothing acts in it."""
-        inner = self.field_system.courses
-        if not (self.plan.acting or inner):
-            return None
+    def _exposure(self, began: Cells, before: Found, dt: float) -> Exposure:
+        """Return what a step of ``dt`` s that has ended knows of signals in time."""
         held = self.field_system.steady if self.timeline.plan.jumps_at(self.time) else ()
         return Exposure(
-            self.cells, self.signals, dt, began=began, before=before, inner=inner, held=held
-        )
+            self.cells, self.signals, dt, began=began, before=before,
+            inner=self.field_system.courses, held=held,
+        )  # fmt: skip
 
-    def _decide(self, dt: float | None = None, exposure: Exposure | None = None) -> None:
+    def _decide(self, exposure: Exposure | None = None) -> None:
         """Let cells turn to another state by what they find, and note those that die.
 
-        At the end of a step of ``dt`` s in which they were exposed, or at the start.
+        At the end of a step in which they were exposed to signals, or at the start of the run.
         """
         cells, ahead = self.cells, self.timeline.ahead
-        dead = decide(
-            self.plan, cells, self.signals, exposure, dt=dt, ahead=ahead, time=self.time
-        )
+        found = self.signals if exposure is None else exposure.found
+        dead, lost = decide(self.plan, cells, found, exposure, ahead=ahead, time=self.time)
+        self.released += lost
         if np.count_nonzero(dead):
             self.lineage.died(np.sort(cells.id[dead]), self.time)
         if exposure is not None and changing(self.plan.acting):

@@ -17,13 +17,14 @@ at risk for the whole step are as many in the mean as a mother at risk before an
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
 from multicell import random
-from multicell.cells import HALF, Cells, FloatArray, Found, IntArray, Mask, rows_before
+from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, rows_before
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -39,12 +40,14 @@ Rate = Callable[[Found, Cells], Any]
 _CARRIED: Final = ("age", "radius", "pressure")
 """Columns of the cells that signals are made of and that change within a step."""
 
-_OWN: Final = frozenset({*_CARRIED, "volume"})
+_OF_CELLS: Final = frozenset({*_CARRIED, "volume"})
+
+_ENDS: Final = np.array([0.0, 1.0])
 
 
 @final
 class Exposure:
-    """The signals of cells over a coupling step.
+    """The signals of cells over a coupling step; nothing is computed before it is asked for.
 
     - ``cells``, ``found``: at its end
     - ``length``, s
@@ -64,29 +67,51 @@ class Exposure:
         inner: Mapping[str, Course] | None = None,
         held: Collection[str] = (),
     ) -> None:
-        self.cells, self.length = cells, length
-        ends = {name: np.stack([values, values]) for name, values in found.items()}
-        ends |= {name: np.stack([getattr(cells, name)] * 2) for name in _CARRIED}
-        if began is not None and before is not None:
-            row = rows_before(began, cells)
-            born = began.id[row] != cells.id
-            for name in found:
-                ends[name][0] = before[name][row]
-            for name in held:
-                ends[name][1] = ends[name][0]
-            ends["age"][0] = np.maximum(cells.age - length, 0.0)
-            ends["pressure"][0] = began.pressure[row]
-            ends["radius"][0] = np.where(born, HALF, 1.0) * began.radius[row]
-        self._ends = ends
-        self._inner = {name: _joined(x, ends[name]) for name, x in (inner or {}).items()}
+        self.cells, self.found, self.length = cells, found, length
+        self.began = cells if began is None else began
+        self.before = found if before is None else before
+        self.inner, self.held = inner or {}, held
+        self._known: dict[str, Course] = {}
+
+    @cached_property
+    def row(self) -> IntArray:
+        """Rows of the cells, or of their mothers, at the beginning of the step, (n,)."""
+        return rows_before(self.began, self.cells)
 
     def __getitem__(self, rows: IntArray) -> Exposure:
         """Return that of some of the cells."""
-        part = object.__new__(Exposure)
-        part.cells, part.length = self.cells.take(rows), self.length
-        part._ends = {name: ends[:, rows] for name, ends in self._ends.items()}
-        part._inner = {name: (at, values[:, rows]) for name, (at, values) in self._inner.items()}
+        part = Exposure(
+            self.cells.take(rows), {name: x[rows] for name, x in self.found.items()}, self.length,
+            began=self.began, before=self.before, held=self.held,
+            inner={name: (at, values[:, rows]) for name, (at, values) in self.inner.items()},
+        )  # fmt: skip
+        part.row = self.row[rows]
         return part
+
+    def volume_at(self, part: FloatArray) -> FloatArray:
+        """Return the volumes of living cells at parts of the step, (n,) µm³."""
+        first, last = (SPHERE * x**3 for x in self._course("radius")[1])
+        return np.asarray(first + part * (last - first))
+
+    def _course(self, name: str) -> Course:
+        """Return what is known of a signal in time, or of a column that signals are made of."""
+        if name not in self._known:
+            if name in _CARRIED:
+                ends = self._ends(name)
+            else:
+                first, last = self.before[name][self.row], self.found[name]
+                ends = np.stack([first, first if name in self.held else last])
+            found = self.inner.get(name)
+            self._known[name] = (_ENDS, ends) if found is None else _joined(found, ends)
+        return self._known[name]
+
+    def _ends(self, name: str) -> FloatArray:
+        first, last = getattr(self.began, name)[self.row], getattr(self.cells, name)
+        if name == "age":
+            first = np.maximum(last - self.length, 0.0)
+        elif name == "radius":  # until it was born a cell was half of its mother
+            first = np.where(self.began.id[self.row] == self.cells.id, 1.0, HALF) * first
+        return np.stack([first, last])
 
     def integral(self, known: Known, rate: Rate, since: Any = 0.0) -> Any:
         """Return the integral of a rate over the step, (n,) or (n, k); infinite for death at once.
@@ -94,21 +119,30 @@ class Exposure:
         - ``known``: the responses that make the rate
         - ``since``, (n,) or a number: part of the step from which it counts
         """
-        total = 0.0
+        total: Any = 0.0
         for low, high in self._parts(known):
-            share = np.maximum(high - np.maximum(low, since), 0.0)
-            moment = 0.5 * (np.maximum(low, since) + high)
-            value = np.asarray(rate(*self._at(moment, known))).T
+            low = np.maximum(low, since)
+            share = np.maximum(high - low, 0.0)
+            value = np.asarray(rate(*self._at(0.5 * (low + high), known))).T
             with np.errstate(invalid="ignore"):  # an infinite rate that acts for no time
-                acts = np.where(share > 0.0, value * share, 0.0)
-            total = total + self.length * acts
+                total = total + np.where(share > 0.0, value * (share * self.length), 0.0)
         return np.asarray(total).T
+
+    def first_infinite(self, known: Known, rate: Rate) -> FloatArray:
+        """Return at which part of the step a rate becomes infinite, (n,): at its end if not before.
+
+        - ``known``: the responses that make the rate
+        """
+        first = np.ones(len(self.cells))
+        for low, high in self._parts(known):
+            acts = np.isinf(rate(*self._at(0.5 * (low + high), known))) & (high > low)
+            first = np.where(acts, np.minimum(first, low), first)
+        return first
 
     def _parts(self, known: Known) -> Iterator[tuple[Any, Any]]:
         """Yield begin and end, in parts of the step, of what no kink of a law lies within."""
-        names = _needs(known)
-        times = [self._inner[name][0] for name in names if name in self._inner]
-        knots = np.unique(np.concatenate(times)) if times else np.array([0.0, 1.0])
+        times = [self.inner[name][0] for name in _needs(known) & self.inner.keys()]
+        knots = np.unique(np.concatenate(times)) if times else _ENDS
         for low, high in pairwise(knots.tolist()):
             cuts = list(self._cuts(known, low, high))
             inside = np.sort(np.stack(cuts), axis=0) if cuts else ()
@@ -130,20 +164,17 @@ class Exposure:
     def _at(self, part: Any, known: Known) -> tuple[Found, Cells]:
         """Return signals and cells at a part of the step: one for all, or that of each, (n,)."""
         names = _needs(known)
-        found = {name: self._value(name, part) for name in names - _OWN}
+        found = {name: self._value(name, part) for name in names - _OF_CELLS}
         cells = self.cells.shared()
-        for name in ("age", "pressure"):
-            if name in names:
+        for name in _CARRIED:
+            if name in names or (name == "radius" and "volume" in names):
                 setattr(cells, name, self._value(name, part))
-        if "radius" in names or "volume" in names:
-            cells.radius = self._value("radius", part)
         return found, cells
 
     def _value(self, name: str, part: Any) -> FloatArray:
-        if name not in self._inner:
-            first, last = self._ends[name]
-            return np.asarray(first + part * (last - first))
-        at, values = self._inner[name]
+        at, values = self._course(name)
+        if len(at) == 2:
+            return np.asarray(values[0] + part * (values[1] - values[0]))
         before = np.clip(np.searchsorted(at, part, side="right") - 1, 0, len(at) - 2)
         share = (part - at[before]) / (at[before + 1] - at[before])
         every = np.arange(values.shape[1])
@@ -184,18 +215,19 @@ def part_until(
     return np.where(part <= 1.0, part, np.inf)
 
 
-def comes_to_pass(
+def part_until_death(
     plan: BiologyPlan, purpose: Purpose, cells: Cells, column: str, gained: FloatArray
-) -> Mask:
-    """Return which living cells die of what an integral has gained, (n,); it is noted.
+) -> FloatArray:
+    """Return at which part of what an integral has gained living cells die, (n,); it is noted.
 
-    ``column`` is its name, one of :data:`multicell.cells.HAZARDS`.
+    Infinite where they do not; ``column`` is the integral's name, one of
+    :data:`multicell.cells.HAZARDS`.
     """
     gained = np.where(cells.dead, 0.0, gained)
     known = getattr(cells, column)
     before = np.zeros(len(cells)) if known is None else known
-    dies = np.isfinite(part_until(plan, purpose, cells.id, before, gained))
+    part = part_until(plan, purpose, cells.id, before, gained)
     if known is not None or gained.any():
         # an infinite one has no use any more, and files hold finite numbers
         setattr(cells, column, before + np.where(np.isinf(gained), 0.0, gained))
-    return np.asarray(dies)
+    return part

@@ -15,9 +15,10 @@ that is nearest to their time (:func:`multicell.biology.states.deciding`), and a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.biology.responding import combine
 from multicell.cells import Cells, FloatArray, Found, Mask, State, rows_before
@@ -78,16 +79,24 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
             share = np.where(living, dt * factor / cells.cycle_time, 0.0)
             volume = np.where(living, law.volume_after(volume, share, birth), volume)
     if plan.death is not None and np.count_nonzero(cells.dead):
-        necrotic = cells.state == State.NECROTIC
-        volume[necrotic] *= _necrotic_factor(plan.death, cells.age[necrotic], dt)
-        volume[cells.state == State.APOPTOTIC] *= np.exp(-dt / plan.death.apoptosis_time)
+        dead = np.flatnonzero(cells.dead)
+        volume[dead] *= shrunk(plan.death, cells.state[dead], cells.age[dead], dt)
     return volume
 
 
-def _necrotic_factor(death: Death, since: FloatArray, dt: float) -> FloatArray:
+def shrunk(death: Death, state: NDArray[np.int8], since: Any, dt: Any) -> FloatArray:
+    """Return the volume of dead cells after ``dt`` s over that now, a time ``since`` death, (n,).
+
+    - ``state``, (n,): values of :class:`multicell.cells.State`
+    """
+    lost = _necrotic_factor(death, np.broadcast_to(since, state.shape), dt)
+    return np.where(state == State.NECROTIC, lost, np.exp(-dt / death.apoptosis_time))
+
+
+def _necrotic_factor(death: Death, since: FloatArray, dt: Any) -> FloatArray:
     """Return the volume of necrotic cells after ``dt`` over that now, a time ``since`` death."""
     if death.swelling == 1.0:
-        return np.full_like(since, np.exp(-dt / death.lysis_time))
+        return np.broadcast_to(np.exp(-dt / death.lysis_time), since.shape)
     swelling = np.clip(death.swelling_time - since, 0.0, dt)
     rate = np.log(death.swelling) / death.swelling_time
     return np.asarray(np.exp(rate * swelling - (dt - swelling) / death.lysis_time))

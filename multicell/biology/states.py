@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.division import ROUNDING, due_to_divide
-from multicell.biology.exposure import comes_to_pass
+from multicell.biology.exposure import part_until_death
+from multicell.biology.growth import shrunk
 from multicell.biology.responding import rate_of_harm, value_of, wants_rest
-from multicell.cells import Cells, FloatArray, Found, Mask, Phase, State
+from multicell.cells import SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -34,32 +35,34 @@ _GOLDEN = float(0.5 * (np.sqrt(5.0) - 1.0))
 _GROWING, _RESTING, _NECROTIC, _APOPTOTIC = (np.int8(state) for state in State)
 
 
+Deaths = tuple[FloatArray | None, FloatArray | None]
+"""Parts of the last step after which cells die by necrosis and by apoptosis, (n,); infinite: not.
+
+None where nobody does."""
+
+
 def update_states(
     plan: BiologyPlan,
     cells: Cells,
     found: Found,
-    exposure: Exposure | None = None,
+    dying: Deaths | None = None,
     *,
     dt: float | None = None,
     ahead: float | None = None,
-    time: float = 0.0,
 ) -> NDArray[np.int8]:
-    """Return the new state of each cell; integrals of rates are noted in ``cells``.
+    """Return the new state of each cell.
 
-    A cell turns necrotic where it finds what kills at once, by the rate that its responses give,
-    or with as much damage as it bears, and stays so for ever; one whose life by
-    apoptosis has run out turns apoptotic, and so does one at the end of its cycle that irradiation
-    has doomed to die in place of this division. Another cell that is due to decide
+    One that is dying (:func:`deaths`) turns necrotic or apoptotic, and stays so for ever.
+    Another cell that is due to decide
     (:func:`deciding`) rests (quiescent) if a response lets it
     (:func:`multicell.biology.responding.wants_rest`), and proliferates if none does. Where nothing
     lets cells rest, their states stay as they are.
 
-    - ``exposure``: to the signals of the step that has ended; absent at the start of a run, and
-      where no rate acts
-    - ``dt``, ``ahead``: lengths of that step and of the next one, s; absent: the usual one
-    - ``time``: the end of that step, s; 0 at the start of a run
+    - ``dying``: from :func:`deaths`; absent: those who find what kills at once
+    - ``dt``, ``ahead``: lengths of the step that has ended and of the next one, s; absent: the
+      usual one
 
-    Returns (n,) int8: values of :class:`multicell.cells.State`.
+    Returns (n,) int8: values of :class:`multicell.cells.State`; ``cells`` is not changed.
     """
     state = cells.state.copy()
     if plan.may_rest and not plan.restricted:
@@ -67,18 +70,88 @@ def update_states(
         if np.count_nonzero(wanted != state):  # else it does not matter who is due
             due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
             state = np.where(due, wanted, state)
-    necrosis, apoptosis = cells.state == _NECROTIC, cells.state == _APOPTOTIC
-    if plan.growth is not None and np.count_nonzero(last := cells.doomed == 1):
-        apoptosis |= last & due_to_divide(plan, cells)
-    if "apoptosis rate" in plan.base_rates:
-        apoptosis |= apoptotic(plan, cells, exposure, time) & ~cells.dead
-    if "damage rate" in plan.responses:
-        necrosis |= cells.damage >= 1.0 - ROUNDING
-    if "necrosis rate" in plan.responses:
-        necrosis |= necrotic(plan, cells, found, exposure)
-    state[necrosis] = _NECROTIC
-    state[apoptosis] = _APOPTOTIC
+    necrosis, apoptosis = deaths(plan, cells, found) if dying is None else dying
+    for new, part in ((_NECROTIC, necrosis), (_APOPTOTIC, apoptosis)):
+        state[cells.state == new] = new
+        if part is not None:
+            state[np.isfinite(part) & ~cells.dead] = new
     return state
+
+
+def deaths(
+    plan: BiologyPlan,
+    cells: Cells,
+    found: Found,
+    exposure: Exposure | None = None,
+    time: float = 0.0,
+) -> Deaths:
+    """Return when in the last step cells die; integrals of rates are noted in ``cells``.
+
+    By necrosis where they find what kills at once, by the rate that their responses give, or with
+    as much damage as they bear. By apoptosis at the end of their lives, and at the end of the cycle
+    where irradiation has doomed them to die in place of this division.
+
+    - ``exposure``: to the signals of the step; absent at the start of a run
+    - ``time``: the end of that step, s; 0 at the start of a run
+    """
+    necrosis = apoptosis = None
+    if "necrosis rate" in plan.responses:
+        necrosis = _earlier(necrosis, necrotic(plan, cells, found, exposure))
+    if exposure is not None and "damage rate" in plan.responses:
+        necrosis = _earlier(necrosis, take_damage(plan, cells, exposure))
+    if plan.growth is not None and np.count_nonzero(last := cells.doomed == 1):
+        due = np.flatnonzero(last & due_to_divide(plan, cells))
+        apoptosis = _earlier(apoptosis, _only(due, _since_due(plan, cells, exposure, due), cells))
+    if "apoptosis rate" in plan.base_rates:
+        apoptosis = _earlier(apoptosis, apoptotic(plan, cells, exposure, time))
+    return necrosis, apoptosis
+
+
+def _earlier(first: FloatArray | None, second: FloatArray | None) -> FloatArray | None:
+    if first is None or second is None:
+        return second if first is None else first
+    return np.minimum(first, second)
+
+
+def _only(rows: IntArray, part: FloatArray, cells: Cells) -> FloatArray:
+    """Return the parts of some cells, infinite for the others, (n,)."""
+    every = np.full(len(cells), np.inf)
+    every[rows] = part
+    return every
+
+
+def _since_due(
+    plan: BiologyPlan, cells: Cells, exposure: Exposure | None, rows: IntArray
+) -> FloatArray:
+    """Return at which part of a step cells came to the end of their cycle, (k,)."""
+    if exposure is None:
+        return np.ones(len(rows))
+    if plan.phased:
+        over = (cells.progress[rows] - cells.phase_length[rows]) / exposure.length
+        return np.clip(1.0 - over, 0.0, 1.0)
+    first, last = (exposure[rows].volume_at(np.full(len(rows), end)) for end in (0.0, 1.0))
+    grown = np.where(last > first, last - first, 1.0)
+    return np.clip((plan.division_volume - first) / grown, 0.0, 1.0)
+
+
+def die(
+    plan: BiologyPlan, cells: Cells, died: Mask, dying: Deaths, exposure: Exposure | None
+) -> float:
+    """Let cells that have died be dead since their time in the step; return the volume lost, µm³.
+
+    They have grown until then, and shrunk since.
+    """
+    part, since_birth = _earlier(*dying), cells.age
+    cells.age = np.where(died, 0.0, since_birth)
+    if exposure is None or part is None or plan.death is None:
+        return 0.0
+    rows = np.flatnonzero(died)
+    volume = exposure[rows].volume_at(part[rows])
+    cells.age[rows] = np.minimum((1.0 - part[rows]) * exposure.length, since_birth[rows])
+    left = volume * shrunk(plan.death, cells.state[rows], 0.0, cells.age[rows])
+    cells.radius = cells.radius.copy()
+    cells.radius[rows] = np.cbrt(left / SPHERE)
+    return float((volume - left).sum())
 
 
 def deciding(
@@ -102,8 +175,8 @@ def deciding(
 
 def apoptotic(
     plan: BiologyPlan, cells: Cells, exposure: Exposure | None, time: float
-) -> Mask:
-    """Return which cells have reached the end of their life by apoptosis, (n,).
+) -> FloatArray | None:
+    """Return at which part of a step living cells come to the end of their life, (n,).
 
     With a constant rate k lives are distributed exponentially. Each cell draws its own once, keyed
     by its identity, and dies when the time that it has lived in the run passes it: since its birth,
@@ -116,62 +189,79 @@ def apoptotic(
     """
     rate = plan.base_rates["apoptosis rate"]
     known = plan.responses.get("apoptosis rate")
-    if known is None:
-        life = random.thresholds(plan.seed, Purpose.APOPTOSIS, 0, cells.id)
-        # who was there at the start is older than the run, who was born in it is younger
-        return np.asarray(np.minimum(cells.age, time) * rate > life)
-    if exposure is None:
-        return np.zeros(len(cells), dtype=np.bool_)
-    gained = exposure.integral(
-        known, lambda found, cells: value_of(plan, "apoptosis rate", rate, found, cells)
-    )
-    return comes_to_pass(plan, Purpose.APOPTOSIS, cells, "apoptosis_hazard", gained)
+    if exposure is not None and known is not None:
+        gained = exposure.integral(
+            known, lambda found, cells: value_of(plan, "apoptosis rate", rate, found, cells)
+        )
+        return part_until_death(plan, Purpose.APOPTOSIS, cells, "apoptosis_hazard", gained)
+    if known is not None:
+        return None
+    # who was there at the start is older than the run, who was born in it is younger
+    lived = np.minimum(cells.age, time) * rate
+    life = random.thresholds(plan.seed, Purpose.APOPTOSIS, 0, cells.id)
+    over = np.flatnonzero((lived > life) & ~cells.dead)
+    if not over.size:
+        return None
+    late = (lived[over] - life[over]) / rate
+    part = 1.0 - late / exposure.length if exposure is not None else np.ones(len(over))
+    return _only(over, np.maximum(part, 0.0), cells)
 
 
 def necrotic(
     plan: BiologyPlan, cells: Cells, found: Found, exposure: Exposure | None
-) -> Mask:
-    """Return which of the cells die by necrosis, (n,).
+) -> FloatArray | None:
+    """Return at which part of a step living cells die by necrosis, (n,).
 
-    All that find what kills at once, now or at a time in the step; and those for which the integral
-    of their rate reaches a threshold, so that times until death are distributed exponentially
-    whatever the coupling step.
+    Where they first find what kills at once; and where the integral of their rate reaches a
+    threshold, so that times until death are distributed exponentially whatever the coupling step.
     """
-    known, dies = plan.responses["necrosis rate"], np.zeros(len(cells), dtype=np.bool_)
+    known, part = plan.responses["necrosis rate"], None
 
-    def rate(found: Found, cells: Cells) -> FloatArray | None:
-        return rate_of_harm(plan, "necrosis rate", found, cells)
+    def rate(found: Found, cells: Cells) -> FloatArray:
+        hazard = rate_of_harm(plan, "necrosis rate", found, cells)
+        return np.zeros(len(cells)) if hazard is None else hazard
 
-    if any(math.isinf(part.effect.high) for part in known):
-        hazard = rate(found, cells)
+    at_once = any(math.isinf(response.effect.high) for response in known)
+    if at_once:
+        hazard = rate_of_harm(plan, "necrosis rate", found, cells)
         if hazard is not None and np.count_nonzero(hazard):
-            dies |= np.isinf(hazard)
-    if exposure is not None:
+            rows = np.flatnonzero(np.isinf(hazard) & ~cells.dead)
+            if rows.size:
+                first = np.ones(len(rows))
+                if exposure is not None:
+                    first = exposure[rows].first_infinite(known, rate)
+                part = _only(rows, first, cells)
+    if exposure is not None and ("necrosis rate" in plan.acting or exposure.inner):
         gained = exposure.integral(known, rate)
-        dies |= comes_to_pass(plan, Purpose.NECROSIS, cells, "necrosis_hazard", gained)
-    return dies
+        by_rate = part_until_death(plan, Purpose.NECROSIS, cells, "necrosis_hazard", gained)
+        part = _earlier(part, by_rate)
+    return part
 
 
-def damage_after(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> FloatArray:
-    """Return the damage of the cells after a step, (n,), in parts of what kills them.
+def take_damage(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> FloatArray:
+    """Let cells take damage in a step; return after which part of it they bear no more, (n,).
 
-    dD/dt = k/θ, with the damage rate k and the tolerance θ of the cell (gamma, mean 1, drawn once
-    by its identity). The dead keep theirs.
+    Damage counts in parts of what kills a cell: dD/dt = k/θ, with the damage rate k and the
+    tolerance θ of the cell (gamma, mean 1, drawn once by its identity). The dead keep theirs.
     """
+    before = cells.damage
     gained = exposure.integral(
         plan.responses["damage rate"],
         lambda found, cells: rate_of_harm(plan, "damage rate", found, cells),
     )
-    death, dead = plan.death, cells.dead
-    if not gained.any():
-        return cells.damage
-    if death is not None and death.damage_variation > 0.0:
+    death = plan.death
+    if death is not None and death.damage_variation > 0.0 and gained.any():
         from scipy.special import gammainccinv  # loaded where it is used
 
         hit, shape = np.flatnonzero(gained), death.damage_variation**-2
         u = random.uniform(plan.seed, Purpose.TOLERANCE, 0, cells.id[hit])[:, 0]
         gained[hit] *= shape / gammainccinv(shape, u)
-    return np.where(dead, cells.damage, cells.damage + gained)
+    gained = np.where(cells.dead, 0.0, gained)
+    if gained.any():
+        cells.damage = before + gained
+    most = 1.0 - ROUNDING
+    left = np.divide(most - before, gained, out=np.zeros(len(cells)), where=gained > 0.0)
+    return np.where((cells.damage >= most) & ~cells.dead, np.maximum(left, 0.0), np.inf)
 
 
 def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
