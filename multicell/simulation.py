@@ -349,10 +349,13 @@ class Simulation(RunState):
         """
         cells, ahead = self.cells, self.timeline.ahead
         found = self.signals if exposure is None else exposure.found
+        living = cells.shared()
         dead, lost = decide(self.plan, cells, found, exposure, ahead=ahead, time=self.time)
         self.released += lost
         if np.count_nonzero(dead):
             self.lineage.died(np.sort(cells.id[dead]), self.time)
+            if exposure is not None:
+                self.field_system.give_back(living, np.where(dead, cells.age, 0.0))
         if exposure is not None and changing(self.plan.acting):
             self.cells = change_types(self.plan, cells, exposure)
 

@@ -157,10 +157,9 @@ class FieldSystem:
             self.reports |= group.solve(tissue, demand, time=time)
         else:
             group.fill(tissue, time=time)
-        none = None if group.kinetics is None else 0.0
         for name in group.names:
             field = self.fields[name]
-            self.ledger[name].add(Exchange(made=none, used=none))
+            self.ledger[name].add(self._none(name))
             self.ledger[name].fill(field.stored())
             if self._nutrients[name].finite_medium is not None:
                 field.attach_medium()
@@ -272,6 +271,28 @@ class FieldSystem:
                 number = self._changes.get(name, {"changes": 0})["changes"] + 1
                 self._changes[name] = {"changes": number, "changed_at": end}
             self._sample(name, group, cells, demand[name][0])
+
+    def give_back(self, cells: Cells, late: FloatArray) -> None:
+        """Give transient fields back what cells have taken up in the last step after they died.
+
+        - ``cells``: as they lived
+        - ``late``, (n,) s: how long before the step's end they died; zero of others
+        """
+        for group in (one for one in self.groups if one.names[0] in self._marched):
+            for name in group.names:
+                field, (capacity, _) = self.fields[name], self.demand(name, cells)
+                if field.parameters.regime == "steady":
+                    continue  # it has been solved with what the field holds and its medium
+                amount = late * field.uptake(cells.position, capacity)
+                total = field.put(group.position, amount)
+                self.ledger[name].add(self._none(name)._replace(uptake=-total), stored=total)
+                self.ledger[name].fill(field.stored())
+                self._sample(name, group, cells, capacity)
+
+    def _none(self, name: str) -> Exchange:
+        """Return the account of a field to which nothing happens."""
+        none = 0.0 if self.reacts(name) else None
+        return Exchange(made=none, used=none)
 
     def snapshot(self) -> dict[str, Any]:
         """Return what :meth:`undo` needs to undo an :meth:`advance`."""
