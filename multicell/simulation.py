@@ -42,7 +42,7 @@ from multicell.scene.domain import check_start
 from multicell.scene.ranges import check_memory
 
 if TYPE_CHECKING:
-    from multicell.cells import Found, IntArray
+    from multicell.cells import Found, IntArray, Mask
     from multicell.integrators.base import Integrator
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
@@ -147,7 +147,8 @@ class Simulation(RunState):
                 bind(self.plan, self.cells, self.cells, self.signals, self.time)
         if given_states or not self.scene.nutrients:
             with self.phase("biology"):
-                self._decide()
+                dead, _ = self._decide()
+                self.lineage.died(np.sort(self.cells.id[dead]), self.time)
         self._irradiate(-math.inf)
 
     def _find_states(self) -> None:
@@ -207,11 +208,8 @@ class Simulation(RunState):
             self.timeline = self.timeline.after_step()
             self._divide_and_remove(end - begin, grown.factor)
             self._sort()
-        with self.phase("nutrient"):
-            followed = plan.exposed if plan.acting or begin in self.timeline.plan.changes else ()
-            self.field_system.advance(self.cells, begin, end, before=began, follow=followed)
+        self._expose(began, found, begin, end)
         with self.phase("biology"):
-            self._decide(self._exposure(began, found, end - begin))
             self._irradiate(begin)
             if plan.growth is not None and not self.timeline.plan.jumps_at(end):
                 # a jump changes nothing of the step that it ends
@@ -334,30 +332,59 @@ class Simulation(RunState):
             self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
             self.unsorted = 0
 
-    def _exposure(self, began: Cells, before: Found, dt: float) -> Exposure:
-        """Return what a step of ``dt`` s that has ended knows of signals in time."""
-        held = self.field_system.steady if self.timeline.plan.jumps_at(self.time) else ()
-        return Exposure(
-            self.cells, self.signals, dt, began=began, before=before,
-            inner=self.field_system.courses, held=held,
-        )  # fmt: skip
+    def _expose(self, began: Cells, before: Found, begin: float, end: float) -> None:
+        """Bring the fields through a step, and let cells do what follows from what they find.
 
-    def _decide(self, exposure: Exposure | None = None) -> None:
-        """Let cells turn to another state by what they find, and note those that die.
-
-        At the end of a step in which they were exposed to signals, or at the start of the run.
+        Where rates have killed cells, transient fields are brought through it once more, now with
+        these cells until they died.
         """
-        cells, ahead = self.cells, self.timeline.ahead
+        plan, fields, cells = self.plan, self.field_system, self.cells
+        again = bool(plan.acting) and fields.marches
+        known, until = fields.snapshot() if again else {}, np.ones(len(cells))
+        exposure, dead, lost = self._attempt(began, before, begin, end)
+        if again and np.count_nonzero(dead):
+            until = np.where(dead, 1.0 - self.cells.age / (end - begin), 1.0)
+            fields.undo(known)
+            self.cells = cells
+            exposure, dead, lost = self._attempt(began, before, begin, end, until)
+        with self.phase("biology"):
+            if np.count_nonzero(dead):
+                self.released += lost
+                self.lineage.died(np.sort(cells.id[dead]), end)
+                late = np.where(dead & (until == 1.0), self.cells.age, 0.0)
+                fields.give_back(cells, late)
+            if changing(plan.acting):
+                self.cells = change_types(plan, self.cells, exposure)
+
+    def _attempt(
+        self, began: Cells, before: Found, begin: float, end: float, until: Any = 1.0
+    ) -> tuple[Exposure, Mask, float]:
+        """Bring the fields through a step with each cell until a part of it, (n,), and let some die.
+
+        Returns what cells were exposed to, which have died, and the volume that these have lost.
+        """
+        plan, fields = self.plan, self.field_system
+        with self.phase("nutrient"):
+            followed = plan.exposed if plan.acting or begin in self.timeline.plan.changes else ()
+            fields.advance(self.cells, begin, end, before=began, follow=followed, until=until)
+        with self.phase("biology"):
+            self.cells = self.cells.shared()  # what they were is needed once more
+            held = fields.steady if self.timeline.plan.jumps_at(end) else ()
+            exposure = Exposure(
+                self.cells, self.signals, end - begin, began=began, before=before,
+                inner=fields.courses, held=held,
+            )  # fmt: skip
+            dead, lost = self._decide(exposure)
+        return exposure, dead, lost
+
+    def _decide(self, exposure: Exposure | None = None) -> tuple[Mask, float]:
+        """Let cells turn to another state; return which have died, and the volume lost, µm³.
+
+        By what they were exposed to in the step that has ended, or find at the start of the run.
+        """
         found = self.signals if exposure is None else exposure.found
-        living = cells.shared()
-        dead, lost = decide(self.plan, cells, found, exposure, ahead=ahead, time=self.time)
-        self.released += lost
-        if np.count_nonzero(dead):
-            self.lineage.died(np.sort(cells.id[dead]), self.time)
-            if exposure is not None:
-                self.field_system.give_back(living, np.where(dead, cells.age, 0.0))
-        if exposure is not None and changing(self.plan.acting):
-            self.cells = change_types(self.plan, cells, exposure)
+        ahead = self.timeline.ahead
+        return decide(self.plan, self.cells, found, exposure, ahead=ahead, time=self.time)
 
     def _irradiate(self, since: float) -> None:
         """Let cells be hit by what is due since a time in s, and note those that die."""

@@ -166,6 +166,11 @@ class FieldSystem:
             self.ledger[name].note(field.well_mixed)
             self._sample(name, group, cells, demand[name][0])
 
+    @property
+    def marches(self) -> bool:
+        """Whether any field is brought through time, and not solved as steady at its moments."""
+        return bool(self._marched)
+
     def reacts(self, name: str) -> bool:
         """Return whether a field takes part in reactions."""
         return any(name in group.names for group in self.groups if group.kinetics is not None)
@@ -185,13 +190,15 @@ class FieldSystem:
         *,
         before: Cells | None = None,
         follow: Collection[str] = (),
+        until: Any = 1.0,
     ) -> None:
         """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
 
         What a steady field exchanged in this time is what its solution of ``begin`` said. With
         transient ones each cell exchanges the mean of the step, at its place at the end;
         ``before`` are the cells at the beginning. What cells find of the transient ones of ``follow``
-        on the way is kept in ``courses``.
+        on the way is kept in ``courses``. Until a part of the step, (n,) or one for all, cells
+        exchange with transient fields at all.
         """
         self.courses = {}
         began: dict[str, Demand] = {}
@@ -203,6 +210,7 @@ class FieldSystem:
                         before.position, self._capacity(name, before, self.concentrations)
                     )
             row, earlier, shares = _shares(before, cells, end - begin)
+            earlier, shares = until * earlier, until * shares
             for name in self._marched:
                 one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
