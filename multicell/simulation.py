@@ -17,7 +17,7 @@ import numpy as np
 
 from multicell.biology import driven
 from multicell.biology.division import change_types, changing
-from multicell.biology.exposure import Exposure
+from multicell.biology.exposure import Exposure, remainders
 from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
@@ -238,6 +238,8 @@ class Simulation(RunState):
         shift = self.replays.latest if self.replays is not None and self.replays.done else math.nan
         extra = {"shift_effect": shift, "stability_ratio": ratio}
         extra |= self.field_system.columns(self.cells)
+        if self.plan.acting:
+            extra["splitting_events_error"] = abs(self.exposures.get("error", 0.0))
         if self.scene.motions:
             now = self._motion(self.time, self.time, self.cells.radius)
             extra |= driven.columns(self.plan, self.cells, self.named, self.mechanics, now)
@@ -353,6 +355,9 @@ class Simulation(RunState):
                 self.lineage.died(np.sort(cells.id[dead]), end)
                 late = np.where(dead & (until == 1.0), self.cells.age, 0.0)
                 fields.give_back(cells, late)
+            if plan.acting:
+                jumped = self.timeline.plan.changes_at(begin)
+                self.exposures = remainders(plan, exposure, self.exposures, jumped=jumped)
             if changing(plan.acting):
                 self.cells = change_types(plan, self.cells, exposure)
 
@@ -365,7 +370,7 @@ class Simulation(RunState):
         """
         plan, fields = self.plan, self.field_system
         with self.phase("nutrient"):
-            followed = plan.exposed if plan.acting or begin in self.timeline.plan.changes else ()
+            followed = plan.exposed if plan.acting or self.timeline.plan.changes_at(begin) else ()
             fields.advance(self.cells, begin, end, before=began, follow=followed, until=until)
         with self.phase("biology"):
             self.cells = self.cells.shared()  # what they were is needed once more

@@ -17,13 +17,14 @@ at risk for the whole step are as many in the mean as a mother at risk before an
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
 from multicell import random
+from multicell.biology.responding import rate_of
 from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, rows_before
 
 if TYPE_CHECKING:
@@ -139,11 +140,32 @@ class Exposure:
             first = np.where(acts, np.minimum(first, low), first)
         return first
 
+    def remainder(self, known: Known, rate: Rate, slope: float | None) -> tuple[float, float]:
+        """Return about how far off the integral is, and the slope of the rate at its end, 1/s².
+
+        Of all living cells together. By every other of the moments that are known; of the ends
+        alone by Euler and Maclaurin, Δt²/12 times by how much the slope has changed.
+
+        - ``slope``, 1/s²: at the end of the step before; None: it may have jumped since
+        """
+        knots, living = self._knots(known), ~self.cells.dead
+        rates = np.array([rate(*self._at(part, known))[living].sum() for part in knots.tolist()])
+        ahead = float(rates[-1] - rates[-2]) / float(knots[-1] - knots[-2]) / self.length
+        if len(knots) == 2:
+            change = 0.0 if slope is None else ahead - slope
+            return self.length**2 / 12.0 * change, ahead
+        fewer = np.unique([*range(0, len(knots), 2), len(knots) - 1])
+        all_of_them, half = (np.trapezoid(rates[k], knots[k]) for k in (slice(None), fewer))
+        return self.length * float(half - all_of_them) / 3.0, ahead
+
+    def _knots(self, known: Known) -> FloatArray:
+        """Return the moments at which all that a rate depends on is known, in parts of the step."""
+        times = [self.inner[name][0] for name in _needs(known) & self.inner.keys()]
+        return np.unique(np.concatenate(times)) if times else _ENDS
+
     def _parts(self, known: Known) -> Iterator[tuple[Any, Any]]:
         """Yield begin and end, in parts of the step, of what no kink of a law lies within."""
-        times = [self.inner[name][0] for name in _needs(known) & self.inner.keys()]
-        knots = np.unique(np.concatenate(times)) if times else _ENDS
-        for low, high in pairwise(knots.tolist()):
+        for low, high in pairwise(self._knots(known).tolist()):
             cuts = list(self._cuts(known, low, high))
             inside = np.sort(np.stack(cuts), axis=0) if cuts else ()
             yield from pairwise((low, *inside, high))
@@ -196,6 +218,28 @@ def _joined(course: Course, ends: FloatArray) -> Course:
     moved = values + (1.0 - at[:, None]) * (ends[0] - values[0])
     moved[-1] = ends[1]
     return at, moved
+
+
+def remainders(
+    plan: BiologyPlan, exposure: Exposure, before: Mapping[str, float], *, jumped: bool
+) -> dict[str, float]:
+    """Return about how many events steps have made too many so far, as ``error``, and slopes.
+
+    - ``before``: the same of the step before; empty at the start
+    - ``jumped``: whether something scheduled has changed since
+    """
+    found = {"error": before.get("error", 0.0)}
+    for name in plan.acting:
+        slope = None if jumped else before.get(name)
+        rate = partial(_finite_rate, plan, name)
+        error, found[name] = exposure.remainder(plan.responses[name], rate, slope)
+        found["error"] += error
+    return found
+
+
+def _finite_rate(plan: BiologyPlan, name: str, found: Found, cells: Cells) -> FloatArray:
+    rate = rate_of(plan, name, found, cells)
+    return np.where(np.isinf(rate), 0.0, rate)
 
 
 def part_until(

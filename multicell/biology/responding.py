@@ -276,6 +276,15 @@ def rate_of_harm(
     return hazard
 
 
+def rate_of(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> FloatArray:
+    """Return the rate of one of the behaviours that act by a rate, of each cell, (n,) 1/s."""
+    if behaviour in ("necrosis rate", "damage rate"):
+        rate = rate_of_harm(plan, behaviour, found, cells)
+    else:
+        rate = value_of(plan, behaviour, plan.base_rates.get(behaviour, 0.0), found, cells)
+    return np.zeros(len(cells)) if rate is None else rate
+
+
 def acting(responses: Mapping[str, Known]) -> tuple[str, ...]:
     """Return the behaviours that are rates, but for one that is death at once or none."""
 

@@ -11,6 +11,7 @@ rests. So each cell decides at birth and then once in a reaction time, at times 
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,7 @@ from multicell import random
 from multicell.biology.division import ROUNDING, due_to_divide
 from multicell.biology.exposure import part_until_death
 from multicell.biology.growth import shrunk
-from multicell.biology.responding import rate_of_harm, value_of, wants_rest
+from multicell.biology.responding import rate_of, rate_of_harm, wants_rest
 from multicell.cells import SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.random import Purpose
 
@@ -190,9 +191,7 @@ def apoptotic(
     rate = plan.base_rates["apoptosis rate"]
     known = plan.responses.get("apoptosis rate")
     if exposure is not None and known is not None:
-        gained = exposure.integral(
-            known, lambda found, cells: value_of(plan, "apoptosis rate", rate, found, cells)
-        )
+        gained = exposure.integral(known, partial(rate_of, plan, "apoptosis rate"))
         return part_until_death(plan, Purpose.APOPTOSIS, cells, "apoptosis_hazard", gained)
     if known is not None:
         return None
@@ -216,11 +215,7 @@ def necrotic(
     threshold, so that times until death are distributed exponentially whatever the coupling step.
     """
     known, part = plan.responses["necrosis rate"], None
-
-    def rate(found: Found, cells: Cells) -> FloatArray:
-        hazard = rate_of_harm(plan, "necrosis rate", found, cells)
-        return np.zeros(len(cells)) if hazard is None else hazard
-
+    rate = partial(rate_of, plan, "necrosis rate")
     at_once = any(math.isinf(response.effect.high) for response in known)
     if at_once:
         hazard = rate_of_harm(plan, "necrosis rate", found, cells)
@@ -245,10 +240,8 @@ def take_damage(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> FloatArr
     tolerance θ of the cell (gamma, mean 1, drawn once by its identity). The dead keep theirs.
     """
     before = cells.damage
-    gained = exposure.integral(
-        plan.responses["damage rate"],
-        lambda found, cells: rate_of_harm(plan, "damage rate", found, cells),
-    )
+    known = plan.responses["damage rate"]
+    gained = exposure.integral(known, partial(rate_of, plan, "damage rate"))
     death = plan.death
     if death is not None and death.damage_variation > 0.0 and gained.any():
         from scipy.special import gammainccinv  # loaded where it is used

@@ -80,6 +80,10 @@ class StepPlan:
         """Return whether something jumps at the end of a step, s."""
         return any(abs(jump - end) <= self._near(end) for jump in self.jumps)
 
+    def changes_at(self, end: float) -> bool:
+        """Return whether anything scheduled changes at the end of a step, s."""
+        return any(abs(change - end) <= self._near(end) for change in self.changes)
+
     def _near(self, time: float) -> float:
         """Return how far apart times about this one are that are meant to be the same, s."""
         return max(_SHORTEST * self.step, _ROUNDING * time)

@@ -11,7 +11,7 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm
 from multicell.biology.states import deaths
 from multicell.cells import State
-from multicell.report.explain import explain
+from multicell.report.explain.scene import explain
 from multicell.scene.steps import StepPlan, step_plan
 
 HOUR, MINUTE = 3600.0, 60.0
