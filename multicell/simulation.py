@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.biology import driven
-from multicell.biology.division import change_types, changing
+from multicell.biology.division import change_types, changing, mutate_as_found
 from multicell.biology.exposure import Exposure, remainders
 from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.initial import initial_cells
@@ -358,7 +358,10 @@ class Simulation(RunState):
             if plan.acting:
                 jumped = self.timeline.plan.changes_at(begin)
                 self.exposures = remainders(plan, exposure, self.exposures, jumped=jumped)
+            self.cells, rows = mutate_as_found(plan, self.cells, exposure)
+            self.lineage.retype(self.cells.id[rows], self.cells.kind[rows])
             if changing(plan.acting):
+                exposure.cells = self.cells
                 self.cells = change_types(plan, self.cells, exposure)
 
     def _attempt(

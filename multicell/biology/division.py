@@ -206,10 +206,47 @@ def mutate(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> None:
 
     Chances that add up to more than one leave none of the mother's type.
     """
-    u = random.uniform(plan.seed, Purpose.MUTATION, 0, daughters.id)[:, 0]
+    kinds = _kinds_at_birth(plan, daughters, chances)
+    turns = np.flatnonzero(kinds != daughters.kind)
+    _become(plan, daughters, turns, kinds[turns])
+
+
+def _kinds_at_birth(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> IntArray:
+    """Return the types of daughters that are of their mothers', by chances of others (n, types)."""
+    u = random.uniform(plan.seed, Purpose.MUTATION, 0, daughters.id)
     ends = np.cumsum(chances, axis=1)
-    turns = np.flatnonzero(u < ends[:, -1])
-    _become(plan, daughters, turns, (u[turns, None] >= ends[turns]).sum(axis=1))
+    turns = u[:, 0] < ends[:, -1]
+    return np.where(turns, (u >= ends).sum(axis=1), daughters.kind)
+
+
+def mutate_as_found(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> tuple[Cells, IntArray]:
+    """Return cells with the types that daughters of a step have by what they found at their birth.
+
+    When they were born only what their mothers had found at the step's beginning was known. Also
+    returns the rows of those whose type that changes.
+    """
+    known = tuple(
+        part for name, parts in plan.responses.items() if name.startswith("mutation to ")
+        for part in parts
+    )  # fmt: skip
+    none = np.empty(0, dtype=np.int64)
+    if not known or cells.id is exposure.began.id:  # no cell was born
+        return cells, none
+    mothers, row = exposure.began, exposure.row
+    rows = np.flatnonzero((mothers.id[row] != cells.id) & ~cells.dead)
+    if not rows.size:
+        return cells, rows
+    born = exposure[rows]
+    born.cells.kind = mothers.kind[row[rows]]
+    chances = born.at(
+        1.0 - born.cells.age / exposure.length, known,
+        lambda found, some: _by_type(plan, "mutation to", found, some),
+    )  # fmt: skip
+    kinds = _kinds_at_birth(plan, born.cells, chances)
+    wrong = np.flatnonzero(kinds != cells.kind[rows])
+    after = cells.shared()
+    _become(plan, after, rows[wrong], kinds[wrong])
+    return after, rows[wrong]
 
 
 def _by_type(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> FloatArray | None:

@@ -129,6 +129,10 @@ class Exposure:
                 total = total + np.where(share > 0.0, value * (share * self.length), 0.0)
         return np.asarray(total).T
 
+    def at(self, part: Any, known: Known, rate: Rate) -> Any:
+        """Return a rate or chance at a part of the step, that of each cell or one for all."""
+        return rate(*self._at(part, known))
+
     def first_infinite(self, known: Known, rate: Rate) -> FloatArray:
         """Return at which part of the step a rate becomes infinite, (n,): at its end if not before.
 

@@ -62,6 +62,12 @@ class Lineage:
         cause = np.where(rows_of(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
         self._note("ends", (ids, time, cause))
 
+    def retype(self, ids: IntArray, kinds: NDArray[np.int16]) -> None:
+        """Note another type of cells of which births have been noted."""
+        if len(ids):
+            births, length = self._logs["births"], self._lengths["births"]
+            births["kind"][rows_of(births["id"][:length], ids)] = kinds
+
     def counts(self) -> dict[str, int]:
         """Return the length of each log."""
         return dict(self._lengths)

@@ -341,3 +341,26 @@ def test_what_kills_by_rate_and_at_once_is_noted_apart():
     assert np.isfinite(gone).all()
     np.testing.assert_allclose(cells.necrosis_hazard, 100.0)
     np.testing.assert_allclose(rate_of_harm(plan, "necrosis rate", found, cells) * HOUR, 1.0)
+
+
+def test_daughters_mutate_by_what_is_found_at_their_birth():
+    """In a medium that changes all the while, by the same draws at each length of step."""
+    field = {"boundary": 0, "regime": "steady", "media_change": "linear",
+             "media": [["0 h", "0 mM"], ["24 h", "1 mM"]]}  # fmt: skip
+    law = {"signal": "drug", "law": "linear", "begin": "0 mM", "end": "1 mM", "largest": 0.8}
+    kinds = []
+    for step in (120.0, 10.0):
+        scene = described(
+            field, count=60, step=step, duration="24 h", growth={"cycle_time": "9 h"},
+            initial={"count": 60, "spacing": 3.0, "stage": "uniform"},
+            types={"wild": {}, "mutant": {"fraction": 0}}, output={"every": "24 h"},
+            responses=[{"behaviour": "mutation to mutant", "cells": "wild", **law}],
+        )  # fmt: skip
+        simulation = finished(scene)
+        table, cells = simulation.lineage.table(), simulation.cells
+        place = np.searchsorted(table["id"], cells.id)
+        np.testing.assert_array_equal(table["kind"][place], cells.kind)
+        born = table["parent"] >= 0
+        kinds.append(table["kind"][born])
+    assert 0.2 < kinds[1].mean() < 0.8
+    assert (kinds[0] != kinds[1]).mean() < 0.01  # by what their mothers found: one in 25
