@@ -367,7 +367,7 @@ class Simulation(RunState):
     def _attempt(
         self, began: Cells, before: Found, begin: float, end: float, until: Any = 1.0
     ) -> tuple[Exposure, Mask, float]:
-        """Bring the fields through a step with each cell until a part of it, (n,), and let some die.
+        """Bring the fields through a step with cells until a part of it, (n,), and let some die.
 
         Returns what cells were exposed to, which have died, and the volume that these have lost.
         """

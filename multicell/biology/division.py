@@ -12,7 +12,18 @@ from multicell.biology.cycle import enter_cycle
 from multicell.biology.draws import draw_cycle_times, draw_moduli, drift
 from multicell.biology.exposure import part_until
 from multicell.biology.responding import value_of
-from multicell.cells import HALF, HAZARDS, SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
+from multicell.cells import (
+    HALF,
+    HAZARDS,
+    SPHERE,
+    Cells,
+    FloatArray,
+    Found,
+    IntArray,
+    Mask,
+    Phase,
+    State,
+)
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -178,9 +189,7 @@ def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
             known, lambda found, some: _by_type(plan, "change to", found, some), since
         )
         gained = rates.sum(axis=1)
-        part = part_until(
-            plan, Purpose.CHANGE, cells.id[rows], integral[rows], gained, count[rows]
-        )
+        part = part_until(plan, Purpose.CHANGE, cells.id[rows], integral[rows], gained, count[rows])
         integral[rows] += gained
         turns = np.flatnonzero(np.isfinite(part))
         rows, exposure = rows[turns], exposure[turns]

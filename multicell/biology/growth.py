@@ -8,6 +8,9 @@ makes half of what it has noted good in each of the next steps. All of it at onc
 method of Adams and Bashforth, which is stable for half of the steps that Euler's is; half of it is
 stable for three quarters of them (z-transform: for |λ| Δt < 3/2), and only the lag is larger.
 
+A cell that dies has grown until its own time within the step, and shrunk since
+(:func:`multicell.biology.states.die`).
+
 Growth stays between none and twice that of the rates at the beginning of its step: what a cell
 that hardly grows has grown too much stays noted. Decisions to rest fall on the end of the step
 that is nearest to their time (:func:`multicell.biology.states.deciding`), and are not counted.

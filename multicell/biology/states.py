@@ -155,9 +155,7 @@ def die(
     return float((volume - left).sum())
 
 
-def deciding(
-    cells: Cells, dt: float, reaction_time: float, ahead: float | None = None
-) -> Mask:
+def deciding(cells: Cells, dt: float, reaction_time: float, ahead: float | None = None) -> Mask:
     """Return which cells decide in a step of length ``dt`` (s) that ends now, (n,).
 
     A cell decides at birth and whenever its age passes a multiple of the reaction time, shifted by

@@ -196,9 +196,12 @@ class FieldSystem:
 
         What a steady field exchanged in this time is what its solution of ``begin`` said. With
         transient ones each cell exchanges the mean of the step, at its place at the end;
-        ``before`` are the cells at the beginning. What cells find of the transient ones of ``follow``
-        on the way is kept in ``courses``. Until a part of the step, (n,) or one for all, cells
-        exchange with transient fields at all.
+        ``before`` are the cells at the beginning.
+
+        - ``follow``: fields of which, where they are transient, ``courses`` are to keep what cells
+          find on the way
+        - ``until``, (n,) or a number: part of the step after which cells exchange nothing with
+          transient fields
         """
         self.courses = {}
         began: dict[str, Demand] = {}

@@ -60,10 +60,7 @@ def test_all_die_together_without_variation():
 
 
 def test_damage_is_the_solution_of_its_equation():
-    """A medium that comes and goes, not at the ends of whole steps: the damage of an outside solver.
-
-    Each cell by its own tolerance.
-    """
+    """A medium that comes and goes, not at ends of whole steps: as an outside solver has it."""
     death = {"damage_time": "8 h", "damage_variation": 0.4}
     media = [["0 h", 0.01], ["3.3 h", 0.2], ["9.05 h", 0.01], ["13 h", 0.2]]
     scene = starving(death, count=60).with_changes({"nutrients.oxygen.media": media})

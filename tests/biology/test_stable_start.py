@@ -7,8 +7,8 @@ import pytest
 from scipy import integrate, interpolate, optimize, stats
 
 from multicell.biology.draws import malthusian_rate
-from multicell.biology.initial import initial_cells
 from multicell.biology.exposure import Exposure
+from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.biology.step import age_cells, decide, divide_and_remove, grow
 from multicell.cells import SPHERE, State

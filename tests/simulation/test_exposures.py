@@ -73,9 +73,9 @@ def finished(scene):
 
 
 LAWS = {
-    "hill": (dict(law="hill", half="0.4 mM", power=3), lambda c: c**3 / (c**3 + 0.4**3)),
+    "hill": ({"law": "hill", "half": "0.4 mM", "power": 3}, lambda c: c**3 / (c**3 + 0.4**3)),
     "linear": (
-        dict(law="linear", begin="0.1 mM", end="0.6 mM"),
+        {"law": "linear", "begin": "0.1 mM", "end": "0.6 mM"},
         lambda c: np.clip((c - 0.1) / 0.5, 0.0, 1.0),
     ),
 }
@@ -108,14 +108,16 @@ def test_a_threshold_acts_for_as_long_as_the_signal_is_beyond_it(kind, step):
                                   **FIELDS[kind], "necrosis_above": "0.45 mM"}}},
     )  # fmt: skip
     true = exact(kind, lambda c: c > 0.45) / 5.0
-    assert finished(scene).cells.damage == pytest.approx(true, rel=1e-6 if kind == "steady" else 2e-3)
+    assert finished(scene).cells.damage == pytest.approx(
+        true, rel=1e-6 if kind == "steady" else 2e-3
+    )
 
 
 @pytest.mark.parametrize("behaviour", ["necrosis rate", "apoptosis rate"])
 @pytest.mark.parametrize("kind", FIELDS)
 def test_the_same_cells_die_at_each_length_of_step(kind, behaviour):
     """Survivors are exp(-integral of the hazard), and each cell has one draw for all lengths."""
-    keys, rate = LAWS["hill"]
+    rate = LAWS["hill"][1]
     expected = np.exp(-0.3 * exact(kind, rate))
     responses = harm("hill", "0.3 1/h", behaviour, half="0.4 mM", power=3)
     alive = []
@@ -264,9 +266,7 @@ def test_thresholds_are_exponential_and_belong_to_the_cell():
     mixed = thresholds(3, Purpose.NECROSIS, events, ids)
     for event in range(3):
         of = events == event
-        np.testing.assert_array_equal(
-            mixed[of], thresholds(3, Purpose.NECROSIS, event, ids[of])
-        )
+        np.testing.assert_array_equal(mixed[of], thresholds(3, Purpose.NECROSIS, event, ids[of]))
 
 
 def test_a_scene_without_rates_integrates_nothing(monkeypatch):

@@ -21,10 +21,10 @@ from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.parts import PHASES
 from multicell.scene.responses import Effect, effects
-from multicell.scene.steps import step_plan
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
+from multicell.scene.steps import step_plan
 
 
 def explain(scene: Scene) -> dict[str, Any]:
