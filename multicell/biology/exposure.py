@@ -115,7 +115,7 @@ class Exposure:
         return np.stack([first, last])
 
     def integral(self, known: Known, rate: Rate, since: Any = 0.0) -> Any:
-        """Return the integral of a rate over the step, (n,) or (n, k); infinite for death at once.
+        """Return the integral of a finite rate over the step, (n,) or (n, k).
 
         - ``known``: the responses that make the rate
         - ``since``, (n,) or a number: part of the step from which it counts
@@ -125,8 +125,7 @@ class Exposure:
             low = np.maximum(low, since)
             share = np.maximum(high - low, 0.0)
             value = np.asarray(rate(*self._at(0.5 * (low + high), known))).T
-            with np.errstate(invalid="ignore"):  # an infinite rate that acts for no time
-                total = total + np.where(share > 0.0, value * (share * self.length), 0.0)
+            total = total + value * (share * self.length)
         return np.asarray(total).T
 
     def at(self, part: Any, known: Known, rate: Rate) -> Any:
@@ -134,11 +133,11 @@ class Exposure:
         return rate(*self._at(part, known))
 
     def first_infinite(self, known: Known, rate: Rate) -> FloatArray:
-        """Return at which part of the step a rate becomes infinite, (n,): at its end if not before.
+        """Return at which part of the step a rate becomes infinite, (n,); infinite where not.
 
         - ``known``: the responses that make the rate
         """
-        first = np.ones(len(self.cells))
+        first = np.full(len(self.cells), np.inf)
         for low, high in self._parts(known):
             acts = np.isinf(rate(*self._at(0.5 * (low + high), known))) & (high > low)
             first = np.where(acts, np.minimum(first, low), first)
@@ -235,13 +234,14 @@ def remainders(
     found = {"error": before.get("error", 0.0)}
     for name in plan.acting:
         slope = None if jumped else before.get(name)
-        rate = partial(_finite_rate, plan, name)
+        rate = partial(finite_rate, plan, name)
         error, found[name] = exposure.remainder(plan.responses[name], rate, slope)
         found["error"] += error
     return found
 
 
-def _finite_rate(plan: BiologyPlan, name: str, found: Found, cells: Cells) -> FloatArray:
+def finite_rate(plan: BiologyPlan, name: str, found: Found, cells: Cells) -> FloatArray:
+    """Return a rate without that of death at once, (n,) 1/s."""
     rate = rate_of(plan, name, found, cells)
     return np.where(np.isinf(rate), 0.0, rate)
 
@@ -276,6 +276,5 @@ def part_until_death(
     before = np.zeros(len(cells)) if known is None else known
     part = part_until(plan, purpose, cells.id, before, gained)
     if known is not None or gained.any():
-        # an infinite one has no use any more, and files hold finite numbers
-        setattr(cells, column, before + np.where(np.isinf(gained), 0.0, gained))
+        setattr(cells, column, before + gained)
     return part

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.division import ROUNDING, due_to_divide
-from multicell.biology.exposure import part_until_death
+from multicell.biology.exposure import finite_rate, part_until_death
 from multicell.biology.growth import shrunk
 from multicell.biology.responding import rate_of, rate_of_harm, wants_rest
 from multicell.cells import SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
@@ -213,19 +213,21 @@ def necrotic(
     threshold, so that times until death are distributed exponentially whatever the coupling step.
     """
     known, part = plan.responses["necrosis rate"], None
-    rate = partial(rate_of, plan, "necrosis rate")
-    at_once = any(math.isinf(response.effect.high) for response in known)
-    if at_once:
+    if any(math.isinf(response.effect.high) for response in known):
         hazard = rate_of_harm(plan, "necrosis rate", found, cells)
-        if hazard is not None and np.count_nonzero(hazard):
-            rows = np.flatnonzero(np.isinf(hazard) & ~cells.dead)
-            if rows.size:
-                first = np.ones(len(rows))
-                if exposure is not None:
-                    first = exposure[rows].first_infinite(known, rate)
-                part = _only(rows, first, cells)
-    if exposure is not None and ("necrosis rate" in plan.acting or exposure.inner):
-        gained = exposure.integral(known, rate)
+        now = np.zeros(len(cells), dtype=np.bool_) if hazard is None else np.isinf(hazard)
+        rows = np.flatnonzero(
+            ~cells.dead & (now if exposure is None or not exposure.inner else True)
+        )
+        if rows.size:
+            first = np.full(len(rows), np.inf)
+            if exposure is not None:
+                first = exposure[rows].first_infinite(
+                    known, partial(rate_of, plan, "necrosis rate")
+                )
+            part = _only(rows, np.where(now[rows], np.minimum(first, 1.0), first), cells)
+    if exposure is not None and "necrosis rate" in plan.acting:
+        gained = exposure.integral(known, partial(finite_rate, plan, "necrosis rate"))
         by_rate = part_until_death(plan, Purpose.NECROSIS, cells, "necrosis_hazard", gained)
         part = _earlier(part, by_rate)
     return part
@@ -238,21 +240,33 @@ def take_damage(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> FloatArr
     tolerance θ of the cell (gamma, mean 1, drawn once by its identity). The dead keep theirs.
     """
     before = cells.damage
-    known = plan.responses["damage rate"]
-    gained = exposure.integral(known, partial(rate_of, plan, "damage rate"))
-    death = plan.death
-    if death is not None and death.damage_variation > 0.0 and gained.any():
-        from scipy.special import gammainccinv  # loaded where it is used
-
-        hit, shape = np.flatnonzero(gained), death.damage_variation**-2
-        u = random.uniform(plan.seed, Purpose.TOLERANCE, 0, cells.id[hit])[:, 0]
-        gained[hit] *= shape / gammainccinv(shape, u)
-    gained = np.where(cells.dead, 0.0, gained)
+    known, rate = plan.responses["damage rate"], partial(rate_of, plan, "damage rate")
+    gained = np.where(cells.dead, 0.0, exposure.integral(known, rate))
+    hit = np.flatnonzero(gained)
+    if plan.death is not None and plan.death.damage_variation > 0.0 and hit.size:
+        born = hit[exposure.began.id[exposure.row[hit]] != cells.id[hit]]
+        # before it was born a daughter bore what its mother does
+        since = 1.0 - cells.age[born] / exposure.length
+        later = exposure[born].integral(known, rate, since)
+        earlier = (gained[born] - later) / _tolerance(plan, cells.parent[born])
+        gained[born] = later
+        gained[hit] /= _tolerance(plan, cells.id[hit])
+        gained[born] += earlier
     if gained.any():
         cells.damage = before + gained
     most = 1.0 - ROUNDING
     left = np.divide(most - before, gained, out=np.zeros(len(cells)), where=gained > 0.0)
     return np.where((cells.damage >= most) & ~cells.dead, np.maximum(left, 0.0), np.inf)
+
+
+def _tolerance(plan: BiologyPlan, ids: IntArray) -> FloatArray:
+    """Return the damage that cells bear over that of a mean one, (n,)."""
+    from scipy.special import gammainccinv  # loaded where it is used
+
+    assert plan.death is not None
+    shape = plan.death.damage_variation**-2
+    u = random.uniform(plan.seed, Purpose.TOLERANCE, 0, ids)[:, 0]
+    return np.asarray(gammainccinv(shape, u) / shape)
 
 
 def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
