@@ -117,7 +117,7 @@ class Cells:
     necrosis_hazard, apoptosis_hazard, change_hazard : (n,) float64, or None
         Integral of a rate since the cell was born or last changed its type; where it reaches the
         cell's own threshold the cell dies, or changes its type (:mod:`multicell.biology.exposure`).
-    type_changes : (n,) int32, or None
+    type_changes : (n,) int64, or None
         How often the cell has changed its type since its birth.
     """
 
@@ -143,7 +143,7 @@ class Cells:
     necrosis_hazard: FloatArray | None = _column(np.float64, "", optional=True)
     apoptosis_hazard: FloatArray | None = _column(np.float64, "", optional=True)
     change_hazard: FloatArray | None = _column(np.float64, "", optional=True)
-    type_changes: NDArray[np.int32] | None = _column(np.int32, "", optional=True)
+    type_changes: IntArray | None = _column(np.int64, "", optional=True)
 
     def __post_init__(self) -> None:
         n = len(self.id)

@@ -353,8 +353,10 @@ class Simulation(RunState):
             if np.count_nonzero(dead):
                 self.released += lost
                 self.lineage.died(np.sort(cells.id[dead]), end)
-                late = np.where(dead & (until == 1.0), self.cells.age, 0.0)
-                fields.give_back(cells, late)
+            if fields.marches and self.cells.radius is not cells.radius:  # some died, or rest early
+                rests = (self.cells.state != cells.state) & (self.cells.age < end - begin) & ~dead
+                late = np.where((dead & (until == 1.0)) | rests, self.cells.age, 0.0)
+                fields.give_back(cells, self.cells, late)
             if plan.acting:
                 jumped = self.timeline.plan.changes_at(begin)
                 self.exposures = remainders(plan, exposure, self.exposures, jumped=jumped)

@@ -178,7 +178,7 @@ def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
     """
     known = tuple(part for name in changing(plan.responses) for part in plan.responses[name])
     after, rows = cells.shared(), np.flatnonzero(~cells.dead)
-    integral, count = np.zeros(len(cells)), np.zeros(len(cells), dtype=np.int32)
+    integral, count = np.zeros(len(cells)), np.zeros(len(cells), dtype=np.int64)
     if cells.change_hazard is not None:
         integral += cells.change_hazard
     if cells.type_changes is not None:

@@ -155,6 +155,25 @@ def die(
     return float((volume - left).sum())
 
 
+def rest_from_birth(cells: Cells, before: NDArray[np.int8], exposure: Exposure) -> None:
+    """Let daughters of a step that come to rest at its end have rested since they were born.
+
+    Others decide at the end that is nearest to their time, and neither early nor late on average;
+    daughters would always be late.
+
+    - ``before``, (n,): states until now
+    """
+    if cells.id is exposure.began.id:  # no cell was born
+        return
+    rests = (cells.state == _RESTING) & (before == _GROWING)
+    rows = np.flatnonzero(rests & (exposure.began.id[exposure.row] != cells.id))
+    if rows.size:
+        birth = np.maximum(1.0 - cells.age[rows] / exposure.length, 0.0)
+        volume = exposure[rows].volume_at(birth)
+        cells.radius = cells.radius.copy()
+        cells.radius[rows] = np.cbrt(volume / SPHERE)
+
+
 def deciding(cells: Cells, dt: float, reaction_time: float, ahead: float | None = None) -> Mask:
     """Return which cells decide in a step of length ``dt`` (s) that ends now, (n,).
 

@@ -15,7 +15,14 @@ from multicell.biology.division import divide
 from multicell.biology.growth import corrected_factor, volumes_after
 from multicell.biology.motion import bond_levels
 from multicell.biology.responding import wants_rest
-from multicell.biology.states import deaths, deciding, die, remove_lysed, update_states
+from multicell.biology.states import (
+    deaths,
+    deciding,
+    die,
+    remove_lysed,
+    rest_from_birth,
+    update_states,
+)
 from multicell.cells import SPHERE, Cells, FloatArray, Found, Mask
 from multicell.scene.domain import check_inside
 from multicell.vectors import cubes
@@ -145,6 +152,8 @@ def decide(
     before, dt = cells.state, None if exposure is None else exposure.length
     dying = deaths(plan, cells, found, exposure, time)
     cells.state = update_states(plan, cells, found, dying, dt=dt, ahead=ahead)
+    if exposure is not None and not plan.restricted:
+        rest_from_birth(cells, before, exposure)
     if plan.restricted:
         due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
         well = ~wants_rest(plan, cells, found)

@@ -283,18 +283,20 @@ class FieldSystem:
                 self._changes[name] = {"changes": number, "changed_at": end}
             self._sample(name, group, cells, demand[name][0])
 
-    def give_back(self, cells: Cells, late: FloatArray) -> None:
-        """Give transient fields back what cells have taken up in the last step after they died.
+    def give_back(self, cells: Cells, after: Cells, late: FloatArray) -> None:
+        """Give transient fields back what cells have taken up after they died or came to rest.
 
-        - ``cells``: as they lived
-        - ``late``, (n,) s: how long before the step's end they died; zero of others
+        - ``cells``, ``after``: before and after that
+        - ``late``, (n,) s: how long before the end of the last step it was; zero of others
         """
         for group in (one for one in self.groups if one.names[0] in self._marched):
             for name in group.names:
-                field, (capacity, _) = self.fields[name], self.demand(name, cells)
+                field = self.fields[name]
                 if field.parameters.regime == "steady":
                     continue  # it has been solved with what the field holds and its medium
-                amount = late * field.uptake(cells.position, capacity)
+                capacity, _ = self.demand(name, after)
+                excess = np.maximum(self.demand(name, cells)[0] - capacity, 0.0)
+                amount = late * field.uptake(cells.position, excess)
                 total = field.put(group.position, amount)
                 self.ledger[name].add(self._none(name)._replace(uptake=-total), stored=total)
                 self.ledger[name].fill(field.stored())

@@ -125,7 +125,7 @@ class _Exchange:
             equation = kind(self.group, self.row, self.medium, self.guess)
             state: Any = SimpleNamespace(data=equation.data(self.total))
             nutrients = [field.parameters.nutrient for field in self.group.fields.values()]
-            solver = SolverBase.from_name(
+            solver: Any = SolverBase.from_name(
                 "multicell-march", equation,  # type: ignore[arg-type]
                 tolerance=min(n.time_tolerance for n in nutrients),
             )  # fmt: skip
