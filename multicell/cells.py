@@ -227,6 +227,7 @@ class Cells:
             **{
                 name: np.empty((0,) if s["width"] is None else (0, s["width"]), dtype=s["dtype"])
                 for name, s in cls.schema().items()
+                if name not in HAZARDS
             }
         )
 

@@ -148,7 +148,7 @@ class Simulation(RunState):
         if given_states or not self.scene.nutrients:
             with self.phase("biology"):
                 dead, _ = self._decide()
-                self.lineage.died(np.sort(self.cells.id[dead]), self.time)
+                self.lineage.died(self.cells, dead, self.time)
         self._irradiate(-math.inf)
 
     def _find_states(self) -> None:
@@ -166,7 +166,7 @@ class Simulation(RunState):
         if resting or dead or unfit:
             self.first_states = {"quiescent": resting, "necrotic": dead, "unfit": unfit}
         if dead:
-            self.lineage.died(np.sort(self.cells.id[search.dead]), self.time)
+            self.lineage.died(self.cells, search.dead, self.time)
 
     def step(self) -> None:
         """Advance by one coupling step.
@@ -352,7 +352,7 @@ class Simulation(RunState):
         with self.phase("biology"):
             if np.count_nonzero(dead):
                 self.released += lost
-                self.lineage.died(np.sort(cells.id[dead]), end)
+                self.lineage.died(self.cells, dead, end)
             if fields.marches and self.cells.radius is not cells.radius:  # some died, or rest early
                 rests = (self.cells.state != cells.state) & (self.cells.age < end - begin) & ~dead
                 late = np.where((dead & (until == 1.0)) | rests, self.cells.age, 0.0)
@@ -401,4 +401,4 @@ class Simulation(RunState):
         if self.plan.radiation:
             cells, found = self.cells, self.concentrations
             self.cells, dead = irradiate(self.plan, cells, found, since, self.time)
-            self.lineage.died(np.sort(self.cells.id[dead]), self.time)
+            self.lineage.died(self.cells, dead, self.time)

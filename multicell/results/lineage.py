@@ -49,9 +49,11 @@ class Lineage:
         """Note cells that came to be."""
         self._note("births", (cells.id, cells.parent, cells.kind, time))
 
-    def died(self, ids: IntArray, time: float) -> None:
-        """Note cells that died."""
-        self._note("deaths", (ids, time))
+    def died(self, cells: Cells, dead: NDArray[np.bool_], time: float) -> None:
+        """Note which cells have died by a time in s, each at its own; in the order of identities."""
+        rows = np.flatnonzero(dead)
+        rows = rows[np.argsort(cells.id[rows])]
+        self._note("deaths", (cells.id[rows], time - cells.age[rows]))
 
     def events(self, before: Cells, after: Cells, time: float) -> None:
         """Note what changed between two populations: births, divisions and removals."""
