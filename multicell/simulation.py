@@ -341,7 +341,7 @@ class Simulation(RunState):
         these cells until they died.
         """
         plan, fields, cells = self.plan, self.field_system, self.cells
-        again = bool(plan.acting) and fields.marches
+        again = fields.marches and self._follows(begin)
         known, until = fields.snapshot() if again else {}, np.ones(len(cells))
         exposure, dead, lost = self._attempt(began, before, begin, end)
         if again and np.count_nonzero(dead):
@@ -366,6 +366,10 @@ class Simulation(RunState):
                 exposure.cells = self.cells
                 self.cells = change_types(plan, self.cells, exposure)
 
+    def _follows(self, begin: float) -> bool:
+        """Return whether more than the ends of a step matters: rates, or a field that has jumped."""
+        return bool(self.plan.acting) or self.timeline.plan.changes_at(begin)
+
     def _attempt(
         self, began: Cells, before: Found, begin: float, end: float, until: Any = 1.0
     ) -> tuple[Exposure, Mask, float]:
@@ -375,7 +379,7 @@ class Simulation(RunState):
         """
         plan, fields = self.plan, self.field_system
         with self.phase("nutrient"):
-            followed = plan.exposed if plan.acting or self.timeline.plan.changes_at(begin) else ()
+            followed = plan.exposed if self._follows(begin) else ()
             fields.advance(self.cells, begin, end, before=began, follow=followed, until=until)
         with self.phase("biology"):
             self.cells = self.cells.shared()  # what they were is needed once more
