@@ -57,10 +57,14 @@ class State(IntEnum):
 def _column(dtype: type, unit: str, *, width: int | None = None, optional: bool = False) -> Any:
     """Declare an array with one entry (or one row of ``width``) per cell.
 
-    An optional one is zero where it is not given.
+    An optional one is zero where it is not given; those of :data:`HAZARDS` are absent there.
     """
     metadata = {"dtype": dtype, "unit": unit, "width": width}
     return field(default=None, metadata=metadata) if optional else field(metadata=metadata)
+
+
+HAZARDS = ("necrosis_hazard", "apoptosis_hazard", "change_hazard", "type_changes")
+"""Columns that are None, and cost nothing, until a rate has acted on cells."""
 
 
 @final
@@ -110,6 +114,11 @@ class Cells:
     lag : (n,) float64, s
         Time of unlimited growth that the cell has yet to make good, because coupling steps hold
         rates of growth fixed; negative: too much.
+    necrosis_hazard, apoptosis_hazard, change_hazard : (n,) float64, or None
+        Integral of a rate since the cell was born or last changed its type; where it reaches the
+        cell's own threshold the cell dies, or changes its type (:mod:`multicell.biology.exposure`).
+    type_changes : (n,) int64, or None
+        How often the cell has changed its type since its birth.
     """
 
     id: IntArray = _column(np.int64, "")
@@ -131,11 +140,18 @@ class Cells:
     doomed: NDArray[np.int8] = _column(np.int8, "", optional=True)
     damage: FloatArray = _column(np.float64, "", optional=True)
     lag: FloatArray = _column(np.float64, "s", optional=True)
+    necrosis_hazard: FloatArray | None = _column(np.float64, "", optional=True)
+    apoptosis_hazard: FloatArray | None = _column(np.float64, "", optional=True)
+    change_hazard: FloatArray | None = _column(np.float64, "", optional=True)
+    type_changes: IntArray | None = _column(np.int64, "", optional=True)
 
     def __post_init__(self) -> None:
         n = len(self.id)
         for name, (dtype, width) in _layout().items():
             column = getattr(self, name)
+            if column is None and name in HAZARDS:
+                del vars(self)[name]  # what is left is that of the class, None
+                continue
             shape = (n,) if width is None else (n, width)
             column = np.zeros(shape) if column is None else column
             array = np.ascontiguousarray(column, dtype=dtype)
@@ -165,9 +181,10 @@ class Cells:
         return np.asarray(self.state > _RESTING)
 
     def columns(self) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield the name and the array of every column, in the order of declaration."""
+        """Yield the name and the array of every column that is there, in their order."""
         for name in _layout():
-            yield name, getattr(self, name)
+            if name in vars(self):
+                yield name, getattr(self, name)
 
     def take(self, index: NDArray[Any]) -> Cells:
         """Return copies of the cells at ``index`` (integers or a mask), in that order."""
@@ -210,6 +227,7 @@ class Cells:
             **{
                 name: np.empty((0,) if s["width"] is None else (0, s["width"]), dtype=s["dtype"])
                 for name, s in cls.schema().items()
+                if name not in HAZARDS
             }
         )
 

@@ -18,7 +18,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import FloatArray
+from multicell.cells import FloatArray, IntArray
 from multicell.errors import SceneError
 
 UIntArray = NDArray[np.uint64]
@@ -71,14 +71,26 @@ def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:
     return out.reshape(counter.shape)
 
 
-def uniform(
-    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], count: int = 1, attempt: int = 0
+def thresholds(
+    seed: int, purpose: Purpose, event: int | IntArray, ids: NDArray[np.int64]
 ) -> FloatArray:
+    """Return the integral of its rate at which the event of each cell comes to pass, (n,).
+
+    Exponential with mean 1, so that events come as those of a Poisson process whatever the rate.
+    ``event`` tells events of the same cell apart, also by cell; the rest is as for :func:`uniform`.
+    """
+    return np.asarray(-np.log1p(-uniform(seed, purpose, event, ids)[:, 0]))
+
+
+def uniform(
+    seed: int, purpose: Purpose, step: int | IntArray, ids: NDArray[np.int64], count: int = 1,
+    attempt: int = 0,
+) -> FloatArray:  # fmt: skip
     """Return uniform random numbers in [0, 1) with 53 bits.
 
     - ``seed``: seed of the run, 0 ... 2**64 - 1
     - ``purpose``: what the numbers are for: purposes are independent of each other
-    - ``step``: index of the coupling step, 0 or more
+    - ``step``: index of the coupling step or the event, 0 or more; one for all or of each cell
     - ``ids``, (n,) int64: identities of the cells, 0 or more
     - ``count``: numbers a cell
     - ``attempt``: tells repeated draws for the same cell, step and purpose apart
@@ -91,12 +103,12 @@ def uniform(
     ids = np.asarray(ids, dtype=np.int64)
     if not 0 <= seed < _WORD:
         raise SceneError("seed", f"is {seed}, must be a whole number from 0 to 2**64 - 1")
-    if min(step, count, attempt) < 0 or ids.min(initial=0) < 0:
+    if min(np.min(step, initial=0), count, attempt) < 0 or ids.min(initial=0) < 0:
         raise ValueError("step, count, attempt and cell ids must not be negative")
     blocks = -(-count // 4)
     counter = np.empty((4, len(ids), blocks), dtype=np.uint64)
     counter[0] = np.arange(blocks, dtype=np.uint64)
-    counter[1] = step
+    counter[1] = np.reshape(step, (-1, 1))
     counter[2] = ids[:, None]
     counter[3] = attempt
     words = philox(counter, (seed, int(purpose))).transpose(1, 2, 0)

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.biology import driven
-from multicell.biology.division import change_types
+from multicell.biology.division import change_types, changing, mutate_as_found
+from multicell.biology.exposure import Exposure, remainders
 from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
@@ -48,7 +49,7 @@ from multicell.scene.domain import check_start
 from multicell.scene.ranges import check_memory
 
 if TYPE_CHECKING:
-    from multicell.cells import IntArray
+    from multicell.cells import Found, IntArray, Mask
     from multicell.integrators.base import Integrator
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
+_GRAIN = 1e-3  # of a coupling step, to which the time of a separation is known
 _STALE_ORDER = 0.05  # part of the cells that may be new before all are sorted in space again
 
 
@@ -140,7 +142,7 @@ class Simulation(RunState):
         self._sort()
         with self.phase("mechanics"), self._compiling:
             motion = self._motion(self.time, self.time, cells.radius)
-            self._note_contacts(self.time, self.mover.contacts(self.cells, motion))
+            self._note_contacts(self.mover.contacts(self.cells, motion))
         with self.phase("nutrient"):
             try:
                 self.field_system.begin(self.cells, self.time)
@@ -152,7 +154,8 @@ class Simulation(RunState):
                 bind(self.plan, self.cells, self.cells, self.signals, self.time)
         if given_states or not self.scene.nutrients:
             with self.phase("biology"):
-                self._decide(0.0)
+                dead, _ = self._decide()
+                self.lineage.died(self.cells, dead, self.time)
         self._irradiate(-math.inf)
 
     def _find_states(self) -> None:
@@ -170,7 +173,7 @@ class Simulation(RunState):
         if resting or dead or unfit:
             self.first_states = {"quiescent": resting, "necrotic": dead, "unfit": unfit}
         if dead:
-            self.lineage.died(np.sort(self.cells.id[search.dead]), self.time)
+            self.lineage.died(self.cells, search.dead, self.time)
 
     def step(self) -> None:
         """Advance by one coupling step.
@@ -200,8 +203,9 @@ class Simulation(RunState):
         plan, begin, end = self.plan, self.time, self.timeline.next_time
         with self.phase("biology"):
             factor = self._growth_factor()
-            grown = grow(plan, self.cells, self.signals, factor, end - begin)
-            began = self.cells
+            began, found = self.cells, self.signals
+            grown = grow(plan, began, found, factor, end - begin)
+            found = dict(found)  # the fields will write what they find in place of this
         with self.phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
         with self.phase("events"):
@@ -211,12 +215,10 @@ class Simulation(RunState):
             self.timeline = self.timeline.after_step()
             self._divide_and_remove(end - begin, grown.factor)
             self._sort()
-        with self.phase("nutrient"):
-            self.field_system.advance(self.cells, begin, end, before=began)
+        self._expose(began, found, begin, end)
         with self.phase("biology"):
-            self._decide(end - begin)
             self._irradiate(begin)
-            if plan.growth is not None and end not in self.timeline.plan.jumps:
+            if plan.growth is not None and not self.timeline.plan.jumps_at(end):
                 # a jump changes nothing of the step that it ends
                 now = self._growth_factor()
                 self.cells.lag = lag_after(plan, began, factor, self.cells, now, end - begin)
@@ -243,6 +245,8 @@ class Simulation(RunState):
         shift = self.replays.latest if self.replays is not None and self.replays.done else math.nan
         extra = {"shift_effect": shift, "stability_ratio": ratio}
         extra |= self.field_system.columns(self.cells)
+        if self.plan.acting:
+            extra["splitting_events_error"] = abs(self.exposures.get("error", 0.0))
         if self.scene.motions:
             now = self._motion(self.time, self.time, self.cells.radius)
             extra |= driven.columns(self.plan, self.cells, self.named, self.mechanics, now)
@@ -287,16 +291,29 @@ class Simulation(RunState):
         motion = self._motion(begin, end, radius)
         moved = self.mover.move(self.cells, motion, self.step_index, self.replays, self.stability)
         self.replays, self.stability = moved.replays, moved.stability
-        self._note_contacts(end, moved.contacts)
+        pull, none_left = self.scene.pull, moved.contacts is not None and not len(moved.contacts)
+        if pull is not None and len(self.contacts) and none_left:
+            time = self._parting(begin, end, radius)
+            self.separation = {"time": time, "force": pull.load(time)}
+        self._note_contacts(moved.contacts)
         return moved.position, moved.pressure
 
-    def _note_contacts(self, time: float, found: IntArray | None) -> None:
-        """Remember contacts by identity, and the pull at which the last one broke."""
-        if found is None:
-            return
-        before, self.contacts = len(self.contacts), self.cells.id[found]
-        if self.scene.pull is not None and before and not len(found):
-            self.separation = {"time": time, "force": self.scene.pull.load(time)}
+    def _parting(self, begin: float, end: float, radius: FloatArray) -> float:
+        """Return when in a step the last contact breaks, s: halving it until the time is known."""
+        cells, low, high = self.cells, begin, end
+        while high - low > _GRAIN * (end - begin):
+            middle = 0.5 * (low + high)
+            grown = cells.radius + (middle - begin) / (end - begin) * (radius - cells.radius)
+            motion = self._motion(begin, middle, grown)
+            moved = self.mover.move(cells, motion, self.step_index, None, self.stability)
+            joined = moved.contacts is not None and len(moved.contacts) > 0
+            low, high = (middle, high) if joined else (low, middle)
+        return high
+
+    def _note_contacts(self, found: IntArray | None) -> None:
+        """Remember contacts by identity."""
+        if found is not None:
+            self.contacts = self.cells.id[found]
 
     def _divide_and_remove(self, dt: float, factor: FloatArray) -> None:
         """Change the number of cells after a step of ``dt`` s, and all that is noted of them.
@@ -324,19 +341,77 @@ class Simulation(RunState):
             self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
             self.unsorted = 0
 
-    def _decide(self, dt: float) -> None:
-        """Let cells turn to another state by what they find, and note those that die."""
-        cells, found = self.cells, self.signals
-        dead = decide(self.plan, cells, found, self.step_index, dt, self.time)
-        if np.count_nonzero(dead):
-            self.lineage.died(np.sort(cells.id[dead]), self.time)
-        if dt > 0.0:
-            self.cells = change_types(self.plan, cells, found, self.step_index, dt)
-            bind_changed(self.plan, cells, self.cells, found, self.time)
+    def _expose(self, began: Cells, before: Found, begin: float, end: float) -> None:
+        """Bring the fields through a step, and let cells do what follows from what they find.
+
+        Where rates have killed cells, transient fields are brought through it once more, now with
+        these cells until they died.
+        """
+        plan, fields, cells = self.plan, self.field_system, self.cells
+        again = fields.marches and self._follows(begin)
+        known, until = fields.snapshot() if again else {}, np.ones(len(cells))
+        exposure, dead, lost = self._attempt(began, before, begin, end)
+        if again and np.count_nonzero(dead):
+            until = np.where(dead, 1.0 - self.cells.age / (end - begin), 1.0)
+            fields.undo(known)
+            self.cells = cells
+            exposure, dead, lost = self._attempt(began, before, begin, end, until)
+        with self.phase("biology"):
+            if np.count_nonzero(dead):
+                self.released += lost
+                self.lineage.died(self.cells, dead, end)
+            if fields.marches and self.cells.radius is not cells.radius:  # some died, or rest early
+                rests = (self.cells.state != cells.state) & (self.cells.age < end - begin) & ~dead
+                late = np.where((dead & (until == 1.0)) | rests, self.cells.age, 0.0)
+                fields.give_back(cells, self.cells, late)
+            if plan.acting:
+                jumped = self.timeline.plan.changes_at(begin)
+                self.exposures = remainders(plan, exposure, self.exposures, jumped=jumped)
+            typed = self.cells
+            self.cells, rows = mutate_as_found(plan, self.cells, exposure)
+            self.lineage.retype(self.cells.id[rows], self.cells.kind[rows])
+            if changing(plan.acting):
+                exposure.cells = self.cells
+                self.cells = change_types(plan, self.cells, exposure)
+            bind_changed(plan, typed, self.cells, exposure.found, end)
+
+    def _follows(self, begin: float) -> bool:
+        """Return whether more than the ends of a step matters: rates, or a field that has jumped."""
+        return bool(self.plan.acting) or self.timeline.plan.changes_at(begin)
+
+    def _attempt(
+        self, began: Cells, before: Found, begin: float, end: float, until: Any = 1.0
+    ) -> tuple[Exposure, Mask, float]:
+        """Bring the fields through a step with cells until a part of it, (n,), and let some die.
+
+        Returns what cells were exposed to, which have died, and the volume that these have lost.
+        """
+        plan, fields = self.plan, self.field_system
+        with self.phase("nutrient"):
+            followed = plan.exposed if self._follows(begin) else ()
+            fields.advance(self.cells, begin, end, before=began, follow=followed, until=until)
+        with self.phase("biology"):
+            self.cells = self.cells.shared()  # what they were is needed once more
+            held = fields.steady if self.timeline.plan.jumps_at(end) else ()
+            exposure = Exposure(
+                self.cells, self.signals, end - begin, began=began, before=before,
+                inner=fields.courses, held=held,
+            )  # fmt: skip
+            dead, lost = self._decide(exposure)
+        return exposure, dead, lost
+
+    def _decide(self, exposure: Exposure | None = None) -> tuple[Mask, float]:
+        """Let cells turn to another state; return which have died, and the volume lost, µm³.
+
+        By what they were exposed to in the step that has ended, or find at the start of the run.
+        """
+        found = self.signals if exposure is None else exposure.found
+        ahead = self.timeline.ahead
+        return decide(self.plan, self.cells, found, exposure, ahead=ahead, time=self.time)
 
     def _irradiate(self, since: float) -> None:
         """Let cells be hit by what is due since a time in s, and note those that die."""
         if self.plan.radiation:
             cells, found = self.cells, self.concentrations
             self.cells, dead = irradiate(self.plan, cells, found, since, self.time)
-            self.lineage.died(np.sort(self.cells.id[dead]), self.time)
+            self.lineage.died(self.cells, dead, self.time)

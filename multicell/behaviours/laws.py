@@ -34,6 +34,11 @@ class ResponseLaw(ABC):
     def middle(self) -> float:
         """Signal in the middle of the response, by which cells are ranked at the start of a run."""
 
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Signals at which the share jumps or changes its slope at once."""
+        return ()
+
 
 @dataclass(frozen=True)
 class HalfLaw(ResponseLaw):
@@ -84,6 +89,11 @@ class Threshold(HalfLaw):
             return signal < self.half
         return signal > self.half if self.strict else signal >= self.half
 
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """The threshold."""
+        return (self.half,)
+
 
 @final
 @dataclass(frozen=True)
@@ -104,6 +114,11 @@ class Linear(ResponseLaw):
         """Half way."""
         return 0.5 * (self.begin + self.end)
 
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """The ends of the line."""
+        return self.begin, self.end
+
 
 @final
 @dataclass(frozen=True)
@@ -122,6 +137,11 @@ class Table(ResponseLaw):
     def middle(self) -> float:
         """The signal half way between the first and the last point."""
         return 0.5 * (self.points[0][0] + self.points[-1][0])
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """The signals of all points."""
+        return tuple(signal for signal, _ in self.points)
 
 
 @final

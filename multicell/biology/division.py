@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,12 +10,25 @@ import numpy as np
 from multicell import random
 from multicell.biology.cycle import enter_cycle
 from multicell.biology.draws import draw_cycle_times, draw_moduli, drift
+from multicell.biology.exposure import part_until
 from multicell.biology.growth import growing
 from multicell.biology.responding import value_of
-from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
+from multicell.cells import (
+    HALF,
+    HAZARDS,
+    SPHERE,
+    Cells,
+    FloatArray,
+    Found,
+    IntArray,
+    Mask,
+    Phase,
+    State,
+)
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
+    from multicell.biology.exposure import Exposure
     from multicell.biology.plan import BiologyPlan
 
 
@@ -127,6 +141,9 @@ def _daughters(
     daughters.id = ids
     daughters.radius = daughters.radius * HALF
     daughters.doomed = np.maximum(daughters.doomed, 1) - np.int8(1)
+    for name in HAZARDS:  # with thresholds of their own
+        if (column := getattr(daughters, name)) is not None:
+            setattr(daughters, name, np.zeros_like(column))
     since = daughters.progress - daughters.phase_length  # by the clock that brought the mother here
     if mutant is not None:
         mutate(plan, daughters, mutant)
@@ -154,25 +171,45 @@ def _grow_since(
     daughters.radius = np.cbrt(volume / SPHERE)
 
 
-def change_types(plan: BiologyPlan, cells: Cells, found: Found, step: int, dt: float) -> Cells:
-    """Return the cells after those of a step of ``dt`` s have changed that do.
+def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
+    """Return the cells after those have changed their type whose time came in a step.
 
-    With the rates k_j of the types j a living cell changes with the probability 1 - exp(-Σ k dt),
-    and then becomes j with k_j / Σ k: a Markov chain whose rates are held for a step.
+    A living cell changes when the integral of all its rates k_j of becoming type j reaches its
+    threshold, and then becomes j by the share of k_j: a Markov chain. From then on it is exposed as
+    a cell of that type, with a new threshold, and may change again in the same step.
     """
-    rates = _by_type(plan, "change to", found, cells)
-    if rates is None:
-        return cells
-    rates[cells.dead] = 0.0
-    u = random.uniform(plan.seed, Purpose.CHANGE, step, cells.id, 2)
-    total = rates.sum(axis=1)
-    turns = np.flatnonzero(u[:, 0] < -np.expm1(-total * dt))
-    if not turns.size:
-        return cells
-    chosen = (u[turns, 1, None] * total[turns, None] >= np.cumsum(rates[turns], axis=1)).sum(axis=1)
-    after = cells.shared()
-    _become(plan, after, turns, np.minimum(chosen, len(plan.types) - 1))
+    known = tuple(part for name in changing(plan.responses) for part in plan.responses[name])
+    after, rows = cells.shared(), np.flatnonzero(~cells.dead)
+    integral, count = np.zeros(len(cells)), np.zeros(len(cells), dtype=np.int64)
+    if cells.change_hazard is not None:
+        integral += cells.change_hazard
+    if cells.type_changes is not None:
+        count += cells.type_changes
+    exposure, since = exposure[rows], np.zeros(len(rows))
+    while rows.size:
+        rates = exposure.integral(
+            known, lambda found, some: _by_type(plan, "change to", found, some), since
+        )
+        gained = rates.sum(axis=1)
+        part = part_until(plan, Purpose.CHANGE, cells.id[rows], integral[rows], gained, count[rows])
+        integral[rows] += gained
+        turns = np.flatnonzero(np.isfinite(part))
+        rows, exposure = rows[turns], exposure[turns]
+        since = since[turns] + (1.0 - since[turns]) * part[turns]
+        ends = np.cumsum(rates[turns], axis=1)
+        u = random.uniform(plan.seed, Purpose.CHANGE, count[rows], cells.id[rows], attempt=1)
+        kinds = np.minimum((u * ends[:, -1:] >= ends).sum(axis=1), len(plan.types) - 1)
+        _become(plan, after, rows, kinds)
+        exposure.cells.kind = after.kind[rows]
+        integral[rows] = 0.0
+        count[rows] += 1
+    after.change_hazard, after.type_changes = integral, count
     return after
+
+
+def changing(behaviours: Iterable[str]) -> list[str]:
+    """Return which of the behaviours are rates of becoming another type."""
+    return [name for name in behaviours if name.startswith("change to ")]
 
 
 def mutate(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> None:
@@ -180,10 +217,47 @@ def mutate(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> None:
 
     Chances that add up to more than one leave none of the mother's type.
     """
-    u = random.uniform(plan.seed, Purpose.MUTATION, 0, daughters.id)[:, 0]
+    kinds = _kinds_at_birth(plan, daughters, chances)
+    turns = np.flatnonzero(kinds != daughters.kind)
+    _become(plan, daughters, turns, kinds[turns])
+
+
+def _kinds_at_birth(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> IntArray:
+    """Return the types of daughters that are of their mothers', by chances of others (n, types)."""
+    u = random.uniform(plan.seed, Purpose.MUTATION, 0, daughters.id)
     ends = np.cumsum(chances, axis=1)
-    turns = np.flatnonzero(u < ends[:, -1])
-    _become(plan, daughters, turns, (u[turns, None] >= ends[turns]).sum(axis=1))
+    turns = u[:, 0] < ends[:, -1]
+    return np.where(turns, (u >= ends).sum(axis=1), daughters.kind)
+
+
+def mutate_as_found(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> tuple[Cells, IntArray]:
+    """Return cells with the types that daughters of a step have by what they found at their birth.
+
+    When they were born only what their mothers had found at the step's beginning was known. Also
+    returns the rows of those whose type that changes.
+    """
+    known = tuple(
+        part for name, parts in plan.responses.items() if name.startswith("mutation to ")
+        for part in parts
+    )  # fmt: skip
+    none = np.empty(0, dtype=np.int64)
+    if not known or cells.id is exposure.began.id:  # no cell was born
+        return cells, none
+    mothers, row = exposure.began, exposure.row
+    rows = np.flatnonzero((mothers.id[row] != cells.id) & ~cells.dead)
+    if not rows.size:
+        return cells, rows
+    born = exposure[rows]
+    born.cells.kind = mothers.kind[row[rows]]
+    chances = born.at(
+        1.0 - born.cells.age / exposure.length, known,
+        lambda found, some: _by_type(plan, "mutation to", found, some),
+    )  # fmt: skip
+    kinds = _kinds_at_birth(plan, born.cells, chances)
+    wrong = np.flatnonzero(kinds != cells.kind[rows])
+    after = cells.shared()
+    _become(plan, after, rows[wrong], kinds[wrong])
+    return after, rows[wrong]
 
 
 def _by_type(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> FloatArray | None:

@@ -5,9 +5,7 @@ When such a cell divides, the first daughter (the smaller identity) takes its pl
 number of driven cells stays; when it is removed, its place is empty. A motion that names a type,
 or all cells, needs no list.
 
-Velocities act through whole coupling steps. Where one begins or ends within a step of fixed
-length, its mean over the step acts: displacement is right at the step's end. Steps that the run
-chooses end at such moments.
+Velocities act through whole coupling steps, which end where one begins or ends.
 """
 
 from __future__ import annotations

@@ -8,6 +8,9 @@ makes half of what it has noted good in each of the next steps. All of it at onc
 method of Adams and Bashforth, which is stable for half of the steps that Euler's is; half of it is
 stable for three quarters of them (z-transform: for |λ| Δt < 3/2), and only the lag is larger.
 
+A cell that dies has grown until its own time within the step, and shrunk since
+(:func:`multicell.biology.states.die`).
+
 Growth stays between none and twice that of the rates at the beginning of its step: what a cell
 that hardly grows has grown too much stays noted. Decisions to rest fall on the end of the step
 that is nearest to their time (:func:`multicell.biology.states.deciding`), and are not counted.
@@ -15,7 +18,7 @@ that is nearest to their time (:func:`multicell.biology.states.deciding`), and a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,16 +95,24 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
             share = np.where(grow, dt * factor / cells.cycle_time, 0.0)
             volume = np.where(grow, law.volume_after(volume, share, birth), volume)
     if plan.death is not None and np.count_nonzero(cells.dead):
-        necrotic = cells.state == State.NECROTIC
-        volume[necrotic] *= _necrotic_factor(plan.death, cells.age[necrotic], dt)
-        volume[cells.state == State.APOPTOTIC] *= np.exp(-dt / plan.death.apoptosis_time)
+        dead = np.flatnonzero(cells.dead)
+        volume[dead] *= shrunk(plan.death, cells.state[dead], cells.age[dead], dt)
     return volume
 
 
-def _necrotic_factor(death: Death, since: FloatArray, dt: float) -> FloatArray:
+def shrunk(death: Death, state: NDArray[np.int8], since: Any, dt: Any) -> FloatArray:
+    """Return the volume of dead cells after ``dt`` s over that now, a time ``since`` death, (n,).
+
+    - ``state``, (n,): values of :class:`multicell.cells.State`
+    """
+    lost = _necrotic_factor(death, np.broadcast_to(since, state.shape), dt)
+    return np.where(state == State.NECROTIC, lost, np.exp(-dt / death.apoptosis_time))
+
+
+def _necrotic_factor(death: Death, since: FloatArray, dt: Any) -> FloatArray:
     """Return the volume of necrotic cells after ``dt`` over that now, a time ``since`` death."""
     if death.swelling == 1.0:
-        return np.full_like(since, np.exp(-dt / death.lysis_time))
+        return np.broadcast_to(np.exp(-dt / death.lysis_time), since.shape)
     swelling = np.clip(death.swelling_time - since, 0.0, dt)
     rate = np.log(death.swelling) / death.swelling_time
     return np.asarray(np.exp(rate * swelling - (dt - swelling) / death.lysis_time))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
-from multicell.biology.responding import bind_responses, missing_signals
+from multicell.biology.responding import acting, bind_responses, exposed, missing_signals
 from multicell.cells import Mask, Phase
 from multicell.scene.sizes import birth_volume, division_volume
 from multicell.units import oxygen_solubility
@@ -52,6 +52,8 @@ class BiologyPlan:
     - ``may_rest``: whether anything lets cells rest, or makes a field that they may wake up in
     - ``base_rates``, name -> 1/s: the rate of apoptosis without responses, where cells die so at
       all
+    - ``acting``: behaviours that are rates, which act by their integral over a step
+    - ``exposed``: signals that these and what kills at once depend on
     - ``growth_follows_state``: whether growth depends on more than fields and pressure at a cell of
       a type
     - ``elsewhere``: signals that neither fields nor cells carry: time, and numbers of neighbours
@@ -82,6 +84,8 @@ class BiologyPlan:
     responses: Mapping[str, tuple[BoundResponse, ...]]
     may_rest: bool
     base_rates: Mapping[str, float]
+    acting: tuple[str, ...]
+    exposed: frozenset[str]
     growth_follows_state: bool
     elsewhere: frozenset[str]
     inflow: float
@@ -136,6 +140,8 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         responses=known,
         may_rest=bool(scene.nutrients) or "rest" in known,
         base_rates={"apoptosis rate": rate} if rate or "apoptosis rate" in known else {},
+        acting=acting(known),
+        exposed=exposed(known),
         growth_follows_state=not growth_signals <= {"pressure", *scene.nutrients},
         elsewhere=missing_signals(known),
         inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,

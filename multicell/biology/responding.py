@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 
 _OF_CELLS: Final = ("age", "volume", "radius")
+_RATES: Final = ("apoptosis rate", "damage rate")
 
 
 Level = Callable[["Found", "Cells | None", "FloatArray | None"], Any]
@@ -273,6 +274,32 @@ def rate_of_harm(
         new = np.maximum(before, value) if part.effect.short else before + value
         hazard = new if part.mask is None else np.where(part.mask[_kind(cells)], new, before)
     return hazard
+
+
+def rate_of(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> FloatArray:
+    """Return the rate of one of the behaviours that act by a rate, of each cell, (n,) 1/s."""
+    if behaviour in ("necrosis rate", "damage rate"):
+        rate = rate_of_harm(plan, behaviour, found, cells)
+    else:
+        rate = value_of(plan, behaviour, plan.base_rates.get(behaviour, 0.0), found, cells)
+    return np.zeros(len(cells)) if rate is None else rate
+
+
+def acting(responses: Mapping[str, Known]) -> tuple[str, ...]:
+    """Return the behaviours that are rates, but for one that is death at once or none."""
+
+    def acts(name: str, known: Known) -> bool:
+        if name == "necrosis rate":
+            return any(not math.isinf(part.effect.high) for part in known)
+        return name in _RATES or name.startswith("change to ")
+
+    return tuple(name for name, known in responses.items() if acts(name, known))
+
+
+def exposed(responses: Mapping[str, Known]) -> frozenset[str]:
+    """Return the signals that rates depend on, and death at once."""
+    names = {*acting(responses), "necrosis rate"} & responses.keys()
+    return frozenset(signal for name in names for part in responses[name] for signal in part.needs)
 
 
 def missing_signals(responses: Mapping[str, tuple[BoundResponse, ...]]) -> frozenset[str]:

@@ -10,6 +10,8 @@ rests. So each cell decides at birth and then once in a reaction time, at times 
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +19,14 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.division import ROUNDING, due_to_divide
-from multicell.biology.responding import rate_of_harm, value_of, wants_rest
-from multicell.cells import Cells, FloatArray, Found, Mask, Phase, State
+from multicell.biology.exposure import finite_rate, part_until_death
+from multicell.biology.growth import shrunk
+from multicell.biology.responding import rate_of, rate_of_harm, wants_rest
+from multicell.cells import SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
+    from multicell.biology.exposure import Exposure
     from multicell.biology.plan import BiologyPlan
     from multicell.scene.radiation import Radiation
 
@@ -31,21 +36,32 @@ _GOLDEN = float(0.5 * (np.sqrt(5.0) - 1.0))
 _GROWING, _RESTING, _NECROTIC, _APOPTOTIC = (np.int8(state) for state in State)
 
 
+Deaths = tuple[FloatArray | None, FloatArray | None]
+"""Parts of the last step after which cells die by necrosis and by apoptosis, (n,); infinite: not.
+
+None where nobody does."""
+
+
 def update_states(
-    plan: BiologyPlan, cells: Cells, found: Found, step: int = 0, dt: float = 0.0, time: float = 0.0
+    plan: BiologyPlan,
+    cells: Cells,
+    found: Found,
+    dying: Deaths | None = None,
+    *,
+    dt: float | None = None,
+    ahead: float | None = None,
 ) -> NDArray[np.int8]:
     """Return the new state of each cell.
 
-    A cell turns necrotic at the rate that its responses give (a threshold: at once;
-    :func:`necrotic`) or with as much damage as it bears, and stays so for ever; one whose life by
-    apoptosis has run out turns apoptotic, and so does one at the end of its cycle that irradiation
-    has doomed to die in place of this division. Another cell that is due to decide
+    One that is dying (:func:`deaths`) turns necrotic or apoptotic, and stays so for ever.
+    Another cell that is due to decide
     (:func:`deciding`) rests (quiescent) if a response lets it
     (:func:`multicell.biology.responding.wants_rest`), and proliferates if none does. Where nothing
     lets cells rest, their states stay as they are.
 
-    - ``step``, ``dt``, ``time``: number of the coupling step that has ended, its length and its
-      end, s; 0 at the start of a run
+    - ``dying``: from :func:`deaths`; absent: those who find what kills at once
+    - ``dt``, ``ahead``: lengths of the step that has ended and of the next one, s; absent: the
+      usual one
 
     Returns (n,) int8: values of :class:`multicell.cells.State`; ``cells`` is not changed.
     """
@@ -53,24 +69,112 @@ def update_states(
     if plan.may_rest and not plan.restricted:
         wanted = np.where(wants_rest(plan, cells, found), _RESTING, _GROWING)
         if np.count_nonzero(wanted != state):  # else it does not matter who is due
-            due = deciding(cells, plan.step, plan.cells.reaction_time)
+            due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
             state = np.where(due, wanted, state)
-    hazard = rate_of_harm(plan, "necrosis rate", found, cells)
-    necrosis, apoptosis = cells.state == _NECROTIC, cells.state == _APOPTOTIC
-    if plan.growth is not None and np.count_nonzero(last := cells.doomed == 1):
-        apoptosis |= last & due_to_divide(plan, cells)
-    if "apoptosis rate" in plan.base_rates:
-        apoptosis |= apoptotic(plan, cells, found, step, dt, time) & ~cells.dead
-    if "damage rate" in plan.responses:
-        necrosis |= cells.damage >= 1.0 - ROUNDING
-    if hazard is not None and np.count_nonzero(hazard):
-        necrosis |= necrotic(plan, cells, hazard, step, dt)
-    state[necrosis] = _NECROTIC
-    state[apoptosis] = _APOPTOTIC
+    necrosis, apoptosis = deaths(plan, cells, found) if dying is None else dying
+    for new, part in ((_NECROTIC, necrosis), (_APOPTOTIC, apoptosis)):
+        state[cells.state == new] = new
+        if part is not None:
+            state[np.isfinite(part) & ~cells.dead] = new
     return state
 
 
-def deciding(cells: Cells, dt: float, reaction_time: float) -> Mask:
+def deaths(
+    plan: BiologyPlan,
+    cells: Cells,
+    found: Found,
+    exposure: Exposure | None = None,
+    time: float = 0.0,
+) -> Deaths:
+    """Return when in the last step cells die; integrals of rates are noted in ``cells``.
+
+    By necrosis where they find what kills at once, by the rate that their responses give, or with
+    as much damage as they bear. By apoptosis at the end of their lives, and at the end of the cycle
+    where irradiation has doomed them to die in place of this division.
+
+    - ``exposure``: to the signals of the step; absent at the start of a run
+    - ``time``: the end of that step, s; 0 at the start of a run
+    """
+    necrosis = apoptosis = None
+    if "necrosis rate" in plan.responses:
+        necrosis = _earlier(necrosis, necrotic(plan, cells, found, exposure))
+    if exposure is not None and "damage rate" in plan.responses:
+        necrosis = _earlier(necrosis, take_damage(plan, cells, exposure))
+    if plan.growth is not None and np.count_nonzero(last := cells.doomed == 1):
+        due = np.flatnonzero(last & due_to_divide(plan, cells))
+        apoptosis = _earlier(apoptosis, _only(due, _since_due(plan, cells, exposure, due), cells))
+    if "apoptosis rate" in plan.base_rates:
+        apoptosis = _earlier(apoptosis, apoptotic(plan, cells, exposure, time))
+    return necrosis, apoptosis
+
+
+def _earlier(first: FloatArray | None, second: FloatArray | None) -> FloatArray | None:
+    if first is None or second is None:
+        return second if first is None else first
+    return np.minimum(first, second)
+
+
+def _only(rows: IntArray, part: FloatArray, cells: Cells) -> FloatArray:
+    """Return the parts of some cells, infinite for the others, (n,)."""
+    every = np.full(len(cells), np.inf)
+    every[rows] = part
+    return every
+
+
+def _since_due(
+    plan: BiologyPlan, cells: Cells, exposure: Exposure | None, rows: IntArray
+) -> FloatArray:
+    """Return at which part of a step cells came to the end of their cycle, (k,)."""
+    if exposure is None:
+        return np.ones(len(rows))
+    if plan.phased:
+        over = (cells.progress[rows] - cells.phase_length[rows]) / exposure.length
+        return np.clip(1.0 - over, 0.0, 1.0)
+    first, last = (exposure[rows].volume_at(np.full(len(rows), end)) for end in (0.0, 1.0))
+    grown = np.where(last > first, last - first, 1.0)
+    return np.clip((plan.division_volume - first) / grown, 0.0, 1.0)
+
+
+def die(
+    plan: BiologyPlan, cells: Cells, died: Mask, dying: Deaths, exposure: Exposure | None
+) -> float:
+    """Let cells that have died be dead since their time in the step; return the volume lost, µm³.
+
+    They have grown until then, and shrunk since.
+    """
+    part, since_birth = _earlier(*dying), cells.age
+    cells.age = np.where(died, 0.0, since_birth)
+    if exposure is None or part is None or plan.death is None:
+        return 0.0
+    rows = np.flatnonzero(died)
+    volume = exposure[rows].volume_at(part[rows])
+    cells.age[rows] = np.minimum((1.0 - part[rows]) * exposure.length, since_birth[rows])
+    left = volume * shrunk(plan.death, cells.state[rows], 0.0, cells.age[rows])
+    cells.radius = cells.radius.copy()
+    cells.radius[rows] = np.cbrt(left / SPHERE)
+    return float((volume - left).sum())
+
+
+def rest_from_birth(cells: Cells, before: NDArray[np.int8], exposure: Exposure) -> None:
+    """Let daughters of a step that come to rest at its end have rested since they were born.
+
+    Others decide at the end that is nearest to their time, and neither early nor late on average;
+    daughters would always be late.
+
+    - ``before``, (n,): states until now
+    """
+    if cells.id is exposure.began.id:  # no cell was born
+        return
+    rests = (cells.state == _RESTING) & (before == _GROWING)
+    rows = np.flatnonzero(rests & (exposure.began.id[exposure.row] != cells.id))
+    if rows.size:
+        birth = np.maximum(1.0 - cells.age[rows] / exposure.length, 0.0)
+        volume = exposure[rows].volume_at(birth)
+        cells.radius = cells.radius.copy()
+        cells.radius[rows] = np.cbrt(volume / SPHERE)
+
+
+def deciding(cells: Cells, dt: float, reaction_time: float, ahead: float | None = None) -> Mask:
     """Return which cells decide in a step of length ``dt`` (s) that ends now, (n,).
 
     A cell decides at birth and whenever its age passes a multiple of the reaction time, shifted by
@@ -78,73 +182,110 @@ def deciding(cells: Cells, dt: float, reaction_time: float) -> Mask:
     and far apart for sisters. It does so at the end of the step that is nearest to that moment, so
     that decisions are neither late nor early on average. With a reaction time up to ``dt`` every
     cell decides in every step.
+
+    ``ahead`` is the length of the next step, s; absent: as that of this one.
     """
     shift = (cells.id + 1) * _GOLDEN % 1.0
-    now = np.floor((cells.age + 0.5 * dt) / reaction_time + shift)
+    now = np.floor((cells.age + 0.5 * (dt if ahead is None else ahead)) / reaction_time + shift)
     before = np.floor((cells.age - 0.5 * dt) / reaction_time + shift)
     return np.asarray((now > before) | (cells.age < dt))
 
 
 def apoptotic(
-    plan: BiologyPlan, cells: Cells, found: Found, step: int, dt: float, time: float
-) -> Mask:
-    """Return which cells have reached the end of their life by apoptosis, (n,).
+    plan: BiologyPlan, cells: Cells, exposure: Exposure | None, time: float
+) -> FloatArray | None:
+    """Return at which part of a step living cells come to the end of their life, (n,).
 
     With a constant rate k lives are distributed exponentially. Each cell draws its own once, keyed
     by its identity, and dies when the time that it has lived in the run passes it: since its birth,
     or since the start for a cell that was there then. An exponential life has no memory, so the age
     of a cell at the start says nothing about what remains. Survivors are N exp(-kt) from t = 0 on,
     and the outcome knows nothing of the coupling step but for the moment at which the death is
-    noticed. With a rate that responds to signals each cell dies in a step with the probability
-    1 - exp(-k dt).
+    noticed. A rate that responds to signals counts by its integral, against the same draw.
 
-    - ``step``, ``dt``: number of the coupling step that ends, and its length, s
+    ``time`` is the end of the step, s.
     """
     rate = plan.base_rates["apoptosis rate"]
-    hazard = value_of(plan, "apoptosis rate", rate, found, cells)
-    if hazard is not None:
-        u = random.uniform(plan.seed, Purpose.APOPTOSIS, step + 1, cells.id)[:, 0]
-        return np.asarray(u < -np.expm1(-hazard * dt))
-    u = random.uniform(plan.seed, Purpose.APOPTOSIS, 0, cells.id)[:, 0]
+    known = plan.responses.get("apoptosis rate")
+    if exposure is not None and known is not None:
+        gained = exposure.integral(known, partial(rate_of, plan, "apoptosis rate"))
+        return part_until_death(plan, Purpose.APOPTOSIS, cells, "apoptosis_hazard", gained)
+    if known is not None:
+        return None
     # who was there at the start is older than the run, who was born in it is younger
-    lived = np.minimum(cells.age, time)
-    return np.asarray(lived * rate > -np.log1p(-u))
+    lived = np.minimum(cells.age, time) * rate
+    life = random.thresholds(plan.seed, Purpose.APOPTOSIS, 0, cells.id)
+    over = np.flatnonzero((lived > life) & ~cells.dead)
+    if not over.size:
+        return None
+    late = (lived[over] - life[over]) / rate
+    part = 1.0 - late / exposure.length if exposure is not None else np.ones(len(over))
+    return _only(over, np.maximum(part, 0.0), cells)
 
 
-def necrotic(plan: BiologyPlan, cells: Cells, hazard: FloatArray, step: int, dt: float) -> Mask:
-    """Return which of the cells die by necrosis, (n,).
+def necrotic(
+    plan: BiologyPlan, cells: Cells, found: Found, exposure: Exposure | None
+) -> FloatArray | None:
+    """Return at which part of a step living cells die by necrosis, (n,).
 
-    All with an infinite rate; with another rate k each cell dies in a time dt with the probability
-    1 - exp(-k dt). Times until death are distributed exponentially whatever the coupling step.
-
-    - ``hazard``, (n,), 1/s: from :func:`multicell.biology.responding.rate_of_harm`
-    - ``dt``: time since the last decision, s
+    Where they first find what kills at once; and where the integral of their rate reaches a
+    threshold, so that times until death are distributed exponentially whatever the coupling step.
     """
-    dies = np.isinf(hazard)
-    at_rate = (hazard > 0.0) & ~dies
-    if at_rate.any():
-        u = random.uniform(plan.seed, Purpose.NECROSIS, step, cells.id[at_rate])[:, 0]
-        dies[at_rate] = u < -np.expm1(-hazard[at_rate] * dt)
-    return dies
+    known, part = plan.responses["necrosis rate"], None
+    if any(math.isinf(response.effect.high) for response in known):
+        hazard = rate_of_harm(plan, "necrosis rate", found, cells)
+        now = np.zeros(len(cells), dtype=np.bool_) if hazard is None else np.isinf(hazard)
+        rows = np.flatnonzero(
+            ~cells.dead & (now if exposure is None or not exposure.inner else True)
+        )
+        if rows.size:
+            first = np.full(len(rows), np.inf)
+            if exposure is not None:
+                first = exposure[rows].first_infinite(
+                    known, partial(rate_of, plan, "necrosis rate")
+                )
+            part = _only(rows, np.where(now[rows], np.minimum(first, 1.0), first), cells)
+    if exposure is not None and "necrosis rate" in plan.acting:
+        gained = exposure.integral(known, partial(finite_rate, plan, "necrosis rate"))
+        by_rate = part_until_death(plan, Purpose.NECROSIS, cells, "necrosis_hazard", gained)
+        part = _earlier(part, by_rate)
+    return part
 
 
-def damage_after(plan: BiologyPlan, cells: Cells, found: Found, dt: float) -> FloatArray:
-    """Return the damage of the cells after a time ``dt`` (s), (n,), in parts of what kills them.
+def take_damage(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> FloatArray:
+    """Let cells take damage in a step; return after which part of it they bear no more, (n,).
 
-    dD/dt = k/θ, with the damage rate k held for the step and the tolerance θ of the cell (gamma,
-    mean 1, drawn once by its identity). The dead keep theirs.
+    Damage counts in parts of what kills a cell: dD/dt = k/θ, with the damage rate k and the
+    tolerance θ of the cell (gamma, mean 1, drawn once by its identity). The dead keep theirs.
     """
-    rate = rate_of_harm(plan, "damage rate", found, cells)
-    death, dead = plan.death, cells.dead
-    if rate is None or not (rate.any() or cells.damage.any()):
-        return cells.damage
-    if death is not None and death.damage_variation > 0.0:
-        from scipy.special import gammainccinv  # loaded where it is used
+    before = cells.damage
+    known, rate = plan.responses["damage rate"], partial(rate_of, plan, "damage rate")
+    gained = np.where(cells.dead, 0.0, exposure.integral(known, rate))
+    hit = np.flatnonzero(gained)
+    if plan.death is not None and plan.death.damage_variation > 0.0 and hit.size:
+        born = hit[exposure.began.id[exposure.row[hit]] != cells.id[hit]]
+        # before it was born a daughter bore what its mother does
+        since = 1.0 - cells.age[born] / exposure.length
+        later = exposure[born].integral(known, rate, since)
+        earlier = (gained[born] - later) / _tolerance(plan, cells.parent[born])
+        gained[born] = later
+        gained[hit] /= _tolerance(plan, cells.id[hit])
+        gained[born] += earlier
+    if gained.any():
+        cells.damage = before + gained
+    most = 1.0 - ROUNDING
+    left = np.divide(most - before, gained, out=np.zeros(len(cells)), where=gained > 0.0)
+    return np.where((cells.damage >= most) & ~cells.dead, np.maximum(left, 0.0), np.inf)
 
-        hit, shape = np.flatnonzero(rate), death.damage_variation**-2
-        u = random.uniform(plan.seed, Purpose.TOLERANCE, 0, cells.id[hit])[:, 0]
-        rate[hit] *= shape / gammainccinv(shape, u)
-    return np.where(dead, cells.damage, cells.damage + rate * dt)
+
+def _tolerance(plan: BiologyPlan, ids: IntArray) -> FloatArray:
+    """Return the damage that cells bear over that of a mean one, (n,)."""
+    from scipy.special import gammainccinv  # loaded where it is used
+
+    assert plan.death is not None
+    shape = plan.death.damage_variation**-2
+    u = random.uniform(plan.seed, Purpose.TOLERANCE, 0, ids)[:, 0]
+    return np.asarray(gammainccinv(shape, u) / shape)
 
 
 def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:

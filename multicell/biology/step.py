@@ -15,12 +15,20 @@ from multicell.biology.division import divide
 from multicell.biology.growth import corrected_factor, volumes_after
 from multicell.biology.motion import bond_levels
 from multicell.biology.responding import wants_rest
-from multicell.biology.states import damage_after, deciding, remove_lysed, update_states
+from multicell.biology.states import (
+    deaths,
+    deciding,
+    die,
+    remove_lysed,
+    rest_from_birth,
+    update_states,
+)
 from multicell.cells import SPHERE, Cells, FloatArray, Found, Mask, rows_before
 from multicell.scene.domain import check_inside
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
+    from multicell.biology.exposure import Exposure
     from multicell.biology.plan import BiologyPlan
 
 
@@ -145,22 +153,30 @@ def divide_and_remove(
 def decide(
     plan: BiologyPlan,
     cells: Cells,
-    concentrations: Found,
-    step: int,
-    dt: float,
-    time: float,
-) -> Mask:
-    """Set damage and states of cells by what they find; return which have died, (n,) bool."""
-    before = cells.state
-    if "damage rate" in plan.responses:
-        cells.damage = damage_after(plan, cells, concentrations, dt)
-    cells.state = update_states(plan, cells, concentrations, step, dt, time)
+    found: Found,
+    exposure: Exposure | None = None,
+    *,
+    ahead: float | None = None,
+    time: float = 0.0,
+) -> tuple[Mask, float]:
+    """Set damage and states of cells by what they find.
+
+    - ``exposure``: to the signals of the step that has ended; absent at the start of a run
+    - ``ahead``: length of the next step, s; absent: the usual one
+    - ``time``: the end of the step that has ended, s
+
+    Returns which cells have died, (n,) bool, and the volume that they have lost since, µm³.
+    """
+    before, dt = cells.state, None if exposure is None else exposure.length
+    dying = deaths(plan, cells, found, exposure, time)
+    cells.state = update_states(plan, cells, found, dying, dt=dt, ahead=ahead)
+    if exposure is not None and not plan.restricted:
+        rest_from_birth(cells, before, exposure)
     if plan.restricted:
-        due = deciding(cells, plan.step, plan.cells.reaction_time)
-        well = ~wants_rest(plan, cells, concentrations)
+        due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
+        well = ~wants_rest(plan, cells, found)
         leave_rest(plan, cells, due & well)
-    died = cells.state != before
-    if np.count_nonzero(died):
-        died &= cells.dead
-        cells.age = np.where(died, 0.0, cells.age)
-    return np.asarray(died)
+    died, lost = cells.state != before, 0.0
+    if np.count_nonzero(died) and np.count_nonzero(died := died & cells.dead):
+        lost = die(plan, cells, died, dying, exposure)
+    return np.asarray(died), lost

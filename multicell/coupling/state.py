@@ -20,7 +20,7 @@ from multicell.nutrient.fields import FieldSystem
 from multicell.results.frame import Frame, Progress
 from multicell.results.lineage import Lineage
 from multicell.scene.domain import check_start
-from multicell.scene.scales import step_plan
+from multicell.scene.steps import step_plan
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _NOTED: Final = (
     "divisions", "removals", "released", "separation", "next_id", "unsorted", "first_states",
+    "exposures",
 )  # fmt: skip
 """What a run notes beside its cells; a frame's progress has entries of the same names."""
 
@@ -71,6 +72,8 @@ class RunState(ABC):
     - ``stability``, Stability: how far a fixed step was from its limit, where it has one
     - ``first_states``, name -> int: cells that rested and were dead at the start, as it found them,
       and whose state does not fit the field
+    - ``exposures``: how many events are too many by the length of steps, and what that is estimated
+      from (:func:`multicell.biology.exposure.remainders`)
     - ``named``, table of the scene -> (k,) identities: cells that are driven from outside because
       of who or where they were at the start
     - ``plan``, BiologyPlan: what biology needs of the scene
@@ -96,12 +99,13 @@ class RunState(ABC):
         self.scene, self.mover, self.field_system = scene, mover, fields
         self.plan = plan
         self.wall = dict.fromkeys(PHASES, 0.0)
-        self.timeline = Timeline.at_start(step_plan(scene))
+        self.timeline = Timeline(step_plan(scene))
         self.divisions = self.removals = 0
         self.released = 0.0
         self.replays: Replays | None = Replays()
         self.stability = Stability()
         self.first_states: Mapping[str, int] = {}
+        self.exposures: Mapping[str, float] = {}
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: Mapping[str, float] | None = None
         self.named: dict[str, IntArray] = {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time as clock
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
@@ -10,7 +9,7 @@ from multicell.compiling import COMPILATION
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
-    from multicell.scene.scales import StepPlan
+    from multicell.scene.steps import StepPlan
 
 
 @final
@@ -19,51 +18,41 @@ class Timeline(NamedTuple):
 
     - ``plan``: its coupling steps
     - ``step``: number of coupling steps done
-    - ``origin``, (step, s): from which steps count
+    - ``time``, s: simulated
     """
 
     plan: StepPlan
-    step: int
-    origin: tuple[int, float]
-
-    @classmethod
-    def at_start(cls, plan: StepPlan) -> Timeline:
-        """Return the beginning of a run."""
-        return cls(plan, 0, (0, 0.0))
+    step: int = 0
+    time: float = 0.0
 
     @classmethod
     def at_frame(cls, plan: StepPlan, frame: Frame) -> Timeline:
         """Return the time of a frame that a run is resumed from."""
-        # a run whose last step was a shorter one has been prolonged: count from here
-        shorter = frame.time != frame.step * plan.step
-        return cls(plan, frame.step, (frame.step, frame.time) if shorter else (0, 0.0))
+        return cls(plan, frame.step, frame.time)
 
     def after_step(self) -> Timeline:
         """Return the time after the next step."""
-        return Timeline(self.plan, self.step + 1, self.origin)
-
-    @property
-    def time(self) -> float:
-        """Simulated time, s: whole steps from the start or a prolonged end, or the run's end."""
-        step, time = self.origin
-        return min(time + (self.step - step) * self.plan.step, self.plan.duration)
+        return Timeline(self.plan, self.step + 1, self.next_time)
 
     @property
     def next_time(self) -> float:
         """The end of the next coupling step, s."""
-        return min(self.time + self.plan.step, self.plan.duration)
+        return self.plan.end_after(self.time)
+
+    @property
+    def ahead(self) -> float:
+        """Length of the next coupling step, s, also where the run ends before it."""
+        return self.plan.next_end(self.time) - self.time
 
     @property
     def steps(self) -> int:
         """Number of coupling steps to the run's end."""
-        step, time = self.origin
-        ahead = (self.plan.duration - time) / self.plan.step
-        return max(1, step + math.ceil(ahead * (1.0 - 1e-12)))
+        return self.step + self.plan.steps_after(self.time)
 
     @property
     def is_over(self) -> bool:
         """Whether the duration is reached."""
-        return self.step >= self.steps
+        return self.time >= self.plan.duration
 
 
 PHASES: Final = ("compile", "nutrient", "biology", "mechanics", "events", "record")

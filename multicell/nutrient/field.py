@@ -147,6 +147,13 @@ class NutrientField:
         )
         return np.asarray(capacity * share)
 
+    def put(self, reached: FloatArray, amount: FloatArray) -> float:
+        """Add amounts of the cells (n,), amol, at positions on the grid; return the sum of all."""
+        before = self.stored()
+        values = self.values + self.layout.scatter(reached, amount).reshape(self.values.shape)
+        self.take(self.layout, values, self._conditions)
+        return self.stored() - before
+
     def stored(self) -> float:
         """Return what the field holds, amol."""
         return float((self.layout.volumes * self.values).sum())

@@ -9,8 +9,9 @@ the cells: each field may have a grid and a geometry of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -56,6 +57,9 @@ class FieldSystem:
       order of solving
     - ``ledger``, name -> Ledger
     - ``concentrations``, name -> (n,) float64, mM: at the cells of the last call
+    - ``courses``, name -> parts of the last step, (m,), and concentrations then, (m, n) mM, at the
+      cells' places at its end: of fields that were followed through it
+    - ``steady``: names of the fields that are solved as steady, also with a finite medium
 
     Raises SceneError for reactions that do not fit the fields.
     """
@@ -84,12 +88,14 @@ class FieldSystem:
         }
         self._resting = {name for name in self.order if self._rests(name)}
         self._marched = [name for name in self.order if name not in self._resting]
+        self.steady = [n for n, x in self.fields.items() if x.parameters.regime == "steady"]
         around = circles(scene.nutrients, known, scene.responses)
         self._circles = {x[-1]: x for x in map(tuple, around.values()) if len(x) > 1}
         self._changes: dict[str, Mapping[str, float]] = {}  # of geometry, as frames store them
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, Exchange] = {}
+        self.courses: dict[str, tuple[FloatArray, FloatArray]] = {}
         self._uptake: dict[str, FloatArray] = {}
         self._sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
 
@@ -151,15 +157,19 @@ class FieldSystem:
             self.reports |= group.solve(tissue, demand, time=time)
         else:
             group.fill(tissue, time=time)
-        none = None if group.kinetics is None else 0.0
         for name in group.names:
             field = self.fields[name]
-            self.ledger[name].add(Exchange(made=none, used=none))
+            self.ledger[name].add(self._none(name))
             self.ledger[name].fill(field.stored())
             if self._nutrients[name].finite_medium is not None:
                 field.attach_medium()
             self.ledger[name].note(field.well_mixed)
             self._sample(name, group, cells, demand[name][0])
+
+    @property
+    def marches(self) -> bool:
+        """Whether any field is brought through time, and not solved as steady at its moments."""
+        return bool(self._marched)
 
     def reacts(self, name: str) -> bool:
         """Return whether a field takes part in reactions."""
@@ -173,14 +183,27 @@ class FieldSystem:
         return self.fields[name].parameters.regime == "steady" and not finite
 
     def advance(
-        self, cells: Cells, begin: float, end: float, *, before: Cells | None = None
+        self,
+        cells: Cells,
+        begin: float,
+        end: float,
+        *,
+        before: Cells | None = None,
+        follow: Collection[str] = (),
+        until: Any = 1.0,
     ) -> None:
         """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
 
         What a steady field exchanged in this time is what its solution of ``begin`` said. With
         transient ones each cell exchanges the mean of the step, at its place at the end;
         ``before`` are the cells at the beginning.
+
+        - ``follow``: fields of which, where they are transient, ``courses`` are to keep what cells
+          find on the way
+        - ``until``, (n,) or a number: part of the step after which cells exchange nothing with
+          transient fields
         """
+        self.courses = {}
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
         if before is not None and self._marched:
@@ -190,6 +213,7 @@ class FieldSystem:
                         before.position, self._capacity(name, before, self.concentrations)
                     )
             row, earlier, shares = _shares(before, cells, end - begin)
+            earlier, shares = until * earlier, until * shares
             for name in self._marched:
                 one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
@@ -198,8 +222,27 @@ class FieldSystem:
             found = {x: self.fields[x].sample(cells.position) for x in names}
             self.concentrations = {**self.concentrations, **found}
         for group in self.groups:
+            followed = [name for name in group.names if name in follow and name in self._marched]
+            seen: list[tuple[float, list[FloatArray]]] = []
+            group.watch = partial(self._follow, group, seen) if followed else None
             self._advance(group, cells, tissue, begin, end, began, shares)
             self._settle(group, cells, tissue, end)
+            for name in followed:
+                times = np.array([(time - begin) / (end - begin) for time, _ in seen])
+                values = np.stack([found[group.names.index(name)] for _, found in seen])
+                self.courses[name] = times, values
+
+    def _follow(
+        self, group: FieldGroup, seen: list[tuple[float, list[FloatArray]]], time: float,
+        nodes: FloatArray,
+    ) -> None:  # fmt: skip
+        """Note what cells find of a group's fields on the way, whose values are given."""
+        layout, found = group.layout, []
+        for values, field in zip(nodes, group.fields.values(), strict=True):
+            conditions = field.parameters.conditions(layout, field.level(time))
+            found.append(layout.read(group.position, values, conditions))
+        if not seen or time > seen[-1][0]:
+            seen.append((time, found))
 
     def _advance(
         self,
@@ -239,6 +282,30 @@ class FieldSystem:
                 number = self._changes.get(name, {"changes": 0})["changes"] + 1
                 self._changes[name] = {"changes": number, "changed_at": end}
             self._sample(name, group, cells, demand[name][0])
+
+    def give_back(self, cells: Cells, after: Cells, late: FloatArray) -> None:
+        """Give transient fields back what cells have taken up after they died or came to rest.
+
+        - ``cells``, ``after``: before and after that
+        - ``late``, (n,) s: how long before the end of the last step it was; zero of others
+        """
+        for group in (one for one in self.groups if one.names[0] in self._marched):
+            for name in group.names:
+                field = self.fields[name]
+                if field.parameters.regime == "steady":
+                    continue  # it has been solved with what the field holds and its medium
+                capacity, _ = self.demand(name, after)
+                excess = np.maximum(self.demand(name, cells)[0] - capacity, 0.0)
+                amount = late * field.uptake(cells.position, excess)
+                total = field.put(group.position, amount)
+                self.ledger[name].add(self._none(name)._replace(uptake=-total), stored=total)
+                self.ledger[name].fill(field.stored())
+                self._sample(name, group, cells, capacity)
+
+    def _none(self, name: str) -> Exchange:
+        """Return the account of a field to which nothing happens."""
+        none = 0.0 if self.reacts(name) else None
+        return Exchange(made=none, used=none)
 
     def snapshot(self) -> dict[str, Any]:
         """Return what :meth:`undo` needs to undo an :meth:`advance`."""

@@ -50,6 +50,9 @@ evaluations: what the field's solver leaves over may be as much."""
 
 _PATIENCE: Final = 15
 
+_ROUNDING: Final = 1e-12
+"""Part of what a field holds below which what its grid has enclosed anew is rounding."""
+
 
 def advance(
     group: FieldGroup, tissue: Tissue, demand: Demand, begin: float, end: float
@@ -91,6 +94,8 @@ class _Exchange:
         assert medium is not None
         volume = beyond(self.field.name, self.nutrient, group.layout.whole)
         amount = medium.amount - (0.0 if self.steady else float(self.relaid[self.row]))
+        if abs(amount) <= _ROUNDING * float(self.before[self.row]):
+            amount = max(amount, 0.0)  # of an empty medium rounding of what the grid holds is left
         if not amount >= 0.0:
             name = self.field.name
             problem = f"the grid of {name} came to enclose more than its finite medium holds"
@@ -120,11 +125,12 @@ class _Exchange:
             equation = kind(self.group, self.row, self.medium, self.guess)
             state: Any = SimpleNamespace(data=equation.data(self.total))
             nutrients = [field.parameters.nutrient for field in self.group.fields.values()]
-            solver = SolverBase.from_name(
+            solver: Any = SolverBase.from_name(
                 "multicell-march", equation,  # type: ignore[arg-type]
                 tolerance=min(n.time_tolerance for n in nutrients),
             )  # fmt: skip
             first = end - self.now if self.steady else None
+            solver.watch = self._watch if self.group.watch is not None else None
             solver.make_stepper(state, first)(state, self.now, end)
             self.group.info = solver.info
             self._enter(solver.info)
@@ -132,6 +138,12 @@ class _Exchange:
             self.now = end
         if self.steady:
             self._settle()
+
+    def _watch(self, time: float, data: FloatArray) -> None:
+        """Hand on the values of the nodes on the way, of steady fields those of the last solve."""
+        assert self.group.watch is not None
+        nodes = self.group.state.data
+        self.group.watch(time, nodes if self.steady else data[:-1].reshape(nodes.shape))
 
     def _enter(self, info: dict[str, Any]) -> None:
         """Enter what happened to the fields, and what decayed in the medium."""

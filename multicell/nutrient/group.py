@@ -8,7 +8,7 @@ the same values as the step, so that what one field loses to a reaction the othe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, final
@@ -47,6 +47,7 @@ class FieldGroup:
     - ``position``, (n, 3) µm: where the cells reached the grid in it
     - ``state``: its values for py-pde's solvers, which ask for no more than ``data``, (m, ...) mM
     - ``info``: what py-pde's solver said of it; see ``pde.SolverBase``
+    - ``watch``: called with time and values on the way of an :meth:`advance`; None: nobody looks
     """
 
     layout: Layout
@@ -64,6 +65,7 @@ class FieldGroup:
         self._solver: Any = None  # of the last solve
         self.state: Any = None
         self.info: dict[str, Any] = {}
+        self.watch: Callable[[float, FloatArray], None] | None = None
 
     def solve(self, tissue: Tissue, demand: Demand, *, time: float) -> dict[str, Exchange]:
         """Bring the fields to rest with the cells' uptake and secretion."""
@@ -138,6 +140,7 @@ class FieldGroup:
         if solver is None or solver.pde is not self.equation or solver.name != name:
             # options are those of the parameters that the equation was made for
             solver = self._solver = SolverBase.from_name(name, self.equation, **options)
+        solver.watch = self.watch
         solver.make_stepper(self.state)(self.state, begin, end)
         self.info = solver.info
 

@@ -65,6 +65,9 @@ def diagnostics(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     amiss = (summary.get("splitting") or {}).get("relative_volume_error")
     if amiss is not None:
         yield "volume changed by coupling steps", f"about {100.0 * amiss:+.2g} %"
+    events = (summary.get("splitting") or {}).get("events_error")
+    if events is not None:
+        yield "deaths and changes of type by coupling steps", f"up to about {events:.2g} of them"
     effect = (summary.get("integrator") or {}).get("largest_shift_effect")
     if effect is not None:
         yield "effect of a shift of 0.01 µm", f"up to {effect:.2g} µm in a step"

@@ -117,6 +117,7 @@ class Progress:
     grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # that the run chooses
     driven: Mapping[str, list[int]] = field(default_factory=dict)  # cells named by a table at first
     first_states: Mapping[str, int] = field(default_factory=dict)  # cells at rest, dead, unfit
+    exposures: Mapping[str, float] = field(default_factory=dict)  # error of events, slopes of rates
     replays: Mapping[str, float] = field(default_factory=dict)
     stability: Mapping[str, float] = field(default_factory=dict)
 

@@ -49,9 +49,11 @@ class Lineage:
         """Note cells that came to be."""
         self._note("births", (cells.id, cells.parent, cells.kind, time))
 
-    def died(self, ids: IntArray, time: float) -> None:
-        """Note cells that died."""
-        self._note("deaths", (ids, time))
+    def died(self, cells: Cells, dead: NDArray[np.bool_], time: float) -> None:
+        """Note which cells have died by a time in s, each at its own; in the order of identities."""
+        rows = np.flatnonzero(dead)
+        rows = rows[np.argsort(cells.id[rows])]
+        self._note("deaths", (cells.id[rows], time - cells.age[rows]))
 
     def events(self, before: Cells, after: Cells, time: float) -> None:
         """Note what changed between two populations: births, divisions and removals."""
@@ -61,6 +63,12 @@ class Lineage:
         self._note("births", (after.id[new], parent, after.kind[new], time))
         cause = np.where(rows_of(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
         self._note("ends", (ids, time, cause))
+
+    def retype(self, ids: IntArray, kinds: NDArray[np.int16]) -> None:
+        """Note another type of cells of which births have been noted."""
+        if len(ids):
+            births, length = self._logs["births"], self._lengths["births"]
+            births["kind"][rows_of(births["id"][:length], ids)] = kinds
 
     def counts(self) -> dict[str, int]:
         """Return the length of each log."""

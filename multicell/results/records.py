@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells
+from multicell.cells import HAZARDS, Cells
 from multicell.errors import OutputError
 from multicell.results.frame import Field, Frame, Progress
 from multicell.results.lineage import COLUMNS, Lineage
@@ -40,10 +40,10 @@ FIELD: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
-SPARSE: Final = frozenset({"cells/doomed", "cells/damage", "cells/lag"})
+SPARSE: Final = frozenset(f"cells/{name}" for name in ("doomed", "damage", "lag", *HAZARDS))
 """Arrays that a frame has only where they are not all zero, and a file only if a frame has them."""
 
-_OF_PARTS: Final = ("driven", "first_states", "replays", "stability")
+_OF_PARTS: Final = ("driven", "exposures", "first_states", "replays", "stability")
 """Entries of a progress that only some runs have."""
 
 

@@ -94,6 +94,8 @@ def run_summary(
         ],
     }
     splitting = _splitting(scene, frame.cells)
+    if progress.exposures:
+        splitting["events_error"] = abs(progress.exposures["error"])
     summary = {
         **own,
         **({"splitting": splitting} if splitting else {}),

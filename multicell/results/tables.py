@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, Phase, State
+from multicell.cells import HAZARDS, Phase, State
 from multicell.host.extras import needs
 from multicell.results.folder import versions
 from multicell.results.quantities import known_unit, unit_of
@@ -29,9 +29,13 @@ NAMED: Final[Mapping[str, list[str]]] = {
 
 
 def cell_columns(frame: Frame) -> Iterator[tuple[str, NDArray[Any], str]]:
-    """Yield name, values and unit of all that is known of the cells, concentrations last."""
-    for name in Cells.schema():
-        yield name, getattr(frame.cells, name), unit_of(f"cells.{name}")
+    """Yield name, values and unit of what is known of the cells, concentrations last.
+
+    Without the integrals of rates, which say nothing without the draws that they are compared with.
+    """
+    for name, values in frame.cells.columns():
+        if name not in HAZARDS:
+            yield name, values, unit_of(f"cells.{name}")
     for name, values in frame.concentrations.items():
         title = f"concentration_{name}"
         yield title, values, unit_of(f"cells.{title}")

@@ -1,4 +1,4 @@
-"""Scales of a scene's fields (regime, spacing, lengths, times), and its coupling steps."""
+"""Scales of a scene's fields: regime, spacing, lengths and times."""
 
 from __future__ import annotations
 
@@ -157,32 +157,3 @@ def spacing(scene: Scene, name: str) -> float:
     depth = min(scales(scene, other).depth for other in group)
     diameter = 2.0 * scene.cells.division_radius
     return max(min(depth / _POINTS, diameter), 0.5 * diameter)
-
-
-@final
-@dataclass(frozen=True)
-class StepPlan:
-    """Which coupling steps a run takes.
-
-    - ``step``, float, s: their length
-    - ``duration``, float, s: of the run
-    - ``jumps``, times, s: at which the medium of a steady field changes at once, or irradiated
-      cells die at once
-    """
-
-    step: float
-    duration: float
-    jumps: tuple[float, ...]
-
-
-def step_plan(scene: Scene) -> StepPlan:
-    """Return the plan of a scene's coupling steps."""
-    jumping = [
-        field.media
-        for name, field in scene.nutrients.items()
-        if field.media and field.media_change != "linear" and regime(scene, name) == "steady"
-    ]
-    dying = [part for part in scene.radiation.values() if not part.mitotic_divisions]
-    times = [time for media in jumping for time, _ in media]
-    times += [time for part in dying for time in part.schedule]
-    return StepPlan(scene.coupling_step, scene.duration, tuple(times))

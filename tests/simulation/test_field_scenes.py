@@ -66,7 +66,7 @@ def test_receptors_are_what_the_factor_around_a_maker_makes_them(signalled):
 @pytest.fixture(scope="module")
 def dosed():
     changes = {"initial.count": 120, "duration": "3.5 d", "coupling_step": "20 min",
-               "nutrients.drug.media": [["24 h", "2.5e-3 mM"], ["60 h", "3e-3 mM"]]}  # fmt: skip
+               "nutrients.drug.media": [["24 h", "3.2e-3 mM"], ["60 h", "3.7e-3 mM"]]}  # fmt: skip
     scene = mc.load_scene("dosing").with_changes(changes)
     none = scene.with_changes({"nutrients.drug.media": None})
     return {name: mc.run(s) for name, s in (("doses", scene), ("none", none))}

@@ -106,6 +106,8 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     - ``tolerance``: largest error of a step over the concentration of each field
     - ``scales``, (m,) mM: concentrations that errors are compared with at least; absent: those of
       the media
+
+    - ``watch``: called with the time and the data at the beginning and after each step; None: not
     """
 
     name = "multicell-march"
@@ -122,6 +124,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         if not (np.isfinite(tolerance) and tolerance > 0.0):
             raise SceneError("tolerance", f"is {tolerance!r}, must be above zero")
         self.tolerance, self.scales = tolerance, scales
+        self.watch: Callable[[float, FloatArray], None] | None = None
 
     def make_stepper(
         self, state: Any, dt: float | None = None
@@ -138,6 +141,8 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
             c, ends = np.array(state.data, dtype=float), (float(t_start), float(t_end))
+            if self.watch is not None:
+                self.watch(ends[0], c)
             for begin, end in itertools.pairwise([ends[0], *pde.switches(*ends), ends[1]]):
                 c = self._march(pde, c, begin, end)
             state.data[...] = c
@@ -193,6 +198,8 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             info["steps"] += 1
             elapsed = length if dt == length - elapsed else elapsed + dt
             dt *= max(0.3, factor)
+            if self.watch is not None:
+                self.watch(begin + elapsed if elapsed < length else end, c)
         return c
 
 

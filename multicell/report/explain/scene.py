@@ -24,6 +24,7 @@ from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
+from multicell.scene.steps import step_plan
 
 
 def explain(scene: Scene) -> dict[str, Any]:
@@ -229,8 +230,11 @@ def _domain_words(scene: Scene) -> str:
 
 
 def _run(scene: Scene) -> list[Number]:
-    steps = math.ceil(scene.duration / scene.coupling_step * (1.0 - 1e-12))
-    words = f"of {scene.coupling_step:g} s each"
+    plan = step_plan(scene)
+    steps, words = plan.steps_after(0.0), f"of {scene.coupling_step:g} s each"
+    added = sum(time < scene.duration for time in plan.added)
+    if added:
+        words += f"; {added:,} of them because steps also end where something scheduled changes"
     # frames are saved between coupling steps, so that there are no more than those and one
     frames = math.floor(scene.duration / scene.output.every * (1.0 + 1e-12)) + 1
     frames = min(frames, steps + 1)

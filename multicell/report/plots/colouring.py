@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, IntArray, State
+from multicell.cells import HAZARDS, Cells, FloatArray, IntArray, State
 from multicell.errors import OutputError
 from multicell.report.plots.style import COLOURS, type_colours
 from multicell.report.wording import written
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 GROUPS: Final = ("state", "type", "phase", "clone", "doomed")
-_NO_COLOUR: Final = ("id", "parent", "position", "kind", "state", "phase", "doomed")
+_NO_COLOUR: Final = ("id", "parent", "position", "kind", "state", "phase", "doomed", *HAZARDS)
 _MIN_FOUNDERS: Final = 8  # clones into which the descendants of a single cell are parted
 _MAX_NAMED_CLONES: Final = 12  # more than these are coloured, not listed
 _NO_VALUE: Final = "#d5dbe0"  # of a cell without a value

@@ -1,0 +1,280 @@
+"""What a coupling step knows of signals in time, and the integrals of rates over it.
+
+A rate acts through its integral over the step, from signals that are linear in time between the
+moments at which they are known: the step's two ends, and for transient fields the times of their
+solver in between. Each such piece is cut where a signal passes a threshold or another kink of a
+law, cell by cell, and the rate is taken in the middle of every part. So a threshold acts for
+exactly the time that the signal is beyond it, and all else is of second order in the step.
+
+An event (death, a change of type) comes to pass where the integral of its rate reaches a threshold
+of the cell's own, which is exponential with mean 1. It is drawn once for a cell and event, so that
+steps of all lengths see the same draws. Daughters begin at zero with thresholds of their own; an
+exponential has no memory, so that this is what an undivided cell would have before it, too. In the
+step of its birth a daughter has been exposed as its mother was before: two daughters that are each
+at risk for the whole step are as many in the mean as a mother at risk before and both after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import cached_property, partial
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from multicell import random
+from multicell.biology.responding import rate_of
+from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, rows_before
+
+if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
+    from multicell.biology.responding import Known
+    from multicell.random import Purpose
+
+Course = tuple[FloatArray, FloatArray]
+"""Parts of a step, (m,), rising from 0 to 1, and what cells find then, (m, n)."""
+
+Rate = Callable[[Found, Cells], Any]
+"""Signals and cells at one moment -> a rate of each cell, (n,) or (n, k) 1/s."""
+
+_CARRIED: Final = ("age", "radius", "pressure")
+"""Columns of the cells that signals are made of and that change within a step."""
+
+_OF_CELLS: Final = frozenset({*_CARRIED, "volume"})
+
+_ENDS: Final = np.array([0.0, 1.0])
+
+
+@final
+class Exposure:
+    """The signals of cells over a coupling step; nothing is computed before it is asked for.
+
+    - ``cells``, ``found``: at its end
+    - ``length``, s
+    - ``began``, ``before``: cells and signals at its beginning; absent: as at the end
+    - ``inner``, name -> Course: what is known in between
+    - ``held``: signals that jump at the end of the step, before which they were as at its beginning
+    """
+
+    def __init__(
+        self,
+        cells: Cells,
+        found: Found,
+        length: float,
+        *,
+        began: Cells | None = None,
+        before: Found | None = None,
+        inner: Mapping[str, Course] | None = None,
+        held: Collection[str] = (),
+    ) -> None:
+        self.cells, self.found, self.length = cells, found, length
+        self.began = cells if began is None else began
+        self.before = found if before is None else before
+        self.inner, self.held = inner or {}, held
+        self._known: dict[str, Course] = {}
+
+    @cached_property
+    def row(self) -> IntArray:
+        """Rows of the cells, or of their mothers, at the beginning of the step, (n,)."""
+        return rows_before(self.began, self.cells)
+
+    def __getitem__(self, rows: IntArray) -> Exposure:
+        """Return that of some of the cells."""
+        part = Exposure(
+            self.cells.take(rows), {name: x[rows] for name, x in self.found.items()}, self.length,
+            began=self.began, before=self.before, held=self.held,
+            inner={name: (at, values[:, rows]) for name, (at, values) in self.inner.items()},
+        )  # fmt: skip
+        part.row = self.row[rows]
+        return part
+
+    def volume_at(self, part: FloatArray) -> FloatArray:
+        """Return the volumes of living cells at parts of the step, (n,) µm³."""
+        first, last = (SPHERE * x**3 for x in self._course("radius")[1])
+        return np.asarray(first + part * (last - first))
+
+    def _course(self, name: str) -> Course:
+        """Return what is known of a signal in time, or of a column that signals are made of."""
+        if name not in self._known:
+            if name in _CARRIED:
+                ends = self._ends(name)
+            else:
+                first, last = self.before[name][self.row], self.found[name]
+                ends = np.stack([first, first if name in self.held else last])
+            found = self.inner.get(name)
+            self._known[name] = (_ENDS, ends) if found is None else _joined(found, ends)
+        return self._known[name]
+
+    def _ends(self, name: str) -> FloatArray:
+        first, last = getattr(self.began, name)[self.row], getattr(self.cells, name)
+        if name == "age":
+            first = np.maximum(last - self.length, 0.0)
+        elif name == "radius":  # until it was born a cell was half of its mother
+            first = np.where(self.began.id[self.row] == self.cells.id, 1.0, HALF) * first
+        return np.stack([first, last])
+
+    def integral(self, known: Known, rate: Rate, since: Any = 0.0) -> Any:
+        """Return the integral of a finite rate over the step, (n,) or (n, k).
+
+        - ``known``: the responses that make the rate
+        - ``since``, (n,) or a number: part of the step from which it counts
+        """
+        total: Any = 0.0
+        for low, high in self._parts(known):
+            low = np.maximum(low, since)
+            share = np.maximum(high - low, 0.0)
+            value = np.asarray(rate(*self._at(0.5 * (low + high), known))).T
+            total = total + value * (share * self.length)
+        return np.asarray(total).T
+
+    def at(self, part: Any, known: Known, rate: Rate) -> Any:
+        """Return a rate or chance at a part of the step, that of each cell or one for all."""
+        return rate(*self._at(part, known))
+
+    def first_infinite(self, known: Known, rate: Rate) -> FloatArray:
+        """Return at which part of the step a rate becomes infinite, (n,); infinite where not.
+
+        - ``known``: the responses that make the rate
+        """
+        first = np.full(len(self.cells), np.inf)
+        for low, high in self._parts(known):
+            acts = np.isinf(rate(*self._at(0.5 * (low + high), known))) & (high > low)
+            first = np.where(acts, np.minimum(first, low), first)
+        return first
+
+    def remainder(self, known: Known, rate: Rate, slope: float | None) -> tuple[float, float]:
+        """Return about how far off the integral is, and the slope of the rate at its end, 1/s².
+
+        Of all living cells together. By every other of the moments that are known; of the ends
+        alone by Euler and Maclaurin, Δt²/12 times by how much the slope has changed.
+
+        - ``slope``, 1/s²: at the end of the step before; None: it may have jumped since
+        """
+        knots, living = self._knots(known), ~self.cells.dead
+        rates = np.array([rate(*self._at(part, known))[living].sum() for part in knots.tolist()])
+        ahead = float(rates[-1] - rates[-2]) / float(knots[-1] - knots[-2]) / self.length
+        if len(knots) == 2:
+            change = 0.0 if slope is None else ahead - slope
+            return self.length**2 / 12.0 * change, ahead
+        fewer = np.unique([*range(0, len(knots), 2), len(knots) - 1])
+        all_of_them, half = (np.trapezoid(rates[k], knots[k]) for k in (slice(None), fewer))
+        return self.length * float(half - all_of_them) / 3.0, ahead
+
+    def _knots(self, known: Known) -> FloatArray:
+        """Return the moments at which all that a rate depends on is known, in parts of the step."""
+        times = [self.inner[name][0] for name in _needs(known) & self.inner.keys()]
+        return np.unique(np.concatenate(times)) if times else _ENDS
+
+    def _parts(self, known: Known) -> Iterator[tuple[Any, Any]]:
+        """Yield begin and end, in parts of the step, of what no kink of a law lies within."""
+        for low, high in pairwise(self._knots(known).tolist()):
+            cuts = list(self._cuts(known, low, high))
+            inside = np.sort(np.stack(cuts), axis=0) if cuts else ()
+            yield from pairwise((low, *inside, high))
+
+    def _cuts(self, known: Known, low: float, high: float) -> Iterator[FloatArray]:
+        """Yield where between two parts of the step signals pass kinks, (n,); else at ``high``."""
+        for part in known:
+            kinks = part.effect.law.kinks
+            if not kinks:
+                continue
+            first, last = (part.level(*self._at(s, known), None) for s in (low, high))
+            for kink in kinks:
+                passes = (first < kink) != (last < kink)
+                if passes.any():
+                    change = np.where(passes, last - first, 1.0)
+                    yield np.where(passes, low + (high - low) * ((kink - first) / change), high)
+
+    def _at(self, part: Any, known: Known) -> tuple[Found, Cells]:
+        """Return signals and cells at a part of the step: one for all, or that of each, (n,)."""
+        names = _needs(known)
+        found = {name: self._value(name, part) for name in names - _OF_CELLS}
+        cells = self.cells.shared()
+        for name in _CARRIED:
+            if name in names or (name == "radius" and "volume" in names):
+                setattr(cells, name, self._value(name, part))
+        return found, cells
+
+    def _value(self, name: str, part: Any) -> FloatArray:
+        at, values = self._course(name)
+        if len(at) == 2:
+            return np.asarray(values[0] + part * (values[1] - values[0]))
+        before = np.clip(np.searchsorted(at, part, side="right") - 1, 0, len(at) - 2)
+        share = (part - at[before]) / (at[before + 1] - at[before])
+        every = np.arange(values.shape[1])
+        first, last = values[before, every], values[before + 1, every]
+        return np.asarray(first + share * (last - first))
+
+
+def _needs(known: Known) -> frozenset[str]:
+    return frozenset().union(*(part.needs for part in known))
+
+
+def _joined(course: Course, ends: FloatArray) -> Course:
+    """Return a course between two ends.
+
+    What it knows of the step's beginning is where cells are at its end. The difference to what
+    they found fades over the step, as they move.
+    """
+    at, values = course
+    moved = values + (1.0 - at[:, None]) * (ends[0] - values[0])
+    moved[-1] = ends[1]
+    return at, moved
+
+
+def remainders(
+    plan: BiologyPlan, exposure: Exposure, before: Mapping[str, float], *, jumped: bool
+) -> dict[str, float]:
+    """Return about how many events steps have made too many so far, as ``error``, and slopes.
+
+    - ``before``: the same of the step before; empty at the start
+    - ``jumped``: whether something scheduled has changed since
+    """
+    found = {"error": before.get("error", 0.0)}
+    for name in plan.acting:
+        slope = None if jumped else before.get(name)
+        rate = partial(finite_rate, plan, name)
+        error, found[name] = exposure.remainder(plan.responses[name], rate, slope)
+        found["error"] += error
+    return found
+
+
+def finite_rate(plan: BiologyPlan, name: str, found: Found, cells: Cells) -> FloatArray:
+    """Return a rate without that of death at once, (n,) 1/s."""
+    rate = rate_of(plan, name, found, cells)
+    return np.where(np.isinf(rate), 0.0, rate)
+
+
+def part_until(
+    plan: BiologyPlan, purpose: Purpose, ids: IntArray, before: FloatArray, gained: FloatArray,
+    number: int | IntArray = 0,
+) -> FloatArray:  # fmt: skip
+    """Return at which part of what an integral has gained it reaches the cell's threshold, (n,).
+
+    Infinite where it does not; ``number`` tells events of the same cell apart.
+    """
+    part = np.full(len(ids), np.inf)
+    grows = np.flatnonzero(gained > 0.0)
+    if grows.size:
+        event = np.broadcast_to(number, len(ids))[grows]
+        threshold = random.thresholds(plan.seed, purpose, event, ids[grows])
+        part[grows] = (threshold - before[grows]) / gained[grows]
+    return np.where(part <= 1.0, part, np.inf)
+
+
+def part_until_death(
+    plan: BiologyPlan, purpose: Purpose, cells: Cells, column: str, gained: FloatArray
+) -> FloatArray:
+    """Return at which part of what an integral has gained living cells die, (n,); it is noted.
+
+    Infinite where they do not; ``column`` is the integral's name, one of
+    :data:`multicell.cells.HAZARDS`.
+    """
+    gained = np.where(cells.dead, 0.0, gained)
+    known = getattr(cells, column)
+    before = np.zeros(len(cells)) if known is None else known
+    part = part_until(plan, purpose, cells.id, before, gained)
+    if known is not None or gained.any():
+        setattr(cells, column, before + gained)
+    return part

@@ -1,0 +1,120 @@
+"""The coupling steps of a scene, which end where anything that it schedules changes."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, final
+
+from multicell.scene.responses import effects
+from multicell.scene.scales import regime
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+_ROUNDING = 1e-12
+"""Part of a time by which two that are meant to be the same may differ."""
+
+_SHORTEST = 1e-9
+"""Part of a coupling step that no step is shorter than: what is, is rounding of times."""
+
+
+@final
+@dataclass(frozen=True)
+class StepPlan:
+    """Which coupling steps a run takes: up to each multiple of ``step``, each change, and its end.
+
+    - ``step``, float, s: their length where nothing ends them before
+    - ``duration``, float, s: of the run
+    - ``jumps``, times, s: at which the medium of a steady field changes at once, or irradiated
+      cells die at once
+    - ``changes``, times, s, rising: at which anything scheduled changes
+    """
+
+    step: float
+    duration: float
+    jumps: tuple[float, ...] = ()
+    changes: tuple[float, ...] = ()
+
+    def next_end(self, time: float) -> float:
+        """Return where the step that begins at a time ends, s, also beyond the run's end.
+
+        Multiples of ``step`` and changes that are the same but for rounding are one end, the
+        latest of them: all of them have happened by then.
+        """
+        regular = self.step * (math.floor((time + self._near(time)) / self.step) + 1)
+        ahead = self.changes[bisect_right(self.changes, time + self._near(time)) :]
+        first = min((regular, *ahead[:1]))
+        same = [x for x in (regular, *ahead) if x <= first + self._near(first)]
+        return max(same)
+
+    def end_after(self, time: float) -> float:
+        """Return where the step that begins at a time ends, s: at the run's end at the latest."""
+        end = self.next_end(time)
+        return end if end < self.duration - self._near(self.duration) else self.duration
+
+    def steps_after(self, time: float) -> int:
+        """Return how many steps there are from a time in s to the run's end."""
+        last = self.duration - self._near(self.duration)
+        if time >= last:
+            return 0
+        regular = math.ceil(last / self.step) - math.floor((time + self._near(time)) / self.step)
+        return regular + sum(time < x < last for x in self.added)
+
+    @cached_property
+    def added(self) -> tuple[float, ...]:
+        """The changes that make ends of steps of their own, s."""
+        ends: list[float] = []
+        for change in self.changes:
+            apart = abs(change - self.step * round(change / self.step))
+            if apart > self._near(change):
+                if ends and change - ends[-1] <= self._near(change):
+                    ends.pop()
+                ends.append(change)
+        return tuple(ends)
+
+    def jumps_at(self, end: float) -> bool:
+        """Return whether something jumps at the end of a step, s."""
+        return any(abs(jump - end) <= self._near(end) for jump in self.jumps)
+
+    def changes_at(self, end: float) -> bool:
+        """Return whether anything scheduled changes at the end of a step, s."""
+        return any(abs(change - end) <= self._near(end) for change in self.changes)
+
+    def _near(self, time: float) -> float:
+        """Return how far apart times about this one are that are meant to be the same, s."""
+        return max(_SHORTEST * self.step, _ROUNDING * time)
+
+
+def step_plan(scene: Scene) -> StepPlan:
+    """Return the plan of a scene's coupling steps."""
+    jumping = [
+        field.media
+        for name, field in scene.nutrients.items()
+        if field.media and field.media_change != "linear" and regime(scene, name) == "steady"
+    ]
+    dying = [part for part in scene.radiation.values() if not part.mitotic_divisions]
+    times = [time for media in jumping for time, _ in media]
+    times += [time for part in dying for time in part.schedule]
+    changes = {time for time in _scheduled(scene) if 0.0 < time < math.inf}
+    return StepPlan(scene.coupling_step, scene.duration, tuple(times), tuple(sorted(changes)))
+
+
+def _scheduled(scene: Scene) -> Iterator[float]:
+    """Yield the times in s at which something scheduled begins, ends or changes its slope."""
+    for field in scene.nutrients.values():
+        yield from (time for time, _ in field.media or ())
+    for course in scene.radiation.values():
+        yield from course.schedule
+    for motion in scene.motions.values():
+        yield motion.begin
+        yield math.inf if motion.end is None else motion.end
+    for kind in scene.types.values():
+        for points in (kind.receptor, kind.ligand):
+            yield from (time for time, _ in points if len(points) > 1)
+    for effect in effects(scene):
+        if effect.signals == ("time",):
+            yield from effect.law.kinks
