@@ -376,7 +376,7 @@ class Simulation(RunState):
             bind_changed(plan, typed, self.cells, exposure.found, end)
 
     def _follows(self, begin: float) -> bool:
-        """Return whether more than the ends of a step matters: rates, or a field that has jumped."""
+        """Return whether more than the ends of a step matters: rates, or fields that jumped."""
         return bool(self.plan.acting) or self.timeline.plan.changes_at(begin)
 
     def _attempt(

@@ -1,6 +1,7 @@
 """What a cell has that becomes another type: as one that was born so, and back again."""
 
 import math
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -8,9 +9,10 @@ from running import finished
 
 import multicell as mc
 from multicell.biology.division import change_types
+from multicell.biology.exposure import Exposure
 from multicell.biology.plan import biology_plan
 from multicell.biology.step import bind_changed, divide_and_remove
-from multicell.cells import Cells, Phase
+from multicell.cells import HAZARDS, Cells, Phase
 from multicell.scene.parts import CellType
 from multicell.schema import specs
 from multicell.simulation import Simulation
@@ -85,7 +87,7 @@ def become(described, cells, kind):
     """Return cells that have become another type."""
     response = {"behaviour": f"change to {kind}", "law": "constant", "largest": 1.0}
     plan = biology_plan(described.with_changes({"responses": [response]}))
-    after = change_types(plan, cells, {}, 0, 1e6)
+    after = change_types(plan, cells, Exposure(cells, {}, 1e6))
     bind_changed(plan, cells, after, {}, 0.0)
     return after
 
@@ -100,7 +102,8 @@ def of_b(cycle):
 
 def test_each_column_and_each_key_of_a_type_is_classified():
     """A new column or key must say here what becomes of it, and how it is tested."""
-    assert {*OF_TYPE, *OWN} == {name for name, _ in Cells.empty().columns()}
+    # hazards are those of a cell and event: a change begins the next one
+    assert {*OF_TYPE, *OWN, *HAZARDS} == {column.name for column in fields(Cells)}
     assert set(KEYS) == set(specs(CellType))
 
 
