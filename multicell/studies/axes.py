@@ -210,6 +210,9 @@ def _with_unit(key: Key, items: list[str]) -> list[Any]:
     if not shared and any(units):
         problem = f"has values with units and without: {', '.join(items)}"
         raise SceneError(key.name, problem, f"A unit at the end holds for all: {_example(key)}.")
+    if key.unit == "s" and shared and not all(units) and re.search(r"\d\s*[A-Za-z]", shared):
+        problem = f"has the unit {shown(shared)} at the end, must have a single one for all"
+        raise SceneError(key.name, problem, "Write each time with its own units.")
     values: list[Any] = []
     for item, match, unit in zip(items, matches, units, strict=True):
         if match is None:
