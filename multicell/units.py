@@ -48,41 +48,39 @@ _UNITS = {
     "1/Gy^2": (1e-9, 1e6, "an effect per dose squared", "0.03 1/Gy^2"),
     "": (1e-12, 1e12, "a number", "1"),
 }
+_ROWS: Final = {
+    "um": (
+        "um micron microns micrometer micrometers micrometre micrometres 1, pm 1e-6, nm "
+        "nanometer nanometers nanometre nanometres 1e-3, mm millimeter millimeters "
+        "millimetre millimetres 1e3, cm centimeter centimeters centimetre centimetres "
+        "1e4, dm 1e5, m meter meters metre metres 1e6"
+    ),
+    "um^3": (
+        "fl fL 1, pl pL 1e3, nl nL 1e6, ul uL 1e9, ml mL 1e12, dl dL 1e14, l L liter "
+        "liters litre litres 1e15"
+    ),
+    "s": (
+        "s sec secs second seconds 1, us 1e-6, ms 1e-3, min mins minute minutes 60, h "
+        "hr hrs hour hours 3600, d day days 86400, wk week weeks 604800"
+    ),
+    "1/s": "Hz 1",
+    "nN": "fN 1e-6, pN 1e-3, nN 1, uN 1e3, mN 1e6, N 1e9, dyn dyne dynes 1e4",
+    "nN um": "aJ 1e-3, fJ 1, pJ 1e3, nJ 1e6, uJ 1e9, mJ 1e12, J 1e15, erg ergs 1e8",
+    "nN/um^2": (
+        "uPa 1e-9, mPa 1e-6, Pa 1e-3, hPa 0.1, kPa 1, MPa 1e3, GPa 1e6, mbar 0.1, bar "
+        "100, atm 101.325, mmHg 0.133322387415, torr Torr "
+        "0.1333223684210526315789473684"
+    ),
+    "nN s/um^2": "P poise 1e-4, cP centipoise 1e-6, mP 1e-7",
+    "nN s^2/um": "fg 1e-15, pg 1e-12, ng 1e-9, ug 1e-6, mg 1e-3, g gram grams 1, kg 1e3",
+    "amol": ("zmol 1e-3, amol 1, fmol 1e3, pmol 1e6, nmol 1e9, umol 1e12, mmol 1e15, mol 1e18"),
+    "amol/um^3": "fM 1e-12, pM 1e-9, nM 1e-6, uM 1e-3, mM 1, M 1e3",
+    "Gy": "mGy 1e-3, cGy 1e-2, Gy 1",
+}
 LISTED: Final[Mapping[str, Mapping[str, str]]] = {
-    "um": {
-        "um micron microns micrometer micrometers micrometre micrometres": "1",
-        "pm": "1e-6", "nm nanometer nanometers nanometre nanometres": "1e-3",
-        "mm millimeter millimeters millimetre millimetres": "1e3",
-        "cm centimeter centimeters centimetre centimetres": "1e4", "dm": "1e5",
-        "m meter meters metre metres": "1e6",
-    },
-    "um^3": {
-        "fl fL": "1", "pl pL": "1e3", "nl nL": "1e6", "ul uL": "1e9", "ml mL": "1e12",
-        "dl dL": "1e14", "l L liter liters litre litres": "1e15",
-    },
-    "s": {
-        "s sec secs second seconds": "1", "us": "1e-6", "ms": "1e-3",
-        "min mins minute minutes": "60", "h hr hrs hour hours": "3600",
-        "d day days": "86400", "wk week weeks": "604800",
-    },
-    "1/s": {"Hz": "1"},
-    "nN": {"fN": "1e-6", "pN": "1e-3", "nN": "1", "uN": "1e3", "mN": "1e6", "N": "1e9",
-           "dyn dyne dynes": "1e4"},
-    "nN um": {"aJ": "1e-3", "fJ": "1", "pJ": "1e3", "nJ": "1e6", "uJ": "1e9", "mJ": "1e12",
-              "J": "1e15", "erg ergs": "1e8"},
-    "nN/um^2": {
-        "uPa": "1e-9", "mPa": "1e-6", "Pa": "1e-3", "hPa": "0.1", "kPa": "1", "MPa": "1e3",
-        "GPa": "1e6", "mbar": "0.1", "bar": "100", "atm": "101.325", "mmHg": "0.133322387415",
-        "torr Torr": "0.1333223684210526315789473684",
-    },
-    "nN s/um^2": {"P poise": "1e-4", "cP centipoise": "1e-6", "mP": "1e-7"},
-    "nN s^2/um": {"fg": "1e-15", "pg": "1e-12", "ng": "1e-9", "ug": "1e-6", "mg": "1e-3",
-                  "g gram grams": "1", "kg": "1e3"},
-    "amol": {"zmol": "1e-3", "amol": "1", "fmol": "1e3", "pmol": "1e6", "nmol": "1e9",
-             "umol": "1e12", "mmol": "1e15", "mol": "1e18"},
-    "amol/um^3": {"fM": "1e-12", "pM": "1e-9", "nM": "1e-6", "uM": "1e-3", "mM": "1", "M": "1e3"},
-    "Gy": {"mGy": "1e-3", "cGy": "1e-2", "Gy": "1"},
-}  # fmt: skip
+    base: {names: size for names, _, size in (row.rpartition(" ") for row in rows.split(", "))}
+    for base, rows in _ROWS.items()
+}
 """The units that are read: base unit, or what a product of them is -> names -> how many they are.
 
 An ``u`` may also be written µ. Percentages (:data:`PERCENT`) are read where a gas is meant. ``M``

@@ -201,12 +201,15 @@ def test_a_prefix_that_is_not_listed_is_refused(base):
 @settings(max_examples=200)
 @given(
     factors=st.lists(
-        st.tuples(st.sampled_from([name for name, *_ in NAMES if name not in ("wk", "Torr")]),
-                  st.integers(-3, 3).filter(bool)),
-        min_size=1, max_size=3,
+        st.tuples(
+            st.sampled_from([name for name, *_ in NAMES if name not in ("wk", "Torr")]),
+            st.integers(-3, 3).filter(bool),
+        ),
+        min_size=1,
+        max_size=3,
     ),
     style=st.sampled_from(["^", "**", ""]),
-)  # fmt: skip
+)
 @example(factors=[("M", -1), ("s", -1)], style="^")
 def test_products_are_what_pint_makes_of_them(factors, style):
     text = " ".join(f"{name}{style}{power}" for name, power in factors)
@@ -227,13 +230,20 @@ def test_products_are_what_pint_makes_of_them(factors, style):
 @pytest.mark.parametrize(
     ("text", "unit", "meant"),
     [
-        ("20 hh", "s", "'20 h'"), ("2 dd", "s", "'2 d'"), ("3 das", "s", "'3 days'"),
-        ("2 ks", "s", "'2 s'"), ("3 Mm", "um", "'3 mm'"), ("5 ums", "um", "'5 um'"),
-        ("1 kpa", "kPa", "'1 kPa'"), ("5 kpa s", "kPa s", "'5 kPa s'"), ("5 H", "s", "'5 h'"),
-        ("7 mmhg", "kPa", "'7 mmHg'"), ("20 amoles/s", "amol/s", "'20 amol/s'"),
+        ("20 hh", "s", "'20 h'"),
+        ("2 dd", "s", "'2 d'"),
+        ("3 das", "s", "'3 days'"),
+        ("2 ks", "s", "'2 s'"),
+        ("3 Mm", "um", "'3 mm'"),
+        ("5 ums", "um", "'5 um'"),
+        ("1 kpa", "kPa", "'1 kPa'"),
+        ("5 kpa s", "kPa s", "'5 kPa s'"),
+        ("5 H", "s", "'5 h'"),
+        ("7 mmhg", "kPa", "'7 mmHg'"),
+        ("20 amoles/s", "amol/s", "'20 amol/s'"),
         ("0.05 M", "mM", "'0.05 mM'? 0.05 M is written '50 mM'"),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused_names_the_nearest(text, unit, meant):
     with pytest.raises(SceneError) as caught:
         to_base(text, unit)
@@ -252,11 +262,15 @@ def test_what_is_no_length_in_a_tissue_is_refused(unit):
 @pytest.mark.parametrize(
     ("text", "seconds"),
     [
-        ("2 days 3 h", 183_600.0), ("1 h 30 min", 5400.0), ("1h30min", 5400.0),
-        ("7 min 14 s", 434.0), ("1 wk 2 d 3 h 4 min 5 s 6 ms", 788_645.006), ("0 d 3 h", 10_800.0),
+        ("2 days 3 h", 183_600.0),
+        ("1 h 30 min", 5400.0),
+        ("1h30min", 5400.0),
+        ("7 min 14 s", 434.0),
+        ("1 wk 2 d 3 h 4 min 5 s 6 ms", 788_645.006),
+        ("0 d 3 h", 10_800.0),
         ("1.1 h 0.1 s", 3960.1),
     ],
-)  # fmt: skip
+)
 def test_times_may_have_several_parts_in_falling_order(text, seconds):
     assert to_base(text, "s") == seconds
 
@@ -264,11 +278,15 @@ def test_times_may_have_several_parts_in_falling_order(text, seconds):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("3 h 2 days", "do not fall"), ("1 h 1 h", "do not fall"), ("2 days 3 hh", "unknown unit"),
-        ("2 days 3", "cannot be read"), ("-2 d 3 h", "cannot be read"), ("2 d -3 h", "cannot be"),
+        ("3 h 2 days", "do not fall"),
+        ("1 h 1 h", "do not fall"),
+        ("2 days 3 hh", "unknown unit"),
+        ("2 days 3", "cannot be read"),
+        ("-2 d 3 h", "cannot be read"),
+        ("2 d -3 h", "cannot be"),
         ("2 d 3 um", "must be a time"),
     ],
-)  # fmt: skip
+)
 def test_other_times_of_several_parts_are_refused(text, words):
     with refused("t", words):
         to_base(text, "s", "t")
