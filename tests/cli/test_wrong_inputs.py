@@ -131,7 +131,7 @@ def test_wrong_calls_are_answered(case, folder):
 def test_a_short_time_is_run_with_a_note(folder):
     answer = CliRunner().invoke(main, ["explain", "growth", "--set", "duration=18"])
     assert answer.exit_code == 0
-    assert "Note: duration is 18 s" in answer.output
+    assert "Note: duration: 18 was read as 18 s" in answer.output
     assert "Write '18 h' for hours" in answer.output
     quiet = CliRunner().invoke(main, ["explain", "growth", "--set", "duration=18 s"])
     assert "Note: duration" not in quiet.output

@@ -11,6 +11,7 @@ from typing import Any
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
 from multicell.behaviours.laws import Constant, Hill, Linear, Monod, Table, Threshold
 from multicell.biology.draws import malthusian_rate
+from multicell.coupling.start_check import check_population
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
@@ -31,8 +32,10 @@ def explain(scene: Scene) -> dict[str, Any]:
 
     Returns dict: ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
     ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that do not
-    fit together. Only plain values, so that it can be written as JSON.
+    fit together. Only plain values, so that it can be written as JSON. Raises SceneError where a
+    run would end at its first moment.
     """
+    check_population(scene)
     expected = predict(scene)
     numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene)]
     numbers += [*cost_numbers(scene, expected), *nutrient_numbers(scene)]
