@@ -106,6 +106,7 @@ def _growth_words(scene: Scene) -> str:
         lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
         words += f"; phases {lengths}, rest {rest}"
+        words += "" if growth.hypertrophy else "; none grows beyond the volume of division"
     return words
 
 
@@ -152,6 +153,13 @@ def _sentence(scene: Scene, effect: Effect) -> str:
     if effect.falls:
         end = f"{value(effect.high)} to {value(effect.low)}"
     return f"as {signal} rises, {what} goes from {end} ({law})"
+
+
+def _least(effect: Effect) -> float:
+    """Return the smallest value that a response gives."""
+    if isinstance(effect.law, Table):
+        return min(value for _, value in effect.law.points)
+    return effect.high if isinstance(effect.law, Constant) else min(effect.low, effect.high)
 
 
 def _law_words(scene: Scene, effect: Effect) -> str:
@@ -265,6 +273,13 @@ def _notes(scene: Scene) -> list[str]:
             "they will part in the first minutes, as just divided ones do. Check radii and units."
         )
     notes += contact_notes(scene)
+    entries = [e for e in effects(scene) if e.behaviour.startswith("entry into")]
+    slowed = [e.behaviour for e in entries if _least(e) < 1.0]
+    if slowed and scene.growth is not None and scene.growth.hypertrophy:
+        notes.append(
+            f"Cells that wait for their {slowed[0]} keep growing, beyond the volume of division "
+            "where that takes long. growth.hypertrophy = false stops them there."
+        )
     if scene.growth is not None and scene.coupling_step > 0.05 * scene.growth.mean_cycle:
         notes.append(
             "The coupling step is above a twentieth of the cycle time: divisions come late. "
