@@ -218,8 +218,8 @@ def unit_hint(text: str, unit: str) -> str:
         return "How many um is a pixel? Multiply by that, and write um."
     if _is_bare_molar(text, unit):
         return "Did you mean 'mM'?"
-    known = {name.lower(): name for name in reversed(_sizes())}
-    for name in (name for name in names if name not in _sizes()):
+    known = {name.lower(): name for name in reversed(list(_sizes()))}
+    for name in set(names) - _sizes().keys():
         for near in difflib.get_close_matches(name.lower(), known, 5, 0.6):
             meant = re.sub(rf"(?<![A-Za-z]){name}(?![A-Za-z])", known[near], _plain(text))
             if unit_factor(meant, unit) is not None:

@@ -263,6 +263,7 @@ def check_result(result):
             raise Fault(f"ledger: {name} is left open by {ledger['relative_remainder']:.3g}")
     _check_numbers(result, summary)
     _check_start(result, summary)
+    _check_next_start(result)
 
 
 def _check_start(result, summary):
@@ -281,6 +282,23 @@ def _check_start(result, summary):
     number = int((short & ~first.cells.dead).sum())
     if number > summary.get("start", {}).get("unfit", 0):
         raise Fault(f"start: {number} cells live where they cannot")
+
+
+def _check_next_start(result):
+    """Check that the scene accepts the cells that its run ends with as those of a next one."""
+    from multicell.errors import DataError, SceneError
+    from multicell.scene.start_checks import check_start_table
+    from multicell.scene.start_table import with_cells
+
+    last = result.frames[-1].cells
+    if not len(last):
+        return
+    # motions name cells that may have gone
+    free = result.scene.with_changes({"motions": {}, "initial": {}})
+    try:
+        check_start_table(with_cells(free, last))
+    except (DataError, SceneError) as error:
+        raise Fault(f"next start: {error}") from error
 
 
 def _check_frame(frame):

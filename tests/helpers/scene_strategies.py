@@ -19,6 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from multicell.cells import Phase
+from multicell.coupling.start_check import check_population
 from multicell.errors import DataError, SceneError
 from multicell.scene.nutrient import FACES
 from multicell.scene.parts import PHASES
@@ -375,7 +376,9 @@ def fitted(entries, part=Scene):
     made = copy.deepcopy(entries)
     while True:
         try:
-            build(part, copy.deepcopy(made))
+            built = build(part, copy.deepcopy(made))
+            if part is Scene:
+                check_population(built)
         except DataError:
             del made["initial"]["cells"]
         except SceneError as error:
