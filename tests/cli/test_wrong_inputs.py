@@ -128,10 +128,12 @@ def test_wrong_calls_are_answered(case, folder):
         call()
 
 
-def test_a_short_time_is_run_with_a_note(folder):
+def test_a_short_time_is_run_with_a_note(folder, monkeypatch):
+    monkeypatch.setattr("multicell.scene.bare._NAMED", set())  # each key is named once a process
     answer = CliRunner().invoke(main, ["explain", "growth", "--set", "duration=18"])
     assert answer.exit_code == 0
     assert "Note: duration: 18 was read as 18 s" in answer.output
     assert "Write '18 h' for hours" in answer.output
+    monkeypatch.setattr("multicell.scene.bare._NAMED", set())
     quiet = CliRunner().invoke(main, ["explain", "growth", "--set", "duration=18 s"])
     assert "Note: duration" not in quiet.output
