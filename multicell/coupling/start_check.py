@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,14 +13,17 @@ from multicell.scene.start_table import positions
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
+_MOST: Final = 200_000  # cells: to place them takes half a second
+
 
 def check_population(scene: Scene) -> None:
     """Raise ``SceneError`` where a run would end at its first moment.
 
     Motions that name no cell, a domain too small for its cells, a grid of too many nodes, a finite
-    medium smaller than its grid. The cells are placed only where one of these is in doubt.
+    medium smaller than its grid. The cells are placed only where one of these is in doubt, and not
+    where they are so many that this takes seconds: then the run finds out.
     """
-    if not _in_doubt(scene):
+    if scene.initial.count > _MOST or not _in_doubt(scene):
         return
     from multicell.biology.driven import named_at_start
     from multicell.biology.initial import initial_cells
@@ -29,9 +32,7 @@ def check_population(scene: Scene) -> None:
     from multicell.nutrient.balance import beyond
     from multicell.nutrient.tissue import Tissue
     from multicell.scene.domain import check_start
-    from multicell.scene.ranges import check_memory
 
-    check_memory(scene)
     cells, plan = initial_cells(scene), biology_plan(scene)
     check_start(scene, cells)
     named_at_start(plan, cells)

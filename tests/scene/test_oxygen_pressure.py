@@ -142,6 +142,8 @@ TOO_MUCH = {
 def test_more_oxygen_than_dissolves_is_refused(key):
     """21 without a unit is 21 mM, and pure oxygen has 1 mM."""
     changes = {f"nutrients.oxygen.{key}": TOO_MUCH[key]}
+    if key == "necrosis":
+        changes["nutrients.oxygen.quiescence"] = None
     with pytest.raises(
         SceneError, match=r"under pure oxygen water dissolves 1 mM.*'[\d.]+ %'"
     ) as it:
@@ -162,9 +164,10 @@ DOORS = {
     "explain": ["explain", "spheroid", "--set", "nutrients.oxygen.boundary=21"],
     "play": ["play", "spheroid", "--no-browser", "--key", "nutrients.oxygen.boundary=1:21"],
     "study": ["study", "new", "spheroid", "-o", "out", "--vary", "nutrients.oxygen.boundary=1,21"],
-    "fit": ["fit", "spheroid", "data.csv", "-o", "out", "--free", "nutrients.oxygen.boundary=1:21"],
+    "fit": ["fit", "spheroid", "--data", "data.csv", "-o", "out", "--free",
+            "nutrients.oxygen.boundary=1:21"],
     "sensitivity": ["sensitivity", "spheroid", "-o", "out", "--free",
-                    "nutrients.oxygen.boundary=1:21", "--observables", "cells"],
+                    "nutrients.oxygen.boundary=1:21", "--observable", "cells"],
 }  # fmt: skip
 
 
