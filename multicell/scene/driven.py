@@ -89,9 +89,9 @@ def check_driven(scene: Scene) -> None:
     for name, motion in scene.motions.items():
         check_kinds(scene, f"motions.{name}.type", motion.type)
         if motion.cells is not None and (table is None or table.at_hand):
-            rows = np.arange(scene.initial.count)
-            ids = rows if table is None else table.given.columns.get("id", rows)
-            _check_identities(f"motions.{name}", motion, ids)
+            ids = None if table is None else table.given.columns.get("id")
+            known = range(scene.initial.count) if ids is None else np.unique(ids)
+            _check_identities(f"motions.{name}", motion, known)
         way = scene.coupling_step * math.hypot(*motion.velocity)
         most = scene.cells.division_radius
         if way > most:
@@ -111,7 +111,7 @@ def check_members(motions: Motions, types: Iterable[str], cells: Cells) -> None:
     moved: list[tuple[str, PrescribedMotion, NDArray[np.bool_]]] = []
     for name, motion in motions.items():
         path = f"motions.{name}"
-        _check_identities(path, motion, cells.id)
+        _check_identities(path, motion, np.unique(cells.id))
         chosen = motion.members(types, cells)
         if not chosen.any() and motion.by_identity:
             hint = "All of its cells, type, x, y and z must hold for a cell."
@@ -124,12 +124,15 @@ def check_members(motions: Motions, types: Iterable[str], cells: Cells) -> None:
         moved.append((path, motion, chosen))
 
 
-def _check_identities(path: str, motion: PrescribedMotion, known: NDArray[np.int64]) -> None:
-    missing = np.setdiff1d(motion.cells or (), known)
-    if len(missing):
-        problem = f"names the cell {int(missing[0])}, which is not there at the start"
-        hint = f"Identities at the start go from {known.min()} to {known.max()}."
-        raise SceneError(f"{path}.cells", problem, hint)
+def _check_identities(
+    path: str, motion: PrescribedMotion, known: range | NDArray[np.int64]
+) -> None:
+    """Check that cells are among the known ones, whose identities rise."""
+    for cell in motion.cells or ():
+        if cell not in known:
+            problem = f"names the cell {cell}, which is not there at the start"
+            hint = f"Identities at the start go from {known[0]} to {known[-1]}."
+            raise SceneError(f"{path}.cells", problem, hint)
 
 
 def _overlap(first: PrescribedMotion, second: PrescribedMotion) -> bool:
