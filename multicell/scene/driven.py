@@ -128,8 +128,9 @@ def _check_identities(
     path: str, motion: PrescribedMotion, known: range | NDArray[np.int64]
 ) -> None:
     """Check that cells are among the known ones, whose identities rise."""
+    found = known if isinstance(known, range) else set(known.tolist())
     for cell in motion.cells or ():
-        if cell not in known:
+        if cell not in found:
             problem = f"names the cell {cell}, which is not there at the start"
             hint = f"Identities at the start go from {known[0]} to {known[-1]}."
             raise SceneError(f"{path}.cells", problem, hint)
