@@ -29,6 +29,11 @@ class MulticellError(Exception):
 
 
 @final
+class UnitWarning(UserWarning):
+    """A number without a unit that was read in base units, where another one may be meant."""
+
+
+@final
 class SceneError(MulticellError):
     """A scene, a parameter or a quantity that cannot be accepted.
 

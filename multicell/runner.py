@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.compiling.threads import thread_count
+from multicell.coupling.start_check import check_population
 from multicell.errors import OutputError, SceneError
 from multicell.host.interrupts import STEP, UNCUT
 from multicell.host.memory import Returns, peak
@@ -129,6 +130,7 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
         from multicell.scene.start_checks import check_start_table
 
         check_start_table(scene)  # before the folder is made
+    check_population(scene)
     check_observables(scene)
     scene, own = integrated_by(scene, options.integrator)
     begin = clock.perf_counter()

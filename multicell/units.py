@@ -1,19 +1,22 @@
 """Quantities at the door: ``"15 h"`` or ``"1 kPa"`` becomes a float in base units.
 
 The base units are µm, s, nN and amol. Then stress is kPa = nN/µm², surface energy mN/m = nN/µm,
-viscosity kPa·s and concentration mM = amol/µm³, all without a factor. pint is imported only when
-a string arrives whose unit is not among the common ones (:data:`COMMON`): its registry takes longer
-to load than a small scene to start.
+viscosity kPa·s and concentration mM = amol/µm³, all without a factor. :data:`LISTED` has the units
+that people write, each with the prefixes that they use; a unit may be a product of them
+(``"amol/s/um^3"``). Whatever else is refused: a prefix on any unit makes ``"20 hh"`` 2,000 hours.
 """
 
 from __future__ import annotations
 
+import difflib
 import functools
 import math
 import re
+from collections.abc import Mapping
 from decimal import Decimal
+from itertools import pairwise
 from numbers import Real
-from typing import Any
+from typing import Final
 
 from multicell.errors import SceneError
 
@@ -45,26 +48,51 @@ _UNITS = {
     "1/Gy^2": (1e-9, 1e6, "an effect per dose squared", "0.03 1/Gy^2"),
     "": (1e-12, 1e12, "a number", "1"),
 }
-COMMON = {
-    "um": {"µm": 1.0, "μm": 1.0, "nm": 0.001, "mm": 1000.0, "cm": 10000.0},
-    "um^3": {"µm^3": 1.0, "mm^3": 1e9, "uL": 1e9, "mL": 1e12},
-    "s": {"ms": 0.001, "min": 60.0, "h": 3600.0, "d": 86400.0, "hours": 3600.0, "days": 86400.0},
-    "kPa": {"Pa": 0.001, "MPa": 1000.0, "mmHg": 0.133322387415},
-    "nN": {"pN": 0.001, "uN": 1000.0},
-    "nN/um": {"mN/m": 1.0, "N/m": 1000.0, "nN/µm": 1.0},
-    "kPa s": {"Pa s": 0.001, "kPa*s": 1.0, "Pa*s": 0.001},
-    "um/s": {"µm/s": 1.0, "nm/s": 0.001},
-    "um^2/s": {"µm^2/s": 1.0, "µm²/s": 1.0, "m^2/s": 1e12, "cm^2/s": 1e8, "mm^2/s": 1e6},
-    "mM/s": {"amol/s/um^3": 1.0, "amol/s/µm^3": 1.0},
-    "mM": {"uM": 0.001, "µM": 0.001, "nM": 1e-6, "M": 1000.0, "mol/m^3": 1.0},
-    "Gy": {"cGy": 0.01, "mGy": 0.001},
-    "1/Gy": {"Gy^-1": 1.0},
-    "1/Gy^2": {"Gy^-2": 1.0},
+_ROWS: Final = {
+    "um": (
+        "um micron microns micrometer micrometers micrometre micrometres 1, pm 1e-6, nm "
+        "nanometer nanometers nanometre nanometres 1e-3, mm millimeter millimeters "
+        "millimetre millimetres 1e3, cm centimeter centimeters centimetre centimetres "
+        "1e4, dm 1e5, m meter meters metre metres 1e6"
+    ),
+    "um^3": (
+        "fl fL 1, pl pL 1e3, nl nL 1e6, ul uL 1e9, ml mL 1e12, dl dL 1e14, l L liter "
+        "liters litre litres 1e15"
+    ),
+    "s": (
+        "s sec secs second seconds 1, us 1e-6, ms 1e-3, min mins minute minutes 60, h "
+        "hr hrs hour hours 3600, d day days 86400, wk week weeks 604800"
+    ),
+    "1/s": "Hz 1",
+    "nN": "fN 1e-6, pN 1e-3, nN 1, uN 1e3, mN 1e6, N 1e9, dyn dyne dynes 1e4",
+    "nN um": "aJ 1e-3, fJ 1, pJ 1e3, nJ 1e6, uJ 1e9, mJ 1e12, J 1e15, erg ergs 1e8",
+    "nN/um^2": (
+        "uPa 1e-9, mPa 1e-6, Pa 1e-3, hPa 0.1, kPa 1, MPa 1e3, GPa 1e6, mbar 0.1, bar "
+        "100, atm 101.325, mmHg 0.133322387415, torr Torr "
+        "0.1333223684210526315789473684"
+    ),
+    "nN s/um^2": "P poise 1e-4, cP centipoise 1e-6, mP 1e-7",
+    "nN s^2/um": "fg 1e-15, pg 1e-12, ng 1e-9, ug 1e-6, mg 1e-3, g gram grams 1, kg 1e3",
+    "amol": ("zmol 1e-3, amol 1, fmol 1e3, pmol 1e6, nmol 1e9, umol 1e12, mmol 1e15, mol 1e18"),
+    "amol/um^3": "fM 1e-12, pM 1e-9, nM 1e-6, uM 1e-3, mM 1, M 1e3",
+    "Gy": "mGy 1e-3, cGy 1e-2, Gy 1",
 }
-"""What pint makes of common units, as numbers of the base unit that is the outer key."""
+LISTED: Final[Mapping[str, Mapping[str, str]]] = {
+    base: {names: size for names, _, size in (row.rpartition(" ") for row in rows.split(", "))}
+    for base, rows in _ROWS.items()
+}
+"""The units that are read: base unit, or what a product of them is -> names -> how many they are.
 
-_FAMILIES = {text: base for base in _UNITS if base for text in (base, *COMMON.get(base, ()))}
-"""The base unit of each unit that is known without pint; no two of them have one dimension."""
+An ``u`` may also be written µ. Percentages (:data:`PERCENT`) are read where a gas is meant. ``M``
+is for rate constants (``"1/M/s"``), not for a concentration: no medium has moles per litre, and it
+is easily left of ``mM``.
+"""
+
+PERCENT: Final = ("%", "percent", "per cent")
+"""How hundredths are written."""
+
+_AXES: Final = ("um", "s", "nN", "amol", "Gy")
+_PIXELS: Final = ("px", "pixel", "pixels", "voxel", "voxels", "vx")
 
 RANGES = {unit: entry[:2] for unit, entry in _UNITS.items()}
 """Smallest and largest size of a number other than zero that a scene may hold, by its unit.
@@ -78,9 +106,13 @@ times that in gases. Inside, a product of a dozen such numbers stays far from th
 """
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
-_UNIT_TEXT = re.compile(r"[A-Za-zµμ0-9 */^().²³¹⁻-]{1,40}")
-# A power of a power or a long exponent would keep the parser busy for ever.
-_RUNAWAY = re.compile(r"[\d)]\s*(?:\^|\*\*)|\d\d|\.\d")
+_WRITTEN = str.maketrans({"µ": "u", "μ": "u", "·": "*", "²": "2", "³": "3", "¹": "1", "⁻": "-"})
+_TOKEN = re.compile(r"\s*(?:([A-Za-z]+)(?:(?:\^|\*\*)?([+-]?[1-9])(?!\d))?|([*/()]|1(?=\s*/)))")
+_SPAN = r"(\d+\.?\d*|\.\d+)\s*([A-Za-z]+)\s*"  # one of "2 days 3 h"
+_SPANS = re.compile(rf"([A-Za-z]+)\s*((?:{_SPAN})+)")
+
+Power = tuple[int, ...]
+"""The powers of the :data:`_AXES` in a unit."""
 
 
 def to_base(value: object, unit: str, path: str = "") -> float:
@@ -168,6 +200,33 @@ def vapour_pressure(temperature: float) -> float:
     return 101.325 * math.exp(11.8571 - 3840.70 / t - 216961.0 / t**2)
 
 
+def unit_factor(text: str, unit: str) -> float | None:
+    """Return how many ``unit`` one of the unit in a text is; None where it is no such unit."""
+    if text == unit:
+        return 1.0
+    found, wanted = _read(text), _read(unit)
+    unlike = found is None or wanted is None or found[0] != wanted[0]
+    if found is None or wanted is None or unlike or _is_bare_molar(text, unit):
+        return None
+    return float(found[1] / wanted[1])
+
+
+def unit_hint(text: str, unit: str) -> str:
+    """Return what may be meant by a text that is no unit of the kind of ``unit``; may be empty."""
+    names = [name for name, _ in _factors(text) or ()]
+    if any(name.lower() in _PIXELS for name in names):
+        return "How many um is a pixel? Multiply by that, and write um."
+    if _is_bare_molar(text, unit):
+        return "Did you mean 'mM'?"
+    known = {name.lower(): name for name in reversed(list(_sizes()))}
+    for name in set(names) - _sizes().keys():
+        for near in difflib.get_close_matches(name.lower(), known, 5, 0.6):
+            meant = re.sub(rf"(?<![A-Za-z]){name}(?![A-Za-z])", known[near], _plain(text))
+            if unit_factor(meant, unit) is not None:
+                return f"Did you mean '{meant}'?"
+    return ""
+
+
 def _from_text(text: str, unit: str, path: str) -> float:
     match = _QUANTITY.fullmatch(text) if len(text) <= 100 else None
     if match is None:
@@ -176,77 +235,100 @@ def _from_text(text: str, unit: str, path: str) -> float:
     if not unit_text:
         hint = f"Write for example '{digits} h'." if unit == "s" else _example(unit)
         raise SceneError(path, f"is {shown(text)}, a string without a unit", hint)
-    factor = _factor(unit_text, unit, text, path)
+    several = _SPANS.fullmatch(unit_text) if unit == "s" and digits[0] != "-" else None
+    spans = [(digits, unit_text if several is None else several[1])]
+    spans += re.findall(_SPAN, several[2]) if several else []
+    factors = [_factor(name, unit, text, path) for _, name in spans]
+    if any(a <= b for a, b in pairwise(factors)):
+        hint = "Write for example '2 days 3 h'."
+        raise SceneError(path, f"is {shown(text)}, whose units do not fall", hint)
     number = finite(float(digits), path, "a number")
     if number == 0.0 and not Decimal(digits).is_zero():
         raise SceneError(path, f"is {shown(text)}, too small for a number", _example(unit))
-    if number == 0.0:
+    if number == 0.0 and len(spans) == 1:
         return 0.0
-    product = float(Decimal(digits) * Decimal(repr(factor)))
-    return finite(product, path, "a number", _example(unit))
+    parts = zip((Decimal(part) for part, _ in spans), factors, strict=True)
+    total = sum(part * Decimal(repr(factor)) for part, factor in parts)
+    return finite(float(total), path, "a number", _example(unit))
 
 
 def _factor(unit_text: str, unit: str, text: str, path: str) -> float:
     """Return how many ``unit`` one ``unit_text`` is; ``text`` is what the user wrote."""
-    family = _FAMILIES.get(unit_text)
-    if family is not None and unit in _UNITS:
-        if family != unit:
-            raise _of_another_kind(unit_text, unit, text, path)
-        return COMMON.get(unit, {}).get(unit_text, 1.0)
-    import pint
-
+    factor, hint = unit_factor(unit_text, unit), _example(unit)
+    if factor is not None:
+        return factor
+    if _is_bare_molar(unit_text, unit):
+        number = float(text.replace(unit_text, ""))
+        hint = f"Did you mean '{number:g} mM'? {number:g} M is written '{1000.0 * number:g} mM'."
+        raise SceneError(path, f"is {shown(text)}, in moles per litre", hint)
+    if _read(unit_text) is not None:
+        kind = _UNITS[unit][2] if unit in _UNITS else f"a quantity in {unit}"
+        problem = f"is {shown(text)}, must be {kind}, which '{unit_text}' is not"
+        if unit == "mM" and unit_text.startswith(("g/", "mg/", "ug/", "µg/", "ng/")):
+            hint += " Divide a mass by the molar mass: 1 g/l of glucose (180 g/mol) is 5.55 mM."
+        raise SceneError(path, problem, hint)
     if re.match(r",\d", unit_text):
-        hint = f"Use '.' as decimal separator. {_example(unit)}"
+        hint = f"Use '.' as decimal separator. {hint}"
+    if not _factors(unit_text):
         raise SceneError(path, f"is {shown(text)}, its unit cannot be read", hint)
-    if not _UNIT_TEXT.fullmatch(unit_text) or _RUNAWAY.search(unit_text):
-        raise SceneError(path, f"is {shown(text)}, its unit cannot be read", _example(unit))
-    try:
-        return _conversion(unit_text, unit)
-    except pint.DimensionalityError:
-        raise _of_another_kind(unit_text, unit, text, path) from None
-    except _parse_errors():
-        problem = f"is {shown(text)}, with the unknown unit '{unit_text}'"
-        hint = f"{_example(unit)} Capitals matter: kPa, mM, um."
-        raise SceneError(path, problem, hint) from None
+    meant = unit_hint(unit_text, unit).replace("mean '", f"mean '{text.replace(unit_text, '')}")
+    hint = " ".join(filter(None, (meant, hint, "Capitals matter: kPa, mM, um.")))
+    raise SceneError(path, f"is {shown(text)}, with the unknown unit '{unit_text}'", hint)
 
 
-def _of_another_kind(unit_text: str, unit: str, text: str, path: str) -> SceneError:
-    """Return the error of a quantity whose dimension is not that of ``unit``."""
-    kind = _UNITS[unit][2] if unit in _UNITS else f"a quantity in {unit}"
-    problem = f"is {shown(text)}, must be {kind}, which '{unit_text}' is not"
-    hint = _example(unit)
-    if unit == "mM" and unit_text.startswith(("g/", "mg/", "ug/", "µg/", "ng/")):
-        hint += " Divide a mass by the molar mass: 1 g/l of glucose (180 g/mol) is 5.55 mM."
-    return SceneError(path, problem, hint)
+def _is_bare_molar(unit_text: str, unit: str) -> bool:
+    """Return whether a concentration is in M, without a prefix."""
+    return unit == "mM" and _factors(unit_text) == [("M", 1)]
 
 
-def _parse_errors() -> tuple[type[Exception], ...]:
-    """Return what pint raises for text that is not a unit."""
-    import tokenize
+def _plain(text: str) -> str:
+    return text.translate(_WRITTEN).replace("mm Hg", "mmHg").strip()
 
-    import pint
 
-    # pint's parser lets Python's own errors through for malformed expressions
-    python = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
-    return (pint.PintError, tokenize.TokenError, SyntaxError, *python)
+def _factors(text: str) -> list[tuple[str, int]] | None:
+    """Return names and powers of the product that a unit is; None where it cannot be read."""
+    text, place, signs, sign, behind = _plain(text), 0, [1], 1, False
+    found: list[tuple[str, int]] = []
+    while place < len(text):
+        match = _TOKEN.match(text, place)
+        if match is None or len(text) > 40:
+            return None
+        place, (name, power, mark) = match.end(), match.groups()
+        if name:
+            found.append((name, sign * signs[-1] * int(power or 1)))
+        elif mark == "(":
+            signs.append(sign * signs[-1])
+        elif behind != (mark != "1") or (mark == ")" and len(signs) == 1):
+            return None
+        elif mark == ")":
+            signs.pop()
+        sign, behind = -1 if mark == "/" else 1, mark not in ("*", "/", "(")
+    return found if behind and len(signs) == 1 else None
+
+
+@functools.lru_cache(4096)
+def _read(text: str) -> tuple[Power, Decimal] | None:
+    """Return the powers of the axes in a unit and its size; None where a name is not listed."""
+    power, size = [0] * len(_AXES), Decimal(1)
+    for name, exponent in _factors(text) or [("", 1)]:
+        known = _sizes().get(name)
+        if known is None:
+            return None
+        power = [a + exponent * b for a, b in zip(power, known[0], strict=True)]
+        size *= known[1] ** exponent
+    return tuple(power), size
 
 
 @functools.cache
-def _conversion(unit_text: str, unit: str) -> float:
-    """Return the factor from one unit to another; a short decimal is freed of rounding."""
-    registry = _registry()
-    quantity = registry.Quantity(1.0, registry.parse_units(unit_text))
-    factor = float(quantity.to(unit).magnitude)
-    short = float(f"{factor:.12g}")
-    return short if math.isclose(short, factor, rel_tol=1e-15) else factor
-
-
-@functools.cache
-def _registry() -> Any:
-    """Return the one unit registry; private, so that a user's own definitions stay apart."""
-    import pint
-
-    return pint.UnitRegistry()
+def _sizes() -> Mapping[str, tuple[Power, Decimal]]:
+    """Return the powers of the axes and the size of each name that is listed."""
+    known: dict[str, tuple[Power, Decimal]] = {}
+    for base, units in LISTED.items():
+        factors = _factors(base) or ()
+        power = tuple(sum(e for name, e in factors if name == axis) for axis in _AXES)
+        for names, size in units.items():
+            known |= dict.fromkeys(names.split(), (power, Decimal(size)))
+    return known
 
 
 def _example(unit: str) -> str:

@@ -1,4 +1,4 @@
-"""Directives that make tables of declarations: the keys of a scene, and observables."""
+"""Directives that make tables of declarations: keys of a scene, units, and observables."""
 
 import inspect
 import re
@@ -13,6 +13,7 @@ from sphinx.util.docutils import SphinxDirective
 from multicell.results.measures import OBSERVABLES
 from multicell.scene.scene import Scene
 from multicell.schema import Parameter, Tables
+from multicell.units import LISTED
 
 KINDS = {
     "choice": "name",
@@ -140,6 +141,22 @@ def observables() -> str:
     return "\n".join([*head, *rows])
 
 
+def units() -> str:
+    """Return the table of all units that are read, in Markdown."""
+    head = _cells("base unit", "units that are read"), _cells(*["---"] * 2)
+    rows = (_cells(f"`{base}`", ", ".join(f"`{name}`" for row in names for name in row.split()))
+            for base, names in LISTED.items())  # fmt: skip
+    return "\n".join([*head, *rows])
+
+
+class Units(SphinxDirective):
+    """Puts the table of units in its place."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return it as nodes of the page."""
+        return self.parse_text_to_nodes(units())
+
+
 class Observables(SphinxDirective):
     """Puts the table of observables in its place."""
 
@@ -172,4 +189,5 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("observables", Observables)
     app.add_directive("scene-keys", SceneKeys)
     app.add_directive("scene-parts", SceneParts)
+    app.add_directive("units", Units)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

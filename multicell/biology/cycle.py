@@ -113,7 +113,8 @@ def phase_pace(plan: BiologyPlan, found: Found, cells: Cells) -> FloatArray | No
     """Return the factor of the clock in each phase, (n, 5), or None where nothing responds.
 
     The response of the entry into a phase sets the pace of the phase before it. Cells grow at
-    their own rate all the while: where a phase takes longer, they come out of it larger.
+    their own rate all the while: where a phase takes longer, they come out of it larger, beyond
+    the volume of division only where the scene has hypertrophy.
     """
     pace = None
     for phase in (Phase.G1, Phase.S, Phase.G2, Phase.M):
@@ -135,11 +136,15 @@ def _grow(
     """Let cells grow for some time, s, at a part of their unlimited growth."""
     assert plan.law is not None
     law, birth, cycle = plan.law, plan.birth_volume, cells.cycle_time[index]
+    before = now.volume[index]
     if law.constant:
-        now.volume[index] += birth / cycle * factor * time
-        return
-    share = factor * time / cycle
-    now.volume[index] = volume_in(plan, now.phase[index], now.volume[index], share, birth)
+        after = before + birth / cycle * factor * time
+    else:
+        share = factor * time / cycle
+        after = volume_in(plan, now.phase[index], before, share, birth)
+    if not plan.hypertrophy:
+        after = np.minimum(after, np.maximum(before, plan.division_volume))
+    now.volume[index] = after
 
 
 def _grow_as_two(

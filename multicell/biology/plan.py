@@ -78,6 +78,7 @@ class BiologyPlan:
     phased: bool
     grows: Mask
     restricted: bool
+    hypertrophy: bool
     stage: str
     varies: bool
     founders: int
@@ -134,6 +135,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         phased=bool(phases),
         grows=np.array([p.name in phases and phases[p.name].grows for p in Phase]),
         restricted=growth is not None and bool(phases) and growth.restriction,
+        hypertrophy=growth is None or growth.hypertrophy,
         stage=scene.initial.stage,
         varies=_varies(scene),
         founders=founders(scene),

@@ -20,7 +20,7 @@ from multicell.studies.readings import (
 )
 from multicell.tables.columns import Table
 from multicell.tables.titles import split_title
-from multicell.units import to_base
+from multicell.units import PERCENT, to_base, unit_factor
 
 _ERRORS: Final = ("sd", "sem")
 NUMBERS: Final = ("time", "start", "depth", "value", *_ERRORS, "n")
@@ -55,7 +55,7 @@ class Column:
     @property
     def relative(self) -> bool:
         """Whether it holds errors as parts of the values."""
-        return self.kind in _ERRORS and self.unit == "%"
+        return self.kind in _ERRORS and self.unit in PERCENT
 
     def number(self, text: str, place: str) -> float:
         """Return a field as a number of base units; raises DataError if it is none."""
@@ -153,7 +153,7 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> C
     stem, _, kind = name.rpartition(" ")
     if stem and kind in (*_ERRORS, "n"):
         base = "" if kind == "n" else _unit_of(stem, scene, place)
-        if kind != "n" and unit == "%":
+        if kind != "n" and unit in PERCENT:
             return Column(kind, stem, unit, base, title)
         return _measured(kind, stem, unit, base, title, place, scene)
     if _is_key(name, scene):
@@ -207,8 +207,9 @@ def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: st
         raise DataError(place, "has no unit", f"Write '{stem} / {'h' if base == 's' else base}'.")
     if unit and not base:
         raise DataError(place, f"has the unit '{unit}', must have none", f"Write '{stem}'.")
-    if base:
+    if base and unit_factor(unit, base) is None:
         _convert(f"1 {unit}", base, place)
+        raise DataError(place, f"has the unit '{unit}', must be a single one")
     return Column(kind, name, unit, base, title)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,8 +34,6 @@ def grouped(*options: Option) -> Option:
 
     return add
 
-
-_SHORT = 500.0  # s; a time of a scene that is shorter is likely meant in hours
 
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 
@@ -154,6 +152,8 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
     """Return the scene that SCENE, ``--law`` and ``--set`` describe."""
     parsed = parse_changes(changes)
     named = {} if law is None else name_law(law)
+    from multicell.coupling.start_check import check_population
+    from multicell.scene.bare import nested, note_written
     from multicell.scene.scene import load_scene
 
     scene = load_scene(source)
@@ -164,7 +164,8 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
             parsed = {key: name, **parsed}
     own = click.get_current_context().meta.get(_OBSERVABLES, ())
     described = scene.with_changes(parsed).with_observables(*own)
-    _note_short_times(source, parsed, described)
+    note_written(described, nested(parsed), typed=True)
+    check_population(described)
     return described
 
 
@@ -180,30 +181,6 @@ def of_scene(command: Callable[..., Any]) -> Callable[..., Any]:
 
     decorated: Callable[..., Any] = called
     return decorated
-
-
-def _note_short_times(source: str, changes: Mapping[str, Any], scene: Scene) -> None:
-    """Note numbers without a unit that are a few seconds where hours are likely meant."""
-    from multicell.cli.process import complain
-    from multicell.scene.scene import scene_text
-    from multicell.schema import leaves
-
-    given = dict(changes)
-    written = parse_toml(scene_text(source)).get("duration")
-    if isinstance(written, int):  # what multicell writes has a decimal point
-        given = {"duration": written, **given}
-    for path, _, spec in leaves(scene):
-        key = ".".join(path)
-        value = given.get(key)
-        if (
-            spec.unit == "s" and path[0] not in ("coupling_step", "integrator")
-            and isinstance(value, int | float) and 0.0 < value < _SHORT
-            and not click.get_current_context().params.get("quiet")
-        ):  # fmt: skip
-            complain(
-                f"Note: {key} is {value:g} s: a number without a unit is in seconds. "
-                f"Write '{value:g} h' for hours."
-            )
 
 
 def name_law(spec: str) -> dict[str, str]:

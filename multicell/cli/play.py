@@ -39,16 +39,18 @@ def play(scene: Scene, keys: Sequence[str], port: int, no_browser: bool) -> None
     """
     needs("tornado")
     from multicell.cli.playground import Playground, serve
-    from multicell.studies.axes import parse_ranges
+    from multicell.studies.axes import check_ranges, parse_ranges
 
     ranges = parse_ranges(key_values(keys, "--key"), scene)
+    check_ranges(scene, ranges)
     factor, note = _factor(scene)
     law = click.get_current_context().params["law"]
     with Playground(scene, ranges, factor, note, law) as playground:
 
         def ready(address: str) -> None:
             click.echo(f"{address}\nCtrl-C ends it.")
-            if not no_browser and not webbrowser.open(address):
+            # what a browser is called with, every user of this machine may read
+            if not no_browser and not webbrowser.open(playground.door(address).as_uri()):
                 complain("There is no browser to open it.")
 
         serve(playground, port, ready)

@@ -1,7 +1,8 @@
 """What ``multicell play`` serves: one page, the run for its sliders, and the view of that run.
 
 The server listens on the loopback device. Each request needs the secret of the address, and the
-name of this machine as its host, so that no page of another origin reaches it.
+name of this machine as its host and, where the browser states one, its origin, so that no page of
+another origin reaches it. The secret is in no argument of a process and in no log.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, Self, final
 
 from markupsafe import Markup
 from tornado.httpserver import HTTPServer
+from tornado.log import app_log
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
 
@@ -74,6 +76,13 @@ class Playground:
     def __exit__(self, *_: object) -> None:
         self.stop()
         shutil.rmtree(self._folder, ignore_errors=True)
+
+    def door(self, address: str) -> Path:
+        """Return a page that only this user may read, and that leads to an address."""
+        page = self._folder / "open.html"
+        page.touch(mode=0o600)
+        page.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', "utf-8")
+        return page
 
     def sliders(self) -> list[dict[str, Any]]:
         """Return what the page needs of each slider; places are from 0 to 1000."""
@@ -220,8 +229,17 @@ class _Handler(RequestHandler):
         self.set_header("Referrer-Policy", "no-referrer")
         given = self.get_query_argument("token", "")
         known = hmac.compare_digest(given.encode(), self._secret.encode())
-        if not known or self.request.host not in self._hosts:
+        origin = self.request.headers.get("Origin")
+        foreign = origin is not None and origin not in [f"http://{host}" for host in self._hosts]
+        if not known or foreign or self.request.host not in self._hosts:
             raise HTTPError(403)
+
+    def log_exception(self, typ: Any, value: Any, tb: Any) -> None:
+        """Log what is not foreseen by the path of the request alone: the rest holds the secret."""
+        if not isinstance(value, HTTPError):
+            app_log.error(
+                "%s %s", self.request.method, self.request.path, exc_info=(typ, value, tb)
+            )
 
     def get(self, what: str) -> None:
         if what == "curves":
@@ -236,7 +254,7 @@ class _Handler(RequestHandler):
     def post(self, _: str) -> None:
         try:
             self.finish({"number": self.playground.start(json.loads(self.request.body)["places"])})
-        except (ValueError, TypeError, KeyError):
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             raise HTTPError(400) from None
         except MulticellError as error:
             self.set_status(422)

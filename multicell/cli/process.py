@@ -11,6 +11,7 @@ import io
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -18,7 +19,7 @@ from typing import IO, Any, NoReturn, final
 
 import click
 
-from multicell.errors import MulticellError
+from multicell.errors import MulticellError, UnitWarning
 from multicell.host.interrupts import end_command, interrupted
 from multicell.plugins.named import own_fault
 
@@ -97,7 +98,8 @@ def exit_code(command: Callable[[], Any], as_json: bool) -> int:
     _open_standard_streams()
     _fit_encodings()
     try:
-        code = command()
+        with _notes():
+            code = command()
         if sys.stdout is not None:
             sys.stdout.flush()
         return code if isinstance(code, int) else 0
@@ -113,6 +115,23 @@ def exit_code(command: Callable[[], Any], as_json: bool) -> int:
             complain("Interrupted.")
             return INTERRUPTED
         return _explain(error, as_json)
+
+
+@contextmanager
+def _notes() -> Iterator[None]:
+    """Print what was read without a unit as a line, and nothing with ``--quiet``."""
+    with warnings.catch_warnings():
+        before = warnings.showwarning
+
+        def show(message: Any, category: type[Warning], *place: Any, **more: Any) -> None:
+            context = click.get_current_context(silent=True)
+            if not issubclass(category, UnitWarning):
+                before(message, category, *place, **more)
+            elif context is None or not context.params.get("quiet"):
+                complain(f"Note: {message}")
+
+        warnings.showwarning = show
+        yield
 
 
 def _explain(error: Exception, as_json: bool) -> int:

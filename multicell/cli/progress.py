@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -56,10 +57,11 @@ def display(
         return
     console = on_stderr()
     if not console.is_terminal:
-        printed = 0
+        printed, last, over = 0, time.perf_counter(), threading.Event()
 
         def report(*event: Any) -> None:
-            nonlocal printed
+            nonlocal printed, last
+            last = time.perf_counter()
             done = share(*event)
             part = printed if done is None else int(lines * done * (1.0 + 1e-12))
             if part != printed:  # it falls where another stage begins
@@ -67,7 +69,17 @@ def display(
                 text = f"{100 * part // lines:3d} %  {' · '.join(words())}"
                 console.print(text, markup=False, soft_wrap=True)
 
-        yield report
+        def watch() -> None:
+            """Say now and then that something takes long."""
+            while not over.wait(_LONG):
+                if time.perf_counter() - last > _LONG:
+                    console.print(f"      {' · '.join(words())}", markup=False, soft_wrap=True)
+
+        threading.Thread(target=watch, daemon=True).start()
+        try:
+            yield report
+        finally:
+            over.set()
         return
     from rich import progress as rich_progress
     from rich.table import Column
@@ -126,6 +138,8 @@ def status(simulation: Any, wall: float, left: float | None = None) -> list[str]
     ]
 
 
+_SLOW: Final = 20.0  # wall time in a step from which on it is shown, s
+_LONG: Final = 60.0  # wall time without news after which a line says so where there is no bar, s
 _FORECAST_AFTER: Final = 10.0  # wall time of a run after which its end is predicted, s
 _PRIOR: Final = 5.0  # expected wall time, s, that counts as if it had been measured as expected
 
@@ -174,17 +188,21 @@ class _Clock:
         self._since = 0.0, 0.0
         self._left: float | None = None
         self._simulation: Any = None
+        self._last = self._start
 
     def words(self) -> list[str]:
         """Return where the run stands in words."""
+        now = time.perf_counter()
         if self._simulation is None:
             return ["preparing"]
-        return status(self._simulation, time.perf_counter() - self._start, self._left)
+        known = status(self._simulation, now - self._start, self._left)
+        long = now - self._last
+        return [*known, f"the next for {time_text(long, 2)}"] if long > _SLOW else known
 
     def note(self, simulation: Any) -> float:
         """Note a step, and return the part of the time that is simulated."""
         self._simulation, compiled = simulation, simulation.wall["compile"]
-        now = time.perf_counter()
+        now = self._last = time.perf_counter()
         if self._forecast is None and now - self._start > _FORECAST_AFTER:
             self._forecast = Forecast.of(self._scene)
             now = time.perf_counter()

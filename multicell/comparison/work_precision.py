@@ -25,6 +25,7 @@ from multicell.comparison.styles import unregistered_styles
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator
 from multicell.results.folder import make_folder, remove, versions
+from multicell.scene.bare import note_bare
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
 from multicell.units import to_base
@@ -119,6 +120,7 @@ def compare(
     count = sample_size(stepwise)
     if clock not in CLOCKS:
         raise SceneError("clock", f"is {clock!r}, must be {' or '.join(map(repr, CLOCKS))}")
+    note_bare("shift", shift, "um")
     moved = to_base(shift, "um", "shift")
     if moved < 0.0:
         raise SceneError("shift", f"is {shift!r}, must be 0 um or more")

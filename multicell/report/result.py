@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.report.wording import cell_count, measures, time_unit
 from multicell.results.frame import Frame, Named
+from multicell.scene.bare import note_bare
 from multicell.units import to_base
 
 if TYPE_CHECKING:
@@ -150,6 +151,7 @@ class Result:
     def number_at(self, time: float | str, path: str = "time") -> int:
         """Return the number of the frame nearest to a time; an error names it ``path``."""
         assert isinstance(self.frames, DrawnFrames)
+        note_bare(path, time, "s")
         wanted, times = to_base(time, "s", path), self.frames.times
         if not len(times):
             raise OutputError("the run has no frames")

@@ -90,6 +90,7 @@ def run_summary(
         "notes": [
             *packing_notes(scene, own["packing_ratio"], own.get("volume_fraction")),
             *_start_notes(progress.first_states),
+            *_giant_notes(scene, frame.cells),
             *remarks,
         ],
     }
@@ -147,6 +148,24 @@ def _start_notes(states: Mapping[str, int]) -> list[str]:
             "or dead cells lower what others find, and no states were found that fit."
         )
     return notes
+
+
+_GIANT = 1.1
+"""Volume of a living cell over that of division from which on it is noted: a step's growth is less.
+"""
+
+
+def _giant_notes(scene: Scene, cells: Cells) -> list[str]:
+    """Return a remark on living cells that are larger than those that divide."""
+    ratio = cells.volume[~cells.dead] / (2.0 * birth_volume(scene))
+    giants = int((ratio > _GIANT).sum())
+    if scene.growth is None or not giants:
+        return []
+    return [
+        f"{giants:,} living cell(s) are larger than at division, the largest {ratio.max():.3g} "
+        "times: cells that are held in a phase keep growing. growth.hypertrophy = false stops them "
+        "at the volume of division."
+    ]
 
 
 def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:

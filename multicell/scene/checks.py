@@ -10,6 +10,7 @@ from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
+from multicell.scene.oxygen import NAME, saturated
 from multicell.scene.reactions import group_of, groups
 from multicell.scene.scales import MAX_NODES, height, level_fixed, spacing, touches_medium
 from multicell.schema import leaves, near_miss, separated
@@ -155,6 +156,8 @@ def check_nutrients(scene: Scene) -> None:
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
         _check_names(scene, path, nutrient)
+        if name == NAME:
+            _check_oxygen(path, nutrient)
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
         if nutrient.media is not None and nutrient.media[0][0] < 0.0:
@@ -181,6 +184,22 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
         if not scene.nutrients[other].takes_up:
             hint = "What is secreted from a field's uptake needs that uptake."
             raise SceneError(f"{path}.secretion_from.{other}", "is a field with no uptake", hint)
+
+
+def _check_oxygen(path: str, nutrient: Nutrient) -> None:
+    """Check that nowhere is more oxygen than water dissolves of pure oxygen, nor needed by cells.
+
+    1 mM is allowed at any temperature: at that of the body it is what dissolves, to 0.01 %.
+    """
+    most = max(saturated(nutrient.temperature), 1.0)
+    levels = {key: getattr(nutrient, key) or 0.0 for key in ("boundary", "quiescence", "necrosis")}
+    levels["media"] = max((value for _, value in nutrient.media or ()), default=0.0)
+    levels |= {f"sides.{face}.value": side.value or 0.0 for face, side in nutrient.sides.items()}
+    for key, level in levels.items():
+        if level > most:
+            problem = f"is {level:.4g} mM, but under pure oxygen water dissolves {most:.3g} mM"
+            hint = f"Percentages and pressures have a unit: '{level:.4g} %', '{level:.4g} mmHg'."
+            raise SceneError(f"{path}.{key}", problem, hint)
 
 
 def _check_spacing(scene: Scene, path: str, nutrient: Nutrient) -> None:

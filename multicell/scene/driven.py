@@ -85,8 +85,13 @@ Motions = Mapping[str, PrescribedMotion]
 
 def check_driven(scene: Scene) -> None:
     """Raise ``SceneError`` for motions that do not fit to the rest of the scene."""
+    table = scene.initial.cells
     for name, motion in scene.motions.items():
         check_kinds(scene, f"motions.{name}.type", motion.type)
+        if motion.cells is not None and (table is None or table.at_hand):
+            ids = None if table is None else table.given.columns.get("id")
+            known = range(scene.initial.count) if ids is None else np.unique(ids)
+            _check_identities(f"motions.{name}", motion, known)
         way = scene.coupling_step * math.hypot(*motion.velocity)
         most = scene.cells.division_radius
         if way > most:
@@ -106,11 +111,7 @@ def check_members(motions: Motions, types: Iterable[str], cells: Cells) -> None:
     moved: list[tuple[str, PrescribedMotion, NDArray[np.bool_]]] = []
     for name, motion in motions.items():
         path = f"motions.{name}"
-        missing = np.setdiff1d(motion.cells or (), cells.id)
-        if len(missing):
-            problem = f"names the cell {int(missing[0])}, which is not there at the start"
-            hint = f"Identities at the start go from {cells.id.min()} to {cells.id.max()}."
-            raise SceneError(f"{path}.cells", problem, hint)
+        _check_identities(path, motion, np.unique(cells.id))
         chosen = motion.members(types, cells)
         if not chosen.any() and motion.by_identity:
             hint = "All of its cells, type, x, y and z must hold for a cell."
@@ -121,6 +122,18 @@ def check_members(motions: Motions, types: Iterable[str], cells: Cells) -> None:
                 problem = f"moves the cell {cells.id[both[0]]}, which {other} moves as well"
                 raise SceneError(path, problem, "Let one of them end before the other begins.")
         moved.append((path, motion, chosen))
+
+
+def _check_identities(
+    path: str, motion: PrescribedMotion, known: range | NDArray[np.int64]
+) -> None:
+    """Check that cells are among the known ones, whose identities rise."""
+    found = known if isinstance(known, range) else set(known.tolist())
+    for cell in motion.cells or ():
+        if cell not in found:
+            problem = f"names the cell {cell}, which is not there at the start"
+            hint = f"Identities at the start go from {known[0]} to {known[-1]}."
+            raise SceneError(f"{path}.cells", problem, hint)
 
 
 def _overlap(first: PrescribedMotion, second: PrescribedMotion) -> bool:

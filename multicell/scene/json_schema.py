@@ -14,12 +14,21 @@ from typing import Any, Final
 
 from multicell.scene.scene import Scene
 from multicell.schema import Bounds, Parameter, specs
+from multicell.units import LISTED, PERCENT
 
 Schema = dict[str, Any]
 
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
-_QUANTITY: Final = r"^\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*[A-Za-zµμ%(1].*$"
-_MEASURE: Final = {"anyOf": [{"type": "number"}, {"type": "string", "pattern": _QUANTITY}]}
+_NAMES: Final = [name for units in LISTED.values() for row in units for name in row.split()]
+_MICRO: Final = [f"[uµμ]{name[1:]}" if name[0] == "u" else name for name in _NAMES]
+_QUANTITY: Final = (
+    r"^\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*("
+    rf"{'|'.join(PERCENT)}|"
+    rf"(({'|'.join(['mm Hg', *_MICRO])})(?![A-Za-zµμ])|[0-9.\s*·/()^+¹²³⁻-])+)\s*$"
+)
+"""A number and names of units that are listed, each of which may have a power."""
+_TEXT: Final = {"$ref": "#/$defs/quantity"}
+_MEASURE: Final = {"anyOf": [{"type": "number"}, _TEXT]}
 _IDENTIFIER: Final = "^[A-Za-z_][A-Za-z0-9_]*$"
 _LIMITS: Final[Mapping[str, str]] = {
     "above": "exclusiveMinimum",
@@ -37,6 +46,7 @@ def json_schema() -> Schema:
     """
     parts: dict[str, Schema] = {}
     whole = _table(Scene, parts)
+    parts["quantity"] = {"type": "string", "pattern": _QUANTITY}
     return {"$schema": _DIALECT, "title": "A scene of multicell", **whole, "$defs": parts}
 
 
@@ -89,7 +99,7 @@ def _amount(unit: str, bounds: Bounds | None = None) -> Schema:
     """Return the schema of a quantity, or of a number where there is no unit."""
     if not unit:
         return _number(bounds)
-    text = {"type": "string", "pattern": _QUANTITY, "examples": [f"1 {unit}"]}
+    text = {**_TEXT, "examples": [f"1 {unit}"]}
     return {"anyOf": [_number(bounds), text], "x-unit": unit}
 
 

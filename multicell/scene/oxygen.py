@@ -10,7 +10,7 @@ from typing import Any, Final
 from multicell.errors import SceneError
 from multicell.scene.nutrient import Nutrient
 from multicell.schema import specs
-from multicell.units import oxygen_solubility, shown, to_base, vapour_pressure
+from multicell.units import PERCENT, oxygen_solubility, shown, to_base, vapour_pressure
 
 NAME: Final = "oxygen"
 """The field whose concentrations may be written as partial pressures."""
@@ -18,7 +18,9 @@ NAME: Final = "oxygen"
 _BODY: Final = next(f.default for f in fields(Nutrient) if f.name == "temperature")
 _LEVELS: Final = [name for name, spec in specs(Nutrient).items() if spec.unit == "mM"]
 _DEEPEST: Final = 6
-_PERCENT: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*%\s*")
+_PERCENT: Final = re.compile(
+    rf"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:{'|'.join(PERCENT)})\s*"
+)
 _ATMOSPHERE: Final = 101.325  # kPa
 
 

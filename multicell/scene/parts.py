@@ -184,6 +184,11 @@ class Growth:
     restriction: bool = flag(
         default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
     )
+    hypertrophy: bool = flag(
+        default=True,
+        doc="with phases: cells that are held in one grow beyond the volume of division; false: "
+        "they stop there",
+    )
     cycle_variation: float = number(
         default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of the cycle time"
     )

@@ -35,7 +35,7 @@ from multicell.behaviours.laws import (
 from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.plugins.named import OWN_OBJECT
-from multicell.scene.checks import check_kinds
+from multicell.scene.checks import check_kinds, followed
 from multicell.scene.oxygen import concentration
 from multicell.scene.parts import loaded_in
 from multicell.scene.reactions import group_of
@@ -157,6 +157,17 @@ def effects(scene: Scene) -> tuple[Effect, ...]:
     """Return all responses of a scene, short forms first."""
     named = (_effect(scene, name, part) for name, part in scene.responses.items())
     return (*_short_forms(scene), *named)
+
+
+def read_fields(scene: Scene) -> set[str]:
+    """Return the fields that matter to cells, fields and reactions of a scene."""
+    read = {*followed(scene), *(part.oxygen for part in scene.radiation.values())}
+    read |= {signal for effect in effects(scene) for signal in effect.signals}
+    for field in scene.nutrients.values():
+        read |= {*field.uptake_on, *(field.secretion_from or ())}
+    for reaction in scene.reactions.values():
+        read |= set(reaction.fields)
+    return read | set(() if scene.energy is None else scene.energy.yields or ())
 
 
 def own_value(scene: Scene, behaviour: Behaviour) -> float:

@@ -23,6 +23,7 @@ from multicell.errors import SceneError
 from multicell.host.files import DEEPEST, parse_toml, read_text
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import OWN_OBJECT
+from multicell.scene.bare import note_written
 from multicell.scene.checks import (
     check_flat,
     check_integrator,
@@ -56,7 +57,7 @@ from multicell.scene.parts import (
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.responses import Response, check_responses
+from multicell.scene.responses import Response, check_responses, read_fields
 from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
     build,
@@ -77,6 +78,8 @@ from multicell.units import BASE_UNITS, shown
 if TYPE_CHECKING:
     from multicell.results.observable import Observable
 
+_WRITTEN = "# A scene of multicell"
+"""What the files begin with that :meth:`Scene.to_toml` makes."""
 _MAX_FILE_BYTES = 10_000_000
 """Bytes of a scene file; those with thousands of media changes have less than one million."""
 
@@ -162,6 +165,7 @@ class Scene:
 
     def prepare(self) -> None:
         """Turn oxygen's partial pressures into concentrations, before the parts are read."""
+        object.__setattr__(self, "_written", {name: getattr(self, name) for name in specs(self)})
         for name in ("nutrients", "reactions"):
             value = in_concentrations(getattr(self, name), (name,), self.nutrients)
             object.__setattr__(self, name, value)
@@ -191,6 +195,7 @@ class Scene:
         check_energy(self)
         check_reactions(self)
         check_radiation(self)
+        note_written(self, self.__dict__.pop("_written"))
 
     @property
     def box(self) -> Domain | None:
@@ -250,7 +255,9 @@ class Scene:
         entries = plain(self, changed if changed <= specs(Scene).keys() else None)
         for key, value in changes.items():
             _change(entries, key, value)
-        return build(type(self), entries)
+        made = build(type(self), entries)
+        _refuse_unused(made, changes, self.nutrients)
+        return made
 
     def with_observables(self, *own: Observable) -> Scene:
         """Return a scene whose runs also record observables of the user's own.
@@ -281,7 +288,7 @@ class Scene:
 
         facts = {"units": BASE_UNITS, "seed": self.seed, **(extra or {})}
         header = [f"# {name}: {value}" for name, value in facts.items()]
-        lines = [" ".join(line.split()) for line in ["# A scene of multicell", *header]]
+        lines = [" ".join(line.split()) for line in [_WRITTEN, *header]]
         safe = [line.encode("ascii", "backslashreplace").decode() for line in lines]
         return "\n".join([*safe, with_units(self, tomli_w.dumps(entries))])
 
@@ -316,7 +323,10 @@ def load_scene(source: str | Path) -> Scene:
         bare = _BARE.search(content)
         hint = f"A value with a unit stands in quotes: '{bare[1]}'." if bare else ""
         raise SceneError("", f"{str(source)!r} is not valid TOML: {error}", hint) from None
-    return Scene.from_dict(place_table(entries, source))
+    scene = Scene.from_dict(place_table(entries, source))
+    if not content.startswith(_WRITTEN):  # whose numbers are those of its author
+        note_written(scene, entries, typed=True)
+    return scene
 
 
 _BARE = re.compile(r"^[ \t]*[\w.]+[ \t]*=[ \t]*([\d.]+ *[A-Za-zµ%][^\s#]*)", re.MULTILINE)
@@ -426,6 +436,20 @@ def _refuse_misspelt(named: Mapping[str, Any], key: str) -> None:
     for known in get_close_matches(name, words, 1, 0.8) if name[-1:].isalpha() else ():
         hint = f"Did you mean '{first}.{known}.{rest}'? A further one is added by its whole table."
         raise SceneError(f"{first}.{name}", "is not there", hint)
+
+
+def _refuse_unused(
+    scene: Scene, changes: Mapping[str, Any], before: Mapping[str, Nutrient]
+) -> None:
+    """Refuse a field that a change of one of its keys has made, and that has no effect on cells."""
+    tables = {key: value for key, value in changes.items() if key.split(".")[0] == "nutrients"}
+    for name in scene.nutrients.keys() - before.keys():
+        whole = f"nutrients.{name}" in tables or name in (tables.get("nutrients") or ())
+        if tables and not whole and name not in read_fields(scene):
+            hint = near_miss(name, before, listed=False)
+            further = "A further one needs thresholds, or is added by its whole table."
+            problem = "is no field of the scene, and no cell would respond to it"
+            raise SceneError(f"nutrients.{name}", problem, f"{hint} {further}".strip())
 
 
 _KEY = re.compile(r'("(?:[^"\\]|\\.)*"|[\w-]+) = ')

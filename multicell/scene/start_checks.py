@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 _ROUNDING: Final = 1e-6
 _BEYOND: Final = 2.0 ** (1.0 / 3.0)
-"""Radius that a cell with phases may have over the division radius: it divides by its clock."""
+"""Radius that a cell with phases may have over the division radius: it divides by its clock.
+
+One whose phase is known may have any: held there it grows, and a hypertrophic one may die.
+"""
 _SWOLLEN: Final = 2.0
 """Radius of a dead cell over the division radius: necrotic ones swell to 8 volumes at most."""
 
@@ -115,6 +118,8 @@ def _check_sizes(scene: Scene, given: Given) -> None:
         dead = columns.get("state", np.zeros(len(given))) > State.QUIESCENT
         phases = scene.growth is not None and bool(scene.growth.phases)
         most = np.where(dead, _SWOLLEN, _BEYOND if phases else 1.0) * limit
+        if phases and "phase" in columns:  # of a run, where cells may have been held in one
+            most = np.full(len(given), np.inf)
         problem = f"is {{}}, beyond the radius of a dividing cell, {limit:g} um"
         hint = "Set cells.division_radius to that of your cells, or check the unit."
         given.refuse(columns["radius"] > most * (1.0 + _ROUNDING), "radius", problem, hint)

@@ -411,7 +411,7 @@ def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> N
             hint = "Every cell has a place."
         given.refuse(missing, name, "is empty or NaN, must be a number", hint)
     unit = START_COLUMNS[name]
-    largest = RANGES[unit][1]
+    largest = 10.0 * RANGES[unit][1]  # cells vary round what a scene may hold
     beyond = np.abs(values) > largest
     if name == "cycle_time":  # of cells that do not grow
         beyond &= ~np.isposinf(values)

@@ -210,6 +210,8 @@ def _with_unit(key: Key, items: list[str]) -> list[Any]:
     if not shared and any(units):
         problem = f"has values with units and without: {', '.join(items)}"
         raise SceneError(key.name, problem, f"A unit at the end holds for all: {_example(key)}.")
+    if shared and not all(units):
+        _refuse_several(key, shared)
     values: list[Any] = []
     for item, match, unit in zip(items, matches, units, strict=True):
         if match is None:
@@ -221,12 +223,20 @@ def _with_unit(key: Key, items: list[str]) -> list[Any]:
     return values
 
 
+def _refuse_several(key: Key, unit: str) -> None:
+    """Refuse the units of a time with several parts where one unit holds for several values."""
+    if key.unit == "s" and re.search(r"\d\s*[A-Za-z]", unit):
+        problem = f"has the unit {shown(unit)} at the end, must have a single one for all"
+        raise SceneError(key.name, problem, "Write each time with its own units.")
+
+
 def _spaced(key: Key, item: str) -> list[str]:
     """Return evenly spaced values, by ratio if ``log`` stands before them; else the item alone."""
     match = _SPACED.fullmatch(item)
     if match is None:
         return [item]
     log, count, unit = bool(match[1]), int(match[4][:10]), match[5]
+    _refuse_several(key, unit)
     low, high = float(match[2]), float(match[3])
     if len(match[4]) > 9 or count > MAX_POINTS:
         problem = f"has more than {MAX_POINTS:,} values in {shown(match[0])}"

@@ -207,6 +207,8 @@ def _scheduled(scene: Scene, field: str) -> bool:
 _RULES: Final[Sequence[tuple[str, Callable[..., Any], str]]] = (
     ("growth.cycle_time growth.cycle_variation", lambda s: s.growth.phases,
      "the phases of the cycle say how long it lasts"),
+    ("growth.hypertrophy", lambda s: not s.growth.phases,
+     "without phases a cell divides at the volume of division"),
     ("growth.phases.*.variation", lambda s, name: s.growth.phases[name].distribution == "fixed",
      "the phase has a fixed duration"),
     ("integrator.step", _controlled, "the method {method!r} chooses its steps"),

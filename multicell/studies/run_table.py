@@ -14,6 +14,7 @@ import numpy as np
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
+from multicell.scene.bare import note_bare
 from multicell.scene.coarsening import coarsen
 from multicell.scene.scene import Scene, load_scene
 from multicell.studies.limits import MAX_SEEDS, whole
@@ -81,6 +82,8 @@ def checked_times(scene: Scene, times: Sequence[Any] | None) -> FloatArray | Non
             problem = f"is {scene.stop_cells:,}: runs end at different times"
             raise SceneError("stop_cells", problem, "Give times, or remove it.")
         return None
+    for time in times:
+        note_bare("times", time, "s")
     found = np.array([to_base(time, "s", "times") for time in times])
     if not len(found) or found.min() < 0.0 or found.max() > scene.duration:
         problem = f"are {shown(times)}, must lie between 0 and {scene.duration:g} s"

@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple, final
 
-from multicell.errors import DataError, SceneError
+from multicell.errors import DataError
 from multicell.schema import near_miss
-from multicell.units import to_base
+from multicell.units import unit_factor, unit_hint
 
 _IN_NAMES = str.maketrans({"^": "", "/": "_per_", " ": "_"})
 _PARTS = re.compile(r"([^/\[(]*)(?:/(.*)|\[(.*)\]|\((.*)\))?")
@@ -61,10 +61,11 @@ def read_title(title: str, known: Mapping[str, str], place: str) -> Title | None
     hint = f"Title it '{titled(name, unit)}', or name another unit of this kind."
     if not text:
         raise DataError(where, "has no unit", hint)
-    try:
-        return Title(name, to_base(f"1 {text}", unit))
-    except SceneError:
-        raise DataError(where, f"has the unit '{text}', must be one like {unit}", hint) from None
+    factor = unit_factor(text, unit)
+    if factor is None:
+        hint = unit_hint(text, unit) or hint
+        raise DataError(where, f"has the unit '{text}', must be one like {unit}", hint)
+    return Title(name, factor)
 
 
 def _parted(title: str, known: Mapping[str, str]) -> tuple[str, str]:

@@ -26,9 +26,11 @@ from pathlib import Path
 from statistics import median
 
 HOUR = """
+oxygen = {"boundary": 5.0, "uptake": 40.0, "half_saturation": 0.005,
+          "growth_half_saturation": 0.01, "quiescence": 0.015, "necrosis": 0.008}
 scene = mc.load_scene("spheroid").with_changes({
-    "initial.count": %d, "initial.stage": "asynchronous", "nutrients.oxygen.boundary": 5.0,
-    "duration": "1 d"})
+    "initial.count": %d, "initial.stage": "asynchronous", "duration": "1 d",
+    **{f"nutrients.oxygen.{key}": value / 8.0 for key, value in oxygen.items()}})
 run = mc.Simulation(scene, threads=%d)
 run.step()
 with measured(1):

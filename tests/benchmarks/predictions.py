@@ -16,6 +16,10 @@ import tempfile
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+
+from rich_medium import MUCH_OXYGEN
+
 SCENES = ("spheroid", "treatment", "growth", "grow-2000", "monolayer", "dosing", "emt6",
           "chemotaxis", "sorting-signal", "hour-1e5")  # fmt: skip
 
@@ -27,7 +31,7 @@ def scene_of(name):
     if name != "hour-1e5":
         return mc.load_scene(name)
     changes = {"initial.count": 100_000, "initial.stage": "asynchronous", "duration": "1 h"}
-    return mc.load_scene("spheroid").with_changes({**changes, "nutrients.oxygen.boundary": 5.0})
+    return mc.load_scene("spheroid").with_changes({**changes, **MUCH_OXYGEN})
 
 
 def measured(name):

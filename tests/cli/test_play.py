@@ -11,6 +11,7 @@ import time
 import urllib.error
 import urllib.request
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import pytest
@@ -19,7 +20,7 @@ from signals import listening
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.cli.playground import Playground
+from multicell.cli.playground import Playground, _Handler
 from multicell.studies.axes import parse_ranges
 
 KEY = "nutrients.oxygen.boundary"
@@ -85,6 +86,61 @@ def test_only_those_who_know_the_secret_are_answered(address):
         assert asked(f"{bare}?token=guessed", path)[0] == 403
     assert asked(f"{bare}?", "/run", "POST", {"places": [0]})[0] == 403
     assert asked(address, Host="evil.example")[0] == 403  # a name that leads to this machine
+
+
+def test_another_origin_is_not_answered(address):
+    own = f"http://{urlsplit(address).netloc}"
+    assert asked(address, Origin=own)[0] == 200
+    for origin in ("http://evil.example", "null", "https" + own[4:], own + "0", ""):
+        assert asked(address, Origin=origin)[0] == 403
+        assert asked(address, "/run", "POST", {"places": [0]}, Origin=origin)[0] == 403
+
+
+WRONG_BODIES = {
+    "deep": b"[" * 9000, "deep table": b'{"a":' * 1800, "bytes": bytes(range(256)), "nothing": b"",
+    "digits": b'{"places": [%s]}' % (b"9" * 5000), "large": b'{"places": [%s]}' % (b"9" * 400),
+}  # fmt: skip
+
+
+def test_no_body_makes_the_server_tell_its_secret(tmp_path):
+    with served(tmp_path) as (process, address):
+        for body in WRONG_BODIES.values():
+            request = urllib.request.Request(address.replace("/?", "/run?"), body, method="POST")
+            with pytest.raises(urllib.error.HTTPError) as caught:
+                urllib.request.urlopen(request, timeout=60)
+            assert caught.value.code in (400, 422)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+        assert process.stderr.read() == ""
+
+
+def test_the_secret_is_handed_over_by_a_file_of_its_own(monkeypatch):
+    """Arguments of processes can be read by all users of a machine."""
+    secret, opened = "http://127.0.0.1:5/?token=abc", []
+
+    def called(address):
+        file = Path(urllib.request.url2pathname(urlsplit(address).path))
+        opened.append((address, file.stat().st_mode & 0o777, file.parent.stat().st_mode & 0o777))
+        assert f'content="0; url={secret}"' in file.read_text("utf-8")
+        return True
+
+    monkeypatch.setattr("webbrowser.open", called)
+    monkeypatch.setattr("multicell.cli.playground.serve", lambda ground, port, ready: ready(secret))
+    answer = CliRunner().invoke(main, ["play", "treatment", *SMALL[:-1]])
+    assert answer.exit_code == 0, answer.output
+    [(address, mode, folder)] = opened
+    assert (mode, folder) == (0o600, 0o700)
+    assert "abc" not in address
+    assert address.startswith("file://")
+
+
+def test_an_unforeseen_error_is_logged_without_the_secret(caplog):
+    handler = object.__new__(_Handler)
+    handler.request = SimpleNamespace(method="GET", path="/run", uri="/run?token=abc")
+    handler.log_exception(ValueError, ValueError("why"), None)
+    assert "GET /run" in caplog.text
+    assert "why" in caplog.text
+    assert "abc" not in caplog.text
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ SET = {
     "oxygen.boundary=5 %": "Did you mean 'nutrients.oxygen.boundary'",
     "nutrients.oxygen=5 %": "Name one of its keys: diffusion, boundary",
     "nutrients.oxygen.boundary=120 %": "at most 100 %",
-    "nutrients.oxygen.boundary=5 ppm": "must be a concentration, which 'ppm' is not",
+    "nutrients.oxygen.boundary=5 ppm": "unknown unit 'ppm'",
     "nutrients.oxygn.boundary=0.1 mM": "Did you mean 'nutrients.oxygen.boundary'",
     "nutrients.oxyegn.boundary=0.1 mM": "Did you mean 'nutrients.oxygen.boundary'",
     "nutrients.glucose.boundary=25 %": "Only of the field named 'oxygen'",
@@ -57,7 +57,7 @@ COMMANDS = {
     "run misspelt.toml -o out": "Did you mean 'growth'",
     "run no-duration.toml -o out": "duration: is missing",
     "run none.toml -o out": "does not exist",
-    "run spheroid -o out --cells pixels.csv": "Title it 'position_z_um'",
+    "run spheroid -o out --cells pixels.csv": "How many um is a pixel?",
     "run spheroid -o out --cells twice.csv": "One cell has one row",
     "run spheroid -o out --law mine.py:law": "by the decorator multicell.pair_law",
     "run spheroid -o out --law none.py:law": "there is no file 'none.py'",
@@ -128,10 +128,12 @@ def test_wrong_calls_are_answered(case, folder):
         call()
 
 
-def test_a_short_time_is_run_with_a_note(folder):
+def test_a_short_time_is_run_with_a_note(folder, monkeypatch):
+    monkeypatch.setattr("multicell.scene.bare._NAMED", set())  # each key is named once a process
     answer = CliRunner().invoke(main, ["explain", "growth", "--set", "duration=18"])
     assert answer.exit_code == 0
-    assert "Note: duration is 18 s" in answer.output
+    assert "Note: duration: 18 was read as 18 s" in answer.output
     assert "Write '18 h' for hours" in answer.output
+    monkeypatch.setattr("multicell.scene.bare._NAMED", set())
     quiet = CliRunner().invoke(main, ["explain", "growth", "--set", "duration=18 s"])
     assert "Note: duration" not in quiet.output

@@ -25,6 +25,7 @@ import numpy as np
 
 from multicell.results.quantities import ABSENT
 
+_AT_THE_START = re.compile("nodes|finite medium of .* its grid covers|too far|origin, where")
 _NUMBER = re.compile(r"-?\d[\d.e+-]*")
 SECONDS_TO_LOAD = 8.0
 BYTES_TO_LOAD = 100e6
@@ -63,10 +64,31 @@ def load_case(entries):
         raise Fault(f"slow: {seconds:.1f} s")
     if peak > BYTES_TO_LOAD:
         raise Fault(f"memory: {peak / 1e6:.0f} MB")
-    if not isinstance(made, Scene) or _refused_late(made):
+    if not isinstance(made, Scene) or _refused_late(made) or _refused_at_the_start(made, entries):
         return "refused"
-    explained(made)
     return "loaded"
+
+
+def start_of(entries):
+    """Return whether a scene ``"begins"``, or is ``"refused"`` where it is read or explained."""
+    from multicell.scene.scene import Scene
+
+    made = _made(lambda: Scene.from_dict(entries), entries)
+    refused = not isinstance(made, Scene) or _refused_at_the_start(made, entries)
+    return "refused" if refused else "begins"
+
+
+def _refused_at_the_start(scene, entries):
+    """Return whether ``explain`` refuses a scene whose run could not begin, by a place in it."""
+    from multicell.errors import SceneError
+
+    try:
+        explained(scene)
+    except SceneError as error:
+        if not (place_exists(error.path, entries) and error.problem):
+            raise Fault(f"path: {error.path!r} is no place in the scene: {error}") from error
+        return True
+    return False
 
 
 def _refused_late(scene):
@@ -212,18 +234,17 @@ def run_case(entries):
         scene = Scene.from_dict(entries)
     except (SceneError, DataError):
         return "refused"
-    if _refused_late(scene):
+    if _refused_late(scene) or _refused_at_the_start(scene, entries):
         return "refused"
-    explained(scene)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:
             result = run(scene, threads=1)
         except SceneError as error:
-            if not place_exists(error.path, entries):
-                raise Fault(f"path: {error.path!r} is no place in the scene: {error}") from error
-            return f"SceneError at {error.path}"
+            raise Fault(f"start: explained, then refused at {error.path}: {error}") from error
         except StepFailed as error:
+            if error.time == 0.0 and _AT_THE_START.search(error.problem):
+                raise Fault(f"start: explained, then failed at its beginning: {error}") from error
             return f"StepFailed ({_NUMBER.sub('#', error.problem)[:60]})"
     check_result(result)
     return "ran"
@@ -242,6 +263,7 @@ def check_result(result):
             raise Fault(f"ledger: {name} is left open by {ledger['relative_remainder']:.3g}")
     _check_numbers(result, summary)
     _check_start(result, summary)
+    _check_next_start(result)
 
 
 def _check_start(result, summary):
@@ -260,6 +282,23 @@ def _check_start(result, summary):
     number = int((short & ~first.cells.dead).sum())
     if number > summary.get("start", {}).get("unfit", 0):
         raise Fault(f"start: {number} cells live where they cannot")
+
+
+def _check_next_start(result):
+    """Check that the scene accepts the cells that its run ends with as those of a next one."""
+    from multicell.errors import DataError, SceneError
+    from multicell.scene.start_checks import check_start_table
+    from multicell.scene.start_table import with_cells
+
+    last = result.frames[-1].cells
+    if not len(last):
+        return
+    # motions name cells that may have gone
+    free = result.scene.with_changes({"motions": {}, "initial": {}})
+    try:
+        check_start_table(with_cells(free, last))
+    except (DataError, SceneError) as error:
+        raise Fault(f"next start: {error}") from error
 
 
 def _check_frame(frame):

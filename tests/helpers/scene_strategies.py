@@ -19,6 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from multicell.cells import Phase
+from multicell.coupling.start_check import check_population
 from multicell.errors import DataError, SceneError
 from multicell.scene.nutrient import FACES
 from multicell.scene.parts import PHASES
@@ -375,7 +376,9 @@ def fitted(entries, part=Scene):
     made = copy.deepcopy(entries)
     while True:
         try:
-            build(part, copy.deepcopy(made))
+            built = build(part, copy.deepcopy(made))
+            if part is Scene:
+                check_population(built)
         except DataError:
             del made["initial"]["cells"]
         except SceneError as error:
@@ -426,6 +429,34 @@ def plausible(draw, extreme=0.004, small=True, share=0.45):
     if small:
         _make_small(drawer, scene)
     return fitted(scene) or {"duration": 3600.0}
+
+
+@st.composite
+def starting(draw):
+    """Draw a scene with what some starts fit into and some do not."""
+    count = draw(st.integers(1, 60))
+    scene = {"duration": 600.0, "seed": draw(st.integers(0, 99)), "initial": {
+        "count": count, "shape": draw(st.sampled_from(["ball", "row"])),
+        "spacing": draw(st.sampled_from([0.8, 1.0, 1.3, 400.0])),
+        "jitter": draw(st.sampled_from([0.0, 0.2, 3.0, 3000.0])),
+        "stage": draw(st.sampled_from(["birth", "uniform"])),
+    }}  # fmt: skip
+    half = draw(st.floats(10.0, 80.0))
+    what = draw(st.sampled_from(["box", "sphere", "motion", "medium", "field", "radial"]))
+    if what == "box":
+        scene["domain"] = {axis: [-half, half] for axis in "xyz"}
+    elif what == "sphere":
+        scene["domain"] = {"shape": "sphere", "radius": half}
+    elif what == "motion":
+        chosen = {"cells": [draw(st.integers(0, 60))]} if half < 40 else {"x": [half - 40.0, half]}
+        scene["motions"] = {"base": chosen}
+    else:
+        field = {"spacing": draw(st.sampled_from([2.0, 10.0])), "margin": half}
+        field |= {"geometry": "radial"} if what == "radial" else {}
+        if what == "medium":
+            field["finite_medium"] = {"volume": 10.0 ** draw(st.floats(5.0, 9.0))}
+        scene["nutrients"] = {"oxygen": field}
+    return scene
 
 
 def _make_small(drawer, scene):

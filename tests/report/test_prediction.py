@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from rich_medium import MUCH_OXYGEN
 from scipy.integrate import solve_bvp
 
 import multicell as mc
@@ -12,7 +13,7 @@ from multicell.report.explain.course import Profile, course
 from multicell.report.explain.scene import explain
 
 DAY = 86400.0
-MANY = {"initial.stage": "asynchronous", "nutrients.oxygen.boundary": 5.0, "duration": "20 min"}
+MANY = {"initial.stage": "asynchronous", **MUCH_OXYGEN, "duration": "20 min"}
 
 MEASURED = {
     # scene, changes, cells at the end, MB of the process at its largest, MB of frames.h5

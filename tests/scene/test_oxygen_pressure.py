@@ -1,9 +1,15 @@
 """Partial pressures of oxygen, by tables that are not ours."""
 
-import pytest
+from pathlib import Path
 
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from rich_medium import MUCH_OXYGEN, SCALE
+
+from multicell.cli.main import main
 from multicell.errors import SceneError
-from multicell.report.explain.scene import explain
+from multicell.runner import run
 from multicell.scene.scene import Scene, load_scene
 from multicell.studies.axes import parse_axis
 from multicell.units import oxygen_solubility, to_base, vapour_pressure
@@ -126,8 +132,76 @@ def test_a_concentration_stays_what_it_is():
     assert scene("glucose", boundary=0.07).nutrients["glucose"].boundary == 0.07
 
 
-@pytest.mark.parametrize(("level", "noted"), [(21.0, True), ("21 %", False), ("100 %", False)])
-def test_explain_notes_more_oxygen_than_dissolves(level, noted):
+TOO_MUCH = {
+    "boundary": 21.0, "media": [[0.0, 0.1], ["1 h", "1.1 mM"]], "sides.x-": {"value": 5.0},
+    "quiescence": 8.0, "necrosis": 2.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", TOO_MUCH)
+def test_more_oxygen_than_dissolves_is_refused(key):
     """21 without a unit is 21 mM, and pure oxygen has 1 mM."""
-    changed = load_scene("spheroid").with_changes({"nutrients.oxygen.boundary": level})
-    assert any("under pure oxygen" in note for note in explain(changed)["notes"]) == noted
+    changes = {f"nutrients.oxygen.{key}": TOO_MUCH[key]}
+    if key == "necrosis":
+        changes["nutrients.oxygen.quiescence"] = None
+    with pytest.raises(
+        SceneError, match=r"under pure oxygen water dissolves 1 mM.*'[\d.]+ %'"
+    ) as it:
+        load_scene("spheroid").with_changes(changes)
+    assert it.value.path == f"nutrients.oxygen.{key.replace('x-', 'x-.value')}"
+    other = {"nutrients.glucose": {"necrosis": 1e-3, "quiescence": 9.0}}
+    if key == "boundary":
+        load_scene("spheroid").with_changes({**other, "nutrients.glucose.boundary": 21.0})
+
+
+@pytest.mark.parametrize(("level", "celsius"), [("100 %", 37), (1.0, 37), ("100 %", 10), (1.0, 60)])
+def test_what_dissolves_of_pure_oxygen_is_accepted(level, celsius):
+    assert scene(boundary=level, temperature=celsius).nutrients["oxygen"].boundary >= 1.0
+
+
+DOORS = {
+    "run": ["run", "spheroid", "-o", "out", "--set", "nutrients.oxygen.boundary=21"],
+    "explain": ["explain", "spheroid", "--set", "nutrients.oxygen.boundary=21"],
+    "play": ["play", "spheroid", "--no-browser", "--key", "nutrients.oxygen.boundary=1:21"],
+    "study": ["study", "new", "spheroid", "-o", "out", "--vary", "nutrients.oxygen.boundary=1,21"],
+    "fit": ["fit", "spheroid", "--data", "data.csv", "-o", "out", "--free",
+            "nutrients.oxygen.boundary=1:21"],
+    "sensitivity": ["sensitivity", "spheroid", "-o", "out", "--free",
+                    "nutrients.oxygen.boundary=1:21", "--observable", "cells"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_no_command_runs_at_21_mM(door, tmp_path, monkeypatch):  # noqa: N802
+    monkeypatch.chdir(tmp_path)
+    Path("data.csv").write_text("day, cells\n1, 3\n2, 5\n", "utf-8")
+    answer = CliRunner().invoke(main, DOORS[door])
+    said = " ".join(answer.output.split())
+    assert answer.exit_code == 2, said
+    assert "21 mM, but under pure oxygen water dissolves" in said
+
+
+def test_much_oxygen_for_the_uptake_gives_the_figures_of_more_than_dissolves(monkeypatch):
+    """Concentrations, thresholds and uptake over one number: the same fields over it."""
+    ball = load_scene("spheroid").with_changes(
+        {"initial.count": 300, "initial.stage": "asynchronous", "duration": "1 h"}
+    )
+    much = run(ball.with_changes(MUCH_OXYGEN), threads=1)
+    monkeypatch.setattr("multicell.scene.checks._check_oxygen", lambda *_: None)
+    beyond = run(ball.with_changes({"nutrients.oxygen.boundary": 5.0}), threads=1)
+    for name, values in beyond.history.items():
+        scale = SCALE if "uptake" in name else 1.0
+        np.testing.assert_array_equal(much.history[name] * scale, values, err_msg=name)
+
+
+@pytest.mark.parametrize("text", ["5 percent", "5 per cent", "5percent", "5 %"])
+def test_percentages_in_words(text):
+    expected = scene(boundary="5 %").nutrients["oxygen"].boundary
+    assert scene(boundary=text).nutrients["oxygen"].boundary == expected
+    with pytest.raises(SceneError, match="part of a gas"):
+        scene("glucose", boundary=text)
+
+
+def test_torr_in_both_spellings():
+    found = [scene(boundary=text).nutrients["oxygen"].boundary for text in ("160 Torr", "160 torr")]
+    assert found == pytest.approx([160 / 760 * 101.325 * oxygen_solubility(37.0)] * 2)

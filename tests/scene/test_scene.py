@@ -150,8 +150,9 @@ def test_optional_tables_come_and_go():
     assert scene.death is not None
     bare = scene.with_changes({"growth": None, "death": None})
     assert bare == Scene(duration=1)
-    with_oxygen = bare.with_changes({"nutrients.oxygen.boundary": 0.1})
-    assert dict(with_oxygen.nutrients) == {"oxygen": Nutrient(boundary=0.1)}
+    needed = {"nutrients.oxygen.boundary": 0.1, "nutrients.oxygen.quiescence": 0.01}
+    with_oxygen = bare.with_changes(needed)
+    assert dict(with_oxygen.nutrients) == {"oxygen": Nutrient(boundary=0.1, quiescence=0.01)}
     assert with_oxygen.with_changes({"nutrients.oxygen": None}) == bare
     assert with_oxygen.with_changes({"nutrients": None}) == bare
 

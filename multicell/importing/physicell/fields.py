@@ -16,7 +16,7 @@ from multicell.importing.imported import Fate
 from multicell.importing.physicell import run
 from multicell.importing.physicell.model import MINUTE, Kind, Model, keys_of
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
-from multicell.units import COMMON, oxygen_solubility
+from multicell.units import oxygen_solubility, to_base, unit_factor
 
 if TYPE_CHECKING:
     from multicell.importing.files import Element
@@ -90,10 +90,11 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
 
 def _unit(name: str, said: str) -> tuple[float, Fate, str]:
     """Return mM for one unit of a substance, and what that is."""
-    if said in ("mM", *COMMON["mM"]):
-        return COMMON["mM"].get(said, 1.0), Fate.MAPPED, f"{said} as {said}"
+    known = 1000.0 if said == "M" else unit_factor(said, "mM")
+    if known is not None:
+        return known, Fate.MAPPED, f"{said} as {said}"
     if name.lower() == "oxygen" and said.lower() in ("mmhg", "dimensionless", "none", ""):
-        factor = oxygen_solubility(_BODY) * COMMON["kPa"]["mmHg"]
+        factor = oxygen_solubility(_BODY) * to_base("1 mmHg", "kPa")
         how = f"1 mmHg as {factor:.4g} mM, the solubility in water at 37 °C (Battino et al. 1983)"
         if said.lower() == "mmhg":
             return factor, Fate.MAPPED, how

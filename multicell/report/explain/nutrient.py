@@ -7,11 +7,11 @@ from collections.abc import Mapping
 
 from multicell.cells import SPHERE
 from multicell.report.explain.items import Number, Part, hours, part
-from multicell.scene import checks, oxygen, scales
+from multicell.scene import checks, scales
 from multicell.scene import domain as box
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.reactions import Reaction, group_of
-from multicell.scene.responses import effects
+from multicell.scene.responses import read_fields
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
 
@@ -165,22 +165,9 @@ def nutrient_notes(scene: Scene) -> list[str]:
     for name, nutrient in scene.nutrients.items():
         if nutrient.quiescence is not None and nutrient.highest < nutrient.quiescence:
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
-        read = [*checks.followed(scene), *(part.oxygen for part in scene.radiation.values())]
-        read += [signal for effect in effects(scene) for signal in effect.signals]
-        for other in scene.nutrients.values():
-            read += [*other.uptake_on, *(other.secretion_from or ())]
-        for reaction in scene.reactions.values():
-            read += reaction.fields
-        read += [] if scene.energy is None else [*(scene.energy.yields or ())]
-        if name not in read:
+        if name not in read_fields(scene):
             hint = "give thresholds such as quiescence, or a response to it"
             notes.append(f"{name} has no effect on the cells: {hint}.")
-        most = oxygen.saturated(nutrient.temperature)
-        if name == oxygen.NAME and nutrient.highest > most:
-            notes.append(
-                f"The medium has {nutrient.highest:.3g} mM of oxygen, but {most:.2g} mM under pure "
-                "oxygen. Percentages and pressures are written with their unit: '21 %'."
-            )
         if nutrient.regime == "steady" and scales.scales(scene, name).time > scene.coupling_step:
             notes.append(
                 f"{name} settles in {hours(scales.scales(scene, name).time)}, later than a "

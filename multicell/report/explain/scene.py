@@ -11,6 +11,7 @@ from typing import Any
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
 from multicell.behaviours.laws import Constant, Hill, Linear, Monod, Table, Threshold
 from multicell.biology.draws import malthusian_rate
+from multicell.coupling.start_check import check_population
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
@@ -32,8 +33,10 @@ def explain(scene: Scene) -> dict[str, Any]:
 
     Returns dict: ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
     ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that do not
-    fit together. Only plain values, so that it can be written as JSON.
+    fit together. Only plain values, so that it can be written as JSON. Raises SceneError where a
+    run would end at its first moment.
     """
+    check_population(scene)
     expected = predict(scene)
     numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene)]
     numbers += [*cost_numbers(scene, expected), *nutrient_numbers(scene)]
@@ -109,6 +112,7 @@ def _growth_words(scene: Scene) -> str:
         lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
         words += f"; phases {lengths}, rest {rest}"
+        words += "" if growth.hypertrophy else "; none grows beyond the volume of division"
     return words
 
 
@@ -155,6 +159,13 @@ def _sentence(scene: Scene, effect: Effect) -> str:
     if effect.falls:
         end = f"{value(effect.high)} to {value(effect.low)}"
     return f"as {signal} rises, {what} goes from {end} ({law})"
+
+
+def _least(effect: Effect) -> float:
+    """Return the smallest value that a response gives."""
+    if isinstance(effect.law, Table):
+        return min(value for _, value in effect.law.points)
+    return effect.high if isinstance(effect.law, Constant) else min(effect.low, effect.high)
 
 
 def _law_words(scene: Scene, effect: Effect) -> str:
@@ -271,6 +282,13 @@ def _notes(scene: Scene) -> list[str]:
             "they will part in the first minutes, as just divided ones do. Check radii and units."
         )
     notes += contact_notes(scene)
+    entries = [e for e in effects(scene) if e.behaviour.startswith("entry into")]
+    slowed = [e.behaviour for e in entries if _least(e) < 1.0]
+    if slowed and scene.growth is not None and scene.growth.hypertrophy:
+        notes.append(
+            f"Cells that wait for their {slowed[0]} keep growing, beyond the volume of division "
+            "where that takes long. growth.hypertrophy = false stops them there."
+        )
     if scene.growth is not None and scene.coupling_step > 0.05 * scene.growth.mean_cycle:
         notes.append(
             "The coupling step is above a twentieth of the cycle time: divisions come late. "

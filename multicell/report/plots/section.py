@@ -70,7 +70,7 @@ class Plane:
         try:
             return cls(match[1], to_base(match[2], "um", text))
         except SceneError as error:
-            raise OutputError(f"{text!r} is no plane: {error.problem}") from None
+            raise OutputError(f"{text!r} is no plane: {error.problem}. {error.hint}") from None
 
 
 def turn_frame(frame: Frame, plane: Plane) -> Frame:

@@ -1,0 +1,70 @@
+"""Whether a scene can hold the cells that it starts with, found before anything is run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from multicell.errors import NutrientFailed, SceneError
+from multicell.scene.scales import MAX_NODES, spacing
+from multicell.scene.start_table import positions
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+_MOST: Final = 200_000  # cells: to place them takes half a second
+
+
+def check_population(scene: Scene) -> None:
+    """Raise ``SceneError`` where a run would end at its first moment.
+
+    Motions that name no cell, a domain too small for its cells, a grid of too many nodes, a finite
+    medium smaller than its grid. The cells are placed only where one of these is in doubt, and not
+    where they are so many that this takes seconds: then the run finds out.
+    """
+    if scene.initial.count > _MOST or not _in_doubt(scene):
+        return
+    from multicell.biology.driven import named_at_start
+    from multicell.biology.initial import initial_cells
+    from multicell.biology.plan import biology_plan
+    from multicell.coupling.state import fields_of
+    from multicell.nutrient.balance import beyond
+    from multicell.nutrient.tissue import Tissue
+    from multicell.scene.domain import check_start
+
+    cells, plan = initial_cells(scene), biology_plan(scene)
+    check_start(scene, cells)
+    named_at_start(plan, cells)
+    tissue = Tissue(cells.position, cells.radius)
+    for name, field in fields_of(scene, None, 1, plan).fields.items():
+        key = "spacing"
+        try:
+            whole = field.lay(tissue)[0].whole
+            key = "finite_medium.volume"
+            if scene.nutrients[name].finite_medium is not None:
+                beyond(name, scene.nutrients[name], whole)
+        except NutrientFailed as failure:
+            path = f"nutrients.{name}.{key}"
+            raise SceneError(path, failure.problem, f"{failure.hint}.") from None
+
+
+def _in_doubt(scene: Scene) -> bool:
+    """Return whether the cells must be placed to know that all is well."""
+    open_fields = {} if scene.box is not None else scene.nutrients
+    finite = any(field.finite_medium is not None for field in open_fields.values())
+    walls = scene.domain is not None and scene.domain.stiffness is None
+    if scene.motions or walls or finite:
+        return True
+    if not open_fields:
+        return False
+    axes, n, start = scene.dimensions, scene.initial.count, scene.initial
+    if start.cells is not None:
+        places = positions(start.cells.given)
+        reach = 2.0 * float(np.abs(places).max())
+    else:  # what a packing reaches at most, and six standard deviations of a shift on both sides
+        across = n if start.shape == "row" else 2.0 * (n ** (1.0 / axes) + 2.0)
+        reach = 2.0 * scene.cells.division_radius * (across * start.spacing + 12.0 * start.jitter)
+    widest = {name: reach + 2.0 * max(f.margin, f.layer or 0.0) for name, f in open_fields.items()}
+    nodes = (width / spacing(scene, name) for name, width in widest.items())
+    return any(along**axes > 0.1 * MAX_NODES for along in nodes)
