@@ -96,9 +96,7 @@ def discretisation_error(
 
     The field is solved for the cells as they are with its own spacing h and about twice that,
     H. The scheme is of second order: the error is |c_h - c_H| / ((H/h)² - 1) (Richardson). The
-    field itself is not changed. Cells are points that take up: in cubes smaller than they are the
-    concentration where they sit falls without end as h falls, which is no error of the grid's
-    and which the estimate knows of in part only.
+    field itself is not changed.
 
     - ``field``: solved already; its last solution is the first guess
 
@@ -119,7 +117,7 @@ def discretisation_error(
         trial.well_mixed = field.well_mixed
         trial.restore(field.field())
         trial.solve(cells.position, capacity, production=production, radius=cells.radius, time=time)
-        found.append((trial.layout.spacing, trial.sample(cells.position)))
+        found.append((trial.layout.spacing, trial.sample(cells.position, cells.radius)))
     (fine, close), (coarse, far) = found
     ratio = coarse / fine
     if ratio < _LEAST_RATIO:

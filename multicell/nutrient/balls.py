@@ -1,0 +1,465 @@
+"""How much of a cell lies at each node: one operator spreads amounts of cells and reads fields.
+
+A cell is a ball of uniform density to its fields, a disc in a plane, and a point where its radius
+is zero. Its weight at a node is the mean of the node's hat function over it: cells read the mean of
+the interpolated field over their ball, and amounts are spread by the transpose. Weights are not
+negative and sum to one, lines are read exactly, and means and densities tend to those of the ball
+with the square of the spacing.
+
+The ball is built of boxes, for which means of hat functions are closed forms: k boxes of one size
+along each axis, each as dense as the part of it that the ball fills, in a lattice with the ball's
+second moments. Where the spacing is not much below the radius it is one box: a cube of
+uniform density, whose mean potential is within 1.3 % of the ball's. Else there are as many as leave
+the error of the spacing the larger one.
+
+On shells the weight is the part of the ball in each shell, a closed form too. There the ball is
+wider by what hat functions widen it in a box (half a squared spacing), so that concentrations do
+not jump where a cell crosses from shell to shell.
+
+Parts of a ball beyond a face are mirrored there, those beyond the last shell count for that.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+from multicell.compiling import INLINED, INNER, KERNEL
+
+Triple = tuple[float, float, float]
+
+_POINT = 0.01
+"""Radius over the spacing below which a cell is a point: as near as 2e-5 squared spacings."""
+
+_PER_RADIUS = 1.8
+"""Boxes along an axis for each spacing that a radius is long: what they miss of the potential of a
+ball, 0.14 over their number squared, is a tenth of what the spacing makes, 0.42 squared spacings
+over the squared radius."""
+
+_ONE = 1.6
+"""Radius over the spacing up to which one box makes a ball."""
+
+_MOST = 24
+"""Boxes along an axis at most: the mean potential of a ball is then right to 3e-4."""
+
+_SUBDIVIDED = 12
+"""Lines along each of two axes by which the part of a box in the ball is found."""
+
+
+@lru_cache(maxsize=64)
+def _boxes_of(count: int, flat: bool) -> tuple[FloatArray, float]:
+    """Return the densities of the boxes, (k, k, k) or (k, k, 1), and their size over the radius.
+
+    Densities sum to one.
+    """
+    if flat:
+        filled = _strips(count)[:, :, None]
+    else:
+        filled = _columns(count)
+        # lines along one axis: the other two have their turn
+        filled = sum(np.moveaxis(filled, 2, axis) for axis in range(3)) / 3.0
+    filled = np.ascontiguousarray(0.5 * (filled + filled.swapaxes(0, 1)))
+    filled /= filled.sum()
+    away = np.arange(count) - 0.5 * (count - 1)
+    moment = float(filled.sum(axis=(1, 2)) @ away**2) + 1.0 / 12.0
+    return filled, math.sqrt((0.25 if flat else 0.2) / moment)
+
+
+def _strips(count: int) -> FloatArray:
+    """Return what of each square lies in a disc of radius count / 2, by chords along y."""
+    half, fine = 0.5 * count, 4 * _SUBDIVIDED
+    at = (np.arange(count * fine) + 0.5) / fine - half
+    chord = np.sqrt(half**2 - at**2)[:, None]
+    edges = np.clip(np.arange(count + 1) - half, -chord, chord)
+    return np.asarray(np.diff(edges, axis=1).reshape(count, fine, count).mean(axis=1))
+
+
+def _columns(count: int) -> FloatArray:
+    """Return what of each cube lies in a ball of radius count / 2, by chords along z."""
+    half, fine = 0.5 * count, _SUBDIVIDED
+    at = (np.arange(count * fine) + 0.5) / fine - half
+    square = half**2 - at[:, None] ** 2 - at**2
+    chord = np.sqrt(np.maximum(square, 0.0))[:, :, None]
+    edges = np.clip(np.arange(count + 1) - half, -chord, chord)
+    parts = np.diff(edges, axis=2).reshape(count, fine, count, fine, count)
+    return np.asarray(parts.mean(axis=(1, 3)))
+
+
+@lru_cache(maxsize=16)
+def _tables(most: int, flat: bool) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """Return densities of the boxes, (all,), where those of each number begin, and sizes."""
+    known = [_boxes_of(count, flat) for count in range(1, most + 1)]
+    first = np.cumsum([0, 0, *(filled.size for filled, _ in known)])
+    sizes = np.array([0.0, *(size for _, size in known)])
+    return np.concatenate([filled.ravel() for filled, _ in known]), first, sizes
+
+
+def _balls(radius: FloatArray, spacing: float, flat: bool) -> tuple[Any, ...]:
+    """Return of each cell how many boxes it is made of along an axis, and their size in spacings.
+
+    Besides densities of boxes, where those of each number begin, and the most nodes along an axis.
+    """
+    size = radius / spacing
+    counts = np.ones(len(size), dtype=np.int64)
+    most, large = 1, size > _ONE
+    if large.any():
+        counts[large] = np.minimum(np.ceil(_PER_RADIUS * size[large]), _MOST)
+        most = int(counts.max())
+    filled, first, sizes = _tables(most, flat)
+    widths = sizes[counts] * size
+    widths[size <= _POINT] = 0.0
+    nodes = int((counts * widths).max(initial=0.0)) + 4
+    return counts, widths, filled, first, nodes
+
+
+@njit(**INNER)
+def _spread(u, width, count, n, weights):
+    """Write the weights of ``count`` boxes of a ``width`` side by side round ``u`` in spacings.
+
+    ``u`` is zero at the first of ``n`` nodes. Return the first node with weights, which are
+    ``(box, node)``, their number, and whether some were mirrored at an end.
+    """
+    low = u - 0.5 * count * width
+    first = int(np.floor(low))
+    number = int(np.floor(count * width)) + 3  # the same for equal cells, for the branch predictor
+    if width == 0.0:
+        weights[0, 1] = u - first
+        weights[0, 0] = 1.0 - weights[0, 1]
+        weights[0, 2] = 0.0
+    else:
+        share = 1.0 / width
+        for box in range(count):
+            left = low - first + box * width
+            for i in range(number):
+                weights[box, i] = (_hat_below(left + width - i) - _hat_below(left - i)) * share
+    if first >= 0 and first + number <= n:
+        return first, number, False
+    # what lies beyond an end goes to the nodes that mirror it
+    begin, end = max(first, 0), min(first + number, n)
+    for box in range(count):
+        for i in range(number):
+            node = first + i
+            if node < 0 or node >= n:
+                node = -1 - node if node < 0 else 2 * n - 1 - node
+                weights[box, min(max(node, begin), end - 1) - first] += weights[box, i]
+        for i in range(end - begin):
+            weights[box, i] = weights[box, begin - first + i]
+    return begin, end - begin, True
+
+
+@njit(**INLINED)
+def _hat_below(x):
+    """Return the integral of a hat function of width two up to ``x`` from its middle."""
+    x = max(-1.0, min(1.0, x))
+    return 0.5 + x * (1.0 - 0.5 * abs(x))
+
+
+@njit(**INNER)
+def _plane(filled, first, box, count, deep, wy, wz, ny, nz, line, plane):
+    """Write the weights of one layer of boxes along y and z, of which there are ``deep``."""
+    for j in range(ny):
+        for k in range(nz):
+            plane[j, k] = 0.0
+    for b in range(count):
+        for k in range(nz):
+            line[k] = 0.0
+        for c in range(deep):
+            dense = filled[first + (box * count + b) * deep + c]
+            if dense != 0.0:
+                for k in range(nz):
+                    line[k] += dense * wz[c, k]
+        for j in range(ny):
+            if wy[b, j] != 0.0:
+                for k in range(nz):
+                    plane[j, k] += wy[b, j] * line[k]
+
+
+@njit(**INNER)
+def _inside(u, n):
+    return -0.5 <= u <= n - 0.5  # not so of what is no number either
+
+
+@njit(**KERNEL)
+def _scatter(
+    position, amount, origin, spacing, flat, counts, widths, filled, first, nodes, out
+):
+    nx, ny, nz = out.shape
+    most = counts.max() if counts.size else 1
+    density = out.reshape(-1)
+    wx, wy, wz = np.empty((most, nodes)), np.empty((most, nodes)), np.empty((most, nodes))
+    line, plane = np.empty(nodes), np.empty((nodes, nodes))
+    for cell in range(position.shape[0]):
+        u = (position[cell, 0] - origin[0]) / spacing - 0.5
+        v = (position[cell, 1] - origin[1]) / spacing - 0.5
+        w = (position[cell, 2] - origin[2]) / spacing - 0.5
+        if not (_inside(u, nx) and _inside(v, ny) and _inside(w, nz)):
+            return cell
+        count, width = counts[cell], widths[cell]
+        deep = 1 if flat else count
+        i0, ni, _ = _spread(u, width, count, nx, wx)
+        j0, nj, _ = _spread(v, width, count, ny, wy)
+        k0, nk, _ = _spread(w, 0.0 if flat else width, deep, nz, wz)
+        # unsigned numbers cannot count from the end of an array, and need no test for that
+        if count == 1:
+            for i in range(ni):
+                for j in range(nj):
+                    row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
+                    a = amount[cell] * wx[0, i] * wy[0, j]
+                    for k in range(np.uint64(nk)):
+                        density[row + k] += a * wz[np.uint64(0), k]
+            continue
+        for box in range(count):
+            _plane(filled, first[count], box, count, deep, wy, wz, nj, nk, line, plane)
+            for i in range(ni):
+                a = amount[cell] * wx[box, i]
+                if a != 0.0:
+                    for j in range(nj):
+                        row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
+                        for k in range(np.uint64(nk)):
+                            density[row + k] += a * plane[np.uint64(j), k]
+    return -1
+
+
+@njit(**KERNEL)
+def _gather(position, values, origin, spacing, flat, counts, widths, filled, first, nodes, out):
+    """Write what cells read; return the first one outside, or -1.
+
+    Return also whether parts of some were mirrored at faces across x or y, and across z.
+    """
+    nx, ny, nz = values.shape
+    most = counts.max() if counts.size else 1
+    c = values.reshape(-1)
+    wx, wy, wz = np.empty((most, nodes)), np.empty((most, nodes)), np.empty((most, nodes))
+    line, plane = np.empty(nodes), np.empty((nodes, nodes))
+    sides, ends = False, False
+    for cell in range(position.shape[0]):
+        u = (position[cell, 0] - origin[0]) / spacing - 0.5
+        v = (position[cell, 1] - origin[1]) / spacing - 0.5
+        w = (position[cell, 2] - origin[2]) / spacing - 0.5
+        if not (_inside(u, nx) and _inside(v, ny) and _inside(w, nz)):
+            return cell, sides, ends
+        count, width = counts[cell], widths[cell]
+        deep = 1 if flat else count
+        i0, ni, over_x = _spread(u, width, count, nx, wx)
+        j0, nj, over_y = _spread(v, width, count, ny, wy)
+        k0, nk, over_z = _spread(w, 0.0 if flat else width, deep, nz, wz)
+        sides, ends = sides or over_x or over_y, ends or over_z
+        total = 0.0
+        for i in range(ni if count == 1 else 0):
+            part = 0.0
+            for j in range(nj):
+                row, found = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0), 0.0
+                for k in range(np.uint64(nk)):
+                    found += c[row + k] * wz[np.uint64(0), k]
+                part += found * wy[0, j]
+            total += wx[0, i] * part
+        for box in range(count if count > 1 else 0):
+            _plane(filled, first[count], box, count, deep, wy, wz, nj, nk, line, plane)
+            for i in range(ni):
+                part = 0.0
+                for j in range(nj if wx[box, i] != 0.0 else 0):
+                    row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
+                    for k in range(np.uint64(nk)):
+                        part += c[row + k] * plane[np.uint64(j), k]
+                total += wx[box, i] * part
+        out[cell] = total
+    return -1, sides, ends
+
+
+def _checked(position: FloatArray, radius: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    points = np.ascontiguousarray(position, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"position has shape {points.shape}, expected (n, 3)")
+    return points, _radii(radius, len(points))
+
+
+def _radii(radius: FloatArray | None, count: int) -> FloatArray:
+    radii = np.zeros(count) if radius is None else np.ascontiguousarray(radius, np.float64)
+    if radii.shape != (count,):
+        raise ValueError(f"radius has shape {radii.shape}, expected ({count},)")
+    if not (radii.min(initial=0.0) >= 0.0 and radii.max(initial=0.0) < np.inf):
+        raise ValueError("a radius is negative or not finite")
+    return radii
+
+
+def _refuse_outside(index: int, position: FloatArray) -> None:
+    if index >= 0:
+        raise ValueError(f"position {position[index]} (row {index}) lies outside the nutrient grid")
+
+
+def scatter(
+    position: FloatArray,
+    amount: FloatArray,
+    origin: Triple,
+    spacing: float,
+    shape: tuple[int, int, int],
+    radius: FloatArray | None = None,
+    *,
+    flat: bool = False,
+) -> FloatArray:
+    """Spread an amount of each cell, (n,), over the nodes as a density, amount per µm³.
+
+    Its sum times ``spacing**3`` is the sum of ``amount``.
+
+    - ``position``, (n, 3), and ``radius``, (n,), µm; absent: points
+    - ``origin``, µm: lower corner of the grid's box
+    - ``flat``: cells are discs in the plane of a grid with one node along z
+    """
+    points, radii = _checked(position, radius)
+    amounts = np.ascontiguousarray(amount, dtype=np.float64)
+    if amounts.shape != points.shape[:1]:
+        raise ValueError(f"amount has shape {amounts.shape}, expected ({len(points)},)")
+    out = np.zeros(shape)
+    shapes = _balls(radii, spacing, flat)
+    outside = _scatter(points, amounts, origin, spacing, flat, *shapes, out)
+    _refuse_outside(outside, points)
+    out /= spacing**3
+    return out
+
+
+def gather(
+    position: FloatArray,
+    values: FloatArray,
+    origin: Triple,
+    spacing: float,
+    radius: FloatArray | None = None,
+    *,
+    flat: bool = False,
+) -> FloatArray:
+    """Return the means of node values (nx, ny, nz) over the cells, (n,).
+
+    They are never outside the range of the nodes at a cell; arguments as for :func:`scatter`.
+    """
+    return gathered(position, values, origin, spacing, radius, flat=flat)[0]
+
+
+def gathered(
+    position: FloatArray,
+    values: FloatArray,
+    origin: Triple,
+    spacing: float,
+    radius: FloatArray | None = None,
+    *,
+    flat: bool = False,
+) -> tuple[FloatArray, bool]:
+    """Do the same; tell also whether any cell reads between the last nodes and faces or beyond."""
+    points, radii = _checked(position, radius)
+    if values.ndim != 3:
+        raise ValueError(f"values has shape {values.shape}, expected (nx, ny, nz)")
+    out = np.empty(len(points))
+    values = np.ascontiguousarray(values).view()
+    values.flags.writeable = False  # as fields are, so that it is compiled once
+    shapes = _balls(radii, spacing, flat)
+    outside, sides, ends = _gather(points, values, origin, spacing, flat, *shapes, out)
+    _refuse_outside(outside, points)
+    return out, sides or (ends and not flat)
+
+
+@njit(**INNER)
+def _part_within(rho, away, radius):
+    """Return the part of a ball, its centre ``away``, that lies within ``rho`` of the origin."""
+    if rho >= away + radius:
+        return 1.0
+    if rho <= abs(away - radius):
+        return (rho / radius) ** 3 if away < radius else 0.0
+    lens = away * away + 2.0 * away * (rho + radius) - 3.0 * (rho - radius) ** 2
+    return (rho + radius - away) ** 2 * lens / (16.0 * away * radius**3)
+
+
+@njit(**KERNEL)
+def _scatter_shells(distance, radius, amount, spacing, out):
+    n = out.size
+    for cell in range(distance.size):
+        away, size = distance[cell] / spacing, radius[cell] / spacing
+        if not away <= n * (1.0 + 1e-12):
+            return cell
+        if size <= _POINT:
+            lower = int(np.floor(away - 0.5))
+            upper = amount[cell] * (away - 0.5 - lower)
+            out[max(lower, 0)] += amount[cell] - upper
+            out[min(lower + 1, n - 1)] += upper
+            continue
+        wide, before = np.sqrt(size * size + 0.5), 0.0
+        for shell in range(max(int(away - wide), 0), n):
+            after = 1.0 if shell == n - 1 else _part_within(shell + 1.0, away, wide)
+            out[shell] += amount[cell] * max(after - before, 0.0)
+            if after == 1.0:
+                break
+            before = after
+    return -1
+
+
+@njit(**KERNEL)
+def _gather_shells(distance, radius, values, beyond, spacing, out):
+    n = values.size
+    for cell in range(distance.size):
+        away, size = distance[cell] / spacing, radius[cell] / spacing
+        if not away <= n * (1.0 + 1e-12):
+            return cell
+        if size <= _POINT:
+            lower = int(np.floor(away - 0.5))
+            upper = away - 0.5 - lower
+            next_one = values[lower + 1] if lower < n - 1 else beyond
+            out[cell] = (1.0 - upper) * values[max(lower, 0)] + upper * next_one
+            continue
+        wide, before, total = np.sqrt(size * size + 0.5), 0.0, 0.0
+        for shell in range(max(int(away - wide), 0), n):
+            after = _part_within(shell + 1.0, away, wide)
+            total += max(after - before, 0.0) * values[shell]
+            before = after
+            if after == 1.0:
+                break
+        out[cell] = total + (1.0 - before) * 0.5 * (values[n - 1] + beyond)
+    return -1
+
+
+def scatter_shells(
+    distance: FloatArray,
+    amount: FloatArray,
+    spacing: float,
+    count: int,
+    radius: FloatArray | None = None,
+) -> FloatArray:
+    """Spread an amount of each cell, (n,), over shells: (count,).
+
+    - ``distance``, (n,), and ``radius``, (n,), µm: from the centre of the shells; and of the cells,
+      absent: points
+    """
+    away, radii = _on_shells(distance, radius)
+    out = np.zeros(count)
+    amounts = np.ascontiguousarray(amount, dtype=np.float64)
+    if _scatter_shells(away, radii, amounts, spacing, out) >= 0:
+        raise ValueError("a position lies outside the nutrient grid")
+    return out
+
+
+def gather_shells(
+    distance: FloatArray,
+    values: FloatArray,
+    spacing: float,
+    radius: FloatArray | None = None,
+    beyond: float | None = None,
+) -> FloatArray:
+    """Return the means of values of shells over the cells, (n,); see :func:`scatter_shells`.
+
+    - ``beyond``: of one more shell; absent: as in the last one. Outside the surface cells find what
+      is on it, the mean of the two.
+    """
+    away, radii = _on_shells(distance, radius)
+    out, values = np.empty(len(away)), np.ascontiguousarray(values).view()
+    values.flags.writeable = False
+    last = float(values[-1]) if beyond is None else beyond
+    if _gather_shells(away, radii, values, last, spacing, out) >= 0:
+        raise ValueError("a position lies outside the nutrient grid")
+    return out
+
+
+def _on_shells(distance: FloatArray, radius: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    away = np.ascontiguousarray(distance, dtype=np.float64)
+    return away, _radii(radius, len(away))
