@@ -8,7 +8,7 @@ from grids import diffusion, divergence
 from pde.grids.cartesian import CartesianGrid
 
 from multicell.errors import NutrientFailed
-from multicell.nutrient.cartesian import scatter
+from multicell.nutrient.balls import scatter
 from multicell.nutrient.steady import solve_steady
 
 D = 2000.0

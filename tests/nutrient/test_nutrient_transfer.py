@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pde import ScalarField
 from pde.grids.cartesian import CartesianGrid
 
-from multicell.nutrient.cartesian import gather, scatter
+from multicell.nutrient.balls import gather, scatter
 
 ORIGIN = (-30.0, 5.0, 100.0)
 SPACING = 7.5
