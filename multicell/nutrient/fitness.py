@@ -102,10 +102,10 @@ def discretisation_error(
     """Estimate the error of a steady field at the cells that its spacing makes.
 
     The field is solved for the cells as they are with its own spacing h and about twice that,
-    H. The scheme is of second order: the error is |c_h - c_H| / ((H/h)² - 1) (Richardson), of
-    which a quarter more is reported (Roache 1994): where nodes lie for a cell makes up to that. On
+    H. The scheme is of second order: the error is |c_h - c_H| / ((H/h)² - 1) (Richardson). On
     grids that do not resolve cells what each finds of its own grows by less than that order, and
-    its error is reported where it is larger (:func:`_own_error`). The field itself is not changed.
+    its error counts where it is larger (:func:`_own_error`). A quarter more is reported (Roache
+    1994): where nodes lie for a cell makes up to that. The field itself is not changed.
 
     - ``field``: solved already; its last solution is the first guess
 
@@ -131,12 +131,12 @@ def discretisation_error(
     ratio = coarse / fine
     if ratio < _LEAST_RATIO:
         return None
-    found = float(_SAFETY * np.abs(close - far).max() / (ratio**2 - 1.0))
-    if geometry == "radial":
-        return found
-    made = -field.uptake(cells.position, capacity, cells.radius)
-    made += 0.0 if production is None else production
-    return max(found, _own_error(parameters, fine, cells.radius, np.abs(made)))
+    error = float(np.abs(close - far).max() / (ratio**2 - 1.0))
+    if geometry == "box":
+        made = -field.uptake(cells.position, capacity, cells.radius)
+        made += 0.0 if production is None else production
+        error = max(error, _own_error(parameters, fine, cells.radius, np.abs(made)))
+    return _SAFETY * error
 
 
 def _own_error(
