@@ -186,9 +186,7 @@ def _inside(u, n):
 
 
 @njit(**KERNEL)
-def _scatter(
-    position, amount, origin, spacing, flat, counts, widths, filled, first, nodes, out
-):
+def _scatter(position, amount, origin, spacing, flat, counts, widths, filled, first, nodes, out):
     nx, ny, nz = out.shape
     most = counts.max() if counts.size else 1
     density = out.reshape(-1)

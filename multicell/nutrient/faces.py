@@ -3,8 +3,8 @@
 Beyond each face nodes are added. By the condition on the face they are ``const + factor c`` with
 the c of the node that mirrors them: the line between the two has the value or the slope that the
 condition asks for. What lies beyond a face weighs no more in a reading than what mirrors it, so
-that with a value or a supply none is negative. For derivatives, which may have any sign, it is on the
-parabola through the last three nodes: central differences are then exact for parabolas up to the
+that with a value or a supply none is negative. For derivatives, which may have any sign, one node is
+on the parabola through the last three: central differences are then exact for parabolas up to the
 face, whatever the condition.
 """
 

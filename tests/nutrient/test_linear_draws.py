@@ -1,6 +1,6 @@
 """Linear fields drawn at random: nothing is refused for rounding, and closed forms hold.
 
-    python -m pytest tests/nutrient/test_linear_draws.py --runs 2000 --first-seed 1000
+python -m pytest tests/nutrient/test_linear_draws.py --runs 2000 --first-seed 1000
 """
 
 import numpy as np
@@ -17,12 +17,14 @@ CASES = [  # length, cross-section, spacing (um), D (um^2/s), decay (1/s): refus
 ]
 
 
-def described(length, across, spacing, diffusion, decay, level, secretion=0.0, **sides):
+def described(
+    length, across, spacing, diffusion, decay, level, secretion=0.0, regime="steady", **sides
+):
     walls = {"*": {"type": "derivative", "derivative": "0 mM/um"}, **sides}
     walls["x+"] = {"value": f"{level} mM"}
     ends = {"x": length, "y": across, "z": across}
     given = {"diffusion": diffusion, "decay": decay, "spacing": spacing, "uptake": 0.0,
-             "secretion": secretion, "sides": walls, "regime": "steady"}  # fmt: skip
+             "secretion": secretion, "sides": walls, "regime": regime}  # fmt: skip
     return mc.Scene.from_dict({
         "duration": "5 min", "coupling_step": "5 min", "initial": {"count": 1}, "drag": {},
         "contact": {"law": "hertz"}, "nutrients": {"a": given},
@@ -41,7 +43,8 @@ def checked(scene, length, across, spacing, diffusion, decay, level):
     assert simulation.concentrations["a"].min() >= 0.0
     scale = max(account.turnover, account.content)
     assert abs(account.remainder) <= 1e-8 * scale
-    if scene.nutrients["a"].secretion == 0.0 and len(scene.nutrients["a"].sides) == 2:
+    nutrient = scene.nutrients["a"]
+    if nutrient.secretion == 0.0 and len(nutrient.sides) == 2 and nutrient.regime == "steady":
         n, h = values.shape[0], field.layout.spacing
         mu = np.arccosh(1.0 + 0.5 * decay * h * h / diffusion)
         # cosh(mu (i + 1/2)) / (cosh(mu n) cosh(mu / 2)), with no large numbers
@@ -72,7 +75,7 @@ def test_linear_fields_drawn_at_random_are_solved(request):
         decay = 0.0 if rng.random() < 0.2 else float(np.exp(rng.uniform(-10.0, 2.5)))
         level = 0.0 if rng.random() < 0.1 else float(10.0 ** rng.uniform(-6.0, 1.0))
         secretion = 0.0 if rng.random() < 0.6 else float(10.0 ** rng.uniform(-6.0, 2.0))
-        sides = {}
+        regime, sides = "steady" if rng.random() < 0.7 else "transient", {}
         if rng.random() < 0.3:
             sides["y-"] = {"value": f"{level * rng.random()} mM"}
         if rng.random() < 0.2:
@@ -80,9 +83,9 @@ def test_linear_fields_drawn_at_random_are_solved(request):
             sides["x-"] = {"type": "derivative", "derivative": f"{slope} mM/um"}
         case = length, across, spacing, diffusion, decay, level
         try:
-            checked(described(*case, secretion, **sides), *case)
+            checked(described(*case, secretion, regime, **sides), *case)
         except Exception as error:
-            error.add_note(f"seed {seed}: {case}, {secretion}, {sides}")
+            error.add_note(f"seed {seed}: {case}, {secretion}, {regime}, {sides}")
             raise
 
 

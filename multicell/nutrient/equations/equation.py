@@ -4,8 +4,8 @@
 
 for each substance, on a grid of py-pde's: ``CartesianGrid`` in two and three dimensions with equal
 spacings, or ``SphericalSymGrid``. Q and S are what cells take up at most and secrete, spread over
-their balls (:mod:`multicell.nutrient.balls`); f is what reactions between substances make. Below zero, where only a
-solver's error can bring c, uptake and reactions go on along their tangent.
+their balls (:mod:`multicell.nutrient.balls`); f is what reactions between substances make. Below
+zero, where only a solver's error can bring c, uptake and reactions go on along their tangent.
 """
 
 from __future__ import annotations
