@@ -48,6 +48,9 @@ _ONE = 1.6
 _MOST = 24
 """Boxes along an axis at most: the mean potential of a ball is then right to 3e-4."""
 
+_BLOCK = 64
+"""Cells whose weights are found together."""
+
 _SUBDIVIDED = 12
 """Lines along each of two axes by which the part of a box in the ball is found."""
 
@@ -61,9 +64,8 @@ def _boxes_of(count: int, flat: bool) -> tuple[FloatArray, float]:
     if flat:
         filled = _strips(count)[:, :, None]
     else:
-        filled = _columns(count)
-        # lines along one axis: the other two have their turn
-        filled = sum(np.moveaxis(filled, 2, axis) for axis in range(3)) / 3.0
+        along = _columns(count)  # chords along one axis: the other two have their turn
+        filled = (along + np.moveaxis(along, 2, 0) + np.moveaxis(along, 2, 1)) / 3.0
     filled = np.ascontiguousarray(0.5 * (filled + filled.swapaxes(0, 1)))
     filled /= filled.sum()
     away = np.arange(count) - 0.5 * (count - 1)
@@ -103,19 +105,26 @@ def _tables(most: int, flat: bool) -> tuple[FloatArray, NDArray[np.int64], Float
 def _balls(radius: FloatArray, spacing: float, flat: bool) -> tuple[Any, ...]:
     """Return of each cell how many boxes it is made of along an axis, and their size in spacings.
 
-    Besides densities of boxes, where those of each number begin, and the most nodes along an axis.
+    Besides densities of boxes, where those of each number begin, and the most nodes along an axis,
+    of all cells and of those that are one box.
     """
     size = radius / spacing
     counts = np.ones(len(size), dtype=np.int64)
-    most, large = 1, size > _ONE
+    large = size > _ONE
     if large.any():
         counts[large] = np.minimum(np.ceil(_PER_RADIUS * size[large]), _MOST)
-        most = int(counts.max())
-    filled, first, sizes = _tables(most, flat)
-    widths = sizes[counts] * size
-    widths[size <= _POINT] = 0.0
-    nodes = int((counts * widths).max(initial=0.0)) + 4
-    return counts, widths, filled, first, nodes
+        filled, first, sizes = _tables(int(counts.max()), flat)
+        widths = sizes[counts] * size
+        single = widths.max(where=~large, initial=0.0)
+        nodes = int((counts * widths).max()) + 4
+    else:
+        filled, first, sizes = _tables(1, flat)
+        widths = sizes[1] * size
+        single = widths.max(initial=0.0)
+        nodes = int(single) + 4
+    if size.min(initial=1.0) <= _POINT:
+        widths[size <= _POINT] = 0.0
+    return counts, widths, filled, first, nodes, max(int(single) + 3, 4)
 
 
 @njit(**INNER)
@@ -185,89 +194,137 @@ def _inside(u, n):
     return -0.5 <= u <= n - 0.5  # not so of what is no number either
 
 
-@njit(**KERNEL)
-def _scatter(position, amount, origin, spacing, flat, counts, widths, filled, first, nodes, out):
-    nx, ny, nz = out.shape
-    most = counts.max() if counts.size else 1
-    density = out.reshape(-1)
-    wx, wy, wz = np.empty((most, nodes)), np.empty((most, nodes)), np.empty((most, nodes))
-    line, plane = np.empty(nodes), np.empty((nodes, nodes))
-    for cell in range(position.shape[0]):
-        u = (position[cell, 0] - origin[0]) / spacing - 0.5
-        v = (position[cell, 1] - origin[1]) / spacing - 0.5
-        w = (position[cell, 2] - origin[2]) / spacing - 0.5
-        if not (_inside(u, nx) and _inside(v, ny) and _inside(w, nz)):
-            return cell
-        count, width = counts[cell], widths[cell]
-        deep = 1 if flat else count
-        i0, ni, _ = _spread(u, width, count, nx, wx)
-        j0, nj, _ = _spread(v, width, count, ny, wy)
-        k0, nk, _ = _spread(w, 0.0 if flat else width, deep, nz, wz)
-        # unsigned numbers cannot count from the end of an array, and need no test for that
-        if count == 1:
-            for i in range(ni):
-                for j in range(nj):
-                    row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
-                    a = amount[cell] * wx[0, i] * wy[0, j]
-                    for k in range(np.uint64(nk)):
-                        density[row + k] += a * wz[np.uint64(0), k]
-            continue
-        for box in range(count):
-            _plane(filled, first[count], box, count, deep, wy, wz, nj, nk, line, plane)
-            for i in range(ni):
-                a = amount[cell] * wx[box, i]
-                if a != 0.0:
-                    for j in range(nj):
-                        row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
-                        for k in range(np.uint64(nk)):
-                            density[row + k] += a * plane[np.uint64(j), k]
-    return -1
+@njit(**INNER)
+def _lay(position, begin, size, origin, spacing, widths, points, number, axes, first, weights):
+    """Write first nodes and weights of a block of cells that are one box each, or all ``points``.
 
-
-@njit(**KERNEL)
-def _gather(position, values, origin, spacing, flat, counts, widths, filled, first, nodes, out):
-    """Write what cells read; return the first one outside, or -1.
-
-    Return also whether parts of some were mirrored at faces across x or y, and across z.
+    Along each of ``axes`` there are ``number`` nodes from ``first``, (3, cell), with ``weights``,
+    (3, node, cell).
     """
-    nx, ny, nz = values.shape
-    most = counts.max() if counts.size else 1
-    c = values.reshape(-1)
+    left, right, share = np.empty(size), np.empty(size), np.empty(size)
+    for c in range(size):
+        share[c] = 1.0 / widths[begin + c]
+    for axis in range(axes):
+        low = origin[axis]
+        for c in range(size):
+            width = widths[begin + c]
+            end = (position[begin + c, axis] - low) / spacing - (0.5 + 0.5 * width)
+            first[axis, c] = np.floor(end)
+            left[c] = end - first[axis, c]
+            right[c] = left[c] + width
+        for i in range(number):  # neither sums nor branches inside, for the vector units
+            if points:
+                for c in range(size):
+                    weights[axis, i, c] = max(1.0 - abs(left[c] - i), 0.0)
+            else:
+                for c in range(size):
+                    part = _hat_below(right[c] - i) - _hat_below(left[c] - i)
+                    weights[axis, i, c] = part * share[c]
+
+
+@njit(**KERNEL)
+def _transfer(
+    position, amount, values, density, out, shape, origin, spacing, flat, counts, widths, filled,
+    begins, nodes, number,
+):  # fmt: skip
+    """Spread amounts of cells over the nodes, or, if ``density`` has none, read ``values``.
+
+    Both are flat. Return the first cell outside or -1, and whether parts of some were mirrored at
+    faces across x or y, and across z.
+    """
+    nx, ny, nz = shape
+    spread, cells = density.size > 0, position.shape[0]
+    most = counts.max() if cells else 1
     wx, wy, wz = np.empty((most, nodes)), np.empty((most, nodes)), np.empty((most, nodes))
     line, plane = np.empty(nodes), np.empty((nodes, nodes))
-    sides, ends = False, False
-    for cell in range(position.shape[0]):
+    first, weights = np.zeros((3, _BLOCK)), np.ones((3, number, _BLOCK))
+    deepest = 1 if flat else number
+    one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
+    sides, ends, points = False, False, not (widths > 0.0).any()
+    for cell in range(cells):
+        c = cell % _BLOCK
+        if c == 0:
+            size = min(_BLOCK, cells - cell)
+            axes = 2 if flat else 3
+            _lay(
+                position, cell, size, origin, spacing, widths, points, number, axes, first, weights
+            )
+        x, y, z = first[0, c], first[1, c], first[2, c]
+        count, width = counts[cell], widths[cell]
+        total = 0.0
+        # away from the faces; not so of what is no number
+        if (
+            count == 1 and (width > 0.0 or points) and x >= 0.0 and y >= 0.0 and z >= 0.0
+            and x + number <= nx and y + number <= ny and z + deepest <= nz
+        ):  # fmt: skip
+            i0, j0, k0 = int(x), int(y), int(z)
+            # unsigned numbers cannot count from the end of an array, and need no test for that
+            amount_here = amount[cell] if spread else 1.0
+            if deepest == 4:  # as a rule: four nodes along an axis are one vector
+                z0, z1 = weights[2, 0, c], weights[2, 1, c]
+                z2, z3 = weights[2, 2, c], weights[2, 3, c]
+                if spread:
+                    for i in range(4):
+                        for j in range(4):
+                            row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
+                            a = amount_here * weights[0, i, c] * weights[1, j, c]
+                            t0, t1 = density[row] + a * z0, density[row + one] + a * z1
+                            t2, t3 = density[row + two] + a * z2, density[row + three] + a * z3
+                            density[row], density[row + one] = t0, t1
+                            density[row + two], density[row + three] = t2, t3
+                    continue
+                for i in range(4):
+                    t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0
+                    for j in range(4):
+                        row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
+                        a = weights[1, j, c]
+                        t0 += a * values[row]
+                        t1 += a * values[row + one]
+                        t2 += a * values[row + two]
+                        t3 += a * values[row + three]
+                    total += weights[0, i, c] * ((t0 * z0 + t1 * z1) + (t2 * z2 + t3 * z3))
+            else:
+                for i in range(number):
+                    for j in range(number):
+                        row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
+                        a = amount_here * weights[0, i, c] * weights[1, j, c]
+                        for k in range(deepest):
+                            if spread:
+                                density[row + np.uint64(k)] += a * weights[2, k, c]
+                            else:
+                                total += a * values[row + np.uint64(k)] * weights[2, k, c]
+            if not spread:
+                out[cell] = total
+            continue
         u = (position[cell, 0] - origin[0]) / spacing - 0.5
         v = (position[cell, 1] - origin[1]) / spacing - 0.5
         w = (position[cell, 2] - origin[2]) / spacing - 0.5
         if not (_inside(u, nx) and _inside(v, ny) and _inside(w, nz)):
             return cell, sides, ends
-        count, width = counts[cell], widths[cell]
         deep = 1 if flat else count
         i0, ni, over_x = _spread(u, width, count, nx, wx)
         j0, nj, over_y = _spread(v, width, count, ny, wy)
         k0, nk, over_z = _spread(w, 0.0 if flat else width, deep, nz, wz)
         sides, ends = sides or over_x or over_y, ends or over_z
-        total = 0.0
-        for i in range(ni if count == 1 else 0):
-            part = 0.0
-            for j in range(nj):
-                row, found = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0), 0.0
-                for k in range(np.uint64(nk)):
-                    found += c[row + k] * wz[np.uint64(0), k]
-                part += found * wy[0, j]
-            total += wx[0, i] * part
-        for box in range(count if count > 1 else 0):
-            _plane(filled, first[count], box, count, deep, wy, wz, nj, nk, line, plane)
+        for box in range(count):
+            _plane(filled, begins[count], box, count, deep, wy, wz, nj, nk, line, plane)
             for i in range(ni):
-                part = 0.0
-                for j in range(nj if wx[box, i] != 0.0 else 0):
+                a = wx[box, i]
+                for j in range(nj if a != 0.0 else 0):
                     row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
-                    for k in range(np.uint64(nk)):
-                        part += c[row + k] * plane[np.uint64(j), k]
-                total += wx[box, i] * part
-        out[cell] = total
+                    if spread:
+                        for k in range(np.uint64(nk)):
+                            density[row + k] += amount[cell] * a * plane[np.uint64(j), k]
+                    else:
+                        for k in range(np.uint64(nk)):
+                            total += a * values[row + k] * plane[np.uint64(j), k]
+        if not spread:
+            out[cell] = total
     return -1, sides, ends
+
+
+_NOTHING = np.empty(0)
+_NOTHING.flags.writeable = False
 
 
 def _checked(position: FloatArray, radius: FloatArray | None) -> tuple[FloatArray, FloatArray]:
@@ -314,8 +371,11 @@ def scatter(
     if amounts.shape != points.shape[:1]:
         raise ValueError(f"amount has shape {amounts.shape}, expected ({len(points)},)")
     out = np.zeros(shape)
-    shapes = _balls(radii, spacing, flat)
-    outside = _scatter(points, amounts, origin, spacing, flat, *shapes, out)
+    balls = _balls(radii, spacing, flat)
+    density = out.reshape(-1)
+    outside, _, _ = _transfer(
+        points, amounts, _NOTHING, density, density, shape, origin, spacing, flat, *balls
+    )
     _refuse_outside(outside, points)
     out /= spacing**3
     return out
@@ -351,10 +411,12 @@ def gathered(
     if values.ndim != 3:
         raise ValueError(f"values has shape {values.shape}, expected (nx, ny, nz)")
     out = np.empty(len(points))
-    values = np.ascontiguousarray(values).view()
-    values.flags.writeable = False  # as fields are, so that it is compiled once
-    shapes = _balls(radii, spacing, flat)
-    outside, sides, ends = _gather(points, values, origin, spacing, flat, *shapes, out)
+    given, shape = np.ascontiguousarray(values).reshape(-1).view(), values.shape
+    given.flags.writeable = False  # as fields are, so that it is compiled once
+    balls, none = _balls(radii, spacing, flat), np.empty(0)
+    outside, sides, ends = _transfer(
+        points, out, given, none, out, shape, origin, spacing, flat, *balls
+    )
     _refuse_outside(outside, points)
     return out, sides or (ends and not flat)
 

@@ -3,9 +3,9 @@
 Beyond each face nodes are added. By the condition on the face they are ``const + factor c`` with
 the c of the node that mirrors them: the line between the two has the value or the slope that the
 condition asks for. What lies beyond a face weighs no more in a reading than what mirrors it, so
-that with a value or a supply none is negative. For derivatives, which may have any sign, one node is
-on the parabola through the last three: central differences are then exact for parabolas up to the
-face, whatever the condition.
+that with a value or a supply none is negative. For derivatives, which may have any sign, one node
+is on the parabola through the last three: central differences are then exact for parabolas up to
+the face, whatever the condition.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def by_condition(
     """
     for axis, name in enumerate(axes):
         v = np.moveaxis(values, axis, 0)
-        low, high = [], []
+        low: list[FloatArray] = []
+        high: list[FloatArray] = []
         for side, ends, mirror in (("-", low, v), ("+", high, v[::-1])):
             for layer in range(layers):
                 const, factor = ghost_terms(conditions[name + side], (2 * layer + 1) * spacing)

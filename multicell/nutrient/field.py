@@ -10,7 +10,7 @@ from multicell.cells import FloatArray
 from multicell.nutrient import grid as layouts
 from multicell.nutrient.cartesian import round_enough
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
-from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball
+from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball, reaching
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
@@ -19,13 +19,6 @@ if TYPE_CHECKING:
     from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.parameters import FieldParameters
     from multicell.results.frame import Field
-
-
-def reaching(position: FloatArray, reached: FloatArray, radius: FloatArray) -> FloatArray:
-    """Return the radii in µm with which cells exchange: none for strays, at the grid's surface."""
-    if reached is position:
-        return radius
-    return np.where((reached != position).any(axis=1), 0.0, radius)
 
 
 @final

@@ -21,8 +21,8 @@ from multicell.nutrient import finite
 from multicell.nutrient.balance import COLUMNS, FADED, Exchange
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Substance
-from multicell.nutrient.field import reaching
 from multicell.nutrient.grid import Layout, relative_diffusion, tissue_share
+from multicell.nutrient.tissue import reaching
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Schedule
-from multicell.nutrient.field import reaching
 from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.grid import restored, tissue_share
 from multicell.nutrient.group import substance
 from multicell.nutrient.parameters import FieldParameters
+from multicell.nutrient.tissue import reaching
 from multicell.scene.checks import solving_order
 
 if TYPE_CHECKING:

@@ -45,6 +45,13 @@ class Tissue:
         return self._found[key][0]
 
 
+def reaching(position: FloatArray, reached: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the radii in µm with which cells exchange: none for strays, at the grid's surface."""
+    if reached is position:
+        return radius
+    return np.where((reached != position).any(axis=1), 0.0, radius)
+
+
 def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:
     """Return the positions with strays moved to the sides of the box that holds the tissue.
 
