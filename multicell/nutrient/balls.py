@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER, KERNEL
-
-Triple = tuple[float, float, float]
+from multicell.nutrient.cartesian import Box
 
 _POINT = 0.01
 """Radius over the spacing below which a cell is a point: as near as 2e-5 squared spacings."""
@@ -124,7 +123,8 @@ def _balls(radius: FloatArray, spacing: float, flat: bool) -> tuple[Any, ...]:
         nodes = int(single) + 4
     if size.min(initial=1.0) <= _POINT:
         widths[size <= _POINT] = 0.0
-    return counts, widths, filled, first, nodes, max(int(single) + 3, 4)
+    number = max(int(single) + 3, 4) if single > _POINT else 2
+    return counts, widths, filled, first, nodes, number
 
 
 @njit(**INNER)
@@ -222,17 +222,20 @@ def _lay(position, begin, size, origin, spacing, widths, points, number, axes, f
                     weights[axis, i, c] = part * share[c]
 
 
+@njit(**INNER)
+def _fits(first, number, n):
+    return first >= 0.0 and first + number <= n  # nor does this
+
+
 @njit(**KERNEL)
-def _transfer(
-    position, amount, values, density, out, shape, origin, spacing, flat, counts, widths, filled,
-    begins, nodes, number,
-):  # fmt: skip
+def _transfer(position, amount, values, density, out, grid, balls):
     """Spread amounts of cells over the nodes, or, if ``density`` has none, read ``values``.
 
     Both are flat. Return the first cell outside or -1, and whether parts of some were mirrored at
     faces across x or y, and across z.
     """
-    nx, ny, nz = shape
+    counts, widths, filled, begins, nodes, number = balls
+    (nx, ny, nz), origin, spacing, flat = grid
     spread, cells = density.size > 0, position.shape[0]
     most = counts.max() if cells else 1
     wx, wy, wz = np.empty((most, nodes)), np.empty((most, nodes)), np.empty((most, nodes))
@@ -252,11 +255,8 @@ def _transfer(
         x, y, z = first[0, c], first[1, c], first[2, c]
         count, width = counts[cell], widths[cell]
         total = 0.0
-        # away from the faces; not so of what is no number
-        if (
-            count == 1 and (width > 0.0 or points) and x >= 0.0 and y >= 0.0 and z >= 0.0
-            and x + number <= nx and y + number <= ny and z + deepest <= nz
-        ):  # fmt: skip
+        fits = _fits(x, number, nx) and _fits(y, number, ny) and _fits(z, deepest, nz)
+        if fits and count == 1 and (width > 0.0 or points):
             i0, j0, k0 = int(x), int(y), int(z)
             # unsigned numbers cannot count from the end of an array, and need no test for that
             amount_here = amount[cell] if spread else 1.0
@@ -327,98 +327,80 @@ _NOTHING = np.empty(0)
 _NOTHING.flags.writeable = False
 
 
-def _checked(position: FloatArray, radius: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    points = np.ascontiguousarray(position, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"position has shape {points.shape}, expected (n, 3)")
-    return points, _radii(radius, len(points))
-
-
-def _radii(radius: FloatArray | None, count: int) -> FloatArray:
-    radii = np.zeros(count) if radius is None else np.ascontiguousarray(radius, np.float64)
-    if radii.shape != (count,):
-        raise ValueError(f"radius has shape {radii.shape}, expected ({count},)")
-    if not (radii.min(initial=0.0) >= 0.0 and radii.max(initial=0.0) < np.inf):
-        raise ValueError("a radius is negative or not finite")
-    return radii
-
-
-def _refuse_outside(index: int, position: FloatArray) -> None:
-    if index >= 0:
-        raise ValueError(f"position {position[index]} (row {index}) lies outside the nutrient grid")
-
-
 def scatter(
-    position: FloatArray,
-    amount: FloatArray,
-    origin: Triple,
-    spacing: float,
-    shape: tuple[int, int, int],
-    radius: FloatArray | None = None,
-    *,
-    flat: bool = False,
+    box: Box, position: FloatArray, amount: FloatArray, radius: FloatArray | None = None
 ) -> FloatArray:
     """Spread an amount of each cell, (n,), over the nodes as a density, amount per µm³.
 
-    Its sum times ``spacing**3`` is the sum of ``amount``.
+    Its sum times the volume of a node is the sum of ``amount``.
 
     - ``position``, (n, 3), and ``radius``, (n,), µm; absent: points
-    - ``origin``, µm: lower corner of the grid's box
-    - ``flat``: cells are discs in the plane of a grid with one node along z
     """
-    points, radii = _checked(position, radius)
-    amounts = np.ascontiguousarray(amount, dtype=np.float64)
-    if amounts.shape != points.shape[:1]:
-        raise ValueError(f"amount has shape {amounts.shape}, expected ({len(points)},)")
-    out = np.zeros(shape)
-    balls = _balls(radii, spacing, flat)
+    points, grid, balls = _placed(box, position, radius)
+    amounts = _numbers(amount, len(points), "amount")
+    out = np.zeros(box.shape)
     density = out.reshape(-1)
-    outside, _, _ = _transfer(
-        points, amounts, _NOTHING, density, density, shape, origin, spacing, flat, *balls
-    )
-    _refuse_outside(outside, points)
-    out /= spacing**3
+    found = _transfer(points, amounts, _NOTHING, density, density, grid, balls)
+    _refuse_outside(found[0], points)
+    out /= box.volume
     return out
 
 
 def gather(
-    position: FloatArray,
-    values: FloatArray,
-    origin: Triple,
-    spacing: float,
-    radius: FloatArray | None = None,
-    *,
-    flat: bool = False,
+    box: Box, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
 ) -> FloatArray:
     """Return the means of node values (nx, ny, nz) over the cells, (n,).
 
     They are never outside the range of the nodes at a cell; arguments as for :func:`scatter`.
     """
-    return gathered(position, values, origin, spacing, radius, flat=flat)[0]
+    return gathered(box, position, values, radius)[0]
 
 
 def gathered(
-    position: FloatArray,
-    values: FloatArray,
-    origin: Triple,
-    spacing: float,
-    radius: FloatArray | None = None,
-    *,
-    flat: bool = False,
+    box: Box, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
 ) -> tuple[FloatArray, bool]:
     """Do the same; tell also whether any cell reads between the last nodes and faces or beyond."""
-    points, radii = _checked(position, radius)
-    if values.ndim != 3:
-        raise ValueError(f"values has shape {values.shape}, expected (nx, ny, nz)")
-    out = np.empty(len(points))
-    given, shape = np.ascontiguousarray(values).reshape(-1).view(), values.shape
+    points, grid, balls = _placed(box, position, radius)
+    if values.shape != box.shape:
+        raise ValueError(f"values has shape {values.shape}, expected {box.shape}")
+    out, given = np.empty(len(points)), np.ascontiguousarray(values).reshape(-1)
     given.flags.writeable = False  # as fields are, so that it is compiled once
-    balls, none = _balls(radii, spacing, flat), np.empty(0)
-    outside, sides, ends = _transfer(
-        points, out, given, none, out, shape, origin, spacing, flat, *balls
-    )
+    outside, sides, ends = _transfer(points, out, given, np.empty(0), out, grid, balls)
     _refuse_outside(outside, points)
-    return out, sides or (ends and not flat)
+    return out, sides or (ends and box.height is None)
+
+
+def _placed(box: Box, position: FloatArray, radius: FloatArray | None) -> tuple[Any, Any, Any]:
+    """Return positions on the grid, that, and the balls as the kernel takes them."""
+    points = np.ascontiguousarray(position, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"position has shape {points.shape}, expected (n, 3)")
+    flat = box.height is not None
+    if flat:
+        points = points * np.array([1.0, 1.0, 0.0])
+    balls = _balls(_radii(radius, len(points)), box.spacing, flat)
+    return points, (box.shape, box.origin, box.spacing, flat), balls
+
+
+def _numbers(values: FloatArray, count: int, what: str) -> FloatArray:
+    found = np.ascontiguousarray(values, dtype=np.float64)
+    if found.shape != (count,):
+        raise ValueError(f"{what} has shape {found.shape}, expected ({count},)")
+    return found
+
+
+def _radii(radius: FloatArray | None, count: int) -> FloatArray:
+    if radius is None:
+        return np.zeros(count)
+    found = _numbers(radius, count, "radius")
+    if not (found.min(initial=0.0) >= 0.0 and found.max(initial=0.0) < np.inf):
+        raise ValueError("a radius is negative or not finite")
+    return found
+
+
+def _refuse_outside(index: int, position: FloatArray) -> None:
+    if index >= 0:
+        raise ValueError(f"position {position[index]} (row {index}) lies outside the nutrient grid")
 
 
 @njit(**INNER)
@@ -433,93 +415,79 @@ def _part_within(rho, away, radius):
 
 
 @njit(**KERNEL)
-def _scatter_shells(distance, radius, amount, spacing, out):
-    n = out.size
+def _transfer_shells(distance, radius, amount, values, total, out, spacing):
+    """Spread amounts of cells over shells, or, if ``total`` has none, read ``values``.
+
+    The last entry of both belongs to one more shell. Return the first cell outside, or -1.
+    """
+    spread = total.size > 0
+    n = max(total.size, values.size) - 1
+    weights = np.empty(n + 1)
     for cell in range(distance.size):
         away, size = distance[cell] / spacing, radius[cell] / spacing
-        if not away <= n * (1.0 + 1e-12):
-            return cell
-        if size <= _POINT:
-            lower = int(np.floor(away - 0.5))
-            upper = amount[cell] * (away - 0.5 - lower)
-            out[max(lower, 0)] += amount[cell] - upper
-            out[min(lower + 1, n - 1)] += upper
-            continue
-        wide, before = np.sqrt(size * size + 0.5), 0.0
-        for shell in range(max(int(away - wide), 0), n):
-            after = 1.0 if shell == n - 1 else _part_within(shell + 1.0, away, wide)
-            out[shell] += amount[cell] * max(after - before, 0.0)
-            if after == 1.0:
-                break
-            before = after
-    return -1
-
-
-@njit(**KERNEL)
-def _gather_shells(distance, radius, values, beyond, spacing, out):
-    n = values.size
-    for cell in range(distance.size):
-        away, size = distance[cell] / spacing, radius[cell] / spacing
-        if not away <= n * (1.0 + 1e-12):
+        if not away <= n * (1.0 + 1e-12):  # nor is what is no number
             return cell
         if size <= _POINT:
             lower = int(np.floor(away - 0.5))
             upper = away - 0.5 - lower
-            next_one = values[lower + 1] if lower < n - 1 else beyond
-            out[cell] = (1.0 - upper) * values[max(lower, 0)] + upper * next_one
-            continue
-        wide, before, total = np.sqrt(size * size + 0.5), 0.0, 0.0
-        for shell in range(max(int(away - wide), 0), n):
-            after = _part_within(shell + 1.0, away, wide)
-            total += max(after - before, 0.0) * values[shell]
-            before = after
-            if after == 1.0:
-                break
-        out[cell] = total + (1.0 - before) * 0.5 * (values[n - 1] + beyond)
+            first, end = max(lower, 0), lower + 2
+            weights[first], weights[lower + 1] = 1.0 - upper, 1.0 if lower < 0 else upper
+        else:
+            wide, before = np.sqrt(size * size + 0.5), 0.0
+            first = end = max(int(away - wide), 0)
+            while end < n and before < 1.0:
+                after = _part_within(end + 1.0, away, wide)
+                weights[end] = max(after - before, 0.0)
+                before, end = after, end + 1
+            if before < 1.0:  # outside there is what is on the surface
+                weights[n - 1] += 0.5 * (1.0 - before)
+                weights[n], end = 0.5 * (1.0 - before), n + 1
+        found = 0.0
+        for shell in range(first, end):
+            if spread:
+                total[shell] += amount[cell] * weights[shell]
+            else:
+                found += weights[shell] * values[shell]
+        if not spread:
+            out[cell] = found
     return -1
 
 
 def scatter_shells(
+    shells: int,
+    spacing: float,
     distance: FloatArray,
     amount: FloatArray,
-    spacing: float,
-    count: int,
     radius: FloatArray | None = None,
 ) -> FloatArray:
-    """Spread an amount of each cell, (n,), over shells: (count,).
+    """Spread an amount of each cell, (n,), over shells, (shells,): what lies beyond on the last.
 
     - ``distance``, (n,), and ``radius``, (n,), µm: from the centre of the shells; and of the cells,
       absent: points
     """
-    away, radii = _on_shells(distance, radius)
-    out = np.zeros(count)
-    amounts = np.ascontiguousarray(amount, dtype=np.float64)
-    if _scatter_shells(away, radii, amounts, spacing, out) >= 0:
+    total, away = np.zeros(shells + 1), np.ascontiguousarray(distance)
+    amounts, radii = _numbers(amount, len(away), "amount"), _radii(radius, len(away))
+    if _transfer_shells(away, radii, amounts, _NOTHING, total, total, spacing) >= 0:
         raise ValueError("a position lies outside the nutrient grid")
-    return out
+    total[-2] += total[-1]
+    return total[:-1]
 
 
 def gather_shells(
-    distance: FloatArray,
     values: FloatArray,
+    beyond: float,
     spacing: float,
+    distance: FloatArray,
     radius: FloatArray | None = None,
-    beyond: float | None = None,
 ) -> FloatArray:
     """Return the means of values of shells over the cells, (n,); see :func:`scatter_shells`.
 
-    - ``beyond``: of one more shell; absent: as in the last one. Outside the surface cells find what
-      is on it, the mean of the two.
+    - ``beyond``: of one more shell. Outside the surface cells find what is on it, the mean of the
+      last two.
     """
-    away, radii = _on_shells(distance, radius)
-    out, values = np.empty(len(away)), np.ascontiguousarray(values).view()
-    values.flags.writeable = False
-    last = float(values[-1]) if beyond is None else beyond
-    if _gather_shells(away, radii, values, last, spacing, out) >= 0:
+    known, away = np.append(values, beyond), np.ascontiguousarray(distance)
+    known.flags.writeable = False
+    out, radii = np.empty(len(away)), _radii(radius, len(away))
+    if _transfer_shells(away, radii, out, known, np.empty(0), out, spacing) >= 0:
         raise ValueError("a position lies outside the nutrient grid")
     return out
-
-
-def _on_shells(distance: FloatArray, radius: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    away = np.ascontiguousarray(distance, dtype=np.float64)
-    return away, _radii(radius, len(away))

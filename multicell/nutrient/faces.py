@@ -26,9 +26,12 @@ def ghost_terms(condition: Mapping[str, float], spacing: float) -> tuple[float, 
 
 
 def by_condition(
-    values: FloatArray, conditions: Mapping[str, Mapping[str, Any]], spacing: float, axes: str,
+    values: FloatArray,
+    conditions: Mapping[str, Mapping[str, Any]],
+    spacing: float,
+    axes: str,
     layers: int = 1,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Return the values with ``layers`` of nodes at both ends of the named axes, by the conditions.
 
     - ``conditions``: on the faces ``"x-"``, ``"x+"`` ... of these axes, in py-pde's terms.

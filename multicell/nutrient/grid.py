@@ -85,9 +85,6 @@ class BoxLayout:
         """Volume of all nodes, µm³."""
         return float(np.sum(np.broadcast_to(self.volumes, self.shape)))
 
-    def _points(self, position: FloatArray) -> FloatArray:
-        return position if self.box.height is None else position * np.array([1.0, 1.0, 0.0])
-
     def nearest(self, position: FloatArray) -> FloatArray:
         """Return the points of the box nearest to positions (n, 3) in µm; those inside stay."""
         if len(position) == 0:
@@ -109,20 +106,13 @@ class BoxLayout:
         self, position: FloatArray, amount: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
         """Spread amounts of the cells, (n,), over the nodes as densities; absent radii: points."""
-        box, flat = self.box, self.box.height is not None
-        density = balls.scatter(
-            self._points(position), amount, box.origin, box.spacing, box.shape, radius, flat=flat
-        )
-        return density if box.height is None else density * (box.spacing / box.height)
+        return balls.scatter(self.box, position, amount, radius)
 
     def gather(
         self, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
         """Return the means over cells at positions (n, 3) in µm, or what is there at points."""
-        box, flat = self.box, self.box.height is not None
-        return balls.gather(
-            self._points(position), values, box.origin, box.spacing, radius, flat=flat
-        )
+        return balls.gather(self.box, position, values, radius)
 
     def read(
         self,
@@ -132,17 +122,14 @@ class BoxLayout:
         radius: FloatArray | None = None,
     ) -> FloatArray:
         """Do the same, but between the last nodes and the faces, and beyond, by the conditions."""
-        box, points, flat = self.box, self._points(position), self.box.height is not None
-        where = points, values, box.origin, box.spacing
-        found, some = balls.gathered(*where, radius, flat=flat)
+        found, some = balls.gathered(self.box, position, values, radius)
         if some:
             widest = 0.0 if radius is None else float(radius.max()) / self.spacing
-            near = self._nearer_than(widest + 0.5, position)
-            layers = math.ceil(widest + 0.5)
+            near, layers = self._nearer_than(widest + 0.5, position), math.ceil(widest + 0.5)
             axes = "xyz"[: self._axes]
             padded = faces.by_condition(values, conditions, self.spacing, axes, layers)
-            balls_there = None if radius is None else radius[near]
-            there = self._gather_padded(position[near], padded, balls_there, layers)
+            those = None if radius is None else radius[near]
+            there = self._gather_padded(position[near], padded, those)
             # on a face at zero equal weights cancel but for rounding
             rounding = _ROUNDED * float(np.abs(padded).max())
             found[near] = np.where(np.abs(there) <= rounding, np.maximum(there, 0.0), there)
@@ -174,19 +161,16 @@ class BoxLayout:
         return np.asarray(~inside.all(axis=1))
 
     def _gather_padded(
-        self,
-        position: FloatArray,
-        padded: FloatArray,
-        radius: FloatArray | None = None,
-        layers: int = 1,
+        self, position: FloatArray, padded: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
-        """Do what :meth:`gather` does with values that have ``layers`` more at all ends of axes."""
-        box = self.box
-        wide = layers * box.spacing
-        moved = [o - wide * (axis < self._axes) for axis, o in enumerate(box.origin)]
-        origin, flat = (moved[0], moved[1], moved[2]), box.height is not None
-        points = self._points(position)
-        return balls.gather(points, padded, origin, box.spacing, radius, flat=flat)
+        """Do what :meth:`gather` does with values that have more nodes at all ends of axes."""
+        old, (nx, ny, nz) = self.box, padded.shape
+        x, y, z = (
+            o - 0.5 * (n - m) * old.spacing
+            for o, n, m in zip(old.origin, padded.shape, old.shape, strict=True)
+        )
+        box = Box((x, y, z), (nx, ny, nz), old.spacing, old.height)
+        return balls.gather(box, position, padded, radius)
 
     def _differences(
         self,
@@ -349,14 +333,15 @@ class ShellLayout:
     ) -> FloatArray:
         """Spread amounts of the cells, (n,), over the shells as densities; see the box's."""
         distance = self._distance(position)
-        total = balls.scatter_shells(distance, amount, self.spacing, self.count, radius)
+        total = balls.scatter_shells(self.count, self.spacing, distance, amount, radius)
         return np.asarray(total / self.volumes)
 
     def gather(
         self, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
         """Return the means over cells at positions (n, 3) in µm, or what is there at points."""
-        return balls.gather_shells(self._distance(position), values, self.spacing, radius)
+        last, away = float(values[-1]), self._distance(position)
+        return balls.gather_shells(values, last, self.spacing, away, radius)
 
     def read(
         self,
@@ -368,7 +353,7 @@ class ShellLayout:
         """Do the same, but beyond the last node by the condition on the surface."""
         const, factor = faces.ghost_terms(conditions, self.spacing)
         beyond = const + factor * float(values[-1])
-        return balls.gather_shells(self._distance(position), values, self.spacing, radius, beyond)
+        return balls.gather_shells(values, beyond, self.spacing, self._distance(position), radius)
 
     def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
         """Return the gradient at positions (n, 3) in µm: differences over one spacing.

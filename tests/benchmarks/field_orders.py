@@ -79,8 +79,15 @@ def tissue(count, radius=5.5):
 
 def solved(spacing, cells, estimate=True, **changes):
     """Return a steady field of oxygen of a tissue, what its cells find, and the reported error."""
-    given = {"diffusion": 2000.0, "uptake": 20.0, "half_saturation": 5e-3, "boundary": 0.1,
-             "margin": 25.0, "geometry": "box", "regime": "steady"}  # fmt: skip
+    given = {
+        "diffusion": 2000.0,
+        "uptake": 20.0,
+        "half_saturation": 5e-3,
+        "boundary": 0.1,
+        "margin": 25.0,
+        "geometry": "box",
+        "regime": "steady",
+    }
     parameters = FieldParameters(Nutrient(**(given | changes)), spacing, 10.0, "steady", 3)
     field, (position, radius) = NutrientField("oxygen", parameters), cells
     capacity = np.full(len(position), 20.0)
@@ -111,11 +118,13 @@ def oxygen(count, spacings, fine, geometry="box"):
     exact = reference[1] + (reference[1] - found[-1][1]) / (ratio - 1.0)
     away = np.array([c - exact for _, c, *_ in found])
     return SimpleNamespace(
-        spacing=np.array(steps[:-1]), rms=np.sqrt((away**2).mean(axis=1)),
-        largest=np.abs(away).max(axis=1), reported=np.array([e for _, _, e, _ in found]),
+        spacing=np.array(steps[:-1]),
+        rms=np.sqrt((away**2).mean(axis=1)),
+        largest=np.abs(away).max(axis=1),
+        reported=np.array([e for _, _, e, _ in found]),
         lowest=min(field.values.min() for field, *_ in found),
         remainder=max(left for *_, left in found),
-    )  # fmt: skip
+    )
 
 
 def medium(count, spacings):
@@ -126,9 +135,10 @@ def medium(count, spacings):
     shells = solved(0.5, cells, estimate=False, geometry="radial", **there)
     return SimpleNamespace(
         spacing=np.array([field.layout.spacing for field, *_ in found]),
-        centre=np.array([c[0] for _, c, *_ in found]), fine_on_shells=float(shells[1][0]),
+        centre=np.array([c[0] for _, c, *_ in found]),
+        fine_on_shells=float(shells[1][0]),
         reported=np.array([e for _, _, e, _ in found]),
-    )  # fmt: skip
+    )
 
 
 def _row(*entries):

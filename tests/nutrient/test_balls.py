@@ -52,7 +52,8 @@ def test_a_cell_reads_the_mean_of_what_pde_interpolates_over_its_ball(size, flat
     position = middle + rng.uniform(-1.0, 1.0, (5, 3))
     if flat:
         position[:, 2] = 0.5
-    found = gather(position, values, (0.0,) * 3, 1.0, np.full(5, size), flat=flat)
+    box = Box((0.0,) * 3, shape, 1.0, 1.0 if flat else None)
+    found = gather(box, position, values, np.full(5, size))
     points = size * uniform_ball(2 if flat else 3)
     means = [field.interpolate(place + points).mean() for place in position]
     np.testing.assert_allclose(found, means, atol=3e-3 * size)
@@ -63,16 +64,16 @@ def test_a_cell_reads_the_mean_of_what_pde_interpolates_over_its_ball(size, flat
 def test_lines_are_read_exactly_and_amounts_stay_where_they_are_on_average(size, flat):
     rng, shape, h = np.random.default_rng(4), (19, 18, 1 if flat else 20), 2.5
     origin = (-20.0, -24.0, -1.25 if flat else -25.0)
-    box = Box(origin, shape, h)
+    box = Box(origin, shape, h, h if flat else None)
     nodes = np.stack(np.meshgrid(*box.axes(), indexing="ij"), axis=-1)
     slope = np.array([0.3, -0.2, 0.0 if flat else 0.5])
     position = 0.5 * (np.array(box.origin) + box.upper) + rng.uniform(-8.0, 8.0, (30, 3))
     position[:, 2] *= not flat
     radius = np.full(30, size * h)
-    read = gather(position, 7.0 + nodes @ slope, origin, h, radius, flat=flat)
+    read = gather(box, position, 7.0 + nodes @ slope, radius)
     np.testing.assert_allclose(read, 7.0 + position @ slope, rtol=1e-12)
     amount = rng.uniform(0.5, 2.0, 30)
-    density = scatter(position, amount, origin, h, shape, radius, flat=flat) * h**3
+    density = scatter(box, position, amount, radius) * h**3
     assert density.min() >= 0.0
     assert density.sum() == pytest.approx(amount.sum(), rel=1e-13)
     np.testing.assert_allclose(
@@ -80,7 +81,7 @@ def test_lines_are_read_exactly_and_amounts_stay_where_they_are_on_average(size,
     )
     # the transpose: what nodes give is what cells take
     values = rng.random(shape)
-    taken = gather(position, values, origin, h, radius, flat=flat)
+    taken = gather(box, position, values, radius)
     assert (density * values).sum() == pytest.approx(amount @ taken, rel=1e-12)
 
 
@@ -115,10 +116,10 @@ def test_shells_keep_amounts_and_read_what_they_spread():
     away, radius = rng.uniform(0.0, 60.0, 200), rng.uniform(0.0, 12.0, 200)
     away[:2], radius[2:9] = (0.0, 60.0), 0.0
     amount, values = rng.uniform(0.5, 2.0, 200), rng.random(15)
-    total = scatter_shells(away, amount, 4.0, 15, radius)
+    total = scatter_shells(15, 4.0, away, amount, radius)
     assert total.min() >= 0.0
     assert total.sum() == pytest.approx(amount.sum(), rel=1e-13)
-    read = gather_shells(away, values, 4.0, radius)
+    read = gather_shells(values, values[-1], 4.0, away, radius)
     assert total @ values == pytest.approx(amount @ read, rel=1e-12)
     # evenly filled space has an even density, in the innermost shell too
     layout = ShellLayout(np.zeros(3), 2.0, 20)
@@ -132,7 +133,9 @@ def test_shells_keep_amounts_and_read_what_they_spread():
 @pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])
 def test_radii_that_are_none_are_refused(bad):
     with pytest.raises(ValueError, match="radius"):
-        gather(np.zeros((1, 3)), np.ones((4, 4, 4)), (-2.0,) * 3, 1.0, np.array([bad]))
+        gather(
+            Box((-2.0,) * 3, (4,) * 3, 1.0), np.zeros((1, 3)), np.ones((4,) * 3), np.array([bad])
+        )
     grid, lactate = CartesianGrid([(-2, 2)] * 3, 4), mc.Substance(10.0, 0.0, production=np.ones(1))
     with pytest.raises(SceneError, match="radius"):
         mc.FieldEquation(grid, {"lactate": lactate}, np.zeros((1, 3)), radius=np.array([bad]))
@@ -181,9 +184,9 @@ def test_what_a_cell_finds_does_not_depend_on_where_it_lies_between_nodes():
         operator, found[radius] = Diffusion(box, 1.0, 0.0), []
         for offset in (*rng.uniform(-0.5, 0.5, (12, 3)), np.zeros(3), np.full(3, 0.5)):
             place, cell = offset[None], np.array([radius])
-            density = scatter(place, np.ones(1), box.origin, 1.0, box.shape, cell)
+            density = scatter(box, place, np.ones(1), cell)
             c, _ = operator.invert(density, 0.0)
-            found[radius].append(gather(place, c, box.origin, 1.0, cell)[0])
+            found[radius].append(gather(box, place, c, cell)[0])
     spread = {radius: max(x) / min(x) for radius, x in found.items()}
     assert spread[1.0] < 1.05
     assert spread[0.75] < 1.12
@@ -200,14 +203,21 @@ def test_saturating_uptake_in_a_ball_is_that_of_a_boundary_value_problem():
         taken = density * inside * y[0] / (half + y[0])
         return np.vstack([y[1], taken / diffusion - 2.0 * y[1] / np.maximum(rho, 1e-9)])
 
-    ends = np.concatenate([
-        np.linspace(1e-6, radius - 0.01, 300), np.linspace(radius - 0.009, radius + 0.009, 200),
-        np.linspace(radius + 0.01, outer, 300),
-    ])  # fmt: skip
+    ends = np.concatenate(
+        [
+            np.linspace(1e-6, radius - 0.01, 300),
+            np.linspace(radius - 0.009, radius + 0.009, 200),
+            np.linspace(radius + 0.01, outer, 300),
+        ]
+    )
     exact = solve_bvp(
-        slopes, lambda a, b: np.array([a[1], b[0] - level]), ends,
-        np.vstack([np.full(ends.size, 0.05), np.zeros(ends.size)]), tol=1e-8, max_nodes=100_000,
-    )  # fmt: skip
+        slopes,
+        lambda a, b: np.array([a[1], b[0] - level]),
+        ends,
+        np.vstack([np.full(ends.size, 0.05), np.zeros(ends.size)]),
+        tol=1e-8,
+        max_nodes=100_000,
+    )
     assert exact.success
     rho = np.linspace(1e-6, radius, 4001)
     weights = 3.0 * rho**2 / radius**3
@@ -235,8 +245,9 @@ def test_saturating_uptake_in_a_ball_is_that_of_a_boundary_value_problem():
 
 @pytest.mark.parametrize("geometry", ["box", "radial"])
 def test_oxygen_at_the_cells_of_a_tissue_converges_and_the_reported_error_holds(geometry):
-    found = orders.oxygen(count=200, spacings=(11.0, 7.8, 5.5, 3.9, 2.8), fine=1.1,
-                          geometry=geometry)  # fmt: skip
+    found = orders.oxygen(
+        count=200, spacings=(11.0, 7.8, 5.5, 3.9, 2.8), fine=1.1, geometry=geometry
+    )
     assert 1.7 < orders.order(found.spacing, found.rms) < 2.5
     assert found.lowest > 0.0
     assert found.remainder < 1e-8
@@ -276,11 +287,18 @@ def test_cells_of_a_run_do_not_see_the_spacing(dimensions):
     found = []
     domain = {axis: ["-15 um", "15 um"] for axis in "xyz"[:dimensions]}
     for spacing in (2.5, 1.25, 0.625)[: dimensions + 1 if dimensions == 2 else 2]:
-        scene = mc.load_scene("sorting-signal").with_changes({
-            "initial.count": 1, "duration": "1 min", "coupling_step": "1 min",
-            "nutrients.factor.spacing": f"{spacing} um", "dimensions": dimensions,
-            "domain": domain, "types.maker.fraction": 1.0, "types.plain.fraction": 0.0,
-        })  # fmt: skip
+        scene = mc.load_scene("sorting-signal").with_changes(
+            {
+                "initial.count": 1,
+                "duration": "1 min",
+                "coupling_step": "1 min",
+                "nutrients.factor.spacing": f"{spacing} um",
+                "dimensions": dimensions,
+                "domain": domain,
+                "types.maker.fraction": 1.0,
+                "types.plain.fraction": 0.0,
+            }
+        )
         simulation = mc.Simulation(scene, threads=1)
         simulation.step()
         found.append(float(simulation.concentrations["factor"][0]))
@@ -301,3 +319,19 @@ def test_the_reported_error_of_a_lone_cell_is_not_below_the_true_one(spacing):
     taken = 20.0 * (1.2 / 6.0 - 1.0 / (orders.HARMONIC * 48.0)) / (4.0 * np.pi * 2000.0)
     true = abs(found[0] - (0.1 - taken))
     assert true <= reported < 2.5 * true
+
+
+def test_a_cell_finds_no_gradient_of_what_it_secretes_itself():
+    """In the middle of a ball it is zero; that of a point grows as the squared spacing falls."""
+    steps, offsets = np.array([1.0, 0.5, 0.25]), np.random.default_rng(0).uniform(-0.5, 0.5, (6, 3))
+    found = []
+    for h in steps:
+        n = round(8.0 / h)
+        layout = BoxLayout(Box((-4.0,) * 3, (n,) * 3, h))
+        operator, largest = Diffusion(layout.box, 1.0, 0.0), 0.0
+        for place in h * offsets[:, None]:
+            c, _ = operator.invert(layout.scatter(place, np.ones(1), np.ones(1)), 0.0)
+            largest = max(largest, float(np.abs(layout.gradient(place, c)).max()))
+        found.append(4.0 * np.pi * largest)  # over that at the surface
+    assert orders.order(steps, np.array(found)) > 1.8
+    assert found[0] < 0.06

@@ -23,13 +23,26 @@ def described(
     walls = {"*": {"type": "derivative", "derivative": "0 mM/um"}, **sides}
     walls["x+"] = {"value": f"{level} mM"}
     ends = {"x": length, "y": across, "z": across}
-    given = {"diffusion": diffusion, "decay": decay, "spacing": spacing, "uptake": 0.0,
-             "secretion": secretion, "sides": walls, "regime": regime}  # fmt: skip
-    return mc.Scene.from_dict({
-        "duration": "5 min", "coupling_step": "5 min", "initial": {"count": 1}, "drag": {},
-        "contact": {"law": "hertz"}, "nutrients": {"a": given},
-        "domain": {axis: [-0.5 * size, 0.5 * size] for axis, size in ends.items()},
-    })  # fmt: skip
+    given = {
+        "diffusion": diffusion,
+        "decay": decay,
+        "spacing": spacing,
+        "uptake": 0.0,
+        "secretion": secretion,
+        "sides": walls,
+        "regime": regime,
+    }
+    return mc.Scene.from_dict(
+        {
+            "duration": "5 min",
+            "coupling_step": "5 min",
+            "initial": {"count": 1},
+            "drag": {},
+            "contact": {"law": "hertz"},
+            "nutrients": {"a": given},
+            "domain": {axis: [-0.5 * size, 0.5 * size] for axis, size in ends.items()},
+        }
+    )
 
 
 def checked(scene, length, across, spacing, diffusion, decay, level):
@@ -52,8 +65,9 @@ def checked(scene, length, across, spacing, diffusion, decay, level):
         exact = np.exp(-away) * (1.0 + np.exp(-2.0 * (mu * n - away)))
         exact *= level / ((1.0 + np.exp(-2.0 * mu * n)) * np.cosh(0.5 * mu))
         found = values.reshape(n, -1)
-        np.testing.assert_allclose(found, np.broadcast_to(exact[:, None], found.shape),
-                                   atol=1e-9 * level)  # fmt: skip
+        np.testing.assert_allclose(
+            found, np.broadcast_to(exact[:, None], found.shape), atol=1e-9 * level
+        )
     return simulation
 
 

@@ -160,7 +160,7 @@ def test_a_moved_grid_is_interpolated_as_points_are():
         low, high = np.array(old.origin), np.array(old.upper)
         inside = ((points >= low) & (points <= high)).all(axis=1)
         expected = np.full(len(points), 0.4)
-        expected[inside] = gather(points[inside], values, old.origin, old.spacing)
+        expected[inside] = gather(old, points[inside], values)
         np.testing.assert_allclose(moved(values, old, new, 0.4).ravel(), expected, rtol=1e-14)
 
 
