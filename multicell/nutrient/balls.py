@@ -52,8 +52,8 @@ _MOST = 24
 _BLOCK = 64
 """Cells whose weights are found together."""
 
-_SUBDIVIDED = 12
-"""Lines along each of two axes by which the part of a box in the ball is found."""
+_LINES = 12
+"""Lines over the width of a box by which the part of it in the ball is found."""
 
 
 @lru_cache(maxsize=64)
@@ -62,36 +62,25 @@ def _boxes_of(count: int, flat: bool) -> tuple[FloatArray, float]:
 
     Densities sum to one.
     """
-    if flat:
-        filled = _strips(count)[:, :, None]
-    else:
-        along = _columns(count)  # chords along one axis: the other two have their turn
-        filled = (along + np.moveaxis(along, 2, 0) + np.moveaxis(along, 2, 1)) / 3.0
+    axes = 2 if flat else 3
+    along = _filled(count, axes)  # by lines along the last axis: the others have their turn
+    filled = np.mean([np.moveaxis(along, -1, axis) for axis in range(axes)], axis=0)
     filled = np.ascontiguousarray(0.5 * (filled + filled.swapaxes(0, 1)))
+    filled = filled[:, :, None] if flat else filled
     filled /= filled.sum()
     away = np.arange(count) - 0.5 * (count - 1)
     moment = float(filled.sum(axis=(1, 2)) @ away**2) + 1.0 / 12.0
     return filled, math.sqrt((0.25 if flat else 0.2) / moment)
 
 
-def _strips(count: int) -> FloatArray:
-    """Return what of each square lies in a disc of radius count / 2, by chords along y."""
-    half, fine = 0.5 * count, 4 * _SUBDIVIDED
-    at = (np.arange(count * fine) + 0.5) / fine - half
-    chord = np.sqrt(half**2 - at**2)[:, None]
+def _filled(count: int, axes: int) -> FloatArray:
+    """Return what of each square or cube lies in a disc or ball of radius count / 2, by lines."""
+    half, lines = 0.5 * count, ((np.arange(count * _LINES) + 0.5) / _LINES - 0.5 * count) ** 2
+    square = half**2 - (lines if axes == 2 else lines[:, None] + lines)
+    chord = np.sqrt(np.maximum(square, 0.0))[..., None]
     edges = np.clip(np.arange(count + 1) - half, -chord, chord)
-    return np.asarray(np.diff(edges, axis=1).reshape(count, fine, count).mean(axis=1))
-
-
-def _columns(count: int) -> FloatArray:
-    """Return what of each cube lies in a ball of radius count / 2, by chords along z."""
-    half, fine = 0.5 * count, _SUBDIVIDED
-    at = (np.arange(count * fine) + 0.5) / fine - half
-    square = half**2 - at[:, None] ** 2 - at**2
-    chord = np.sqrt(np.maximum(square, 0.0))[:, :, None]
-    edges = np.clip(np.arange(count + 1) - half, -chord, chord)
-    parts = np.diff(edges, axis=2).reshape(count, fine, count, fine, count)
-    return np.asarray(parts.mean(axis=(1, 3)))
+    parts = np.diff(edges, axis=-1).reshape(*[count, _LINES] * (axes - 1), count)
+    return np.asarray(parts.mean(axis=tuple(range(1, 2 * axes - 2, 2))))
 
 
 @lru_cache(maxsize=16)
