@@ -137,7 +137,8 @@ def _spread(u, width, count, n, weights):
         for box in range(count):
             left = low - first + box * width
             for i in range(number):
-                weights[box, i] = (_hat_below(left + width - i) - _hat_below(left - i)) * share
+                part = _hat_below(left + width - i) - _hat_below(left - i)
+                weights[box, i] = max(part, 0.0) * share
     if first >= 0 and first + number <= n:
         return first, number, False
     # what lies beyond an end goes to the nodes that mirror it
@@ -210,7 +211,7 @@ def _lay(position, begin, size, origin, spacing, widths, points, number, axes, f
             else:
                 for c in range(size):
                     part = _hat_below(right[c] - i) - _hat_below(left[c] - i)
-                    weights[axis, i, c] = part * share[c]
+                    weights[axis, i, c] = max(part, 0.0) * share[c]  # not below by rounding
 
 
 _FOUR = ir.VectorType(ir.DoubleType(), 4)

@@ -162,6 +162,37 @@ def test_cells_at_a_face_read_its_condition_and_never_less_than_nothing():
     np.testing.assert_allclose(read, 0.2 * position[:, 0], atol=1e-13)
 
 
+def test_weights_hold_for_boxes_and_balls_of_any_size():
+    """None below zero, all amounts kept, the transpose, and alone as among others."""
+    rng = np.random.default_rng(9)
+    for _ in range(80):
+        shape, h = tuple(int(n) for n in rng.integers(1, 12, 3)), float(np.exp(rng.uniform(-3, 3)))
+        height = None if rng.random() < 0.7 else 2.0
+        shape = shape if height is None else (*shape[:2], 1)
+        low = (*rng.normal(0.0, 10.0, 2), rng.normal() if height is None else -0.5 * h)
+        box, n = Box(low, shape, h, height), int(rng.integers(1, 100))
+        size = np.array(box.upper) - box.origin
+        position = np.array(box.origin) + size * np.clip(
+            rng.uniform(-0.1, 1.1, (n, 3)), 0, 1 - 1e-9
+        )
+        position[:, 2] *= height is None
+        radius = h * np.where(rng.random(n) < 0.3, 0.0, np.exp(rng.uniform(-6.0, 2.5, n)))
+        amount, values = rng.random(n), rng.random(shape)
+        density, read = (
+            scatter(box, position, amount, radius),
+            gather(box, position, values, radius),
+        )
+        assert density.min() >= 0.0
+        assert box.volume * density.sum() == pytest.approx(amount.sum(), rel=1e-11)
+        assert box.volume * (density * values).sum() == pytest.approx(amount @ read, rel=1e-11)
+        assert gather(box, position[:1], values, radius[:1])[0] == pytest.approx(read[0], rel=1e-12)
+        for bad in (np.nan, np.inf, -np.inf, 1e300):
+            lost = position.copy()
+            lost[n // 2, rng.integers(2)] = bad
+            with pytest.raises(ValueError, match="outside"):
+                scatter(box, lost, amount, radius)
+
+
 # --- the concentration at a cell ------------------------------------------------------------------
 
 
