@@ -273,64 +273,77 @@ def _fits(first, number, n):
 
 
 @njit(**KERNEL)
-def _transfer(position, amount, values, density, out, grid, balls):
+def _transfer(position, amount, values, density, out, grid, balls, left):
     """Spread amounts of cells over the nodes, or, if ``density`` has none, read ``values``.
 
-    Both are flat. Return the first cell outside or -1, and whether parts of some were mirrored at
-    faces across x or y, and across z.
+    Both are flat. Cells of several boxes and those at faces are ``left``; return how many.
     """
-    counts, widths, filled, begins, nodes, number = balls
+    counts, widths, _, _, _, number = balls
     (nx, ny, nz), origin, spacing, flat = grid
     spread, cells = density.size > 0, position.shape[0]
-    most = counts.max() if cells else 1
-    wx, wy, wz = np.empty((most, nodes)), np.empty((most, nodes)), np.empty((most, nodes))
-    line, plane = np.empty(nodes), np.empty((nodes, nodes))
     first, weights = np.zeros((3, _BLOCK)), np.ones((3, number, _BLOCK))
-    deepest = 1 if flat else number
-    sides, ends, points = False, False, not (widths > 0.0).any()
+    axes, deepest, rest, points = 2 if flat else 3, 1 if flat else number, 0, True
+    for width in widths:
+        points = points and width == 0.0
     for cell in range(cells):
         c = cell % _BLOCK
         if c == 0:
             size = min(_BLOCK, cells - cell)
-            axes = 2 if flat else 3
             _lay(
                 position, cell, size, origin, spacing, widths, points, number, axes, first, weights
             )
         x, y, z = first[0, c], first[1, c], first[2, c]
-        count, width = counts[cell], widths[cell]
-        total = 0.0
         fits = _fits(x, number, nx) and _fits(y, number, ny) and _fits(z, deepest, nz)
-        if fits and count == 1 and (width > 0.0 or points):
-            i0, j0, k0 = int(x), int(y), int(z)
-            # unsigned numbers cannot count from the end of an array, and need no test for that
-            if deepest == 4:
-                y = weights[1, 0, c], weights[1, 1, c], weights[1, 2, c], weights[1, 3, c]
-                z = weights[2, 0, c], weights[2, 1, c], weights[2, 2, c], weights[2, 3, c]
-                for i in range(4):
-                    row, a = ((i0 + i) * ny + j0) * nz + k0, weights[0, i, c]
-                    if spread:
-                        _add_rows(density, row, nz, a * amount[cell], y, z)
-                    else:
-                        total += _read_rows(values, row, nz, a, y, z)
-            else:
-                for i in range(number):
-                    for j in range(number):
-                        row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
-                        a = weights[0, i, c] * weights[1, j, c]
-                        a *= amount[cell] if spread else 1.0
-                        for k in range(deepest):
-                            if spread:
-                                density[row + np.uint64(k)] += a * weights[2, k, c]
-                            else:
-                                total += a * values[row + np.uint64(k)] * weights[2, k, c]
-            if not spread:
-                out[cell] = total
+        if not (fits and counts[cell] == 1 and (widths[cell] > 0.0 or points)):
+            left[rest] = cell
+            rest += 1
             continue
+        i0, j0, k0, total = int(x), int(y), int(z), 0.0
+        if deepest == 4:
+            along_y = weights[1, 0, c], weights[1, 1, c], weights[1, 2, c], weights[1, 3, c]
+            along_z = weights[2, 0, c], weights[2, 1, c], weights[2, 2, c], weights[2, 3, c]
+            for i in range(4):
+                row, a = ((i0 + i) * ny + j0) * nz + k0, weights[0, i, c]
+                if spread:
+                    _add_rows(density, row, nz, a * amount[cell], along_y, along_z)
+                else:
+                    total += _read_rows(values, row, nz, a, along_y, along_z)
+        else:
+            for i in range(number):
+                for j in range(number):
+                    # unsigned numbers cannot count from the end of an array: no test for that
+                    row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
+                    a = weights[0, i, c] * weights[1, j, c]
+                    for k in range(deepest):
+                        if spread:
+                            density[row + np.uint64(k)] += amount[cell] * a * weights[2, k, c]
+                        else:
+                            total += a * values[row + np.uint64(k)] * weights[2, k, c]
+        if not spread:
+            out[cell] = total
+    return rest
+
+
+@njit(**KERNEL)
+def _transfer_rest(position, amount, values, density, out, grid, balls, left):
+    """Do the same for the cells ``left``, wherever they are and whatever they are made of.
+
+    Return the first one outside or -1, and whether parts of some were mirrored at faces across x or
+    y, and across z.
+    """
+    counts, widths, filled, begins, nodes, _ = balls
+    (nx, ny, nz), origin, spacing, flat = grid
+    most = counts.max()
+    wx, wy, wz = np.empty((most, nodes)), np.empty((most, nodes)), np.empty((most, nodes))
+    line, plane = np.empty(nodes), np.empty((nodes, nodes))
+    sides, ends = False, False
+    for cell in left:
         u = (position[cell, 0] - origin[0]) / spacing - 0.5
         v = (position[cell, 1] - origin[1]) / spacing - 0.5
         w = (position[cell, 2] - origin[2]) / spacing - 0.5
         if not (_inside(u, nx) and _inside(v, ny) and _inside(w, nz)):
             return cell, sides, ends
+        count, width, total = counts[cell], widths[cell], 0.0
         deep = 1 if flat else count
         i0, ni, over_x = _spread(u, width, count, nx, wx)
         j0, nj, over_y = _spread(v, width, count, ny, wy)
@@ -342,15 +355,28 @@ def _transfer(position, amount, values, density, out, grid, balls):
                 a = wx[box, i]
                 for j in range(nj if a != 0.0 else 0):
                     row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
-                    if spread:
-                        for k in range(np.uint64(nk)):
-                            density[row + k] += amount[cell] * a * plane[np.uint64(j), k]
-                    else:
-                        for k in range(np.uint64(nk)):
-                            total += a * values[row + k] * plane[np.uint64(j), k]
-        if not spread:
+                    for k in range(np.uint64(nk)):
+                        weight = a * plane[np.uint64(j), k]
+                        if density.size > 0:
+                            density[row + k] += amount[cell] * weight
+                        else:
+                            total += weight * values[row + k]
+        if density.size == 0:
             out[cell] = total
     return -1, sides, ends
+
+
+def _run(points: FloatArray, amount: FloatArray, *arrays: Any) -> tuple[bool, bool]:
+    """Run what is needed of the kernels; refuse positions outside."""
+    left = np.empty(len(points), dtype=np.int64)
+    rest = _transfer(points, amount, *arrays, left)
+    if rest == 0:
+        return False, False
+    outside, sides, ends = _transfer_rest(points, amount, *arrays, left[:rest])
+    if outside >= 0:
+        place = f"{points[outside]} (row {outside})"
+        raise ValueError(f"position {place} lies outside the nutrient grid")
+    return sides, ends
 
 
 _NOTHING = np.empty(0)
@@ -370,8 +396,7 @@ def scatter(
     amounts = _numbers(amount, len(points), "amount")
     out = np.zeros(box.shape)
     density = out.reshape(-1)
-    found = _transfer(points, amounts, _NOTHING, density, density, grid, balls)
-    _refuse_outside(found[0], points)
+    _run(points, amounts, _NOTHING, density, density, grid, balls)
     out /= box.volume
     return out
 
@@ -395,8 +420,7 @@ def gathered(
         raise ValueError(f"values has shape {values.shape}, expected {box.shape}")
     out, given = np.empty(len(points)), np.ascontiguousarray(values).reshape(-1)
     given.flags.writeable = False  # as fields are, so that it is compiled once
-    outside, sides, ends = _transfer(points, out, given, np.empty(0), out, grid, balls)
-    _refuse_outside(outside, points)
+    sides, ends = _run(points, out, given, np.empty(0), out, grid, balls)
     return out, sides or (ends and box.height is None)
 
 
@@ -426,11 +450,6 @@ def _radii(radius: FloatArray | None, count: int) -> FloatArray:
     if not (found.min(initial=0.0) >= 0.0 and found.max(initial=0.0) < np.inf):
         raise ValueError("a radius is negative or not finite")
     return found
-
-
-def _refuse_outside(index: int, position: FloatArray) -> None:
-    if index >= 0:
-        raise ValueError(f"position {position[index]} (row {index}) lies outside the nutrient grid")
 
 
 @njit(**INNER)
