@@ -136,7 +136,8 @@ def test_a_medium_that_jumps_is_right_at_the_end_of_a_step_and_in_its_middle():
     grown = 6.0 / 20.0 * (0.1 / 0.15 + 0.02 / 0.07)
     result = mc.run(scene, threads=1)
     assert volume(result) == pytest.approx(8 * BIRTH * (1.0 + grown), rel=1e-12)
-    assert result.summary()["splitting"]["volume_error"] == 0.0
+    # but for the last bits of a mean over a ball
+    assert abs(result.summary()["splitting"]["volume_error"]) < 1e-12 * volume(result)
     # half of the step in which it jumps is made good in the steps that follow
     scene = scene.with_changes({"nutrients.oxygen.media": [["340 min", "0.02 mM"]]})
     result = mc.run(scene, threads=1)
