@@ -1,10 +1,11 @@
 """What a field is near the faces of its grid, where the last nodes lie half a spacing inside.
 
-Beyond each face one more node is added. By the condition on the face it is ``const + factor c``
-with the last node's c: the linear interpolation between the two has the value or the slope that the
-condition asks for, and is nowhere negative. For derivatives, which may have any sign, it is on the
-parabola through the last three nodes: central differences are then exact for parabolas up to the
-face, whatever the condition.
+Beyond each face nodes are added. By the condition on the face they are ``const + factor c`` with
+the c of the node that mirrors them: the line between the two has the value or the slope that the
+condition asks for. What lies beyond a face weighs no more in a reading than what mirrors it, so
+that with a value or a supply none is negative. For derivatives, which may have any sign, one node
+is on the parabola through the last three: central differences are then exact for parabolas up to
+the face, whatever the condition.
 """
 
 from __future__ import annotations
@@ -25,19 +26,25 @@ def ghost_terms(condition: Mapping[str, float], spacing: float) -> tuple[float, 
 
 
 def by_condition(
-    values: FloatArray, conditions: Mapping[str, Mapping[str, Any]], spacing: float, axes: str
+    values: FloatArray,
+    conditions: Mapping[str, Mapping[str, Any]],
+    spacing: float,
+    axes: str,
+    layers: int = 1,
 ) -> FloatArray:
-    """Return the values with a node more at both ends of the named axes, by the conditions.
+    """Return the values with ``layers`` of nodes at both ends of the named axes, by the conditions.
 
     - ``conditions``: on the faces ``"x-"``, ``"x+"`` ... of these axes, in py-pde's terms.
     """
     for axis, name in enumerate(axes):
         v = np.moveaxis(values, axis, 0)
-        ends = []
-        for side, last in (("-", v[:1]), ("+", v[-1:])):
-            const, factor = ghost_terms(conditions[name + side], spacing)
-            ends.append(const + factor * last)
-        values = np.moveaxis(np.concatenate([ends[0], v, ends[1]]), 0, axis)
+        low: list[FloatArray] = []
+        high: list[FloatArray] = []
+        for side, ends, mirror in (("-", low, v), ("+", high, v[::-1])):
+            for layer in range(layers):
+                const, factor = ghost_terms(conditions[name + side], (2 * layer + 1) * spacing)
+                ends.append(const + factor * mirror[min(layer, len(v) - 1)])
+        values = np.moveaxis(np.concatenate([low[::-1], v, high]), 0, axis)
     return np.ascontiguousarray(values)
 
 

@@ -10,7 +10,7 @@ from multicell.cells import FloatArray
 from multicell.nutrient import grid as layouts
 from multicell.nutrient.cartesian import round_enough
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
-from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball
+from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball, reaching
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
@@ -71,13 +71,13 @@ class NutrientField:
     ) -> Exchange:
         """Solve for the steady field that the cells' uptake and secretion leave.
 
-        Cell i takes up ``capacity_i * sum_g w_ig c_g / (K + c_g)``, with the linear weights w_ig
-        of the nodes g around it. The last solution is the first guess.
+        Cell i takes up ``capacity_i * sum_g w_ig c_g / (K + c_g)``, with the weights w_ig of its
+        ball at the nodes g (:mod:`multicell.nutrient.balls`). The last solution is the first guess.
 
         - ``capacity``, (n,), amol/s: largest uptake of each cell, not negative
         - ``production``, (n,), amol/s, optional: secretion of each cell, not negative
-        - ``radius``, (n,), µm, optional: of the cells; needed where diffusion differs outside
-          tissue, and for shells
+        - ``radius``, (n,), µm, optional: of the cells, which are points without; needed where
+          diffusion differs outside tissue, and for shells
         """
         demand = {self.name: (capacity, production)}
         return self.group.solve(Tissue(position, radius), demand, time=time)[self.name]
@@ -115,17 +115,18 @@ class NutrientField:
             return self.well_mixed.concentration
         return self.parameters.nutrient.medium(time)
 
-    def sample(self, position: FloatArray) -> FloatArray:
+    def sample(self, position: FloatArray, radius: FloatArray | None = None) -> FloatArray:
         """Return the concentration in mM at positions (n, 3) in µm, interpolated linearly.
 
-        Between the last nodes and the faces by the conditions there: on a face with a value it is
-        that value. Outside the grid, where it lies in stirred medium, by the nearest face.
+        Its mean over cells there with a ``radius``, (n,) µm. Between the last nodes and the faces
+        by the conditions there: on a face with a value it is that value. Outside the grid, where it
+        lies in stirred medium, by the nearest face.
         """
-        return self.read(self._reached(position))
+        return self.read(*self._reached(position, radius))
 
-    def read(self, reached: FloatArray) -> FloatArray:
+    def read(self, reached: FloatArray, radius: FloatArray | None = None) -> FloatArray:
         """Do the same at positions on the grid, where cells reach it."""
-        return self.layout.read(reached, self.values, self._conditions)
+        return self.layout.read(reached, self.values, self._conditions, radius)
 
     def gradient(self, position: FloatArray) -> FloatArray:
         """Return the gradient at positions (n, 3) in µm, (n, 3) mM/µm.
@@ -133,19 +134,19 @@ class NutrientField:
         Differences of the interpolated field over one spacing, along the axes of a box or the
         radius of shells; exact for parabolas, up to the faces. In stirred medium it is zero.
         """
-        reached = self._reached(position)
+        reached, _ = self._reached(position)
         found = self.layout.gradient(reached, self.values)
         if reached is not position:
             found[(reached != position).any(axis=1)] = 0.0
         return found
 
-    def uptake(self, position: FloatArray, capacity: FloatArray) -> FloatArray:
-        """Return what each cell takes up, (n,) amol/s."""
-        c = self.values
-        share = self.layout.gather(
-            self._reached(position), uptake(1.0, c, self.parameters.nutrient.half_saturation)
-        )
-        return np.asarray(capacity * share)
+    def uptake(
+        self, position: FloatArray, capacity: FloatArray, radius: FloatArray | None = None
+    ) -> FloatArray:
+        """Return what each cell takes up, (n,) amol/s; see :meth:`solve`."""
+        rate = uptake(1.0, self.values, self.parameters.nutrient.half_saturation)
+        reached, extent = self._reached(position, radius)
+        return np.asarray(capacity * self.layout.gather(reached, rate, extent))
 
     def put(self, reached: FloatArray, amount: FloatArray) -> float:
         """Add amounts of the cells (n,), amol, at positions on the grid; return the sum of all."""
@@ -178,9 +179,14 @@ class NutrientField:
         self._layout, self.values, self._conditions = snapshot[:3]
         self.well_mixed, self.parameters = snapshot[3:]
 
-    def _reached(self, position: FloatArray) -> FloatArray:
-        """Return where on the grid cells exchange with the field: strays at its surface."""
-        return self.layout.nearest(position) if self.parameters.open_medium else position
+    def _reached(
+        self, position: FloatArray, radius: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return where on the grid cells exchange with the field, and their radii there."""
+        if not self.parameters.open_medium:
+            return position, radius
+        reached = self.layout.nearest(position)
+        return reached, None if radius is None else reaching(position, reached, radius)
 
     def lay(self, cells: Tissue, *, strays: bool = True) -> tuple[Layout, bool, FloatArray]:
         """Return the layout round the tissue, whether it is the last one, and where cells reach it.

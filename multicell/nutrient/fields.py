@@ -210,7 +210,9 @@ class FieldSystem:
             if any(self._nutrients[name].secretion_from for name in self._marched):
                 for name, field in self.fields.items():
                     self._uptake[name] = field.uptake(
-                        before.position, self._capacity(name, before, self.concentrations)
+                        before.position,
+                        self._capacity(name, before, self.concentrations),
+                        before.radius,
                     )
             row, earlier, shares = _shares(before, cells, end - begin)
             earlier, shares = until * earlier, until * shares
@@ -219,7 +221,7 @@ class FieldSystem:
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
         tissue = Tissue(cells.position, cells.radius)
         for names in self._circles.values():  # as the fields of the last step have them
-            found = {x: self.fields[x].sample(cells.position) for x in names}
+            found = {x: self.fields[x].sample(cells.position, cells.radius) for x in names}
             self.concentrations = {**self.concentrations, **found}
         for group in self.groups:
             followed = [name for name in group.names if name in follow and name in self._marched]
@@ -456,14 +458,14 @@ class FieldSystem:
     def _sample(self, name: str, group: FieldGroup, cells: Cells, capacity: FloatArray) -> None:
         """Keep what the cells find and take up of a field that its group has just solved for."""
         field = self.fields[name]
-        self.concentrations[name] = field.read(group.position)
+        self.concentrations[name] = field.read(group.position, group.radius)
         if name in self._sources:
-            self._uptake[name] = field.uptake(cells.position, capacity)
+            self._uptake[name] = field.uptake(cells.position, capacity, cells.radius)
 
     def _uptake_rate(self, name: str, cells: Cells) -> float:
         """Return what all cells take up of a field now, amol/s."""
         capacity = self._capacity(name, cells, self.concentrations)
-        return float(self.fields[name].uptake(cells.position, capacity).sum())
+        return float(self.fields[name].uptake(cells.position, capacity, cells.radius).sum())
 
 
 def _shares(

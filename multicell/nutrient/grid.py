@@ -6,6 +6,7 @@ values of the layout before it, and makes the operator that solves on it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import SPHERE, FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient import cartesian, faces
+from multicell.nutrient import balls, faces
 from multicell.nutrient.cartesian import Box, extent, fill, lay, mesh, moved, overlaps
 from multicell.vectors import corners, cubes, lengths, squares, weighted_mean
 
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 _ROUNDING = 1e-6
 """Part of the spacing by which what is brought to a face stays inside of it."""
+
+_ROUNDED = 1e-14
+"""Part of a field's largest value up to which a reading on a face is zero but for rounding."""
 
 _TISSUE = 0.5
 """Part of a node's volume that is cells from which on it is tissue."""
@@ -81,9 +85,6 @@ class BoxLayout:
         """Volume of all nodes, µm³."""
         return float(np.sum(np.broadcast_to(self.volumes, self.shape)))
 
-    def _points(self, position: FloatArray) -> FloatArray:
-        return position if self.box.height is None else position * np.array([1.0, 1.0, 0.0])
-
     def nearest(self, position: FloatArray) -> FloatArray:
         """Return the points of the box nearest to positions (n, 3) in µm; those inside stay."""
         if len(position) == 0:
@@ -101,28 +102,37 @@ class BoxLayout:
             found[:, axis] = np.where((x >= low) & (x <= high), x, clipped)
         return found
 
-    def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
-        """Spread amounts of the cells, (n,), over the nodes as densities."""
-        box = self.box
-        density = cartesian.scatter(
-            self._points(position), amount, box.origin, box.spacing, box.shape
-        )
-        return density if box.height is None else density * (box.spacing / box.height)
+    def scatter(
+        self, position: FloatArray, amount: FloatArray, radius: FloatArray | None = None
+    ) -> FloatArray:
+        """Spread amounts of the cells, (n,), over the nodes as densities; absent radii: points."""
+        return balls.scatter(self.box, position, amount, radius)
 
-    def gather(self, position: FloatArray, values: FloatArray) -> FloatArray:
-        """Interpolate at positions (n, 3) in µm."""
-        return cartesian.gather(self._points(position), values, self.box.origin, self.box.spacing)
+    def gather(
+        self, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the means over cells at positions (n, 3) in µm, or what is there at points."""
+        return balls.gather(self.box, position, values, radius)
 
     def read(
-        self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
+        self,
+        position: FloatArray,
+        values: FloatArray,
+        conditions: Mapping[str, Any],
+        radius: FloatArray | None = None,
     ) -> FloatArray:
-        """Do the same, but between the last nodes and the faces by the conditions there."""
-        box, points = self.box, self._points(position)
-        found, some = cartesian.gathered(points, values, box.origin, box.spacing, self._axes)
+        """Do the same, but between the last nodes and the faces, and beyond, by the conditions."""
+        found, some = balls.gathered(self.box, position, values, radius)
         if some:
-            near = self._nearer_than(0.5, position)
-            padded = faces.by_condition(values, conditions, self.spacing, "xyz"[: self._axes])
-            found[near] = self._gather_padded(position[near], padded)
+            widest = 0.0 if radius is None else float(radius.max()) / self.spacing
+            near, layers = self._nearer_than(widest + 0.5, position), math.ceil(widest + 0.5)
+            axes = "xyz"[: self._axes]
+            padded = faces.by_condition(values, conditions, self.spacing, axes, layers)
+            those = None if radius is None else radius[near]
+            there = self._gather_padded(position[near], padded, those)
+            # on a face at zero equal weights cancel but for rounding
+            rounding = _ROUNDED * float(np.abs(padded).max())
+            found[near] = np.where(np.abs(there) <= rounding, np.maximum(there, 0.0), there)
         return found
 
     def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
@@ -150,12 +160,17 @@ class BoxLayout:
         inside = (u >= share) & (u <= np.array(box.shape[:axes]) - share)
         return np.asarray(~inside.all(axis=1))
 
-    def _gather_padded(self, position: FloatArray, padded: FloatArray) -> FloatArray:
-        """Interpolate between values with a node more at both ends of each axis."""
-        box = self.box
-        moved = [o - box.spacing * (axis < self._axes) for axis, o in enumerate(box.origin)]
-        origin = (moved[0], moved[1], moved[2])
-        return cartesian.gather(self._points(position), padded, origin, box.spacing)
+    def _gather_padded(
+        self, position: FloatArray, padded: FloatArray, radius: FloatArray | None = None
+    ) -> FloatArray:
+        """Do what :meth:`gather` does with values that have more nodes at all ends of axes."""
+        old, (nx, ny, nz) = self.box, padded.shape
+        x, y, z = (
+            o - 0.5 * (n - m) * old.spacing
+            for o, n, m in zip(old.origin, padded.shape, old.shape, strict=True)
+        )
+        box = Box((x, y, z), (nx, ny, nz), old.spacing, old.height)
+        return balls.gather(box, position, padded, radius)
 
     def _differences(
         self,
@@ -313,39 +328,32 @@ class ShellLayout:
         found[outside] = self.centre + part * (position[outside] - self.centre)
         return found
 
-    def _weights(self, position: FloatArray) -> tuple[Any, Any, FloatArray]:
-        """Return for each cell the inner and the outer shell and the weight of the outer one."""
+    def scatter(
+        self, position: FloatArray, amount: FloatArray, radius: FloatArray | None = None
+    ) -> FloatArray:
+        """Spread amounts of the cells, (n,), over the shells as densities; see the box's."""
         distance = self._distance(position)
-        if not (distance <= self.radius * (1.0 + 1e-12)).all():
-            raise ValueError("a position lies outside the nutrient grid")
-        u = distance / self.spacing - 0.5
-        lower = np.floor(u).astype(np.int64)
-        weight = u - lower
-        return np.maximum(lower, 0), np.minimum(lower + 1, self.count - 1), weight
-
-    def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
-        """Spread amounts of the cells, (n,), over the shells as densities."""
-        inner, outer, weight = self._weights(position)
-        total = np.bincount(inner, amount * (1.0 - weight), self.count)
-        total += np.bincount(outer, amount * weight, self.count)
+        total = balls.scatter_shells(self.count, self.spacing, distance, amount, radius)
         return np.asarray(total / self.volumes)
 
-    def gather(self, position: FloatArray, values: FloatArray) -> FloatArray:
-        """Interpolate at positions (n, 3) in µm."""
-        inner, outer, weight = self._weights(position)
-        return np.asarray((1.0 - weight) * values[inner] + weight * values[outer])
+    def gather(
+        self, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the means over cells at positions (n, 3) in µm, or what is there at points."""
+        last, away = float(values[-1]), self._distance(position)
+        return balls.gather_shells(values, last, self.spacing, away, radius)
 
     def read(
-        self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
+        self,
+        position: FloatArray,
+        values: FloatArray,
+        conditions: Mapping[str, Any],
+        radius: FloatArray | None = None,
     ) -> FloatArray:
-        """Do the same, but between the last node and the surface by the condition there."""
-        found = self.gather(position, values)
-        weight = self._distance(position) / self.spacing - (self.count - 0.5)
-        near = weight > 0.0
+        """Do the same, but beyond the last node by the condition on the surface."""
         const, factor = faces.ghost_terms(conditions, self.spacing)
-        ghost, w = const + factor * values[-1], weight[near]
-        found[near] = (1.0 - w) * values[-1] + w * ghost
-        return found
+        beyond = const + factor * float(values[-1])
+        return balls.gather_shells(values, beyond, self.spacing, self._distance(position), radius)
 
     def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
         """Return the gradient at positions (n, 3) in µm: differences over one spacing.
@@ -353,7 +361,7 @@ class ShellLayout:
         Along the radius, exact for parabolas of it, up to the surface: there the values are
         extrapolated. At the centre it is zero.
         """
-        self._weights(position)  # refuses what lies outside
+        self.gather(position, values)  # refuses what lies outside
         h, distance = self.spacing, self._distance(position)
         mirrored = np.concatenate([values[:1], values])
         nodes = (np.arange(self.count + 2) - 0.5) * h
@@ -424,16 +432,25 @@ def relative_diffusion(
 ) -> FloatArray:
     """Return the coefficient of diffusion at the nodes over that of tissue.
 
-    A node is tissue where cells fill half of it or more; up to there the coefficient goes over
-    linearly from that of the medium. (Packed tissue fills 0.6 to 0.9, counted as free spheres.)
+    A node is tissue where cells fill half of its surroundings or more (:func:`tissue_share`); up to
+    there the coefficient goes over linearly from that of the medium.
     """
     share = tissue_share(layout, position, radius)
     return np.asarray((medium + (tissue - medium) * share) / tissue)
 
 
+_SURROUNDINGS = 2.0
+"""Radius of the ball over which a cell's volume counts as filling, over the cell's own radius."""
+
+
 def tissue_share(layout: Layout, position: FloatArray, radius: FloatArray) -> FloatArray:
-    """Return the part of each node that counts as tissue: all of one that cells fill by half."""
-    filling = layout.scatter(position, SPHERE * cubes(radius))
+    """Return the part of each node that counts as tissue: all of one that cells fill by half.
+
+    The volume of each cell is spread over a ball of twice its radius, so that gaps between cells
+    are part of the tissue, however fine the grid. (Packed tissue fills 0.6 to 0.9, counted as free
+    spheres.)
+    """
+    filling = layout.scatter(position, SPHERE * cubes(radius), _SURROUNDINGS * radius)
     return np.asarray(np.minimum(filling / _TISSUE, 1.0))
 
 

@@ -22,6 +22,7 @@ from multicell.nutrient.balance import COLUMNS, FADED, Exchange
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout, relative_diffusion, tissue_share
+from multicell.nutrient.tissue import reaching
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:
@@ -44,7 +45,8 @@ class FieldGroup:
     - ``kinetics``: reactions between them, in the same order; None where there are none
 
     - ``layout``, ``equation``: of the last solve
-    - ``position``, (n, 3) µm: where the cells reached the grid in it
+    - ``position``, (n, 3) µm, ``radius``, (n,) µm: where and as what balls the cells reached the
+      grid in it
     - ``state``: its values for py-pde's solvers, which ask for no more than ``data``, (m, ...) mM
     - ``info``: what py-pde's solver said of it; see ``pde.SolverBase``
     - ``watch``: called with time and values on the way of an :meth:`advance`; None: nobody looks
@@ -52,6 +54,7 @@ class FieldGroup:
 
     layout: Layout
     position: FloatArray
+    radius: FloatArray
     equation: FieldEquation
 
     def __init__(
@@ -113,7 +116,8 @@ class FieldGroup:
         # what finds no medium beyond its own sides must have all cells on the grid they share
         strays = all(f.parameters.open_medium for f in fields)
         self.layout, self._kept, self.position = self.first.lay(tissue, strays=strays)
-        self._set_equation(self.layout, self.position, tissue.radius, demand)
+        self.radius = reaching(tissue.position, self.position, tissue.extent)
+        self._set_equation(tissue.radius, demand)
         first = np.array([self._first(f, time, carry) for f in fields])
         self.state = SimpleNamespace(data=first, equation=self.equation)
 
@@ -162,13 +166,12 @@ class FieldGroup:
         rows = zip(self.names, amounts, relaid.tolist(), strict=True)
         return {name: self._exchange(row, relaid=more) for name, row, more in rows}
 
-    def _set_equation(
-        self, layout: Layout, position: FloatArray, radius: FloatArray, demand: Demand
-    ) -> None:
-        """Make the equation on a layout with cells there; the last one stays if it still holds.
+    def _set_equation(self, radius: FloatArray, demand: Demand) -> None:
+        """Make the equation on the layout with the cells there; the last one stays if it holds.
 
         A layout of the same kind that follows the tissue leaves what it is made of as it was.
         """
+        layout, position = self.layout, self.position
         fields = self.fields.values()
         tissue = self.kinetics is not None and self.kinetics.needs_tissue
         made_for = tuple(f.parameters for f in fields)
@@ -177,14 +180,15 @@ class FieldGroup:
             for f in fields:
                 if f.well_mixed is not None:
                     self.equation.substances[f.name].follow(f.well_mixed.concentration)
-            self.equation.place(layout, position, demand)
+            self.equation.place(layout, position, demand, self.radius)
             return
         substances = {
             f.name: substance(f.parameters, layout, position, radius, demand[f.name], f.schedule)
             for f in fields
         }
         self.equation = FieldEquation(
-            None, substances, position, layout=layout, reactions=self.kinetics,
+            None, substances, position, radius=self.radius, layout=layout,
+            reactions=self.kinetics,
             tissue=tissue_share(layout, position, radius) if tissue else None,
             threads=self.first.threads,
         )  # fmt: skip

@@ -74,7 +74,7 @@ def lifted(
         # uptake's slope at zero is sink / half: so ``loss`` is exact where this is used
         stencil.balance_negative(
             c, sink + half * loss, source, half, operator.stiffness, linear, operator.ghost,
-            operator.weights, most,
+            operator.weights, np.inf, most,
         )  # fmt: skip
         return c
     taken = (sink / (half + np.maximum(c, 0.0)) + linear + loss) * operator.volumes

@@ -14,6 +14,7 @@ from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.grid import restored, tissue_share
 from multicell.nutrient.group import substance
 from multicell.nutrient.parameters import FieldParameters
+from multicell.nutrient.tissue import reaching
 from multicell.scene.checks import solving_order
 
 if TYPE_CHECKING:
@@ -92,8 +93,8 @@ def field_problem(
         demand = system.demand(name, cells, frame.concentrations, taken)
         substances[name] = substance(parameters, layout, position, cells.radius, demand, medium)
     equation = FieldEquation(
-        together.grid, substances, position, layout=layout,
-        reactions=known,
+        together.grid, substances, position, layout=layout, reactions=known,
+        radius=reaching(cells.position, position, cells.radius),
         tissue=tissue_share(layout, position, cells.radius) if known else None,
     )  # fmt: skip
     state = together if len(names) > 1 else frame.fields[names[0]].to_pde()
@@ -152,5 +153,5 @@ def _taken(system: FieldSystem, scene: Scene, frame: Frame) -> dict[str, FloatAr
         field = system.fields[name]
         field.restore(frame.fields[name], frame.time)
         capacity, _ = system.demand(name, frame.cells, frame.concentrations, taken)
-        taken[name] = field.uptake(frame.cells.position, capacity)
+        taken[name] = field.uptake(frame.cells.position, capacity, frame.cells.radius)
     return taken

@@ -11,10 +11,13 @@ decay, exchange with a flow, and the 1/dt of an implicit step in time.
 **No concentration is negative.** -D L is an M-matrix (for values
 and slopes that supply alike), uptake is diagonal and vanishes with c: the solution satisfies
 (-D L0 + m + q / (K + c)) c = s + boundary terms >= 0 with an inverse that has no negative entry.
-Nothing is clipped: where the exact value is far below the solver's tolerance (the depth of a
-starved core) and a node is left at about -1e-13 times the medium's value, Gauss-Seidel sweeps over
-such nodes alone bring each to its own balance. Their equations are an M-matrix with a positive
-right-hand side too, so the sweeps end above zero, and no sweep raises the sum of all imbalances.
+Where the exact value is far below the solver's tolerance (the depth of a starved core, a hundred
+decay lengths from a source) and a node is left at about -1e-13 times the medium's value,
+Gauss-Seidel sweeps over such nodes alone bring each to its own balance. Their equations are an
+M-matrix with a positive right-hand side too, so the sweeps end above zero. Signs are judged by what
+the accepted imbalance may make of a concentration (:meth:`_State.uncertainty`: rounding, for a
+field without uptake): a node that is below zero by no more is empty, and the sweeps begin with it
+at zero; others keep their values, and where the sweeps leave one below zero the solve fails.
 
 **Newton converges from any start.** With the law continued below zero along its tangent (there the
 solution never is) F is the gradient of a strictly convex energy, so a line search on its slope is
@@ -256,7 +259,7 @@ class _State:
         problem, op = self.problem, self.problem.operator
         left = stencil.balance_negative(
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
-            op.ghost, op.weights, MAX_SWEEPS,
+            op.ghost, op.weights, self.uncertainty(), MAX_SWEEPS,
         )  # fmt: skip
         self.evaluate()
         return bool(left == 0)
@@ -273,6 +276,17 @@ class _State:
         quick = problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
         rounding = 8.0 * sys.float_info.epsilon * quick * self.norm
         return max(tolerance * self.total / math.sqrt(self.c.size), rounding)
+
+    def uncertainty(self) -> float:
+        """Return the largest error of a concentration, mM, that the accepted imbalance allows.
+
+        By the maximum principle it is the imbalance times the longest time in which a node is
+        emptied: by decay, or by diffusion from one end of the longest axis to the other.
+        """
+        op = self.problem.operator
+        crossing = 0.5 * max(op.shape) ** 2 / op.stiffness
+        slowest = min(crossing, 1.0 / self.problem.linear) if self.problem.linear else crossing
+        return self.target(TOLERANCE) * slowest
 
     def empty_copy(self) -> _State:
         """Return the same problem at another concentration, not filled yet.

@@ -200,16 +200,20 @@ def imbalance_of_planes(
 @_jit
 def balance_negative(
     c: FloatArray, sink: FloatArray, source: FloatArray, half: float, stiffness: float,
-    linear: float, ghost: FloatArray, weights: Weights, most: int,
+    linear: float, ghost: FloatArray, weights: Weights, zero: float, most: int,
 ) -> int:  # fmt: skip
     """Bring all nodes below zero to their own balance, in sweeps, until there are none.
 
     A node is given the concentration at which its sinks meet its source and what comes from its
-    neighbours; one that has reached zero is left alone from then on. Return how many are below
-    zero after at most ``most`` sweeps.
+    neighbours; one that has reached zero is left alone from then on. Nodes that are below zero by
+    no more than ``zero`` (mM) are taken as empty before. Return how many are below zero after at
+    most ``most`` sweeps.
     """
     nx, ny, nz = c.shape
     below = np.flatnonzero(c.ravel() < 0.0)
+    values = c.ravel()
+    for n in below:
+        values[n] = 0.0 if values[n] >= -zero else values[n]
     left = below.size
     for sweep in range(most):
         if left == 0:
@@ -219,7 +223,7 @@ def balance_negative(
             # every other sweep runs backwards: what a neighbour brings crosses the core at once
             n = below[m if sweep % 2 == 0 else below.size - 1 - m]
             i, j, k = n // (ny * nz), n // nz % ny, n % nz
-            if c[i, j, k] >= 0.0:
+            if sweep > 0 and c[i, j, k] >= 0.0:
                 continue
             gain, loss = source[i, j, k], linear
             for face in range(6):

@@ -24,14 +24,17 @@ class Tissue:
     """Cells that grids are laid round. What several fields ask of them is found once.
 
     - ``position``, (n, 3) µm, and ``radius``, (n,) µm; 1 µm where it does not matter
+
+    - ``extent``, (n,) µm: radii with which cells take up and give off; 0, points, without a radius
     """
 
     def __init__(self, position: FloatArray, radius: FloatArray | None = None) -> None:
         self.position = np.asarray(position, dtype=np.float64)
         if self.position.ndim != 2 or self.position.shape[1] != 3:
             raise ValueError(f"position has shape {self.position.shape}, expected (n, 3)")
-        radius = np.ones(len(position)) if radius is None else radius
-        self.radius = np.asarray(radius, dtype=np.float64)
+        count = len(position)
+        self.radius = np.asarray(np.ones(count) if radius is None else radius, dtype=np.float64)
+        self.extent = np.zeros(count) if radius is None else self.radius
         self._found: dict[Any, Any] = {}
 
     def once(self, find: Callable[..., Any], *given: Any) -> Any:
@@ -40,6 +43,13 @@ class Tissue:
         if key not in self._found:
             self._found[key] = find(*given), given  # arrays that live keep their identities
         return self._found[key][0]
+
+
+def reaching(position: FloatArray, reached: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the radii in µm with which cells exchange: none for strays, at the grid's surface."""
+    if reached is position:
+        return radius
+    return np.where((reached != position).any(axis=1), 0.0, radius)
 
 
 def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:

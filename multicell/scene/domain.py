@@ -78,6 +78,23 @@ def filling(lengths: Sequence[float], spacing: float) -> tuple[int, ...] | None:
     return tuple(int(n) for n in counts[:, fits[0]]) if len(fits) else None
 
 
+_WORTH_TELLING = 0.75
+"""Part of the spacing that was asked for below which a grid that fits is reported."""
+
+
+def finer(lengths: Sequence[float], spacing: float) -> str:
+    """Return in words how much finer than asked for cubes are that fill a box; else nothing."""
+    counts = filling(lengths, spacing)
+    step = lengths[0] / counts[0] if counts else spacing
+    if step >= _WORTH_TELLING * spacing:
+        return ""
+    size = " x ".join(f"{length:g}" for length in lengths)
+    return (
+        f"{step:.4g} um instead of {spacing:.4g} um, {(spacing / step) ** len(lengths):.3g} times "
+        f"as many nodes: nothing between fits into all sides of {size} um a whole number of times"
+    )
+
+
 def walls(scene: Scene) -> Walls | Sphere | None:
     """Return the walls of a scene; where there are none, nothing is loaded."""
     domain = scene.domain

@@ -8,7 +8,8 @@ from grids import diffusion, divergence
 from pde.grids.cartesian import CartesianGrid
 
 from multicell.errors import NutrientFailed
-from multicell.nutrient.cartesian import scatter
+from multicell.nutrient.balls import scatter
+from multicell.nutrient.cartesian import Box
 from multicell.nutrient.steady import solve_steady
 
 D = 2000.0
@@ -41,7 +42,7 @@ POINTS, VOLUMES = ball_quadrature()
 def ball_sink(grid, density):
     """Return a uniform sink in the ball, spread over the nodes like the cells are."""
     low = tuple(bounds[0] for bounds in grid.axes_bounds)
-    return scatter(POINTS, density * VOLUMES, low, float(grid.discretization[0]), grid.shape)
+    return scatter(Box(low, grid.shape, float(grid.discretization[0])), POINTS, density * VOLUMES)
 
 
 def from_faces(grid, law):

@@ -7,12 +7,14 @@ from hypothesis import strategies as st
 from pde import ScalarField
 from pde.grids.cartesian import CartesianGrid
 
-from multicell.nutrient.cartesian import gather, scatter
+from multicell.nutrient.balls import gather, scatter
+from multicell.nutrient.cartesian import Box
 
 ORIGIN = (-30.0, 5.0, 100.0)
 SPACING = 7.5
 SHAPE = (5, 6, 7)
 SIZE = SPACING * np.array(SHAPE)
+BOX = Box(ORIGIN, SHAPE, SPACING)
 
 
 def pde_grid():
@@ -39,7 +41,7 @@ def test_scatter_agrees_with_pde_insert_also_near_the_faces():
     theirs = ScalarField(pde_grid(), 0.0)
     for x, a in zip(position, amount, strict=True):
         theirs.insert(x, a)
-    ours = scatter(position, amount, ORIGIN, SPACING, SHAPE)
+    ours = scatter(BOX, position, amount)
     np.testing.assert_allclose(ours, theirs.data, rtol=0, atol=1e-15)
 
 
@@ -47,15 +49,15 @@ def test_gather_agrees_with_pde_interpolate_also_near_the_faces():
     values = np.random.default_rng(5).random(SHAPE)
     position = points()
     theirs = ScalarField(pde_grid(), values).interpolate(position)
-    np.testing.assert_allclose(gather(position, values, ORIGIN, SPACING), theirs, atol=1e-14)
+    np.testing.assert_allclose(gather(BOX, position, values), theirs, atol=1e-14)
 
 
 @given(inside, st.integers(0, 99))
 def test_gather_is_the_transpose_of_scatter(position, seed):
     rng = np.random.default_rng(seed)
     amount, values = rng.random(len(position)), rng.random(SHAPE)
-    left = np.sum(scatter(position, amount, ORIGIN, SPACING, SHAPE) * values) * SPACING**3
-    right = np.sum(amount * gather(position, values, ORIGIN, SPACING))
+    left = np.sum(scatter(BOX, position, amount) * values) * SPACING**3
+    right = np.sum(amount * gather(BOX, position, values))
     assert left == pytest.approx(right, rel=1e-12)
 
 
@@ -64,35 +66,35 @@ def test_positions_outside_are_refused(bad):
     position = points(4)
     position[2, 1] = ORIGIN[1] + bad
     with pytest.raises(ValueError, match=r"row 2.*outside"):
-        scatter(position, np.ones(4), ORIGIN, SPACING, SHAPE)
+        scatter(BOX, position, np.ones(4))
     with pytest.raises(ValueError, match=r"row 2.*outside"):
-        gather(position, np.ones(SHAPE), ORIGIN, SPACING)
+        gather(BOX, position, np.ones(SHAPE))
 
 
 def test_read_only_arrays_and_no_cells_are_fine():
     position, values = points(4), np.ones(SHAPE)
     position.flags.writeable = values.flags.writeable = False
-    np.testing.assert_allclose(gather(position, values, ORIGIN, SPACING), 1.0)
-    assert not scatter(np.empty((0, 3)), np.empty(0), ORIGIN, SPACING, SHAPE).any()
+    np.testing.assert_allclose(gather(BOX, position, values), 1.0)
+    assert not scatter(BOX, np.empty((0, 3)), np.empty(0)).any()
 
 
 def test_as_many_amounts_as_positions_are_asked_for():
     with pytest.raises(ValueError, match="amount has shape"):
-        scatter(points(4), np.ones(3), ORIGIN, SPACING, SHAPE)
+        scatter(BOX, points(4), np.ones(3))
 
 
 @given(inside, st.integers(0, 99))
 def test_scatter_conserves_the_amount_and_keeps_its_sign(position, seed):
     amount = np.random.default_rng(seed).random(len(position))
-    density = scatter(position, amount, ORIGIN, SPACING, SHAPE)
+    density = scatter(BOX, position, amount)
     assert density.min() >= 0.0
     assert density.sum() * SPACING**3 == pytest.approx(amount.sum(), rel=1e-13)
 
 
 def test_wrong_shapes_are_refused():
     with pytest.raises(ValueError, match="amount has shape"):
-        scatter(points(4), np.ones(3), ORIGIN, SPACING, SHAPE)
+        scatter(BOX, points(4), np.ones(3))
     with pytest.raises(ValueError, match="position has shape"):
-        gather(np.zeros((2, 2)), np.ones(SHAPE), ORIGIN, SPACING)
+        gather(BOX, np.zeros((2, 2)), np.ones(SHAPE))
     with pytest.raises(ValueError, match="values has shape"):
-        gather(points(4), np.ones(3), ORIGIN, SPACING)
+        gather(BOX, points(4), np.ones(3))

@@ -100,7 +100,8 @@ def test_a_ball_has_the_field_of_the_closed_form_whatever_its_cells_size(radius)
     surface = 0.2 - taken / (4.0 * np.pi * diffusion) * (1.0 / ball - 1.0 / (ball + 40.0))
     field = simulation.frame().fields["a"]
     there = np.interp(ball, field.axis(0) - field.origin[0], field.values.ravel())
-    assert there == pytest.approx(surface, abs=2e-3 * (0.2 - surface))
+    # the larger the cells, the rougher the surface, and the more of them lies beyond R
+    assert there == pytest.approx(surface, abs=1e-3 * (radius - 3.0) * (0.2 - surface))
     inside = surface - float(simulation.concentrations["a"].mean())
     assert inside == pytest.approx(taken / (20.0 * np.pi * diffusion * ball), rel=0.06)
     assert simulation.ledger["a"].relative_remainder < 1e-8

@@ -136,13 +136,14 @@ def test_a_medium_that_jumps_is_right_at_the_end_of_a_step_and_in_its_middle():
     grown = 6.0 / 20.0 * (0.1 / 0.15 + 0.02 / 0.07)
     result = mc.run(scene, threads=1)
     assert volume(result) == pytest.approx(8 * BIRTH * (1.0 + grown), rel=1e-12)
-    assert result.summary()["splitting"]["volume_error"] == 0.0
+    # but for the last bits of a mean over a ball
+    assert abs(result.summary()["splitting"]["volume_error"]) < 1e-12 * volume(result)
     # where it jumps between two of these ends a step ends
     scene = scene.with_changes({"nutrients.oxygen.media": [["340 min", "0.02 mM"]]})
     result = mc.run(scene, threads=1)
     earlier = 8 * BIRTH * (1.0 + grown - 1.0 / 60.0 * (0.1 / 0.15 - 0.02 / 0.07))
     assert volume(result) == pytest.approx(earlier, rel=1e-12)
-    assert result.summary()["splitting"]["volume_error"] == 0.0
+    assert abs(result.summary()["splitting"]["volume_error"]) < 1e-12 * volume(result)
 
 
 def some_cells(count=6):

@@ -4,8 +4,8 @@
 
 for each substance, on a grid of py-pde's: ``CartesianGrid`` in two and three dimensions with equal
 spacings, or ``SphericalSymGrid``. Q and S are what cells take up at most and secrete, spread over
-the nodes around them; f is what reactions between substances make. Below zero, where only a
-solver's error can bring c, uptake and reactions go on along their tangent.
+their balls (:mod:`multicell.nutrient.balls`); f is what reactions between substances make. Below
+zero, where only a solver's error can bring c, uptake and reactions go on along their tangent.
 """
 
 from __future__ import annotations
@@ -72,6 +72,9 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     substances : name -> Substance
     position : (n, 3), µm
         Of the cells; in the frame of the grid, on shells relative to ``layout``'s centre.
+    radius : (n,), µm
+        Of the cells, balls over which uptake and secretion are spread, and discs in a plane;
+        absent: they are points.
     layout
         Where nodes are for the cells; absent: ``layout_on(grid)``.
     reactions : name -> Reaction
@@ -94,6 +97,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         substances: Mapping[str, Substance],
         position: FloatArray | None = None,
         *,
+        radius: FloatArray | None = None,
         layout: Layout | None = None,
         reactions: Mapping[str, Any] | Kinetics | None = None,
         tissue: FloatArray | None = None,
@@ -112,8 +116,15 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         self.position = np.zeros((0, 3)) if position is None else np.asarray(position, dtype=float)
         if self.position.ndim != 2 or self.position.shape[1] != 3:
             raise SceneError("position", f"has the shape {self.position.shape}, expected (n, 3)")
+        if radius is not None:
+            radius = np.asarray(radius, dtype=float)
+            if radius.shape != self.position.shape[:1]:
+                expected = f"expected ({len(self.position)},)"
+                raise SceneError("radius", f"has the shape {radius.shape}, {expected}")
+            if not (radius.min(initial=0.0) >= 0.0 and radius.max(initial=0.0) < np.inf):
+                raise SceneError("radius", "of some cell is negative or not finite")
         self.substances = {
-            name: PlacedSubstance(name, substance, layout, self.position, threads)
+            name: PlacedSubstance(name, substance, layout, self.position, radius, threads)
             for name, substance in substances.items()
         }
         self.reactions = None
@@ -268,6 +279,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     def place(
         self, layout: Layout, position: FloatArray,
         demands: Mapping[str, tuple[FloatArray, FloatArray | None]],
+        radius: FloatArray | None = None,
     ) -> None:  # fmt: skip
         """Take cells elsewhere, with largest uptake and secretion of each, (n,) amol/s, by name.
 
@@ -279,7 +291,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             self.__dict__.pop("grid", None)
             self.layout = layout
         for name, each in self.substances.items():
-            each.place(layout, position, *demands[name])
+            each.place(layout, position, radius, *demands[name])
 
     def exchanges(
         self, data: FloatArray, t: float, reports: Mapping[str, SolveReport] | None = None

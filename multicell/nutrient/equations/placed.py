@@ -24,7 +24,7 @@ class PlacedSubstance:
     """A substance on a grid.
 
     - ``name``, ``substance``, ``layout``: see :class:`multicell.FieldEquation`
-    - ``position``, (n, 3), µm: of the cells
+    - ``position``, (n, 3), ``radius``, (n,), µm: of the cells; absent: they are points
     - ``threads``: how many may share the loops over many nodes; it changes no result
 
     - ``sink``, ``secreted``, mM/s: largest uptake per volume at each node, and what cells add;
@@ -38,6 +38,7 @@ class PlacedSubstance:
         substance: Substance,
         layout: Layout,
         position: FloatArray,
+        radius: FloatArray | None = None,
         threads: int = 1,
     ) -> None:
         self.name, self.substance, self._threads = name, substance, threads
@@ -46,11 +47,11 @@ class PlacedSubstance:
         self.linear = substance.decay + substance.perfusion
         self._conditions: Any = None
         self._scale()
-        self.place(layout, position, substance.capacity, substance.production)
+        self.place(layout, position, radius, substance.capacity, substance.production)
 
     def place(
-        self, layout: Layout, position: FloatArray, capacity: FloatArray | None,
-        production: FloatArray | None,
+        self, layout: Layout, position: FloatArray, radius: FloatArray | None,
+        capacity: FloatArray | None, production: FloatArray | None,
     ) -> None:  # fmt: skip
         """Take cells elsewhere, with other largest uptake and secretion (n,) in amol/s.
 
@@ -59,11 +60,12 @@ class PlacedSubstance:
         self.layout, self.shape = layout, layout.shape
         if self._scaled != (layout.shape, layout.spacing):
             self._scale()
-        none = np.zeros(len(position))
-        self.sink = self.spread(position, none if capacity is None else capacity, "capacity")
+        cells = position, radius
+        capacity = np.zeros(len(position)) if capacity is None else capacity
+        self.sink = self.spread(*cells, capacity, "capacity")
         self.secreted, self._production = np.zeros(self.shape), 0.0
         if production is not None:
-            self.secreted = self.spread(position, production, "production")
+            self.secreted = self.spread(*cells, production, "production")
             self._production = float(np.sum(production))
         self._gained: tuple[float, FloatArray] | None = None
 
@@ -93,7 +95,9 @@ class PlacedSubstance:
             self._conditions = conditions_on(self.layout, given)
         return cast("Conditions", self._conditions)
 
-    def spread(self, position: FloatArray, amount: FloatArray, what: str) -> FloatArray:
+    def spread(
+        self, position: FloatArray, radius: FloatArray | None, amount: FloatArray, what: str
+    ) -> FloatArray:
         """Return amounts of the cells, (n,) amol/s, as densities of the nodes, mM/s."""
         amount, path = np.asarray(amount), f"substances.{self.name}.{what}"
         if amount.shape != (len(position),):
@@ -102,7 +106,7 @@ class PlacedSubstance:
         if not (amount.min(initial=0.0) >= 0.0 and amount.max(initial=0.0) < np.inf):
             raise SceneError(path, "of some cell is negative or not finite")
         try:
-            return self.layout.scatter(position, amount)
+            return self.layout.scatter(position, amount, radius)
         except ValueError as trouble:
             raise SceneError("position", str(trouble), "Lay the grid round all cells.") from None
 

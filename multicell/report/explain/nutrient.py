@@ -88,9 +88,9 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
         counts = box.filling(lengths, spacing) or ()
         step = lengths[0] / counts[0] if counts else spacing
         kind = "squares" if scene.dimensions == 2 else "cubes"
-        return (
-            f"{' x '.join(map(str, counts))} {kind} of {step:g} um that stand still on the domain"
-        )
+        words = f"{' x '.join(map(str, counts))} {kind} of {step:g} um that stand still"
+        finer = box.finer(lengths, spacing)
+        return f"{words} on the domain" + (f" ({finer})" if finer else "")
     if scene.dimensions == 2:
         return f"squares of {spacing:g} um that follow the cells, since the scene is flat"
     if nutrient.layout == "box":
