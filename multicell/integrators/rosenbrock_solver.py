@@ -16,6 +16,7 @@ from multicell.cells import FloatArray
 from multicell.compiling import KERNEL, typed
 from multicell.integrators.base import OUT_OF_STEPS_HINT, Outcome, move_words
 from multicell.integrators.driver import control
+from multicell.integrators.restarts import LEAST_PART
 from multicell.integrators.stepping import (
     fit_step,
     furthest_move,
@@ -319,6 +320,11 @@ class Walk:
                 f"a step of {step:.3g} s is not exact enough",
                 step_after_error(1.0, size, _ORDER, 0.2),
             )
+        part = system.missed_contact(
+            begin, end, self.position, trial, self.velocity, self._end, atol
+        )
+        if part < 1.0:
+            raise Refused(f"a contact forms within a step of {step:.3g} s", max(part, LEAST_PART))
         self.position = trial
         self.velocity, self._end = self._end, self.velocity
         self._slope, self._last = self._last, self._slope

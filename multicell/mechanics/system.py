@@ -257,6 +257,33 @@ class Mechanics:
         if self._pair_friction is not None:
             self.work.friction_iterations += self._pair_friction.divide(out, given)
 
+    def missed_contact(
+        self, begin: float, end: float, before: FloatArray, after: FloatArray,
+        speed: FloatArray, end_speed: FloatArray, tolerance: float,
+    ) -> float:  # fmt: skip
+        """Return the part of a step to be taken instead where it misses a contact, else 1.
+
+        See :func:`multicell.mechanics.forces.missed_contact`; the last evaluation must have been at
+        the end of the step. Not a count of work: one look at the pairs costs less than a product.
+
+        - ``begin``, ``end``: of the step, s
+        - ``before``, ``after``, ``speed``, ``end_speed``: (n, 3) µm and µm/s, there
+        - ``tolerance``: how far attraction may be missed, µm
+        """
+        if self._pairs is None or not (self.law.snaps or self.motion.bonds is not None):
+            return 1.0
+        given = self.prescribed
+        if given is not None:
+            before, after = given.placed(begin, before), given.placed(end, after)
+            speed, end_speed = speed + given.velocity, end_speed + given.velocity
+        return float(
+            forces.missed_contact(
+                self._cells, self._pair_data, self._law, self._rows, *map(_frozen, (before, after)),
+                *map(_frozen, (speed, end_speed)), begin - self.motion.begin, end - begin,
+                tolerance,
+            )
+        )  # fmt: skip
+
     def setup_preconditioner(self, gamma: float, linear: Linearisation) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""
         self.work.preconditioner_setups += 1
