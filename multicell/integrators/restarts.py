@@ -215,7 +215,7 @@ class Run:
         if not moved <= self.method.max_displacement:
             words = move_words(reached - before, moved, self.method.max_displacement)
             raise _Refused(words, reached - before, cell)
-        self._refuse_missed(before, reached, moved_to, speed)
+        self._refuse_missed(before, reached, moved_to, speed, moved)
         self.position, self.speed = moved_to, speed
         self.elapsed = self.length if reached >= self.left else self.offset + reached
         self.steps += 1
@@ -225,14 +225,15 @@ class Run:
 
 
     def _refuse_missed(
-        self, before: float, reached: float, moved_to: FloatArray, speed: FloatArray | None
-    ) -> None:
+        self, before: float, reached: float, moved_to: FloatArray, speed: FloatArray | None,
+        moved: float,
+    ) -> None:  # fmt: skip
         """Refuse a step that misses a contact which forms in it, where velocities are known."""
         if speed is None or self.speed is None or not self._most_error < math.inf:
             return
         part = self.system.missed_contact(
             self.clock(before), self.clock(reached), self.position, moved_to, self.speed, speed,
-            self._most_error,
+            moved, self._most_error,
         )  # fmt: skip
         if part < 1.0:
             step = reached - before

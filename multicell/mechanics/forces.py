@@ -546,8 +546,27 @@ def _approach(place, speed, i, j, growth):
 
 
 @njit(**KERNEL)
+def pairs_about_to_touch(pairs, rows, elapsed, horizon, places):
+    """Note the places of pairs whose gap or overlap is below ``horizon``, µm; return how many.
+
+    The write is unconditional and only the count depends on the test: no branch to mispredict.
+    """
+    count = 0
+    for c in range(pairs.start.size):
+        for p in range(pairs.start[c], pairs.outer_end[c]):
+            i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+            dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+            reach = rows[i, 3] + rows[j, 3]
+            reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+            low, square = max(reach - horizon, 0.0), dx * dx + dy * dy + dz * dz
+            places[count] = p
+            count += np.int64((square > low * low) & (square < (reach + horizon) ** 2))
+    return count
+
+
+@njit(**KERNEL)
 def missed_contact(
-    cells, pairs, law, rows, before, after, speed, end_speed, elapsed, step, tolerance
+    cells, pairs, law, rows, places, before, after, speed, end_speed, elapsed, step, way, tolerance
 ):
     """Return the part of a step to be taken where it misses a contact that forms in it, else 1.
 
@@ -556,49 +575,67 @@ def missed_contact(
     the force that sets in at contact draws the pair further. It is missed if it would do so by more
     than ``tolerance``, µm, beyond what the step shows. What is slow at first grows fast: the force
     of JKR rises like h^{3/4}, so that an error estimate sees nothing of a late or passing contact.
+
+    ``places`` are those of :func:`pairs_about_to_touch`: no other pair is looked at. Two cells come
+    closer by at most ``way``.
     """
     part = 1.0
-    for c in range(pairs.start.size):
-        for p in range(pairs.start[c], pairs.outer_end[c]):
-            i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
-            growth = cells.radius_rate[i] + cells.radius_rate[j]
-            reach = cells.radius[i] + cells.radius[j] + growth * elapsed
-            begin = _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
-            dx, dy = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1]
-            dz = before[j, 2] - before[i, 2]
-            if dx * dx + dy * dy + dz * dz <= (reach - begin) ** 2:
-                continue
-            gap, narrowing = _approach(before, speed, i, j, growth)
-            gap -= reach - begin
-            end, end_narrowing = _approach(after, end_speed, i, j, growth)
-            end -= reach + growth * step - begin
-            nearest = min(gap, end) - 0.15 * step * (max(narrowing, 0.0) + max(-end_narrowing, 0.0))
-            if nearest >= 0.0:
-                continue
-            mobility = (1.0 / rows[i, 3] + 1.0 / rows[j, 3]) / law.medium_drag
-            least = tolerance / _PARTS
-            # a law that acts from afar has some of it before
-            afar = _attraction(rows, i, j, pairs, p, law, elapsed, begin - least)
-            drawn, free, enough = 0.0, 0.0, 1.0
-            for k in range(_PARTS):
-                s = (k + 0.5) / _PARTS
-                a, b = 1.0 - s, s * (1.0 - s)
-                free = step * b * (a * narrowing - s * end_narrowing)
-                free -= a * a * (1.0 + 2.0 * s) * gap + s * s * (3.0 - 2.0 * s) * end
-                # the speed at the end of a contact is also that of its own force
-                change = 0.0 if end < 0.0 else end_narrowing - narrowing
-                free = max(free, step * s * (narrowing + 0.5 * s * change) - gap)
-                if free + drawn <= 0.0:
-                    continue
-                overlap = begin + max(free + drawn, least)
-                pull = _attraction(rows, i, j, pairs, p, law, elapsed, overlap) - afar
-                drawn += step / _PARTS * mobility * max(pull, 0.0)
-                if drawn > 0.5 * tolerance and enough == 1.0:
-                    enough = s
-            shown = 0.0 if end >= 0.0 else max(-end - max(step * narrowing - gap, 0.0), 0.0)
-            if drawn - shown > tolerance:
-                part = min(part, enough)
+    for p in places:
+        i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+        dx, dy = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1]
+        dz = before[j, 2] - before[i, 2]
+        reach = cells.radius[i] + cells.radius[j]
+        reach += (cells.radius_rate[i] + cells.radius_rate[j]) * elapsed
+        reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+        square = dx * dx + dy * dy + dz * dz
+        if square <= reach * reach or square >= (reach + way) * (reach + way):
+            continue
+        taken = _part_taken(
+            cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, step, tolerance
+        )
+        part = min(part, taken)
     return part
+
+
+@njit(**INLINED)
+def _part_taken(
+    cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, step, tolerance
+):
+    """Return the part of a step until the contact of one pair is missed, else 1."""
+    i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+    growth = cells.radius_rate[i] + cells.radius_rate[j]
+    begin = _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+    reach = cells.radius[i] + cells.radius[j] + growth * elapsed
+    gap, narrowing = _approach(before, speed, i, j, growth)
+    gap -= reach - begin
+    end, end_narrowing = _approach(after, end_speed, i, j, growth)
+    end -= reach + growth * step - begin
+    dip = 0.15 * step * (max(narrowing, 0.0) + max(-end_narrowing, 0.0))
+    nearest = min(min(gap, end) - dip, gap - step * max(narrowing, end_narrowing))
+    if nearest >= 0.0:
+        return 1.0
+    mobility = (1.0 / rows[i, 3] + 1.0 / rows[j, 3]) / law.medium_drag
+    least = tolerance / _PARTS
+    # a law that acts from afar has some of it before
+    afar = _attraction(rows, i, j, pairs, p, law, elapsed, begin - least)
+    drawn, free, enough = 0.0, 0.0, 1.0
+    for k in range(_PARTS):
+        s = (k + 0.5) / _PARTS
+        a, b = 1.0 - s, s * (1.0 - s)
+        free = step * b * (a * narrowing - s * end_narrowing)
+        free -= a * a * (1.0 + 2.0 * s) * gap + s * s * (3.0 - 2.0 * s) * end
+        # the speed at the end of a contact is also that of its own force
+        change = 0.0 if end < 0.0 else end_narrowing - narrowing
+        free = max(free, step * s * (narrowing + 0.5 * s * change) - gap)
+        if free + drawn <= 0.0:
+            continue
+        overlap = begin + max(free + drawn, least)
+        pull = _attraction(rows, i, j, pairs, p, law, elapsed, overlap) - afar
+        drawn += step / _PARTS * mobility * max(pull, 0.0)
+        if drawn > 0.5 * tolerance and enough == 1.0:
+            enough = s
+    shown = 0.0 if end >= 0.0 else max(-end - max(step * narrowing - gap, 0.0), 0.0)
+    return enough if drawn - shown > tolerance else 1.0
 
 
 @njit(**INLINED)
