@@ -590,6 +590,14 @@ def missed_contact(
         square = dx * dx + dy * dy + dz * dz
         if square <= reach * reach or square >= (reach + way) * (reach + way):
             continue
+        # most of them hardly move relative to each other
+        dx -= after[j, 0] - after[i, 0]
+        dy -= after[j, 1] - after[i, 1]
+        dz -= after[j, 2] - after[i, 2]
+        closer = 2.0 * math.sqrt(dx * dx + dy * dy + dz * dz) + tolerance
+        closer += (cells.radius_rate[i] + cells.radius_rate[j]) * step
+        if math.sqrt(square) - reach > closer:
+            continue
         taken = _part_taken(
             cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, step, tolerance
         )
