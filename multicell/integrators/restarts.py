@@ -223,7 +223,6 @@ class Run:
         self.cell = cell
         return reached - before
 
-
     def _refuse_missed(
         self, before: float, reached: float, moved_to: FloatArray, speed: FloatArray | None,
         moved: float,

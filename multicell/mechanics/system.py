@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 _NOTHING = np.empty((0, 0))
 _NOWHERE = np.empty(0, dtype=np.int32)
 _NO_PLACES = np.empty(0, dtype=np.int64)
-_HORIZON = 8.0
-"""Gap up to which pairs are watched, over the way of two cells in a step."""
+_HORIZON, _FAR = 8.0, 0.05
+"""Gap up to which pairs are watched, over the way of two cells in a step, and at most, in the
+largest radius, unless that way is longer."""
 _ROOM = 50
 """Places of a list for each cell up to which it is kept for the next: twice what is usual."""
 
@@ -286,7 +287,8 @@ class Mechanics:
         pairs, left, places = self._watched
         left -= way
         if pairs is not self._pairs or left < way:
-            places, left = np.empty(len(self._pair_data.first), dtype=np.int64), _HORIZON * way
+            places = np.empty(len(self._pair_data.first), dtype=np.int64)
+            left = max(way, min(_HORIZON * way, _FAR * self._largest))
             count = forces.pairs_about_to_touch(
                 self._pair_data, self._rows, elapsed, left, places
             )  # fmt: skip
