@@ -24,7 +24,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.integrators.base import OUT_OF_STEPS_HINT, ErrorControl, Outcome, move_words
 from multicell.integrators.limits import beyond, norm_share
-from multicell.integrators.stepping import furthest_move, largest_length
+from multicell.integrators.stepping import LEAST_PART, furthest_move, largest_length
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
@@ -32,7 +32,6 @@ _MAX_REFUSALS = 30
 _STEPS_BEFORE_LIFT = 8
 _SHORTER = 0.25  # ceiling of steps after a refusal, over the refused one
 _SMALLER = 0.25  # by how much the share is made smaller then
-LEAST_PART = 0.05  # of a step that is refused because a contact forms within it
 
 
 class StepImpossible(Exception):  # noqa: N818 - what happened to a solver, not a fault

@@ -16,8 +16,8 @@ from multicell.cells import FloatArray
 from multicell.compiling import KERNEL, typed
 from multicell.integrators.base import OUT_OF_STEPS_HINT, Outcome, move_words
 from multicell.integrators.driver import control
-from multicell.integrators.restarts import LEAST_PART
 from multicell.integrators.stepping import (
+    LEAST_PART,
     fit_step,
     furthest_move,
     largest_length,

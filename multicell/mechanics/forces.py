@@ -28,7 +28,7 @@ from numba import njit, prange, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from multicell.compiling import INLINED, INNER, KERNEL
+from multicell.compiling import ADDRESSED, INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.pairs import pair_law
 
@@ -603,6 +603,23 @@ def missed_contact(
         )
         part = min(part, taken)
     return part
+
+
+@njit(**ADDRESSED)
+def missed_among_all(
+    cells, pairs, law, rows, before, after, speed, end_speed, elapsed, step, moved, tolerance
+):
+    """Do what :func:`missed_contact` does with all pairs; cells move by ``moved`` of a radius."""
+    largest, growth = 0.0, 0.0
+    for i in range(cells.radius.size):
+        largest, growth = max(largest, rows[i, 3]), max(growth, abs(cells.radius_rate[i]))
+    way = 2.0 * (moved * largest + growth * step)
+    places = np.empty(pairs.first.size, dtype=np.int64)
+    count = pairs_about_to_touch(pairs, rows, elapsed, way, places)
+    return missed_contact(
+        cells, pairs, law, rows, places[:count], before, after, speed, end_speed, elapsed, step,
+        way, tolerance,
+    )  # fmt: skip
 
 
 @njit(**INLINED)
