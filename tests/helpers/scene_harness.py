@@ -36,8 +36,8 @@ ENDLESS = {"cycle_time"}
 """Columns that are documented to be infinite: nothing grows, no cycle ends."""
 
 
-UNKNOWN_OF_LIVING = "death_time"
-"""Column that is not a number of those who have not died."""
+UNKNOWN_OF_LIVING = ("death_time", "end_time")
+"""Columns that are not a number of those who have not died, or are there to the end."""
 
 
 class Fault(Exception):  # noqa: N818 - what was found, not a failure of the harness
