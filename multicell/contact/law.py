@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 
+_NEAR_CONTACT = 1e-3  # overlap, µm
+
+
 def compliance(young: ArrayLike, poisson: ArrayLike) -> FloatArray:
     """Return ¾ (1 - ν²) / E in 1/kPa: the sum over a pair is 1 / E_ij (eq. 3.3)."""
     return np.asarray(0.75 * (1.0 - np.square(poisson)) / np.asarray(young, dtype=float))
@@ -99,6 +102,14 @@ class PairLaw(ABC):
     def adhesion(self) -> float:
         """√(6πσ) of the law's surface energy in (nN/µm)^½, zero for a law that has none."""
         return float(self.adhesion_of(getattr(self, "surface_energy", 0.0)))
+
+    @cached_property
+    def snaps(self) -> bool:
+        """Whether attraction sets in where two cells meet, so that they pull each other closer."""
+        before, after = (
+            float(self.force(h, 1.0, 2.5, rest=10.0)) for h in (-_NEAR_CONTACT, _NEAR_CONTACT)
+        )
+        return after < before
 
     def adhesion_of(self, surface_energy: ArrayLike) -> FloatArray:
         """Return √(6πσ) in (nN/µm)^½ of surface energies in nN/µm."""

@@ -265,10 +265,10 @@ class _Step:
             approximate.precondition(vector.reshape(-1, 3), out)
             return out.ravel()
 
-        solution, _ = gmres(
-            LinearOperator(shape, matvec=apply), -residual.ravel(), rtol=self.forcing,
-            restart=30, maxiter=10, M=LinearOperator(shape, matvec=approximately),
-        )  # fmt: skip
+        # without a type SciPy asks for the product of a vector of small integers
+        whole, inverse = (LinearOperator(shape, f, dtype=float) for f in (apply, approximately))
+        right = -residual.ravel()
+        solution, _ = gmres(whole, right, rtol=self.forcing, restart=30, maxiter=10, M=inverse)
         return np.asarray(solution).reshape(-1, 3)
 
 

@@ -13,7 +13,14 @@ from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL, typed
-from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
+from multicell.integrators.restarts import (
+    Predictor,
+    Restart,
+    Run,
+    StepImpossible,
+    Taken,
+    one_step,
+)
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
 
@@ -90,13 +97,13 @@ class UnpreconditionedCvode(_Session):
         self._others = 0
         self._small = _INCREMENT * float(run.system.motion.radius.mean())
         self._moved = np.empty(3 * len(run.position))
-        self._probed: list[tuple[float, FloatArray, float]] = []
+        self._probed: list[Taken] = []
         super().__init__(
             method, run, krylov_dim=_LIGHT_KRYLOV, first_step=_FIRST * run.left,
             jactimes=CVODEJacTimes(None, self.product),
         )  # fmt: skip
 
-    def step(self) -> tuple[float, FloatArray, float]:
+    def step(self) -> Taken:
         """Take one step; ask for the full method where the last ones took many evaluations."""
         if self._probed:
             return self._probed.pop(0)
@@ -112,13 +119,13 @@ class UnpreconditionedCvode(_Session):
         """
         try:
             while len(self._probed) < 2 and (
-                not self._probed or self._probed[-1][0] < self.run.left
+                not self._probed or self._probed[-1].time < self.run.left
             ):
                 self._probed.append(self._advance())
         except (StateRejected, StepImpossible):
             # the full method meets the same state and can recover from it
             return True
-        return self._probed[-1][0] < _SLOW_START * self.run.length
+        return self._probed[-1].time < _SLOW_START * self.run.length
 
     def product(
         self, t: float, y: FloatArray, yp: FloatArray, v: FloatArray, jv: FloatArray
@@ -135,11 +142,10 @@ class UnpreconditionedCvode(_Session):
         self.run.velocity(t, self._moved, jv)
         _divide(jv, yp, share)
 
-    def _advance(self) -> tuple[float, FloatArray, float]:
+    def _advance(self) -> Taken:
         result = one_step(self.solver, self.run.left)
         self._count(result.nfev)
-        error = self._predictor.error(result.t, result.y)
-        return float(result.t), result.y.reshape(-1, 3).copy(), error
+        return self._predictor.taken(result.t, result.y)
 
     def _stiff(self) -> bool:
         """Return whether the last steps took so many evaluations that the full method pays."""
@@ -178,12 +184,11 @@ class Krylov(_Session):
             precond=CVODEPrecond(self.setup, self.solve, side="right"),
         )  # fmt: skip
 
-    def step(self) -> tuple[float, FloatArray, float]:
+    def step(self) -> Taken:
         """Take one step."""
         result = one_step(self.solver, self.run.left)
         step, self._reached = float(result.t) - self._reached, float(result.t)
-        error = self._predictor.error(result.t, result.y, self._order(step))
-        return float(result.t), result.y.reshape(-1, 3).copy(), error
+        return self._predictor.taken(result.t, result.y, self._order(step))
 
     def _order(self, step: float) -> int:
         """Return the order of a step of BDF, by its γ: h/γ = 1 + 1/2 + ... + 1/q."""

@@ -83,14 +83,16 @@ def adaptive(
     control: stepping.Control,
     *settings: Any,
     passes: bool = False,
+    watched: bool = False,
 ) -> Outcome:
     """Run a loop under error control.
 
-    ``passes`` says whether it uses those of :mod:`.fused`.
+    ``passes`` says whether it uses those of :mod:`.fused`, ``watched`` whether it looks for
+    contacts that its steps miss.
     """
     return _run(
         system, position, loop, (control, *settings), control.max_displacement, _TOLERANCE_HINT,
-        control.atol, passes=passes,
+        control.atol, passes=passes, watched=watched,
     )  # fmt: skip
 
 
@@ -104,6 +106,7 @@ def _run(
     atol: float,
     *,
     passes: bool = False,
+    watched: bool = False,
 ) -> Outcome:
     """Run a loop on a copy of the positions; count its work; put its end into words."""
     motion = system.motion
@@ -120,7 +123,7 @@ def _run(
         source: Any = stepping.Called(system)
         report, _ = loop.py_func(source, None, *common, *settings)
     else:
-        source, pairs = source_of(system, counts, passes=passes)
+        source, pairs = source_of(system, counts, passes=passes, watched=watched)
         report, pairs = loop(source, pairs, *common, *settings)
         system.take_list(source.cells, pairs)
     work = system.work
@@ -165,9 +168,11 @@ def _failure(
 
 
 def source_of(
-    system: Mechanics, counts: Any, *, passes: bool = False
+    system: Mechanics, counts: Any, *, passes: bool = False, watched: bool = False
 ) -> tuple[stepping.Source, forces.PairData]:
     """Return what a loop needs, with a neighbour list of its own."""
     known, pairs, shared = system.kernel_data()
     source = stepping.Source(*known, counts)
-    return stepping.with_addresses(source, pairs, shared=shared, passes=passes), pairs
+    watched = watched and stepping.meets_driven(system)
+    source = stepping.with_addresses(source, pairs, shared=shared, passes=passes, watched=watched)
+    return source, pairs

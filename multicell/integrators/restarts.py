@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Protocol, final
+from typing import Any, NamedTuple, Protocol, final
 
 import numpy as np
 
@@ -25,12 +25,13 @@ from multicell.cells import FloatArray
 from multicell.host.interrupts import UNCUT
 from multicell.integrators.base import OUT_OF_STEPS_HINT, ErrorControl, Outcome, move_words
 from multicell.integrators.limits import beyond, norm_share
-from multicell.integrators.stepping import furthest_move, largest_length
+from multicell.integrators.stepping import LEAST_PART, furthest_move, largest_length
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
 _MAX_REFUSALS = 30
 _STEPS_BEFORE_LIFT = 8
+_SHORTER = 0.25  # ceiling of steps after a refusal, over the refused one
 _SMALLER = 0.25  # by how much the share is made smaller then
 
 
@@ -42,19 +43,29 @@ class Restart(Exception):  # noqa: N818 - a request
     """A solver asks to be made anew at its last accepted state."""
 
 
+class Taken(NamedTuple):
+    """A step that a solver has taken; its arrays stay valid.
+
+    - ``time``, float: of its end, since the solver's start, s
+    - ``position``, (n, 3): there, µm
+    - ``error``, float: the largest one that it is expected to have made with a cell, µm, or NaN
+    - ``speed``, (n, 3), optional: velocities there, µm/s, where the solver knows them
+    """
+
+    time: float
+    position: FloatArray
+    error: float = math.nan
+    speed: FloatArray | None = None
+
+
 class Solver(Protocol):
     """A solver under way; its clock counts from its start.
 
     A step of 1e-10 s would be lost on a clock that shows days.
     """
 
-    def step(self) -> tuple[float, FloatArray, float]:
-        """Take one step.
-
-        Returns time, float: since the start, s; position, (n, 3): there; the array stays valid;
-        error : float: the largest error that the step is expected to have made with a cell, µm, or
-        NaN.
-        """
+    def step(self) -> Taken:
+        """Take one step."""
 
     def close(self) -> None:
         """Let go of what calls it back: such a circle would hold its arrays for long."""
@@ -80,6 +91,8 @@ class Run:
         Time of the last evaluation, on the present solver's clock.
     share : float
         Part of the tolerances that a solver gets whose norm is a mean over all coordinates.
+    speed : (n, 3), optional
+        Velocities at the last accepted state, µm/s, where they are known.
 
     With ``each_cell`` the tolerance, ``atol`` + ``rtol`` times the mean radius, is held by single
     cells, too, as far as solvers report the errors of their steps; ``part`` is the part of the
@@ -105,6 +118,7 @@ class Run:
         self.elapsed = 0.0
         self.offset = 0.0
         self.latest = 0.0
+        self.speed: FloatArray | None = None
         self.steps = 0
         self.problem = ""
         self.hint = ""
@@ -140,7 +154,7 @@ class Run:
         if refused is not None:
             return refused
         ceiling = 0.0
-        refusals = 0
+        refusals = refused_at = 0
         while True:
             self.offset, self.latest = self.elapsed, 0.0
             solver: Solver | None = None
@@ -151,10 +165,12 @@ class Run:
                 self.system.work.rejections += 1
                 self.problem, self.cell = str(refusal), refusal.cell
                 self.hint = "Choose a shorter coupling_step or a tighter integrator.atol"
-                refusals += 1
+                # ceilings are lifted again and again: what counts is refusals without a step
+                refusals = refusals + 1 if self.steps == refused_at else 1
+                refused_at = self.steps
                 if refusals > _MAX_REFUSALS:
                     break
-                ceiling = 0.25 * (refusal.step or self.left)
+                ceiling = _SHORTER * (refusal.step or self.left)
                 continue
             except Restart:
                 continue
@@ -194,7 +210,7 @@ class Run:
         """Take one step if it may be taken; return its length."""
         before = self.elapsed - self.offset
         try:
-            reached, moved_to, expected = solver.step()
+            reached, moved_to, expected, speed = solver.step()
         except (StateRejected, StepImpossible) as error:
             raise _Refused(str(error), self.latest - before) from error
         if expected > self._most_error:
@@ -207,12 +223,29 @@ class Run:
         if not moved <= self.method.max_displacement:
             words = move_words(reached - before, moved, self.method.max_displacement)
             raise _Refused(words, reached - before, cell)
-        self.position = moved_to
+        self._refuse_missed(before, reached, moved_to, speed, moved)
+        self.position, self.speed = moved_to, speed
         self.elapsed = self.length if reached >= self.left else self.offset + reached
         self.steps += 1
         self.system.work.steps += 1
         self.cell = cell
         return reached - before
+
+    def _refuse_missed(
+        self, before: float, reached: float, moved_to: FloatArray, speed: FloatArray | None,
+        moved: float,
+    ) -> None:  # fmt: skip
+        """Refuse a step that misses a contact which forms in it, where velocities are known."""
+        if speed is None or self.speed is None or not self._most_error < math.inf:
+            return
+        part = self.system.missed_contact(
+            self.clock(before), self.clock(reached), self.position, moved_to, self.speed, speed,
+            moved, self._most_error,
+        )  # fmt: skip
+        if part < 1.0:
+            step = reached - before
+            words = f"a contact forms within a step of {step:.3g} s"
+            raise _Refused(words, step * max(part, LEAST_PART) / _SHORTER)
 
 
 def one_step(solver: Any, left: float) -> Any:
@@ -238,6 +271,7 @@ class Predictor:
         self._run = run
         self._time = 0.0
         self._state = run.position.ravel().copy()
+        self._speed = np.empty_like(run.position)
 
     def velocity(self, t: float, y: FloatArray, out: FloatArray) -> None:
         """Write the velocities as :meth:`Run.velocity` does, and note what was predicted."""
@@ -245,8 +279,20 @@ class Predictor:
             self._time = t
             self._state[:] = y
         self._run.velocity(t, y, out)
+        self._speed.ravel()[:] = out
+        if self._run.speed is None and t == 0.0:
+            self._run.speed = self._speed.copy()
 
-    def error(self, t: float, y: FloatArray, order: int = 1) -> float:
+    def taken(self, t: float, y: FloatArray, order: int = 1) -> Taken:
+        """Return what is known of a step that ended at ``t``.
+
+        The velocity there is that of the last iterate, which differs from the solution by less than
+        the tolerance of Newton's method.
+        """
+        speed = self._speed.copy() if t == self._time else None
+        return Taken(float(t), y.reshape(-1, 3).copy(), self._error(t, y, order), speed)
+
+    def _error(self, t: float, y: FloatArray, order: int) -> float:
         """Return the largest estimated error of a cell in a step that ended at ``t``, µm."""
         if t != self._time:
             return math.nan

@@ -57,7 +57,8 @@ class Rkc2(ErrorControl):
         # s² times the rounding of a stage must stay below the tolerance
         finest = control.strictness / math.sqrt(10.0 * np.finfo(float).eps)
         most = int(min(_MAX_STAGES, max(2.0, finest)))
-        return driver.adaptive(system, position, chebyshev.adaptive_chebyshev, control, most)
+        loop = chebyshev.adaptive_chebyshev
+        return driver.adaptive(system, position, loop, control, most, watched=True)
 
 
 def _of_stages(stages: int) -> MethodInfo | None:

@@ -17,6 +17,7 @@ from multicell.compiling import KERNEL, typed
 from multicell.integrators.base import OUT_OF_STEPS_HINT, Outcome, move_words
 from multicell.integrators.driver import control
 from multicell.integrators.stepping import (
+    LEAST_PART,
     fit_step,
     furthest_move,
     largest_length,
@@ -244,8 +245,10 @@ class Walk:
         # errors of steps of order 3 make one of the interval of order 2
         self._tolerances = method.worst * control(method, system, _ORDER, lower=2).strictness
         self._moving = _depends_on_time(system.motion)
+        # what drives cells keeps errors alive
+        self._largest = _LARGEST if system.motion.push is None else 1.0
         self._resolvent = Resolvent(method, system)
-        self._linearised, self._steps = False, 0
+        self._linearised, self._steps, self._moved = False, 0, 0.0
         self._bound = self._tolerances
         self._problem: str = ""
         self._cell: int | None = None
@@ -309,7 +312,7 @@ class Walk:
             self._linearised = True
         self._resolvent.setup(step)
         steps_left = (motion.end - end) / step
-        self._bound = self._tolerances * min(_LARGEST, max(1.0, steps_left / _FORGOTTEN))
+        self._bound = self._tolerances * min(self._largest, max(1.0, steps_left / _FORGOTTEN))
         trial, errors = self._stages(begin, step, end)
         rtol, atol = self.method.rtol, self.method.atol
         size = max(worst_cell(error, self.position, trial, rtol, atol) for error in errors)
@@ -319,6 +322,11 @@ class Walk:
                 f"a step of {step:.3g} s is not exact enough",
                 step_after_error(1.0, size, _ORDER, 0.2),
             )
+        part = system.missed_contact(
+            begin, end, self.position, trial, self.velocity, self._end, self._moved, atol
+        )
+        if part < 1.0:
+            raise Refused(f"a contact forms within a step of {step:.3g} s", max(part, LEAST_PART))
         self.position = trial
         self.velocity, self._end = self._end, self.velocity
         self._slope, self._last = self._last, self._slope
@@ -345,6 +353,7 @@ class Walk:
         second = first + solve(self._middle - first, None, allowed)
         trial = start + step * second
         cell, moved = furthest_move(start, trial, system.motion.radius)
+        self._moved = moved
         if not moved <= method.max_displacement:
             allowed_move = method.max_displacement
             raise Refused(

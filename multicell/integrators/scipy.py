@@ -19,7 +19,7 @@ from multicell.integrators.base import ErrorControl, MethodInfo, Outcome, hold
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.integrators.restarts import Run
+    from multicell.integrators.restarts import Run, Taken
     from multicell.mechanics.system import Mechanics
 
 _LEAST_RTOL = 100.0 * sys.float_info.epsilon
@@ -110,9 +110,9 @@ class _Stepped:
         """Empty SciPy's solver, whose functions hold it and this object."""
         vars(self.solver).clear()
 
-    def step(self) -> tuple[float, FloatArray, float]:
+    def step(self) -> Taken:
         """Take one step; SciPy keeps its estimate of the error to itself."""
-        from multicell.integrators.restarts import StepImpossible
+        from multicell.integrators.restarts import StepImpossible, Taken
 
         try:
             message = self.solver.step()
@@ -123,7 +123,7 @@ class _Stepped:
         self.factorised = self.solver.nlu
         if self.solver.status == "failed":
             raise StepImpossible(f"SciPy: {message}")
-        return float(self.solver.t), np.array(self.solver.y).reshape(-1, 3), math.nan
+        return Taken(float(self.solver.t), np.array(self.solver.y).reshape(-1, 3))
 
     def velocity(self, t: float, y: FloatArray) -> FloatArray:
         """Right-hand side."""

@@ -48,6 +48,7 @@ _SHORTEST = 1e-13  # steps below this fraction of the interval are lost in round
 _MOST_REFUSALS = 200
 """Refused steps in a row; a method that makes each shorter by a tenth has stalled long before."""
 
+LEAST_PART = 0.05  # of a step that is refused because a contact forms within it
 _BLOCK = 1024  # numbers of an array that are worked on at a time
 
 
@@ -56,6 +57,7 @@ class Source(NamedTuple):
 
     ``forces_at``, ``rebuild_at`` and ``repair_at`` (0: lists are not repaired) are the addresses of
     the kernels, for one thread or for all, ``evaluation_at`` that of the function that calls them.
+    ``missed_at`` is that of :func:`.forces.missed_among_all`, 0 where no contact can be missed.
     ``foresee_at`` and ``assess_at`` are those of :mod:`.fused`, for loops that use it.
     """
 
@@ -69,6 +71,7 @@ class Source(NamedTuple):
     rebuild_at: int = 0
     repair_at: int = 0
     evaluation_at: int = 0
+    missed_at: int = 0
     foresee_at: int = 0
     assess_at: int = 0
 
@@ -142,6 +145,42 @@ def _compiled_evaluate(source, pairs, elapsed, position, out):
     return run
 
 
+def part_of_step(source, pairs, before, after, slope, end_slope, elapsed, step, moved, tolerance):
+    """Return the part of a step to be taken where it misses a contact that forms in it, else 1.
+
+    See :func:`multicell.mechanics.forces.missed_contact`. The steps of an explicit method follow
+    contacts that form, except between cells that are driven past each other.
+    """
+    system = source.system
+    if not meets_driven(system):
+        return 1.0
+    begin = system.motion.begin + elapsed
+    return system.missed_contact(
+        begin, begin + step, before, after, slope, end_slope, moved, tolerance
+    )
+
+
+@overload(part_of_step)
+def _compiled_part(source, pairs, before, after, slope, end_slope, elapsed, step, moved, tolerance):
+    if getattr(source, "instance_class", None) is not Source:
+        return None
+
+    def run(source, pairs, before, after, slope, end_slope, elapsed, step, moved, tolerance):
+        if source.missed_at == 0:
+            return 1.0
+        return _missed_at(
+            source.missed_at, source.cells, pairs, source.law, source.rows, before, after, slope,
+            end_slope, float(elapsed), float(step), float(moved), float(tolerance),
+        )  # fmt: skip
+
+    return run
+
+
+def meets_driven(system: Mechanics) -> bool:
+    """Return whether contacts snap that form between cells which forces from outside drive."""
+    return system.motion.push is not None and system.law.snaps
+
+
 def _evaluation(source, pairs, elapsed, position, out):
     """Do the work of :func:`evaluate` in compiled code."""
     source.counts[EVALUATIONS] += 1
@@ -189,21 +228,36 @@ _REPAIRED = types.Tuple((types.boolean, _ENDS, _ENDS))
 _forces_at = called_at(8, lambda *_: types.boolean)
 _rebuild_at = called_at(6, lambda *_: _LISTED)
 _repair_at = called_at(11, lambda *_: _REPAIRED)
+_missed_at = called_at(12, lambda *_: types.float64)
 # the evaluation would be compiled into a loop at every call
 _evaluate_at = called_at(5, lambda _, source, pairs, *__: types.Tuple((types.intp, pairs)))
 
 
 def with_addresses(
-    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool = False
-) -> Source:
+    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool = False,
+    watched: bool = False,
+) -> Source:  # fmt: skip
     """Return a source with the addresses of its kernels, which are compiled if need be.
 
     - ``shared``: whether threads share them
     - ``passes``: whether the loop uses :mod:`.fused`
+    - ``watched``: whether it looks for contacts that its steps miss
     """
-    key = kind_of((source, pairs)), shared, passes, len(source.reach) >= neighbours.REPAIRED
+    key = (
+        kind_of((source, pairs)),
+        shared,
+        passes,
+        watched,
+        len(source.reach) >= neighbours.REPAIRED,
+    )
     if key not in _PLACES:
         used = kernels(source, pairs, shared=shared, passes=passes)
+        if watched:
+            at = np.empty((0, 3))
+            used["missed_at"] = (
+                forces.missed_among_all, 0.0, source.cells, pairs, source.law, source.rows, at, at,
+                at, at, 0.0, 0.0, 0.0, 0.0,
+            )  # fmt: skip
         _PLACES[key] = {name: address_of(*kernel) for name, kernel in used.items()}
     return source._replace(**_PLACES[key])
 
@@ -378,6 +432,14 @@ def refuse_step(walk, counts, control, status, moved):
     walk[STEP] = step_after_move(walk[STEP], moved, control.max_displacement)
     walk[HELD] += 1.0
     return True
+
+
+@arithmetic
+def shorten_step(walk, counts, part):
+    """Refuse a step; a part of it is tried next."""
+    counts[REJECTIONS] += 1
+    walk[STEP] *= max(part, LEAST_PART)
+    walk[HELD] += 1.0
 
 
 @arithmetic

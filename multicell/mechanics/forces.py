@@ -28,7 +28,7 @@ from numba import njit, prange, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from multicell.compiling import INLINED, INNER, KERNEL
+from multicell.compiling import ADDRESSED, INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.pairs import pair_law
 
@@ -517,6 +517,158 @@ def _touches(h, unit, onset, p, elapsed):
     if onset is None:
         return h > 0.0
     return h >= onset[p] * _unit_at(unit, p, elapsed)
+
+
+_PARTS = 16  # of a step, in which the attraction of a contact that forms is added up
+
+
+@njit(**INLINED)
+def _attraction(rows, i, j, pairs, p, law, elapsed, overlap):
+    """Return with how much force two cells attract each other at an overlap, nN, or zero."""
+    total = rows[i, 3] + rows[j, 3]
+    radius = rows[i, 3] * rows[j, 3] / total
+    force, _, _ = pair_law(
+        law, overlap, 1.0 / (rows[i, 4] + rows[j, 4]), radius, total,
+        _at(pairs.sticky, p, law.adhesion_constant), _unit_at(pairs.unit, p, elapsed),
+        _at(pairs.onset, p, 0.0), None, None,
+    )  # fmt: skip
+    bonds = _bonds_of(law.bond_strength, rows, i, j)
+    return max(_bonded(law.bond_strength, bonds, overlap, radius)[0] - force, 0.0)
+
+
+@njit(**INLINED)
+def _approach(place, speed, i, j, growth):
+    """Return the distance of two centres, and at what speed the gap of their spheres narrows."""
+    dx, dy, dz, d = _vector(place, i, j)
+    along = dx * (speed[j, 0] - speed[i, 0]) + dy * (speed[j, 1] - speed[i, 1])
+    along += dz * (speed[j, 2] - speed[i, 2])
+    return d, growth - along / d
+
+
+@njit(**KERNEL)
+def pairs_about_to_touch(pairs, rows, elapsed, horizon, places):
+    """Note the places of pairs whose gap or overlap is below ``horizon``, µm; return how many.
+
+    The write is unconditional and only the count depends on the test: no branch to mispredict.
+    """
+    count = 0
+    for c in range(pairs.start.size):
+        for p in range(pairs.start[c], pairs.outer_end[c]):
+            i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+            dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+            reach = rows[i, 3] + rows[j, 3]
+            reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+            low, square = max(reach - horizon, 0.0), dx * dx + dy * dy + dz * dz
+            places[count] = p
+            count += np.int64((square > low * low) & (square < (reach + horizon) ** 2))
+    return count
+
+
+@njit(**KERNEL)
+def missed_contact(
+    cells, pairs, law, rows, places, before, after, speed, end_speed, elapsed, step, way, tolerance
+):
+    """Return the part of a step to be taken where it misses a contact that forms in it, else 1.
+
+    Cells go from ``before`` to ``after`` in ``step``, with the velocities ``speed`` and
+    ``end_speed``. Of a pair out of contact the overlap without its own force follows from them, and
+    the force that sets in at contact draws the pair further. It is missed if it would do so by more
+    than ``tolerance``, µm, beyond what the step shows. What is slow at first grows fast: the force
+    of JKR rises like h^{3/4}, so that an error estimate sees nothing of a late or passing contact.
+
+    ``places`` are those of :func:`pairs_about_to_touch`: no other pair is looked at. Two cells come
+    closer by at most ``way``.
+    """
+    part = 1.0
+    for p in places:
+        i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+        dx, dy = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1]
+        dz = before[j, 2] - before[i, 2]
+        reach = cells.radius[i] + cells.radius[j]
+        reach += (cells.radius_rate[i] + cells.radius_rate[j]) * elapsed
+        reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+        square = dx * dx + dy * dy + dz * dz
+        if square <= reach * reach or square >= (reach + way) * (reach + way):
+            continue
+        # most of them hardly move relative to each other
+        dx -= after[j, 0] - after[i, 0]
+        dy -= after[j, 1] - after[i, 1]
+        dz -= after[j, 2] - after[i, 2]
+        closer = 2.0 * math.sqrt(dx * dx + dy * dy + dz * dz) + tolerance
+        closer += (cells.radius_rate[i] + cells.radius_rate[j]) * step
+        if math.sqrt(square) - reach > closer:
+            continue
+        taken = _part_taken(
+            cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, step, tolerance
+        )
+        part = min(part, taken)
+    return part
+
+
+@njit(**ADDRESSED)
+def missed_among_all(
+    cells, pairs, law, rows, before, after, speed, end_speed, elapsed, step, moved, tolerance
+):
+    """Do what :func:`missed_contact` does with all pairs; cells move by ``moved`` of a radius."""
+    largest, growth = 0.0, 0.0
+    for i in range(cells.radius.size):
+        largest, growth = max(largest, rows[i, 3]), max(growth, abs(cells.radius_rate[i]))
+    way = 2.0 * (moved * largest + growth * step)
+    places = np.empty(pairs.first.size, dtype=np.int64)
+    count = pairs_about_to_touch(pairs, rows, elapsed, way, places)
+    return missed_contact(
+        cells, pairs, law, rows, places[:count], before, after, speed, end_speed, elapsed, step,
+        way, tolerance,
+    )  # fmt: skip
+
+
+@njit(**INLINED)
+def _part_taken(
+    cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, step, tolerance
+):
+    """Return the part of a step until the contact of one pair is missed, else 1."""
+    i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+    growth = cells.radius_rate[i] + cells.radius_rate[j]
+    begin = _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+    reach = cells.radius[i] + cells.radius[j] + growth * elapsed
+    gap, narrowing = _approach(before, speed, i, j, growth)
+    gap -= reach - begin
+    end, end_narrowing = _approach(after, end_speed, i, j, growth)
+    end -= reach + growth * step - begin
+    dip = 0.15 * step * (max(narrowing, 0.0) + max(-end_narrowing, 0.0))
+    nearest = min(min(gap, end) - dip, gap - step * max(narrowing, end_narrowing))
+    if nearest >= 0.0:
+        return 1.0
+    mobility = (1.0 / rows[i, 3] + 1.0 / rows[j, 3]) / law.medium_drag
+    least = tolerance / _PARTS
+    # a law that acts from afar has some of it before
+    afar = _attraction(rows, i, j, pairs, p, law, elapsed, begin - least)
+    drawn, free, enough = 0.0, 0.0, 1.0
+    for k in range(_PARTS):
+        s = (k + 0.5) / _PARTS
+        a, b = 1.0 - s, s * (1.0 - s)
+        free = step * b * (a * narrowing - s * end_narrowing)
+        free -= a * a * (1.0 + 2.0 * s) * gap + s * s * (3.0 - 2.0 * s) * end
+        # the speed at the end of a contact is also that of its own force
+        change = 0.0 if end < 0.0 else end_narrowing - narrowing
+        free = max(free, step * s * (narrowing + 0.5 * s * change) - gap)
+        if free + drawn <= 0.0:
+            continue
+        overlap = begin + max(free + drawn, least)
+        pull = _attraction(rows, i, j, pairs, p, law, elapsed, overlap) - afar
+        drawn += step / _PARTS * mobility * max(pull, 0.0)
+        if drawn > 0.5 * tolerance and enough == 1.0:
+            enough = s
+    shown = 0.0 if end >= 0.0 else max(-end - max(step * narrowing - gap, 0.0), 0.0)
+    return enough if drawn - shown > tolerance else 1.0
+
+
+@njit(**INLINED)
+def _begin_of_contact(unit, onset, p, elapsed):
+    """Return the overlap from which on a pair is in contact, µm."""
+    if onset is None:
+        return 0.0
+    return onset[p] * _unit_at(unit, p, elapsed)
 
 
 @njit(**INNER)

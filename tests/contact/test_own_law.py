@@ -217,6 +217,55 @@ def broken(**options):
     return mc.pair_law(parameters={"stiffness": "nN/um"}, **options)(Law)(stiffness=1.0)
 
 
+SINGULAR = {
+    "at the beginning": (
+        lambda overlap, modulus, radius, p, rest: -p.stiffness * math.log(overlap / rest), None,
+    ),
+    "at contact": (
+        lambda overlap, modulus, radius, p, rest: (
+            p.stiffness * math.log(abs(overlap) / rest + 1e-300)
+        ),
+        lambda modulus, radius, rest, p: 0.1 * rest,
+    ),
+}  # fmt: skip
+"""Forces with a logarithm that is not finite somewhere, though its integral is."""
+
+
+def singular(name):
+    force, reach = SINGULAR[name]
+    force.__name__ = "Logarithmic"
+    return mc.pair_law(parameters={"stiffness": "nN/um"}, reach=reach)(force)(stiffness=2.0)
+
+
+@pytest.mark.parametrize("name", SINGULAR)
+def test_the_energy_of_a_force_with_a_logarithmic_singularity_is_its_integral(name):
+    law = singular(name)
+    begin = -float(law.reach(1.0, 2.5, rest=10.0))
+    for overlap in (1e-3, 0.7, 4.0):
+        # ∫ ln|x| dx = x ln|x| - x, taken from the beginning
+        x = np.array([begin, overlap]) / 10.0
+        parts = np.where(x == 0.0, 0.0, x * np.log(np.abs(np.where(x == 0.0, 1.0, x))) - x)
+        exact = 2.0 * 10.0 * float(parts[1] - parts[0]) * (-1.0 if begin == 0.0 else 1.0)
+        assert law.energy(overlap, 1.0, 2.5, rest=10.0) == pytest.approx(exact, rel=1e-11)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SINGULAR)
+def test_a_law_with_a_logarithmic_singularity_is_accepted(name, monkeypatch):
+    # compiling a law shows nothing of this
+    monkeypatch.setattr("multicell.testing._check_compiled", lambda law: None)
+    check_pair_law(singular(name))
+
+
+def test_a_force_of_noise_has_an_energy_in_finite_time():
+    @mc.pair_law(parameters={"stiffness": "nN/um"})
+    def Noise(overlap, modulus, radius, p):  # noqa: N802
+        return p.stiffness * (1.0 + 1e-6 * math.sin(1e15 * overlap))
+
+    energy = Noise(stiffness=1.0).energy(1.0, 1.0, 2.5)
+    assert energy == pytest.approx(1.0, rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("options", "fault"),
     [

@@ -37,6 +37,10 @@ ENDLESS = {"cycle_time"}
 """Columns that are documented to be infinite: nothing grows, no cycle ends."""
 
 
+UNKNOWN_OF_LIVING = ("death_time", "end_time")
+"""Columns that are not a number of those who have not died, or are there to the end."""
+
+
 class Fault(Exception):  # noqa: N818 - what was found, not a failure of the harness
     """Something that must never be; the text begins with its kind."""
 
@@ -247,7 +251,22 @@ def run_case(entries):
                 raise Fault(f"start: explained, then failed at its beginning: {error}") from error
             return f"StepFailed ({_NUMBER.sub('#', error.problem)[:60]})"
     check_result(result)
+    check_tables(result)
     return "ran"
+
+
+def check_tables(result):
+    """Raise :class:`Fault` for a number that is none in what a run exports."""
+    from multicell.report.tables import TABLES
+
+    for name, make in TABLES.items():
+        for part in make(result, iter(enumerate(result.frames))):
+            for title, column in part.items():
+                plain = title.removeprefix("history.")
+                known = [k for k in ENDLESS | set(ABSENT) if fnmatch.fnmatchcase(plain, f"{k}*")]
+                living = plain.startswith(UNKNOWN_OF_LIVING)
+                finite = column[~np.isnan(column)] if living else column
+                _finite(f"table {name}.{title}", finite, known[0] if known else title)
 
 
 def check_result(result):
@@ -410,6 +429,14 @@ def draw(kind, seed, number, noted):
 
     explained(load_scene("spheroid"))  # what is imported once is no case's
     with open(noted, "wb", buffering=0) as file:
+        if kind == "compose":
+            from composed_scenes import composed
+
+            for case in range(number):
+                entries = composed(np.random.default_rng([seed, case]))
+                pickle.dump(entries, file)
+                pickle.dump(judged(kind, entries), file)
+            return
 
         @hypothesis.seed(seed)
         @settings(
@@ -424,7 +451,7 @@ def draw(kind, seed, number, noted):
         each()
 
 
-BATCH = {"load": 100, "run": 8}
+BATCH = {"load": 100, "run": 8, "compose": 8}
 """Cases of one seed and process: hypothesis makes new cases of old ones."""
 
 

@@ -1,12 +1,20 @@
 """Backward Euler as the minimum of an energy, against SciPy's minimisers of the same function."""
 
+import ast
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 from strategies import cluster, divided, mechanics
 
+import multicell
 from multicell import JKR, Simulation
+from multicell.contact.law import compliance
 from multicell.integrators.backward_euler import BackwardEuler, _Step
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.sphere import Sphere
+from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
 
 FREE = 50.0
@@ -148,3 +156,31 @@ def test_friction_has_no_energy_and_is_solved_as_before():
     outcome = BackwardEuler(20.0, tolerance=1e-6).integrate(system, start)
     assert outcome.done
     assert residual(system, start, outcome.position, 20.0) < 1e-4
+
+
+@pytest.mark.parametrize("part", ["gel", "friction", "gel and friction"])
+def test_a_step_in_a_gel_or_with_friction_ends_where_its_equation_holds(part):
+    position, radius, young = cluster(30, 4, spacing=0.8)
+    wall = Sphere(12.0, float(compliance(1.0, 0.5)), 2.0) if "gel" in part else None
+    friction = (0.2, 0.1) if "friction" in part else (0.0, 0.0)
+    system = Mechanics(JKR(), 5.0, walls=wall, friction=friction)
+    still = np.zeros(len(radius))
+    system.begin(Motion(radius, still, young, np.full(len(radius), 0.5), 0.0, 40.0))
+    outcome = BackwardEuler(40.0, FREE, tolerance=1e-6).integrate(system, position)
+    assert outcome.problem == ""
+    assert residual(system, position, outcome.position, 40.0) < 1e-5
+    assert np.abs(outcome.position - position).max() > 0.01
+    # neither part has an energy to follow: both end in GMRES
+
+
+def test_linear_operators_state_their_type():
+    """SciPy otherwise finds it by the product of a vector of small integers."""
+    package = Path(multicell.__file__).parent
+    calls = [
+        (file.name, node)
+        for file in package.rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "LinearOperator"
+    ]
+    assert len(calls) >= 3
+    assert [name for name, call in calls if "dtype" not in [k.arg for k in call.keywords]] == []

@@ -64,6 +64,14 @@ def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
     assert counts["ran"] / counts.total() > 0.6, "the search runs too little"
 
 
+@pytest.mark.harness
+@pytest.mark.slow
+def test_every_scene_with_any_parts_by_any_method_runs_to_finite_numbers(request):
+    counts = searched(request, "compose", "--draws")
+    assert {name.split(" ")[0] for name in counts} <= {"ran", "StepFailed", "SceneError"}
+    assert counts["ran"] / counts.total() > 0.6, "the search runs too little"
+
+
 @settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_broken_text_is_refused_by_name(tmp_path_factory, data):

@@ -33,7 +33,9 @@ from multicell.integrators.stepping import (
     evaluate,
     fit_step,
     furthest_move,
+    part_of_step,
     refuse_step,
+    shorten_step,
     starting_step,
     stop_reason,
     take_fixed_step,
@@ -316,7 +318,15 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
         cell, moved = furthest_move(position, trial, radius)
         if status == DONE and moved <= control.max_displacement:
             status, pairs = evaluate(source, pairs, elapsed + step, trial, work[1])
-        good = not refuse_step(walk, counts, control, status, moved)
+        good, part = not refuse_step(walk, counts, control, status, moved), 1.0
+        if good:
+            part = part_of_step(
+                source, pairs, position, trial, slope, work[1], elapsed, step, moved, control.atol
+            )
+        if part < 1.0:
+            shorten_step(walk, counts, part)
+            products = 0
+            continue
         if good:
             _estimate(step, position, trial, slope, work[1], error)
             good = accept_step(

@@ -1,0 +1,114 @@
+"""Contacts that form within a step: steps that miss them are refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from multicell import JKR
+from multicell.contact.exact_jkr import ExactJKR
+from multicell.contact.hertz import Hertz
+from multicell.contact.springs import Cubic
+from multicell.integrators import registry
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
+from multicell.scene.parts import IntegratorOptions
+
+STATES = np.load(Path(__file__).with_name("passed-contacts.npz"))
+"""Coupling steps of cells that move by themselves, recorded from runs of 51 cells at 0.01 kPa s.
+
+``loose``: two cells graze each other at 130 s, and hold on to each other from then on. ``packed``:
+a contact forms at 65 s while escaped cells move by half a radius in each step. ``end`` is by LSODA
+at 1e-9 on another right-hand side (tests/benchmarks/worst_cell.py); ``shift``, µm, is what normal
+shifts of all coordinates by 0.01 µm do to the worst cell, the most of twelve.
+"""
+
+
+def recorded(state):
+    """Return the mechanics of a recorded coupling step, its start, end and conditioning."""
+
+    def get(name):
+        return STATES[f"{state}_{name}"]
+
+    energy, viscosity = get("medium")
+    system = Mechanics(JKR(surface_energy=float(energy)), float(viscosity))
+    cells = (get(name) for name in ("radius", "radius_rate", "young", "poisson"))
+    system.begin(Motion(*cells, *map(float, get("span")), push=get("push")))
+    return system, get("start"), get("end"), float(get("shift"))
+
+
+@pytest.mark.parametrize("method", ["rosenbrock", "cvode"])
+@pytest.mark.parametrize("state", ["loose", "packed"])
+def test_driven_cells_are_no_further_off_than_thrice_a_shift(state, method):
+    system, start, end, shift = recorded(state)
+    options = IntegratorOptions(method=method)
+    assert options.tolerance == 0.01
+    outcome = registry.from_options(options).integrate(system, start)
+    assert outcome.problem == ""
+    worst = np.sqrt(np.square(outcome.position - end).sum(axis=1).max())
+    assert worst <= 3.0 * shift, (worst, shift)
+
+
+def pair(law, gap, speed, step, touching=None):
+    """Return a system of two cells with a gap, places and velocities at the ends of a free step."""
+    system, ones = Mechanics(law, 0.05), np.ones(2)
+    motion = Motion(4.0 * ones, 0.0 * ones, ones, 0.5 * ones, 0.0, 60.0, touching=touching)
+    system.begin(motion)
+    before = np.array([[0.0, 0.0, 0.0], [8.0 + gap, 0.0, 0.0]])
+    velocity = np.array([[0.0, 0.0, 0.0], speed])
+    after = before + step * velocity
+    system.force(step, after)
+    return system, before, after, velocity
+
+
+def part(law, gap, speed, step, tolerance=0.01):
+    system, before, after, velocity = pair(law, gap, speed, step)
+    moved = np.linalg.norm(after - before, axis=1).max() / 4.0
+    return system.missed_contact(0.0, step, before, after, velocity, velocity, moved, tolerance)
+
+
+def test_a_pair_that_passes_contact_sideways_is_found():
+    # past each other by 1 um in 10 s: nearest in the middle, where they overlap by 0.015 um, or not
+    for apart, missed in ((7.985, True), (8.02, False)):
+        system, ones = Mechanics(JKR(), 0.05), np.ones(2)
+        system.begin(Motion(4.0 * ones, 0.0 * ones, ones, 0.5 * ones, 0.0, 60.0))
+        before = np.array([[0.0, 0.0, 0.0], [apart, -0.5, 0.0]])
+        velocity = np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]])
+        after = before + 10.0 * velocity
+        assert min(np.linalg.norm(x[1] - x[0]) for x in (before, after)) > 8.0
+        system.force(10.0, after)
+        found = system.missed_contact(0.0, 10.0, before, after, velocity, velocity, 0.25, 0.01)
+        assert (found < 1.0) == missed
+
+
+@pytest.mark.parametrize("law", [JKR(), ExactJKR()], ids=repr)
+def test_a_contact_that_forms_long_before_the_end_is_missed_and_a_late_one_is_not(law):
+    # without force they would meet after a tenth, or at the very end, of 5 s
+    assert part(law, 0.001, [-0.002, 0.0, 0.0], 5.0) < 0.9
+    assert part(law, 0.001, [-0.0002, 0.0, 0.0], 5.0) == 1.0
+    # what is far away, touches already or parts is no contact that forms
+    assert part(law, 0.5, [-0.01, 0.0, 0.0], 5.0) == 1.0
+    assert part(law, -0.01, [-0.01, 0.0, 0.0], 5.0) == 1.0
+    assert part(law, 0.001, [0.01, 0.0, 0.0], 5.0) == 1.0
+    # a coarser tolerance allows more
+    assert part(law, 0.001, [-0.002, 0.0, 0.0], 5.0, tolerance=10.0) == 1.0
+
+
+@pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.0), Cubic()], ids=repr)
+def test_laws_that_do_not_snap_cost_no_look_at_the_pairs(law):
+    assert not law.snaps
+    assert part(law, 0.001, [-0.01, 0.0, 0.0], 5.0) == 1.0
+
+
+def test_the_part_to_be_taken_is_that_in_which_the_missed_attraction_is_allowed():
+    """The time is that of h' = v + m c h^{3/4} from contact on, up to half the tolerance."""
+    law, gap, speed, step, tolerance = JKR(), 0.01, 0.02, 5.0, 0.01
+    found = part(law, gap, [-speed, 0.0, 0.0], step, tolerance)
+    mobility = 2.0 / (4.0 * 6.0 * np.pi * 0.05)
+    modulus = 1.0 / (2.0 * 0.75 * 0.75)
+    t, drawn, dt = gap / speed, 0.0, 1e-4
+    while drawn < 0.5 * tolerance:
+        h = speed * (t - gap / speed) + drawn
+        drawn += dt * mobility * max(-float(law.force(max(h, 1e-9), modulus, 2.0)), 0.0)
+        t += dt
+    assert found * step == pytest.approx(t, abs=2.0 * step / 16.0)
