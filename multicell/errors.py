@@ -2,10 +2,31 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Sequence
-from typing import ClassVar, final
+from typing import ClassVar, Final, final
 
 _LONGEST_PATH = 200  # letters of a key that are shown
+
+_SOMETHING_ELSE: Final = {
+    errno.EISDIR, errno.ENOTDIR, errno.ELOOP, errno.EINVAL, errno.EFBIG, errno.ENXIO,
+}  # fmt: skip
+"""The system refuses these for what stands in a file's place, such as a folder or a pipe."""
+
+
+def is_machine_failure(error: BaseException | None) -> bool:
+    """Return whether the machine is the cause of an error, not what a file holds.
+
+    A file that may not be read, is locked or gone, a full disk, too many open files and too little
+    memory say nothing of the file's content: nothing may be removed for them.
+    """
+    while error is not None:
+        if isinstance(error, MemoryError):
+            return True
+        if isinstance(error, OSError) and error.errno is not None:
+            return error.errno not in _SOMETHING_ELSE
+        error = error.__cause__
+    return False
 
 
 class MulticellError(Exception):

@@ -98,10 +98,10 @@ def lock_folder(folder: Path) -> Iterator[None]:
 def in_use(folder: Path) -> bool:
     """Return whether a run uses a folder; the folder stays as it is."""
     path = folder / LOCK
-    if not path.is_file() or path.is_symlink():
-        return False
-    lock = FileLock(path, timeout=0, thread_local=False)
     try:
+        if not path.is_file() or path.is_symlink():
+            return False
+        lock = FileLock(path, timeout=0, thread_local=False)
         lock.acquire()
     except Timeout:
         return True

@@ -8,6 +8,7 @@ dies is known to have died of the run that it had.
 
 from __future__ import annotations
 
+import itertools
 import time as clock
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -17,10 +18,18 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
-from multicell.errors import ClusterError, MulticellError, OutputError
+from multicell.errors import ClusterError, MulticellError, OutputError, is_machine_failure
 from multicell.host.interrupts import STEP
 from multicell.plugins.named import own_fault
-from multicell.results.folder import FILES, PASSING, file_errors, in_use, lock_folder, remove
+from multicell.results.folder import (
+    FILES,
+    LOCK,
+    PASSING,
+    file_errors,
+    in_use,
+    lock_folder,
+    remove,
+)
 from multicell.studies.limits import check_cores
 from multicell.studies.runs import PlainScene
 from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
@@ -60,8 +69,9 @@ def carry_out(
     - ``folder``: of the study; runs are in ``runs/<name>`` there
     - ``cores``, ``scheduler``: as in :func:`multicell.studies.workers.workers`
     - ``retry``: whether to try runs again that failed for what their scenes are, and to compute
-      those anew whose folders are damaged. Runs that failed for another reason, such as a full
-      disk, are tried again in any case.
+      those anew whose folders are damaged; what was in these is set aside beside them. Runs that
+      failed for another reason, such as a full disk, are tried again in any case; what cannot be
+      read at this moment stays as it is.
     - ``progress``: called with each outcome once, in the order in which they come; with those that
       are known from before first
 
@@ -365,7 +375,7 @@ def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
 def _in_words(error: Exception) -> tuple[str, Kind]:
     """Return why a run failed, and what that was a matter of."""
     if isinstance(error, OutputError):
-        if error.exit_code == 1 or getattr(error.__cause__, "errno", None) is not None:
+        if error.exit_code == 1 or is_machine_failure(error):
             return str(error), "machine"
         return f"damaged: {error}", "damage"
     if isinstance(error, MulticellError):
@@ -401,6 +411,8 @@ def known_outcome(found: RunStatus, retry: bool) -> Outcome | None:
     """Return how a run ended that is not to be worked on any more; None for all others."""
     if found.state == "done":
         return Outcome(found.name, "done", reused=True)
+    if found.kind == "unreadable":
+        return Outcome(found.name, "failed", found.reason)
     if found.state == "failed" and not (retry or found.kind == "machine"):
         return Outcome(found.name, "failed", found.reason, reused=True)
     return None
@@ -427,10 +439,29 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
 
 
 def _empty(work: Task, place: Path) -> None:
-    """Remove what a run has left that was killed before its first frame, or damaged."""
+    """Remove what a run has left that was killed before its first frame; set aside damage."""
     if not place.is_dir():
         return
     with lock_folder(place):
         now = status(work.name, Path(work.folder), ours=True)
-        if now.kind == "damage" or not (now.frames or now.state == "done"):
+        if now.kind == "damage":
+            _set_aside(place)
+        elif now.kind == "unreadable":
+            raise OutputError(now.reason, exit_code=1)
+        elif not (now.frames or now.state == "done"):
             remove(place, (*PASSING, *FILES, NOTE))
+
+
+def _set_aside(place: Path) -> None:
+    """Move all that is in the folder of a run to a new folder beside it, of which nothing is read.
+
+    The folder itself stays, with its lock.
+    """
+    with file_errors("set aside", place):
+        numbers = itertools.count(1)
+        while (aside := place.with_name(f"{place.name}.damaged-{next(numbers)}")).exists():
+            pass
+        aside.mkdir()
+        for entry in list(place.iterdir()):
+            if entry.name != LOCK:
+                entry.rename(aside / entry.name)

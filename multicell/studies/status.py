@@ -9,7 +9,8 @@ however many processes work on it. A run is
 ``running``
     while a process holds the lock of its folder;
 ``failed``
-    where a note in its folder states why (:data:`NOTE`), or what is there is damaged;
+    where a note in its folder states why (:data:`NOTE`), or what is there is damaged, or may not be
+    read at this moment;
 ``partial``
     where there are frames from which it can continue;
 ``waiting``
@@ -23,7 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal, final
 
-from multicell.errors import MulticellError, OutputError
+from multicell.errors import MulticellError, OutputError, is_machine_failure
 from multicell.results import hdf5, journal
 from multicell.results.documents import read_table, write_table
 from multicell.results.folder import in_use
@@ -34,9 +35,10 @@ NOTE: Final = "failure.json"  # file in the folder of a run that failed: ``reaso
 
 STATES: Final = ("done", "running", "partial", "waiting", "failed")
 
-Kind = Literal["", "run", "machine", "damage"]
+Kind = Literal["", "run", "machine", "damage", "unreadable"]
 """What a run failed for: nothing yet; its scene, which fails again; what is no matter of its scene,
-such as a full disk; a folder that holds something else than what was written to it."""
+such as a full disk; a folder that holds something else than what was written to it; files that
+cannot be read now, of which nobody knows what they hold."""
 
 
 @final
@@ -75,9 +77,9 @@ def status(name: str, folder: Path, *, ours: bool = False) -> RunStatus:
     - ``ours``: whether it is the caller who holds the lock of the run's folder
     """
     place = run_folder(folder, name)
-    if not place.is_dir():
-        return RunStatus(name, "waiting")
     try:
+        if not place.is_dir():
+            return RunStatus(name, "waiting")
         if not ours and in_use(place):
             return _unfinished_status(name, place, "running")
         done = _finished_status(name, place)
@@ -89,7 +91,9 @@ def status(name: str, folder: Path, *, ours: bool = False) -> RunStatus:
         kind = note.get("kind")
         known: Kind = kind if kind in ("machine", "damage") else "run"
         return replace(found, state="failed", reason=str(note.get("reason", "")), kind=known)
-    except MulticellError as error:
+    except (MulticellError, OSError, MemoryError) as error:
+        if is_machine_failure(error):
+            return RunStatus(name, "failed", f"cannot be read: {error}", kind="unreadable")
         return RunStatus(name, "failed", f"damaged: {error}", kind="damage")
 
 

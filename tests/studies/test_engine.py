@@ -183,7 +183,8 @@ def test_what_is_damaged_is_named_and_computed_anew_where_asked_for(damage, tmp_
     carry_out([run], tmp_path)
     name, change = DAMAGES[damage]
     path = place / name
-    path.write_bytes(change(path.read_bytes()))
+    damaged = change(path.read_bytes())
+    path.write_bytes(damaged)
     (found,) = statuses([run], tmp_path)
     assert (found.state, found.kind) == ("failed", "damage")
     assert found.reason.startswith("damaged: ")
@@ -193,6 +194,9 @@ def test_what_is_damaged_is_named_and_computed_anew_where_asked_for(damage, tmp_
     assert (outcome.state, outcome.reused) == ("done", False)
     mc.run(run.scene, output=tmp_path / "whole", report=False, threads=1)
     assert_same_bits(tmp_path / "whole", place)
+    aside = place.with_name(f"{place.name}.damaged-1")
+    assert (aside / name).read_bytes() == damaged
+    assert {entry.name for entry in aside.iterdir()} == {entry.name for entry in place.iterdir()}
 
 
 def test_a_damaged_frame_of_a_half_done_run_is_named(tmp_path, monkeypatch):
