@@ -464,7 +464,8 @@ def _place(contents: Contents, frame: int) -> int:
     count = len(contents.places)
     place = frame + count if frame < 0 else frame
     if not 0 <= place < count:
-        have = f"it has the frames 0 to {count - 1}" if count else "it has no frames"
+        have = "it has no frames. 'multicell run' with the same scene and folder begins it anew"
+        have = f"it has the frames 0 to {count - 1}" if count else have
         raise OutputError(f"the run in '{contents.folder}' has no frame {frame}: {have}")
     return place
 

@@ -17,6 +17,8 @@ from multicell.calibration.problem import Problem
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_table, write_table
 from multicell.results.folder import (
+    copy_of,
+    is_begun,
     lock_folder,
     make_folder,
     package_version,
@@ -24,6 +26,7 @@ from multicell.results.folder import (
     to_json,
     versions,
     with_copy,
+    write_bytes,
     write_text,
 )
 from multicell.scene.start_table import COPIES
@@ -110,7 +113,7 @@ class FitPlan:
         asked = json.loads(to_json(self.describe()))
         known = _read_fit(folder)
         if known is None or overwrite:
-            make_folder(folder, overwrite=overwrite)
+            make_folder(folder, overwrite=overwrite or is_begun(folder, self._first(folder)))
         elif known.get("problem") != asked:
             there = known.get("problem")
             parts = there if isinstance(there, dict) else {}
@@ -123,12 +126,20 @@ class FitPlan:
             if overwrite:
                 remove(folder, FILES)
             if _read_fit(folder) is None:
-                kept = with_copy(self.scene, folder)
-                write_text(folder / "scene.toml", kept.to_toml(beside=folder))
-                write_text(folder / "data.csv", csv_text(self.table.titles, self.table.rows))
+                for name, content in self._first(folder).items():
+                    write_bytes(folder / name, content)
                 entry = {"multicell": package_version(), "problem": asked}
                 write_table(folder / FIT, entry)  # the last: then all is there
             yield folder
+
+    def _first(self, folder: Path) -> dict[str, bytes]:
+        """Return the content of what is written to a folder first, by name."""
+        scene, content = copy_of(self.scene, folder)
+        return {
+            **content,
+            "scene.toml": scene.to_toml(beside=folder).encode(),
+            "data.csv": csv_text(self.table.titles, self.table.rows).encode(),
+        }
 
 
 def make_runs(

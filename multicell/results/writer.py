@@ -43,7 +43,7 @@ from __future__ import annotations
 import time as clock
 import uuid
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final, Self, final
 
@@ -54,7 +54,9 @@ from multicell.results import hdf5
 from multicell.results.folder import (
     FILES,
     PASSING,
+    copy_of,
     file_errors,
+    is_begun,
     lock_folder,
     make_folder,
     put_in_place,
@@ -105,12 +107,15 @@ class Store:
 
         - ``folder``: output folder; from now on no other run may write to it
         - ``scene``: the scene of the run; it says which nutrients the frames have
-        - ``overwrite``: remove the files of an earlier run first
+        - ``overwrite``: remove the files of an earlier run first; one of the same scene that has
+          no frame yet is begun anew in any case
         """
-        folder = make_folder(folder, overwrite=overwrite)
+        folder = Path(folder)
+        make_folder(folder, overwrite=overwrite or _is_begun(folder, scene))
         with ExitStack() as stack:
             stack.enter_context(lock_folder(folder))
-            make_folder(folder, overwrite=overwrite)  # another run may have come first
+            # another run may have come first
+            make_folder(folder, overwrite=overwrite or _is_begun(folder, scene))
             # a table of cells may be one of the files that are removed
             scene = with_copy(scene, folder)
             table = scene.initial.cells
@@ -237,6 +242,16 @@ class Store:
     def close(self) -> None:
         """Close the journal and let others write to the folder; closing twice does no harm."""
         self._held.close()
+
+
+def _is_begun(folder: Path, scene: Scene) -> bool:
+    """Return whether a folder holds the same run, which has ended before its first frame."""
+    copied, content = copy_of(scene, folder)
+    first = {**content, "scene.toml": copied.to_toml(versions(), beside=folder), JOURNAL: b""}
+    with suppress(OSError, OutputError):
+        if (folder / JOURNAL).is_file() and not Contents(folder).places:
+            first[JOURNAL] = (folder / JOURNAL).read_bytes()
+    return is_begun(folder, first)
 
 
 def _first_record(

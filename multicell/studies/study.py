@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.errors import OutputError
-from multicell.results.folder import make_folder, with_copy, write_text
+from multicell.results.folder import copy_of, is_begun, make_folder, with_copy, write_text
 from multicell.scene.scene import Scene, load_scene
 from multicell.studies.cost import StudyCost, costs_of, total_cost
 from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan
@@ -226,7 +226,9 @@ def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> S
     if there and not overwrite:
         _refuse_other(plan, read_plan(folder), folder)
     elif not there:
-        make_folder(folder, overwrite=overwrite)
+        scene, content = copy_of(plan.scene, folder)
+        first = {**content, SCENE: scene.to_toml(beside=folder), NAME: ""}
+        make_folder(folder, overwrite=overwrite or is_begun(folder, first))
     if plan.scene.initial.cells is not None:
         plan = replace(plan, scene=with_copy(plan.scene, folder))
     write_text(folder / SCENE, plan.scene.to_toml(beside=folder))
