@@ -106,14 +106,21 @@ class OutputError(MulticellError):
         writing.
     in_use
         Whether another run in the folder is what keeps it from being used.
+    damaged
+        Whether something was read that is not what was written. Where it is not, what is there may
+        be whole: the machine refused to read or write it (no such file, no permission, locked, too
+        many open files, disk full), or it may not be used in this way.
     """
 
     exit_code: int = 2  # type: ignore[misc]  # of each one its own
 
-    def __init__(self, problem: str, *, exit_code: int = 2, in_use: bool = False) -> None:
+    def __init__(
+        self, problem: str, *, exit_code: int = 2, in_use: bool = False, damaged: bool = False
+    ) -> None:
         super().__init__(problem)
         self.exit_code = exit_code
         self.in_use = in_use
+        self.damaged = damaged
 
 
 @final

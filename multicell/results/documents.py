@@ -47,9 +47,10 @@ def read_table(path: Path) -> dict[str, Any] | None:
         table = parse_table(text)
         unchanged = table.pop(_CHECKSUM, None) == _checksum(table)
     except (OutputError, RecursionError) as error:
-        raise OutputError(f"'{path}' is damaged: {error}") from error
+        raise OutputError(f"'{path}' is damaged: {error}", damaged=True) from error
     if not unchanged:
-        raise OutputError(f"'{path}' is damaged: it is not what was written there")
+        problem = f"'{path}' is damaged: it is not what was written there"
+        raise OutputError(problem, damaged=True)
     return table
 
 
@@ -90,7 +91,8 @@ class Lines:
                 pass
         raise OutputError(
             f"'{self._path}' is damaged in line {number}: it is not what was written there. "
-            "Remove it to begin anew"
+            "Remove it to begin anew",
+            damaged=True,
         )
 
     def append(self, entries: Iterable[Any]) -> None:

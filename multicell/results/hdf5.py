@@ -9,6 +9,7 @@ of HDF5, and each frame one of ours over all that it holds. Nothing that leads o
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import uuid
@@ -299,7 +300,18 @@ def _open_file(path: Path) -> Iterator[Any]:
     except OutputError:
         raise
     except Exception as error:  # h5py raises almost any kind where a file is damaged
-        raise OutputError(f"cannot read '{path}': it is damaged ({_short(error)})") from error
+        raise _in_words(path, error) from error
+
+
+def _in_words(path: Path, error: Exception) -> OutputError:
+    """Return what HDF5 says of a file: of damage, or of a machine that cannot read it."""
+    if isinstance(error, MemoryError):
+        return OutputError(f"cannot read '{path}': there is not enough memory")
+    number = getattr(error, "errno", None)  # of the system; HDF5 has none of its own
+    if number is None or number == errno.EINVAL:  # a place in the file that cannot be
+        problem = f"cannot read '{path}': it is damaged ({_short(error)})"
+        return OutputError(problem, damaged=True)
+    return OutputError(f"cannot read '{path}': {os.strerror(number)}")
 
 
 def check_whole(path: Path) -> None:
@@ -321,16 +333,20 @@ def _check_links(path: Path, group: Any, depth: int) -> None:
     """Refuse links, groups below a depth, and data that are kept in another file."""
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-            raise OutputError(f"'{path}' is damaged: {name} is a link")
+            raise _damage(path, f"{name} is a link")
         entry = group[name]
         if isinstance(entry, h5py.Group):
             if not depth:
-                raise OutputError(f"'{path}' is damaged: {name} is a group")
+                raise _damage(path, f"{name} is a group")
             _check_links(path, entry, depth - 1)
         elif isinstance(entry, h5py.Dataset) and (
             entry.is_virtual or entry.id.get_create_plist().get_external_count()
         ):
-            raise OutputError(f"'{path}' is damaged: {name} keeps its data elsewhere")
+            raise _damage(path, f"{name} keeps its data elsewhere")
+
+
+def _damage(path: Path, problem: str) -> OutputError:
+    return OutputError(f"'{path}' is damaged: {problem}", damaged=True)
 
 
 def _short(error: BaseException) -> str:
@@ -360,7 +376,7 @@ class File:
             shared = {p: file[p][()] for p in ("scene", *_shared(layout(self.nutrients)))}
             if digest(shared) != int(file.attrs["digest"]):
                 problem = "its scene, index or lineage is not what was written"
-                raise OutputError(f"'{path}' is damaged: {problem}. Nothing in it can be read")
+                raise _damage(path, f"{problem}. Nothing in it can be read")
             self.rows = len(file["history"][self.columns[0]]) if self.columns else 0
             self.identity, self.absorbed = (
                 file.attrs[key].decode("ascii") for key in ("identity", "absorbed")
@@ -381,7 +397,8 @@ class File:
         with self._again() as file:
             columns = {name: file["history"][name][()] for name in self.columns}
             if digest(columns) != int(file["history"].attrs["digest"]):
-                raise OutputError(f"the history in '{self.path}' is not what was written")
+                problem = f"the history in '{self.path}' is not what was written"
+                raise OutputError(problem, damaged=True)
         return columns
 
     def frame(self, place: int) -> Arrays:
@@ -389,7 +406,7 @@ class File:
         with self._again() as file:
             arrays = read_frame(file, place, self.nutrients, self._offsets)
         if digest(arrays) != int(self.digests[place]):
-            raise OutputError(f"it is not what was written to '{self.path}'")
+            raise OutputError(f"it is not what was written to '{self.path}'", damaged=True)
         return arrays
 
     def log(self, place: int) -> Arrays:

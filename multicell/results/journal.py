@@ -200,7 +200,8 @@ class Reader:
                 if not self._next(file, size):
                     break
         if not self.records:
-            raise OutputError(f"'{path}' is damaged at its beginning: nothing in it can be read")
+            problem = f"'{path}' is damaged at its beginning: nothing in it can be read"
+            raise OutputError(problem, damaged=True)
 
     def _next(self, file: Any, size: int) -> bool:
         """Read the head of the record at the end; return whether there is a complete one."""
@@ -233,5 +234,6 @@ class Reader:
                 arrays[name] = np.empty(shape, kind)
                 left -= file.readinto(flat(arrays[name]).data)
         if left or digest(arrays) != record.digest:
-            raise OutputError(f"the record at byte {record.begin} of '{self.path}' is damaged")
+            problem = f"the record at byte {record.begin} of '{self.path}' is damaged"
+            raise OutputError(problem, damaged=True)
         return arrays

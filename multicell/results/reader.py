@@ -83,7 +83,8 @@ class Contents:
             if attempt == _ATTEMPTS - 1:
                 raise OutputError(
                     f"'{beside}' does not belong to the {hdf5.NAME} beside it: one of them is from "
-                    "another run"
+                    "another run",
+                    damaged=True,
                 )
         lacking = f"{hdf5.NAME} is missing" if self.folder.exists() else "there is no such folder"
         lacking = "it is a file, not a folder" if self.folder.is_file() else lacking
@@ -151,7 +152,7 @@ class Contents:
             problem = f"frame {place} in '{self.folder}' is damaged: {error}"
             if place:
                 problem += f". Continue from an earlier one: multicell resume --frame {place - 1}"
-            raise OutputError(problem) from error
+            raise OutputError(problem, damaged=error.damaged) from error
 
     def lineage(self, place: int) -> Lineage:
         """Return the lineage up to a frame; raises OutputError if it is damaged."""
@@ -180,7 +181,8 @@ class Contents:
                 last = len(self.places) - 1
                 rest = f"The frames 0 to {last} can be read: continue from the last of them with "
                 rest += f"'multicell resume --frame {last} --output' and another folder"
-            raise OutputError(f"'{self.folder / journal.NAME}' is damaged: {self.damage}. {rest}")
+            problem = f"'{self.folder / journal.NAME}' is damaged: {self.damage}. {rest}"
+            raise OutputError(problem, damaged=True)
 
 
 @final

@@ -94,9 +94,9 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
             progress=Progress(**parse_table(progress)) if progress else None,
         )
     except KeyError as error:
-        raise OutputError(f"it has no {error.args[0]}") from None
+        raise OutputError(f"it has no {error.args[0]}", damaged=True) from None
     except (ValueError, TypeError) as error:
-        raise OutputError(str(error)) from None
+        raise OutputError(str(error), damaged=True) from None
 
 
 def _field_of(name: str, arrays: Mapping[str, NDArray[Any]]) -> Field:
@@ -112,9 +112,10 @@ def parse_table(text: bytes | str) -> dict[str, Any]:
     try:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise OutputError(f"it is not JSON as multicell writes it: {error}") from None
+        problem = f"it is not JSON as multicell writes it: {error}"
+        raise OutputError(problem, damaged=True) from None
     if not isinstance(value, dict):
-        raise OutputError("it does not hold a table")
+        raise OutputError("it does not hold a table", damaged=True)
     return value
 
 
