@@ -20,7 +20,7 @@ def is_machine_failure(error: BaseException | None) -> bool:
     A file that may not be read, is locked or gone, a full disk, too many open files and too little
     memory say nothing of the file's content: nothing may be removed for them.
     """
-    while error is not None:
+    while error is not None and not getattr(error, "damaged", False):
         if isinstance(error, MemoryError):
             return True
         if isinstance(error, OSError) and error.errno is not None:

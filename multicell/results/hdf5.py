@@ -132,13 +132,19 @@ def write(
     - ``history``, column -> (m,) float64
     - ``absorbed``: identity of the journal that is part of the file now: 32 letters
     """
+    with whole_file(path) as sink, h5py.File(sink, "w", libver=_LIBVER) as target:
+        target.attrs["identity"] = np.bytes_(uuid.uuid4().hex)
+        target.attrs["absorbed"] = np.bytes_(absorbed)
+        _fill(target, scene, _Log(target, nutrients, sink), frames, history)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Sink]:
+    """Give what HDF5 may write a file to that takes the place of ``path`` when it is complete."""
     with replace_file(path, "w+b") as file:
         sink = Sink(file)
         try:
-            with h5py.File(sink, "w", libver=_LIBVER) as target:
-                target.attrs["identity"] = np.bytes_(uuid.uuid4().hex)
-                target.attrs["absorbed"] = np.bytes_(absorbed)
-                _fill(target, scene, _Log(target, nutrients, sink), frames, history)
+            yield sink
         except OutputError:
             raise
         except Exception:

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.results.documents import read_table
-from multicell.results.folder import file_errors, put_in_place, replace_file, sync_file, versions
+from multicell.results.folder import file_errors, put_in_place, replace_file, versions
 from multicell.results.quantities import known_unit
+from multicell.results.tables import write_netcdf
 from multicell.studies.runs import MODEL_VERSION, digest
 from multicell.tables.titles import titled
 
@@ -179,17 +180,15 @@ def provenance(plan: Plan) -> dict[str, Any]:
 
 def save(table: xarray.Dataset, path: Path) -> None:
     """Write a table as netCDF, so that the file is either the old one or complete."""
-    needs("xarray", "h5netcdf")
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two processes may write it
     packed = {
         name: {"zlib": True, "complevel": 1, "shuffle": True}
         for name, variable in table.data_vars.items()
         if variable.dtype.kind == "f" and variable.size
     }
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two processes may write it
     with file_errors("write", path):
         try:
-            table.to_netcdf(part, engine="h5netcdf", encoding=packed)
-            sync_file(part)
+            write_netcdf(table, part, packed)
             put_in_place(part, path)
         finally:
             part.unlink(missing_ok=True)

@@ -26,8 +26,10 @@ from multicell.errors import OutputError
 from multicell.report.tables import TABLES, Frames, joined
 from multicell.report.wording import measures
 from multicell.results.folder import versions
+from multicell.results.hdf5 import whole_file
 from multicell.results.observables import touching
 from multicell.results.tables import blocks, frame_arrays
+from multicell.results.tables import write_netcdf as write_file
 from multicell.scene.sizes import birth_radius
 
 if TYPE_CHECKING:
@@ -54,11 +56,10 @@ _KINDS: Final = {
 def write_netcdf(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
     """Write the history and each frame into files of their own and return the names."""
     names = ["history.nc"]
-    run.to_xarray().to_netcdf(folder / names[0], engine="h5netcdf")
+    write_file(run.to_xarray(), folder / names[0])
     for number, frame in frames():
         names.append(f"frame-{number:04d}.nc")
-        arrays = frame_arrays(frame, tuple(run.scene.types))
-        arrays.to_netcdf(folder / names[-1], engine="h5netcdf")
+        write_file(frame_arrays(frame, tuple(run.scene.types)), folder / names[-1])
     return names
 
 
@@ -84,6 +85,7 @@ def write_vtk(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) 
 def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
     """Write the cells of all frames into one file and return its name."""
     import anndata
+    import h5py
     import pandas
 
     name = "cells.h5ad"
@@ -101,7 +103,8 @@ def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[st
         uns={"scene": run.scene.to_toml(), "versions": versions()},
     )
     _connect(data, [frame for _, frame in frames()])
-    data.write_h5ad(folder / name, compression="gzip")
+    with whole_file(folder / name) as target, h5py.File(target, "w") as file:
+        anndata.io.write_elem(file, "/", data, dataset_kwargs={"compression": "gzip"})
     return [name]
 
 
