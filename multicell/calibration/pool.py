@@ -45,15 +45,27 @@ class Pool:
             return
         import distributed
 
+        from multicell.studies.workers import CheckedClient, Refusal
+
         as_completed: Any = distributed.as_completed  # which has no types
-        # equal calls are different work: one that was cancelled must not come back as another
-        pending = {
-            self._client.submit(function, *arguments, pure=False): key
-            for key, function, arguments in calls
-        }
+        client = CheckedClient(self._client)
+
+        def submit(call: Call) -> Any:
+            # equal calls are different work: one that was cancelled must not come back as another
+            return client.submit(call[1], *call[2], pure=False)
+
+        pending = {submit(call): call for call in calls}
+        ended = as_completed(list(pending), loop=self._client.loop)
         try:
-            for future in as_completed(list(pending), loop=self._client.loop):
-                yield pending[future], result_of(future)
+            for future in ended:
+                call, found = pending.pop(future), result_of(future)
+                if isinstance(found, Refusal):
+                    client.note(found)
+                    again = submit(call)
+                    pending[again] = call
+                    ended.add(again)
+                else:
+                    yield call[0], found
         except ClusterError:
             raise
         except BaseException:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import time as clock
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,7 +33,14 @@ from multicell.results.folder import (
 from multicell.studies.limits import check_cores
 from multicell.studies.runs import PlainScene
 from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
-from multicell.studies.workers import check_folder, own_cores, workers
+from multicell.studies.workers import (
+    CheckedClient,
+    Refusal,
+    check_folder,
+    own_cores,
+    own_versions,
+    workers,
+)
 
 if TYPE_CHECKING:
     from multicell.simulation import Simulation
@@ -175,6 +182,7 @@ class _Work:
 
     def __post_init__(self) -> None:
         self._ended: SimpleQueue[str] = SimpleQueue()
+        self._checked_client = CheckedClient(self.client)
         self._threads = 0
         self._counted = self._checked = -1e9
 
@@ -209,7 +217,7 @@ class _Work:
         if clock.monotonic() - self._counted < _RECOUNT and self.client.status == "running":
             return
         try:
-            found = sum(self.client.nthreads().values())
+            found = self._checked_client.threads()
         except Exception as error:
             raise _scheduler_lost() from error
         cluster = self.client.cluster
@@ -229,7 +237,7 @@ class _Work:
 
     def _submit(self, work: Task) -> None:
         found = status(work.name, Path(work.folder))
-        future = self.client.submit(_on_worker, work, pure=False, retries=0)
+        future = self._checked_client.submit(_on_worker, work, pure=False, retries=0)
         self.under_way[future.key] = _UnderWay(work, future, found.frames)
         future.add_done_callback(lambda ended: self._ended.put(ended.key))
 
@@ -248,13 +256,17 @@ class _Work:
             self.report(outcome)
 
     def _result(self, entry: _UnderWay) -> Outcome | None:
-        """Return what a worker has answered; None if it died with its answer."""
+        """Return what a worker has answered; None if it died with its answer, or refused."""
         try:
-            outcome: Outcome = entry.future.result(timeout=_RECOUNT)
-            return outcome
+            outcome: Outcome | Refusal = entry.future.result(timeout=_RECOUNT)
         except Exception:
             self.waiting.appendleft(entry.work)  # its folder says how it ended
             return None
+        if isinstance(outcome, Refusal):
+            self.waiting.appendleft(entry.work)
+            self._checked_client.note(outcome)
+            return None
+        return outcome
 
     def _trouble(self, entry: _UnderWay, error: BaseException) -> Outcome | None:
         """Return why a run failed of which no worker could say so; None to try it again.
@@ -322,6 +334,7 @@ class Outcome:
     - ``reason``: why it failed, in words; otherwise an empty string
     - ``wall``: wall time that it took now, s; none for what was there
     - ``reused``: whether it had been done, or had failed, before
+    - ``made``: versions of what has computed it now
     """
 
     name: str
@@ -329,6 +342,7 @@ class Outcome:
     reason: str = ""
     wall: float = 0.0
     reused: bool = False
+    made: Mapping[str, str] = field(default_factory=dict)
 
 
 @final
@@ -369,7 +383,8 @@ def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
         with suppress(OutputError):  # where the disk is full there is no room for the reason either
             write_note(place, reason, kind)
         outcome = Outcome(work.name, "failed", reason)
-    return outcome if outcome.reused else replace(outcome, wall=clock.perf_counter() - begin)
+    wall = clock.perf_counter() - begin
+    return outcome if outcome.reused else replace(outcome, wall=wall, made=own_versions())
 
 
 def _in_words(error: Exception) -> tuple[str, Kind]:

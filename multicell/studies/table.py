@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.results.documents import read_table
-from multicell.results.folder import file_errors, put_in_place, replace_file, versions
+from multicell.results.folder import file_errors, put_in_place, replace_file
 from multicell.results.quantities import known_unit
 from multicell.results.tables import write_netcdf
 from multicell.studies.runs import MODEL_VERSION, digest
@@ -63,14 +63,15 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
     needs("xarray")
     import xarray
 
-    times = common_times(plan)
+    times, made = common_times(plan), list[Mapping[str, str]]()
     count, units = len(states), defaultdict[str, str](str)
     columns = defaultdict[str, FloatArray](lambda: np.full((count, len(times)), np.nan))
     scalars = defaultdict[str, FloatArray](lambda: np.full(count, np.nan))
     for place, state in enumerate(states):
         if state.state != "done":
             continue
-        rows, numbers, own_units = _read(folder, state.name, times)
+        rows, numbers, own_units, versions = _read(folder, state.name, times)
+        made.append(versions)
         units |= own_units
         for name, row in rows.items():
             columns[name][place] = row
@@ -91,7 +92,7 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
     for name, words in texts.items():
         variables[name] = (dims, np.array(words, dtype=object).reshape(shape))
     coordinates["time"] = ("time", times, {"units": "s"})
-    return xarray.Dataset(variables, coordinates, provenance(plan))
+    return xarray.Dataset(variables, coordinates, provenance(plan, made))
 
 
 def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]]:
@@ -114,8 +115,8 @@ def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]
 
 def _read(
     folder: Path, name: str, times: FloatArray
-) -> tuple[dict[str, FloatArray], dict[str, float], dict[str, str]]:
-    """Return history at common times, numbers of the summary, and units of a run."""
+) -> tuple[dict[str, FloatArray], dict[str, float], dict[str, str], dict[str, str]]:
+    """Return history at common times, numbers of the summary, units and versions of a run."""
     from multicell.results.reader import Contents
 
     place = folder / "runs" / name
@@ -134,7 +135,8 @@ def _read(
         flat = "end_time" if path == "time" else path.replace(".", "_")
         if flat not in rows:
             numbers[flat], units[flat] = value, known_unit(path)
-    return rows, numbers, units
+    made = summary.get("versions")
+    return rows, numbers, units, made if isinstance(made, dict) else {}
 
 
 def at_times(times: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
@@ -164,8 +166,17 @@ def _flat(summary: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, flo
             yield f"{path}{name}", float(value)
 
 
-def provenance(plan: Plan) -> dict[str, Any]:
-    """Return where a table comes from: versions, the digest and text of its scene, the command."""
+def provenance(plan: Plan, made: Sequence[Mapping[str, str]]) -> dict[str, Any]:
+    """Return where a table comes from: versions, the digest and text of its scene, the command.
+
+    - ``made``: versions of what has computed each run; of a package of which runs have several the
+      table states all
+    """
+    known: dict[str, list[str]] = {}
+    for name, number in (entry for versions in made for entry in versions.items()):
+        if number not in known.setdefault(name, []):
+            known[name].append(number)
+    several = {name: found if len(found) > 1 else found[0] for name, found in known.items()}
     return {
         "format": FORMAT,
         "model_version": MODEL_VERSION,
@@ -173,7 +184,7 @@ def provenance(plan: Plan) -> dict[str, Any]:
         "scene": plan.scene.to_toml(),
         "scene_digest": digest(plan.scene),
         "plan": plan.to_toml(),
-        "versions": json.dumps(versions()),
+        "versions": json.dumps(several),
         "command": shlex.join(sys.argv),
     }
 

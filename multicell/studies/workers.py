@@ -7,16 +7,18 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import ClusterError
 from multicell.host.extras import needs, quiet
 from multicell.results.folder import file_errors, versions
 from multicell.studies.limits import check_cores
+from multicell.studies.runs import MODEL_VERSION
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -216,8 +218,7 @@ def check_workers(client: Any, scheduler: str) -> None:
         )
     many = [f"{address} has {count} threads" for address, count in threads.items() if count != 1]
     _refuse(many, "a run takes a process of its own", "Start workers with '--nthreads 1'")
-    own = {**versions(), "Python": "{}.{}".format(*sys.version_info)}
-    wrong = []
+    own, wrong = own_versions(), []
     # an expression, not a function of ours, which workers without multicell could not load
     for address, theirs in client.run(eval, _WHAT, on_error="return").items():
         if isinstance(theirs, ModuleNotFoundError):
@@ -225,19 +226,92 @@ def check_workers(client: Any, scheduler: str) -> None:
         elif isinstance(theirs, BaseException):
             said = f"{type(theirs).__name__}: {theirs}"
             wrong.append(f"{address} cannot load multicell ({said})")
-        else:
-            other = [name for name in own if theirs.get(name) != own[name]]
-            wrong += [f"{address} has {name} {theirs.get(name)}" for name in other[:1]]
-    ours = ", ".join(f"{name} {number}" for name, number in own.items())
-    _refuse(
-        wrong, f"this process has {ours}", "Install the same packages where workers run as here"
-    )
+        elif said := _difference(theirs, own):
+            wrong.append(f"{address} {said}")
+    _refuse(wrong, f"this process has {_listed(own)}", _SAME)
 
 
 _WHAT: Final = (
     "{**__import__('multicell.results.folder', fromlist=['versions']).versions(),"
-    " 'Python': '{}.{}'.format(*__import__('sys').version_info)}"
+    " 'Python': '{}.{}'.format(*__import__('sys').version_info),"
+    " 'model version': str(__import__('multicell.studies.runs', fromlist=['x']).MODEL_VERSION)}"
 )
+_SAME: Final = "Install the same packages where workers run as here"
+
+
+def own_versions() -> dict[str, str]:
+    """Return the versions of all that decides the numbers of this process."""
+    python = "{}.{}".format(*sys.version_info)
+    return {**versions(), "Python": python, "model version": str(MODEL_VERSION)}
+
+
+def _difference(theirs: Mapping[str, str], own: Mapping[str, str]) -> str:
+    """Return the first version that is another one in a worker, or nothing."""
+    other = (name for name in own if theirs.get(name) != own[name])
+    return next((f"has {name} {theirs.get(name)}" for name in other), "")
+
+
+def _listed(own: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {number}" for name, number in own.items())
+
+
+@final
+@dataclass(frozen=True)
+class Refusal:
+    """What a worker answers that would not compute as the process that asks; it may join late."""
+
+    worker: str
+    said: str
+
+
+def call_checked(wanted: Mapping[str, str], function: Callable[..., Any], *arguments: Any) -> Any:
+    """Make a call on a worker if that has the versions that are wanted; else a :class:`Refusal`."""
+    said = _difference(own_versions(), wanted)
+    if said:
+        from distributed import get_worker
+
+        return Refusal(get_worker().address, said)
+    return function(*arguments)
+
+
+@final
+class CheckedClient:
+    """What submits calls to the workers of a client that have the versions of this process.
+
+    Workers may join at any time. One that answers with a refusal gets no further call.
+
+    - ``client``: of Dask
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._own = own_versions()
+        self._refused: dict[str, str] = {}
+
+    def threads(self) -> int:
+        """Return how many threads the workers have that may be used."""
+        return sum(self._known().values())
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        """Submit a call; its future comes to the result, or a refusal, as of ``call_checked``."""
+        if self._refused:
+            options |= {"workers": list(self._known()), "allow_other_workers": False}
+        return self._client.submit(call_checked, self._own, function, *arguments, **options)
+
+    def note(self, refusal: Refusal) -> None:
+        """Do without a worker from now on; raises ClusterError if it was the last one."""
+        self._refused[refusal.worker] = refusal.said
+        if not self._known():
+            raise ClusterError(
+                f"worker {refusal.worker} {refusal.said}, but this process has "
+                f"{_listed(self._own)}, and no other worker is left",
+                f"{_SAME}. All that runs have saved is kept",
+                exit_code=1,
+            )
+
+    def _known(self) -> dict[str, int]:
+        threads = self._client.nthreads().items()
+        return {address: count for address, count in threads if address not in self._refused}
 
 
 def _refuse(wrong: list[str], right: str, hint: str) -> None:

@@ -62,7 +62,7 @@ def in_this_process(monkeypatch, *troubles):
         def nthreads(self):
             return {"here": 1}
 
-        def submit(self, function, work, **_):
+        def submit(self, function, versions, task, work, **_):
             return Future(do_run(work))
 
     monkeypatch.setattr(engine, "workers", lambda *_: nullcontext(Client()))
