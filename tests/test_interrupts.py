@@ -22,6 +22,8 @@ from signals import listening
 import multicell as mc
 from multicell.host import interrupts
 from multicell.host.interrupts import STEP, UNCUT
+from multicell.integrators.restarts import Run
+from multicell.results import folder
 from multicell.simulation import Simulation
 
 SCENE = mc.load_scene("growth").with_changes({"initial.count": 60, "duration": "9 d"})
@@ -73,9 +75,10 @@ def test_handlers_that_raise_at_any_moment_leave_a_whole_state(method, handled):
     rng, raised = random.Random(1), 0
 
     def late(number, frame):
-        # what replaces handlers cannot itself be cut: there the next moment is taken
+        # what replaces handlers cannot itself be cut: there the next moment is taken, unless it is
+        # who calls this
         stack = [one.f_code.co_filename for one, _ in traceback.walk_stack(frame)]
-        if interrupts.__file__ in stack:
+        if frame is not None and interrupts.__file__ in stack:
             signal.setitimer(signal.ITIMER_REAL, 1e-4)
             return
         raise LateError
@@ -87,6 +90,7 @@ def test_handlers_that_raise_at_any_moment_leave_a_whole_state(method, handled):
             signal.setitimer(signal.ITIMER_REAL, rng.uniform(2e-4, 2e-2))
             for _ in range(30):
                 simulation.step()
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         except LateError:
             raised += 1
     signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -173,6 +177,141 @@ def test_other_threads_leave_handlers_alone(handled):
     thread.start()
     thread.join()
     assert found == [before]
+
+
+# what is written, and what libraries call back
+
+WRITES = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import multicell as mc
+from multicell.results import folder, hdf5
+from multicell.results.reader import Contents
+
+scene = mc.load_scene("growth").with_changes(
+    {"initial.count": 20, "duration": "2 h", "output.every": "20 min"})
+whole = mc.run(scene, output="whole", report=False, threads=1)
+count = len(whole.frames)
+
+def pressing(owner, name, call, presses):
+    inner, calls = getattr(owner, name), [0]
+    def pressed(*arguments, **options):
+        calls[0] += 1
+        if calls[0] == call:
+            for _ in range(presses):
+                os.kill(os.getpid(), signal.SIGINT)
+        return inner(*arguments, **options)
+    setattr(owner, name, pressed)
+    return lambda: setattr(owner, name, inner)
+
+MOMENTS = [(hdf5.Sink, "write", k) for k in (1, 2, 40, 200)] + [
+    (hdf5.Sink, "flush", 1), (hdf5.Sink, "truncate", 1), (hdf5.Sink, "finish", 1),
+    (hdf5, "frame_rows", 3), (hdf5.File, "check", 1), (folder, "put_in_place", 2)]
+for number, (owner, name, call) in enumerate(MOMENTS):
+    for presses in (1, 2, 3):
+        out = f"out-{number}-{presses}"
+        mc.run(scene.with_changes({"duration": "1 h"}), output=out, report=False, threads=1)
+        undo = pressing(owner, name, call, presses)
+        try:
+            mc.resume(out, changes={"duration": "2 h"}, report=False, threads=1)
+        except KeyboardInterrupt:
+            pass
+        else:
+            sys.exit(f"nothing was raised: {name} {call} {presses}")
+        finally:
+            undo()
+        found = Contents(out)
+        assert found.file is not None, out
+        for k, place in enumerate(found.places):
+            found.frame(k)
+        assert len(found.places) >= count, out
+        again = mc.load_result(out)
+        assert again.frames[-1].time == 7200.0, (name, call, presses)
+        found.history()
+        assert not [name for name in os.listdir(out) if name.endswith(".part")]
+print("whole")
+"""
+
+
+def test_no_press_cuts_a_file_that_is_written(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-X", "faulthandler", "-c", WRITES], capture_output=True, text=True,
+        cwd=tmp_path, timeout=300, preexec_fn=listening, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, "whole\n"), done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("how", ["flipped", "cut", "another"])
+def test_what_does_not_read_back_takes_the_place_of_nothing(how, tmp_path, monkeypatch):
+    scene = SCENE.with_changes({"initial.count": 20, "duration": "1 h"})
+    mc.run(scene, output=tmp_path / "out", report=False, threads=1)
+    before = (tmp_path / "out" / "frames.h5").read_bytes()
+    sync = folder.sync_file
+
+    def hurt(path):
+        data = bytearray(path.read_bytes())
+        if path.name == "frames.h5.part":
+            data[len(data) // 2] ^= 1
+            new = {"flipped": data, "cut": data[:-100], "another": before}[how]
+            path.write_bytes(new)
+        sync(path)
+
+    monkeypatch.setattr(folder, "sync_file", hurt)
+    with pytest.raises(mc.OutputError, match="kept in frames"):
+        mc.resume(tmp_path / "out", changes={"duration": "2 h"}, report=False, threads=1)
+    assert (tmp_path / "out" / "frames.h5").read_bytes() == before
+    assert mc.load_result(tmp_path / "out").frames[-1].time == 7200.0
+    monkeypatch.undo()
+    result = mc.resume(tmp_path / "out", report=False, threads=1)
+    assert result.frames[-1].time == 7200.0
+    assert not (tmp_path / "out" / "frames.journal").exists()
+
+
+@pytest.mark.parametrize("presses", [1, 2, 3])
+@pytest.mark.parametrize("method", ["cvode", "scipy-bdf", "scipy-lsoda"])
+def test_a_second_press_ends_a_solve_at_its_next_evaluation(method, presses, handled, monkeypatch):
+    simulation = Simulation(SCENE.with_changes({"integrator.method": method}), threads=1)
+    simulation.step()
+    inner, calls = Run.velocity, []
+
+    def pressed(self, *arguments):
+        inner(self, *arguments)
+        calls.append(len(calls))
+        if len(calls) == 4:
+            for _ in range(presses):
+                os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(Run, "velocity", pressed)
+    with pytest.raises(KeyboardInterrupt) as found:
+        simulation.step()
+    if presses == 1:
+        assert len(calls) > 5
+        assert simulation.step_index == 2
+        return
+    assert len(calls) == 4
+    assert simulation.step_index == 1
+    assert "_deliver" in [entry.name for entry in found.traceback]
+    monkeypatch.undo()
+    simulation.step()
+    undisturbed = Simulation(simulation.scene, threads=1)
+    for _ in range(2):
+        undisturbed.step()
+    np.testing.assert_array_equal(simulation.cells.position, undisturbed.cells.position)
+
+
+def test_a_handler_that_returns_changes_nothing_of_a_solve(handled):
+    seen = []
+    signal.signal(signal.SIGALRM, lambda number, frame: seen.append(number))
+    runs = []
+    for interval in (0.0, 1e-3):
+        simulation = Simulation(SCENE.with_changes({"integrator.method": "cvode"}), threads=1)
+        signal.setitimer(signal.ITIMER_REAL, interval, interval)
+        for _ in range(20):
+            simulation.step()
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        runs.append(simulation)
+    assert len(seen) > 5
+    np.testing.assert_array_equal(runs[0].cells.position, runs[1].cells.position)
 
 
 # the harness

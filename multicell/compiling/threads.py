@@ -3,16 +3,56 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from copy import copy
 from itertools import pairwise
 from types import FunctionType, TracebackType
-from typing import TYPE_CHECKING, Any, Self, final
+from typing import TYPE_CHECKING, Any, Final, Self, final
 
 from multicell.errors import SceneError
 
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor
+
+
+@final
+class _Numba:
+    """What is known of numba's threads in this process.
+
+    - ``launched``: whether they were started
+    - ``forked``: whether that was in the process that this one was forked from: they are not here
+    - ``single``: whether only one thread of Python can have them (of the layer ``workqueue``)
+    - ``owner``: which one has
+    """
+
+    launched = forked = single = False
+    owner: threading.Thread | None = None
+
+
+def _after_fork() -> None:
+    _Numba.forked = _Numba.forked or _Numba.launched
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+_CLAIM: Final = threading.Lock()
+
+
+def may_share() -> bool:
+    """Return whether the caller may share loops among numba's threads, which have been started.
+
+    A process that was forked after that would wait for them for ever. Numba's own layer
+    (``workqueue``) ends the process where two threads of Python come to it at once: there the first
+    one has it until it ends. Who may not does all alone: the same bits.
+    """
+    if _Numba.forked or not _Numba.single:
+        return not _Numba.forked
+    with _CLAIM:
+        if _Numba.owner is None or not _Numba.owner.is_alive():
+            _Numba.owner = threading.current_thread()
+        return _Numba.owner is threading.current_thread()
 
 
 def thread_count(wanted: int | None) -> int:
@@ -29,6 +69,8 @@ def thread_count(wanted: int | None) -> int:
         raise SceneError(
             "threads", f"is {wanted}, must be from 1 to {most}", "NUMBA_NUM_THREADS sets the limit."
         )
+    if _Numba.forked:
+        return 1
     if wanted > 1:
         launch()
         numba.set_num_threads(wanted)
@@ -49,6 +91,8 @@ def launch() -> None:
     import numba
 
     numba.get_num_threads()
+    _Numba.launched = True
+    _Numba.single = numba.threading_layer() == "workqueue"
 
 
 def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
@@ -84,6 +128,7 @@ class Team:
 
     def __init__(self, threads: int = 1) -> None:
         self.threads = threads
+        self._process = os.getpid()  # one that is forked from it has none of the threads
         self._others: ThreadPoolExecutor | None = None
         if threads > 1:
             from concurrent.futures import ThreadPoolExecutor
@@ -113,7 +158,7 @@ class Team:
 
         What the kernel writes must not depend on how the range is parted.
         """
-        if self._others is None or self.threads == 1:
+        if self._others is None or self.threads == 1 or os.getpid() != self._process:
             kernel(0, count, *arguments)
             return
         edges = [count * part // self.threads for part in range(self.threads + 1)]

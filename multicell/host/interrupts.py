@@ -5,7 +5,8 @@ may leave half of something behind. So the handlers, whatever they are, are repl
 one that notes the signal, and called afterwards.
 
 Two blocks nest in each other. :data:`STEP` is a coupling step, or a whole run: Ctrl-C waits for its
-end, a second one does not. :data:`UNCUT` is what numba compiles: every signal waits for its end. In
+end, a second one does not. :data:`UNCUT` is what numba compiles, a file that is written, or a
+library that calls Python back: every signal waits for its end, or for a pause that it makes. In
 other threads than the main one, where Python calls no handlers, both do nothing.
 """
 
@@ -115,6 +116,16 @@ class Block:
             _counts.clear()
         if raised is not None:
             raise raised
+
+    def pause(self) -> None:
+        """Call handlers that wait for the end of the outermost block of this kind alone.
+
+        What they raise comes from here: a callback that begins so ends the library that calls it
+        by that library's own exit, and at no other place.
+        """
+        if _waiting and self.depth == 1 and _in_main_thread():
+            self.__exit__()
+            self.__enter__()
 
     @staticmethod
     def deliver() -> None:

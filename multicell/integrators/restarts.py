@@ -22,6 +22,7 @@ from typing import Any, Protocol, final
 import numpy as np
 
 from multicell.cells import FloatArray
+from multicell.host.interrupts import UNCUT
 from multicell.integrators.base import OUT_OF_STEPS_HINT, ErrorControl, Outcome, move_words
 from multicell.integrators.limits import beyond, norm_share
 from multicell.integrators.stepping import furthest_move, largest_length
@@ -120,11 +121,19 @@ class Run:
 
     def velocity(self, t: float, y: FloatArray, out: FloatArray) -> None:
         """Write the velocities, flat, at flat positions."""
+        UNCUT.pause()
         self.latest = t
         self.system.velocity(self.clock(t), y.reshape(-1, 3), out.reshape(-1, 3))
 
     def integrate(self, start: Start) -> Outcome:
-        """Step to the end of the interval, starting again where that helps."""
+        """Step to the end of the interval, starting again where that helps.
+
+        Signals come between two evaluations only: an exception there ends a solver by its own exit.
+        """
+        with UNCUT:
+            return self._integrate(start)
+
+    def _integrate(self, start: Start) -> Outcome:
         if len(self.system) == 0:
             return Outcome(self.system.motion.end, self.position)
         refused = beyond(self.system, self.position, self.method.atol)

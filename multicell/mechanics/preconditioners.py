@@ -192,8 +192,7 @@ class Sweeps:
             self._begin = np.empty((pairs.n, 2), dtype=np.int64)
             self._blocks = np.empty((pairs.n, 6))
         self._chunks = len(pairs.start)
-        shared = system.threads > 1 and self._chunks >= system.shared_chunks
-        factor, self._run = _DRIVERS[shared]
+        factor, self._run = _DRIVERS[system.shared(self._chunks)]
         factor(
             system.chunk, system.weighed_rows, pairs.first, pairs.second, pairs.start,
             pairs.inner_end, pairs.outer_end, linear.normal, linear.along, linear.across, gamma,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import SPHERE, FloatArray, stokes_drag
-from multicell.compiling.threads import launch
+from multicell.compiling.threads import launch, may_share
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
 from multicell.mechanics import blocks, forces, neighbours
@@ -432,7 +432,7 @@ class Mechanics:
             reference, last, self._list_radius, self._least_margin, self._margin
         )
         try:
-            threads = self.threads if len(self) >= self.shared_chunks * self.chunk else 1
+            threads = self.threads if self.shared(len(self) // self.chunk) else 1
             room, self.spare = self.spare, (_NOWHERE, _NOWHERE)
             pairs = neighbours.build(reference, reach, 0.0, threads, self.chunk, room)
         except neighbours.TooManyPairsError as error:
@@ -504,7 +504,7 @@ class Mechanics:
             reference = np.full((len(self), 3), np.nan)
         else:
             pairs, reference = self._pair_data, np.array(self._cells.reference)
-        shared = self.threads > 1 and chunks >= self.shared_chunks
+        shared = self.shared(chunks)
         law, reach, margin = self._law, self._list_radius, self._least_margin
         return (self._cell_data(reference), law, reach, margin, self._rows), pairs, shared
 
@@ -557,7 +557,11 @@ class Mechanics:
         return sticky, np.stack([begin, rate]), onset
 
     def _shared(self, pairs: neighbours.PairList) -> bool:
-        return self.threads > 1 and len(pairs.start) >= self.shared_chunks
+        return self.shared(len(pairs.start))
+
+    def shared(self, chunks: int) -> bool:
+        """Return whether threads share a loop over so many chunks."""
+        return self.threads > 1 and chunks >= self.shared_chunks and may_share()
 
 
 def _frozen(array: FloatArray) -> FloatArray:

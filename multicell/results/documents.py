@@ -15,6 +15,7 @@ from typing import Any, Final, final
 
 from multicell.errors import OutputError
 from multicell.host.files import read_regular
+from multicell.host.interrupts import UNCUT
 from multicell.results.folder import file_errors, to_json, write_text
 from multicell.results.records import parse_table
 
@@ -105,7 +106,7 @@ class Lines:
             lines.append(f"{chain:08x} ".encode() + text + b"\n")
         data = b"".join(lines)
         flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-        with file_errors("write", self._path):
+        with UNCUT, file_errors("write", self._path):
             descriptor = os.open(self._path, flags, 0o666)
             with os.fdopen(descriptor, "wb") as file:
                 file.truncate(self._end)  # what a write left that did not come to its end
@@ -113,5 +114,5 @@ class Lines:
                 file.write(data)
                 file.flush()
                 os.fsync(descriptor)
-        self._end, self._chain = self._end + len(data), chain
-        self.entries += entries
+            self._end, self._chain = self._end + len(data), chain
+            self.entries += entries

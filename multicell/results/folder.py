@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import cache
@@ -18,6 +18,7 @@ from filelock import FileLock, Timeout
 
 from multicell import __version__
 from multicell.errors import OutputError
+from multicell.host.interrupts import UNCUT
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
 
@@ -177,25 +178,38 @@ def new_file(path: Path) -> int:
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
 
 
-@contextmanager
-def replace_file(path: Path, mode: str = "wb", **options: Any) -> Iterator[IO[Any]]:
-    """Write a file beside its place and move it there when it is complete and on disk.
+Check = Callable[[Path], object]  # reads a file back; raises OutputError where that is not right
 
-    Whatever happens, under ``path`` there is the old file or the new one, and nothing beside it.
-    A process that is killed leaves a file that ends in ``.part``.
+
+@contextmanager
+def replace_by_name(path: Path, check: Check, beside: str = "part") -> Iterator[Path]:
+    """Give another name for what becomes ``path`` when it is complete, on disk and checked.
+
+    No signal cuts the block: all of them, however often they come, wait for its end. Whatever
+    happens, under ``path`` there is the old file or the new one, and nothing beside it. A process
+    that is killed leaves the file with the other name.
+
+    - ``check``: reads the new file back, with the old one still in its place
+    - ``beside``: ending of the other name; one of its own where several processes may write
     """
-    part = path.with_name(path.name + ".part")
-    with file_errors("write", path), ExitStack() as stack:
+    part = path.with_name(f"{path.name}.{beside}")
+    with UNCUT, file_errors("write", path), ExitStack() as stack:
         if path.is_dir():
             raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
-        descriptor = new_file(part)
+        part.unlink(missing_ok=True)
         stack.callback(part.unlink, missing_ok=True)
-        with os.fdopen(descriptor, mode, **options) as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
+        yield part
+        sync_file(part)
+        check(part)
         put_in_place(part, path)
         stack.pop_all()
+
+
+@contextmanager
+def replace_file(path: Path, check: Check, beside: str = "part") -> Iterator[IO[bytes]]:
+    """Write a file as :func:`replace_by_name` does, by bytes that can be read and sought."""
+    with replace_by_name(path, check, beside) as part, os.fdopen(new_file(part), "w+b") as file:
+        yield file
 
 
 def put_in_place(part: Path, path: Path) -> None:
@@ -229,7 +243,12 @@ def sync_folder(folder: Path) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file so that it is either the old one or complete."""
-    with replace_file(path) as file:
+
+    def check(part: Path) -> None:
+        if part.read_bytes() != data:
+            raise OutputError(f"cannot write '{path}': it does not read back as it was written")
+
+    with replace_file(path, check) as file:
         file.write(data)
 
 

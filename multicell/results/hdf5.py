@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import errno
 import io
+import math
 import os
+import struct
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.folder import package_version, replace_file
+from multicell.results.folder import Check, file_errors, package_version, replace_file
 from multicell.results.journal import digest
 from multicell.results.layout import FORMAT, Kind, frame_rows, layout, of_rows, read_frame
 from multicell.results.lineage import COLUMNS
@@ -114,6 +116,7 @@ NAME: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
+_AHEAD: Final = 1 << 19  # bytes of a data set that are read back at once
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
 
@@ -125,23 +128,39 @@ def write(
     history: Mapping[str, NDArray[np.float64]],
     absorbed: str,
 ) -> None:
-    """Write a file in the place of ``path``; until it is complete the old one stays.
+    """Write a file in the place of ``path``; until it has been read back the old one stays.
 
     - ``scene``: text of ``scene.toml``
     - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
     - ``history``, column -> (m,) float64
     - ``absorbed``: identity of the journal that is part of the file now: 32 letters
     """
-    with whole_file(path) as sink, h5py.File(sink, "w", libver=_LIBVER) as target:
-        target.attrs["identity"] = np.bytes_(uuid.uuid4().hex)
+    identity, digests = uuid.uuid4().hex, []
+
+    def noted() -> Iterator[tuple[Arrays, int, Arrays]]:
+        for frame in frames:
+            digests.append(frame[1])
+            yield frame
+
+    def check(part: Path) -> None:
+        written = File(part)
+        if written.identity != identity or written.digests.tolist() != digests:
+            raise _damage(part, "it is not what was written")
+        written.check()
+
+    with whole_file(path, check) as sink, h5py.File(sink, "w", libver=_LIBVER) as target:
+        target.attrs["identity"] = np.bytes_(identity)
         target.attrs["absorbed"] = np.bytes_(absorbed)
-        _fill(target, scene, _Log(target, nutrients, sink), frames, history)
+        _fill(target, scene, _Log(target, nutrients, sink), noted(), history)
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Sink]:
-    """Give what HDF5 may write a file to that takes the place of ``path`` when it is complete."""
-    with replace_file(path, "w+b") as file:
+def whole_file(path: Path, check: Check, beside: str = "part") -> Iterator[Sink]:
+    """Give what HDF5 may write a file to that takes the place of ``path`` when it is complete.
+
+    - ``check``, ``beside``: as of :func:`multicell.results.folder.replace_by_name`
+    """
+    with replace_file(path, check, beside) as file:
         sink = Sink(file)
         try:
             yield sink
@@ -293,20 +312,86 @@ def _shared(sets: Mapping[str, Kind]) -> list[str]:
     ]
 
 
+_SUPERBLOCK: Final = struct.Struct("<8s3BB32sI")  # signature, ..., marks, ..., checksum: 48 bytes
+
+
+def _unmarked(path: Path) -> bytes | None:
+    """Return the bytes of a file that HDF5 takes for one that is being written, without its marks.
+
+    A program that has the file open for writing, or was killed then, leaves them; HDF5 refuses such
+    a file, whole as it may be. Checksums tell whether it is. None where there are no marks.
+    """
+    with file_errors("read", path), path.open("rb") as file:
+        head = file.read(_SUPERBLOCK.size)
+        if not head.startswith(b"\x89HDF\r\n\x1a\n\x03") or not head[11]:
+            return None
+        head = head[:11] + b"\0" + head[12:-4]
+        return head + _lookup3(head).to_bytes(4, "little") + file.read()
+
+
+def _lookup3(data: bytes) -> int:
+    """Return HDF5's checksum of up to a multiple of 12 bytes (B. Jenkins, 2006: ``hashlittle``)."""
+    mask, size = 0xFFFFFFFF, len(data)
+
+    def turned(x: int, by: int) -> int:
+        return (x << by | x >> (32 - by)) & mask
+
+    words = [x for (x,) in struct.iter_unpack("<I", data + bytes(-size % 12))]
+    a = b = c = (0xDEADBEEF + size) & mask
+    while len(words) > 3:
+        a, b, c = a + words[0] & mask, b + words[1] & mask, c + words[2] & mask
+        for by in (4, 6, 8, 16, 19, 4):
+            a = (a - c & mask) ^ turned(c, by)
+            a, b, c = b, c + b & mask, a
+        words = words[3:]
+    a, b, c = a + words[0] & mask, b + words[1] & mask, c + words[2] & mask
+    for by in (14, 11, 25, 16, 4, 14, 24):
+        c = (c ^ b) - turned(b, by) & mask
+        a, b, c = b, c, a
+    return b
+
+
 @contextmanager
-def _open_file(path: Path) -> Iterator[Any]:
+def _open_file(path: Path, image: bytes | None = None) -> Iterator[Any]:
     """Open a file for reading and turn all that HDF5 has to say into words.
 
     Not in HDF5's mode for files that are being written: in that a damaged one is read again and
-    again for ever.
+    again for ever. Nor with locks: a file of ours is never changed, and what others do to it is
+    seen by its checksums.
+
+    - ``image``: all bytes, in place of those on disk
     """
     try:
-        with h5py.File(path, "r", libver=_LIBVER, locking="best-effort") as file:
+        with _opened(path, image) as file:
             yield file
-    except OutputError:
-        raise
     except Exception as error:  # h5py raises almost any kind where a file is damaged
-        raise _in_words(path, error) from error
+        found = error if isinstance(error, OutputError) else _in_words(path, error)
+        if image is not None and found.damaged and _is_locked(path):
+            problem = f"'{path}' is open for writing in another program: close it there"
+            raise OutputError(problem) from error
+        if found is error:
+            raise
+        raise found from error
+
+
+def _opened(path: Path, image: bytes | None) -> Any:
+    if image is None:
+        return h5py.File(path, "r", libver=_LIBVER, locking=False)
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_fapl_core(backing_store=False)
+    access.set_file_image(image)
+    return h5py.File(h5py.h5f.open(b"image", h5py.h5f.ACC_RDONLY, access))
+
+
+def _is_locked(path: Path) -> bool:
+    """Return whether HDF5 of another program holds a file."""
+    try:
+        h5py.File(path, "r", locking=True).close()
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _in_words(path: Path, error: Exception) -> OutputError:
@@ -320,12 +405,29 @@ def _in_words(path: Path, error: Exception) -> OutputError:
     return OutputError(f"cannot read '{path}': {os.strerror(number)}")
 
 
-def check_whole(path: Path) -> None:
-    """Refuse a file that is missing, cut short, or not one of ours; its data are not read."""
+def check_whole(path: Path) -> str:
+    """Return the text of the scene in a file; other data are not read.
+
+    Raises OutputError for a file that is missing, cut short, or not one of ours.
+    """
     if not path.is_file():
         raise OutputError(f"'{path}' is missing")
-    with _open_file(path) as file:
+    with _open_file(path, _unmarked(path)) as file:
         _check_format(path, file)
+
+
+def check_readable(path: Path) -> None:
+    """Read all data of a file of HDF5, whatever it holds; raises OutputError if that fails."""
+    with _open_file(path) as file:
+        groups = [file]
+        while groups:
+            for entry in groups.pop().values():
+                if isinstance(entry, h5py.Group):
+                    groups.append(entry)
+                elif isinstance(entry, h5py.Dataset) and entry.shape:
+                    step = max(1, _BATCH * len(entry) // max(entry.nbytes, 1))
+                    for begin in range(0, len(entry), step):
+                        entry[begin : begin + step]
 
 
 def _check_format(path: Path, file: Any) -> None:
@@ -361,6 +463,46 @@ def _short(error: BaseException) -> str:
 
 
 @final
+class _Columns:
+    """The data sets of an open file, for one who goes through their rows.
+
+    HDF5 takes as long to find a few rows as to read many.
+    """
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self._known: dict[str, _Column] = {}
+
+    def __contains__(self, path: str) -> bool:
+        return path in self._file
+
+    def __getitem__(self, path: str) -> _Column:
+        if path not in self._known:
+            self._known[path] = _Column(self._file[path])
+        return self._known[path]
+
+
+@final
+class _Column:
+    """A data set of which blocks of rows are kept until others are asked for."""
+
+    def __init__(self, rows: Any) -> None:
+        self._rows = rows
+        self._block = max(1, _AHEAD // (rows.dtype.itemsize * math.prod(rows.shape[1:])))
+        self._begin, self._held = 0, rows[:0]
+
+    def __getitem__(self, wanted: int | slice) -> NDArray[Any]:
+        if not isinstance(wanted, slice):
+            row: NDArray[Any] = self[wanted : wanted + 1][0]
+            return row
+        begin, end = wanted.start, wanted.stop
+        if begin < self._begin or end > self._begin + len(self._held):
+            self._begin, self._held = begin, self._rows[begin : max(end, begin + self._block)]
+        found: NDArray[Any] = self._held[begin - self._begin : end - self._begin]
+        return found
+
+
+@final
 class File:
     """A result file that has been checked; frames are read, and checked, one at a time.
 
@@ -373,8 +515,8 @@ class File:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        with _open_file(path) as file:
+        self.path, self._image = path, _unmarked(path)
+        with _open_file(path, self._image) as file:
             _check_format(path, file)
             _check_links(path, file, 2)
             self.nutrients = tuple(sorted(file["fields"]))
@@ -410,7 +552,18 @@ class File:
     def frame(self, place: int) -> Arrays:
         """Return the arrays of a frame; raises OutputError if they are not what was written."""
         with self._again() as file:
-            arrays = read_frame(file, place, self.nutrients, self._offsets)
+            return self._frame(file, place)
+
+    def check(self) -> None:
+        """Read all of it once; raises OutputError if something is not what was written."""
+        self.history()
+        with self._again() as file:
+            columns = _Columns(file)
+            for place in range(len(self.digests)):
+                self._frame(columns, place)
+
+    def _frame(self, file: Any, place: int) -> Arrays:
+        arrays = read_frame(file, place, self.nutrients, self._offsets)
         if digest(arrays) != int(self.digests[place]):
             raise OutputError(f"it is not what was written to '{self.path}'", damaged=True)
         return arrays
@@ -423,7 +576,7 @@ class File:
     @contextmanager
     def _again(self) -> Iterator[Any]:
         """Open the file once more, and make sure that it still is the same one."""
-        with _open_file(self.path) as file:
+        with _open_file(self.path, self._image) as file:
             if file.attrs["identity"].decode("ascii") != self.identity:
                 raise OutputError(f"'{self.path}' has been replaced since it was opened")
             yield file

@@ -149,8 +149,9 @@ class Contents:
         try:
             return frame_of(self.places[place].arrays(), self.nutrients)
         except OutputError as error:
-            problem = f"frame {place} in '{self.folder}' is damaged: {error}"
-            if place:
+            how = "is damaged" if error.damaged else "cannot be read"
+            problem = f"frame {place} in '{self.folder}' {how}: {error}"
+            if place and error.damaged:
                 problem += f". Continue from an earlier one: multicell resume --frame {place - 1}"
             raise OutputError(problem, damaged=error.damaged) from error
 

@@ -198,10 +198,13 @@ def _shells(pyvista: Any, field: Field, title: str) -> Any:
     return grid.cast_to_unstructured_grid()
 
 
-def write_netcdf(table: Dataset, path: Path, encoding: Mapping[str, Any] | None = None) -> None:
+def write_netcdf(
+    table: Dataset, path: Path, encoding: Mapping[str, Any] | None = None, beside: str = "part"
+) -> None:
     """Write a data set as netCDF, so that the file is either the old one or complete.
 
     - ``encoding``, variable -> options of h5netcdf
+    - ``beside``: as of :func:`multicell.results.folder.replace_by_name`
 
     Raises MissingPackage; OutputError if it cannot be written.
     """
@@ -209,7 +212,7 @@ def write_netcdf(table: Dataset, path: Path, encoding: Mapping[str, Any] | None 
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
-    from multicell.results.hdf5 import whole_file
+    from multicell.results.hdf5 import check_readable, whole_file
 
-    with whole_file(path) as target, h5netcdf.File(target, "w") as file:
+    with whole_file(path, check_readable, beside) as target, h5netcdf.File(target, "w") as file:
         table.dump_to_store(H5NetCDFStore(file), encoding=encoding)

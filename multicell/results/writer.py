@@ -50,6 +50,7 @@ from typing import Any, Final, Self, final
 import numpy as np
 
 from multicell.errors import OutputError
+from multicell.host.interrupts import UNCUT
 from multicell.results import hdf5
 from multicell.results.folder import (
     FILES,
@@ -88,7 +89,12 @@ class Store:
     """
 
     def __init__(
-        self, folder: Path, journal: Journal, nutrients: tuple[str, ...], held: ExitStack
+        self,
+        folder: Path,
+        scene: str,
+        journal: Journal,
+        nutrients: tuple[str, ...],
+        held: ExitStack,
     ) -> None:
         self.folder = folder
         self._journal = journal
@@ -199,10 +205,11 @@ class Store:
         if self._pending:
             header = {"kind": "rows", "start": self._rows, "columns": list(self._columns)}
             rows = [(header, {"rows": np.array(self._pending, "<f8")})]
-        self._journal.append([*rows, *records])
-        self._rows += len(self._pending)
-        self._pending.clear()
-        self._written = clock.monotonic()
+        with UNCUT:
+            self._journal.append([*rows, *records])
+            self._rows += len(self._pending)
+            self._pending.clear()
+            self._written = clock.monotonic()
 
     def append_history(self, row: Mapping[str, float]) -> None:
         """Add one row to the history; the first row says which columns there are.
@@ -223,7 +230,14 @@ class Store:
             self._write()
 
     def settle(self) -> None:
-        """Make one file ``frames.h5`` of all that there is."""
+        """Make one file ``frames.h5`` of all that there is.
+
+        The journal goes when that file has been read back. No signal comes in between.
+        """
+        with UNCUT:
+            self._settle()
+
+    def _settle(self) -> None:
         self.flush()
         contents = Contents(self.folder)
         frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.results.documents import read_table
-from multicell.results.folder import file_errors, put_in_place, replace_file
+from multicell.results.folder import write_bytes
 from multicell.results.quantities import known_unit
 from multicell.results.tables import write_netcdf
 from multicell.studies.runs import MODEL_VERSION, digest
@@ -196,13 +196,7 @@ def save(table: xarray.Dataset, path: Path) -> None:
         for name, variable in table.data_vars.items()
         if variable.dtype.kind == "f" and variable.size
     }
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two processes may write it
-    with file_errors("write", path):
-        try:
-            write_netcdf(table, part, packed)
-            put_in_place(part, path)
-        finally:
-            part.unlink(missing_ok=True)
+    write_netcdf(table, path, packed, f"{os.getpid()}.part")  # two processes may write it
 
 
 def write_csv(table: xarray.Dataset, path: Path) -> None:
@@ -210,5 +204,5 @@ def write_csv(table: xarray.Dataset, path: Path) -> None:
     needs("pandas")
     frame = table.to_dataframe().reset_index()
     names = {n: titled(n, table[n].attrs.get("units", "")) for n in frame if n in table.variables}
-    with replace_file(path, "w", newline="", encoding="utf-8") as file:
-        frame.rename(columns=names).to_csv(file, index=False)
+    text = frame.rename(columns=names).to_csv(index=False, lineterminator=os.linesep)
+    write_bytes(path, text.encode())

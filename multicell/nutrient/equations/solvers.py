@@ -16,6 +16,7 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
+from multicell.host.interrupts import UNCUT
 from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.steady import StepRefused
 
@@ -279,7 +280,11 @@ class _March:
         self.y = np.empty(0)
 
     def advance(self, data: FloatArray, begin: float, end: float) -> FloatArray:
-        """Return the data at ``end``."""
+        """Return the data at ``end``; signals come between two evaluations only."""
+        with UNCUT:
+            return self._advance(data, begin, end)
+
+    def _advance(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         self.shape = data.shape
         # when the rates jump, the beginning included
         jumps = self.equation.switches(float(np.nextafter(begin, -np.inf)), end)
@@ -331,6 +336,7 @@ class _March:
 
     def velocity(self, t: float, y: FloatArray, yp: FloatArray) -> None:
         """Write the rates at a time of the solver's clock."""
+        UNCUT.pause()
         self.info["evaluations"] += 1
         now = min(self.begin + t, self.last)
         data = np.array(y).reshape(self.shape)

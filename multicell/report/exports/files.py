@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
+from multicell.host.interrupts import UNCUT
 from multicell.report.result import Result, load_result
 from multicell.report.tables import TABLES
 from multicell.results.folder import file_errors, put_in_place, sync_file
@@ -137,9 +138,12 @@ def export(
                 written = write(run, partial(_frames, run, frame), staged, names)
             if not overwrite:
                 _refuse_old(folder, written)
-            for name in written:
-                sync_file(staged / name)
-                put_in_place(staged / name, folder / name)
+            with UNCUT:
+                for name in written:
+                    sync_file(staged / name)
+                    _read_back(staged / name)
+                for name in written:
+                    put_in_place(staged / name, folder / name)
     return [folder / name for name in written]
 
 
@@ -153,6 +157,14 @@ def _chosen_tables(tables: Sequence[str] | None, format: str) -> list[str]:
         if name not in TABLES:
             raise OutputError(f"there is no table {name!r}. {near_miss(name, TABLES)}")
     return list(tables)
+
+
+def _read_back(path: Path) -> None:
+    """Read a file of HDF5, of which the system does not see whether it is complete."""
+    if path.suffix in (".nc", ".h5ad"):
+        from multicell.results.hdf5 import check_readable
+
+        check_readable(path)
 
 
 def _refuse_old(folder: Path, names: Iterable[str]) -> None:

@@ -10,6 +10,7 @@ and https://github.com/rheiland/OpenVT_monolayer_PhysiCell (``analysis/gen_time_
 from __future__ import annotations
 
 import csv
+import filecmp
 import hashlib
 import json
 import shutil
@@ -26,7 +27,7 @@ from multicell.errors import OutputError
 from multicell.report.tables import TABLES, Frames, joined
 from multicell.report.wording import measures
 from multicell.results.folder import versions
-from multicell.results.hdf5 import whole_file
+from multicell.results.hdf5 import check_readable, whole_file
 from multicell.results.observables import touching
 from multicell.results.tables import blocks, frame_arrays
 from multicell.results.tables import write_netcdf as write_file
@@ -103,7 +104,7 @@ def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[st
         uns={"scene": run.scene.to_toml(), "versions": versions()},
     )
     _connect(data, [frame for _, frame in frames()])
-    with whole_file(folder / name) as target, h5py.File(target, "w") as file:
+    with whole_file(folder / name, check_readable) as target, h5py.File(target, "w") as file:
         anndata.io.write_elem(file, "/", data, dataset_kwargs={"compression": "gzip"})
     return [name]
 
@@ -179,6 +180,8 @@ def write_crate(run: Result, frames: Frames, folder: Path, tables: Sequence[str]
     files = [path for path in files if path.name != _CRATE]
     for path in files:
         shutil.copyfile(path, folder / path.name)
+        if not filecmp.cmp(path, folder / path.name, shallow=False):
+            raise OutputError(f"the copy of '{path}' does not read back as it was written")
     text = json.dumps(_described(run, files), indent=2, ensure_ascii=False)
     (folder / _CRATE).write_text(text + "\n", "utf-8")
     return [_CRATE, *(path.name for path in files)]

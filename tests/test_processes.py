@@ -1,0 +1,187 @@
+"""Runs beside others: in forked processes, in several threads, with files that others hold."""
+
+import errno
+import os
+import shutil
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+import multicell as mc
+from multicell.results import hdf5
+from multicell.results.hdf5 import File
+
+RUNS = """
+import hashlib, multiprocessing, sys, threading
+import multicell as mc
+
+def run(count, simulation=None):
+    scene = mc.load_scene("growth").with_changes({"initial.count": count, "duration": "20 min"})
+    simulation = simulation or mc.Simulation(scene, threads=2)
+    while not simulation.finished:
+        simulation.step()
+    return hashlib.sha1(simulation.cells.position.tobytes()).hexdigest()
+
+def in_child(queue, count, simulation):
+    queue.put(run(count, simulation))
+"""
+FORKS = """
+begun = mc.Simulation(mc.load_scene("growth").with_changes(
+    {"initial.count": 17_000, "duration": "20 min"}), threads=2)
+begun.step()
+expected = run(17_000)
+fork = multiprocessing.get_context("fork")
+for simulation in (None, begun):
+    queue = fork.Queue()
+    child = fork.Process(target=in_child, args=(queue, 17_000, simulation), daemon=True)
+    child.start()
+    print(queue.get(timeout=100.0) == expected)
+    child.join()
+print(run(17_000) == expected)
+"""
+THREADS = """
+expected, found = run(17_000), []
+for _ in range(2):
+    threads = [threading.Thread(target=lambda: found.append(run(17_000))) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+print(found == 4 * [expected])
+"""
+
+
+def _printed(program, **environment):
+    done = subprocess.run(
+        [sys.executable, "-c", RUNS + program], capture_output=True, text=True, timeout=300,
+        env={**os.environ, "NUMBA_NUM_THREADS": "2", **environment}, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, (done.returncode, done.stderr[-1000:])
+    return done.stdout.split()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+@pytest.mark.parametrize("layer", ["default", "workqueue"])
+def test_a_process_forked_after_a_large_run_comes_to_the_same_bits(layer):
+    assert _printed(FORKS, NUMBA_THREADING_LAYER=layer) == ["True"] * 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layer", ["default", "workqueue"])
+def test_two_large_runs_in_two_threads_come_to_the_same_bits(layer):
+    assert _printed(THREADS, NUMBA_THREADING_LAYER=layer) == ["True"]
+
+
+HOLDS = """
+import sys, time, h5py
+file = h5py.File(sys.argv[1], "r+")
+exec(sys.argv[2])
+file.flush()
+print("open", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("held") / "out"
+    scene = mc.load_scene("growth").with_changes({"initial.count": 20, "duration": "1 h"})
+    mc.run(scene, output=place, report=False, threads=1)
+    return place
+
+
+@pytest.fixture
+def held(folder, tmp_path):
+    """Return a copy of the folder, and what lets another program open its file."""
+    place, holders = tmp_path / "out", []
+    shutil.copytree(folder, place)
+
+    def hold(change="pass"):
+        holder = subprocess.Popen(
+            [sys.executable, "-c", HOLDS, str(place / "frames.h5"), change], stdout=subprocess.PIPE
+        )
+        assert holder.stdout.readline() == b"open\n"
+        holders.append(holder)
+        return holder
+
+    yield place, hold
+    for holder in holders:
+        holder.kill()
+        holder.wait()
+        holder.stdout.close()
+
+
+def _positions(place):
+    return [frame.cells.position for frame in mc.load_result(place).frames]
+
+
+def test_a_file_that_another_program_has_open_is_read(held, folder):
+    place, hold = held
+    holder = hold()
+    np.testing.assert_equal(_positions(place), _positions(folder))
+    holder.kill()  # what HDF5 writes at its beginning stays
+    holder.wait()
+    with pytest.raises(OSError, match="already open for write"):
+        h5py.File(place / "frames.h5", locking=False)
+    np.testing.assert_equal(_positions(place), _positions(folder))
+    assert mc.resume(place, changes={"duration": "2 h"}, report=False, threads=1).frames[-1].time
+
+
+def test_a_file_that_another_program_changes_is_held_and_then_damaged(held):
+    place, hold = held
+    holder = hold("file['cells/radius'][0] += 1.0")
+    frames = mc.load_result(place).frames
+    with pytest.raises(mc.OutputError, match="open for writing in another program") as found:
+        frames[0]
+    assert not found.value.damaged
+    assert "is damaged" not in str(found.value)
+    holder.kill()
+    holder.wait()
+    with pytest.raises(mc.OutputError, match="is damaged") as found:
+        mc.load_result(place).frames[0]
+    assert found.value.damaged
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.EACCES, errno.EIO, errno.ESTALE])
+def test_what_the_machine_refuses_is_not_called_damage(number, folder, monkeypatch):
+    result = mc.load_result(folder)
+
+    def refused(*arguments, **options):
+        raise OSError(number, f"Unable to synchronously open file (errno = {number})")
+
+    monkeypatch.setattr(hdf5.h5py, "File", refused)
+    with pytest.raises(mc.OutputError, match=os.strerror(number)) as found:
+        result.frames[0]
+    assert not found.value.damaged
+    assert "damaged" not in str(found.value)
+    with pytest.raises(mc.OutputError, match=os.strerror(number)) as found:
+        File(folder / "frames.h5")
+    assert not found.value.damaged
+
+
+def test_too_many_open_files_are_said(folder):
+    program = """
+import resource, sys
+import multicell as mc
+mc.load_result(sys.argv[1]).frames[0]
+taken = []
+resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+try:
+    while True:
+        taken.append(open("/dev/null"))
+except OSError:
+    pass
+try:
+    mc.load_result(sys.argv[1])
+except mc.OutputError as error:
+    print(error.damaged, str(error))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(folder)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("False cannot read")
+    assert done.stdout.rstrip().endswith(os.strerror(errno.EMFILE))
