@@ -25,6 +25,7 @@ from multicell.results.folder import lock_folder
 from multicell.results.frame import Frame
 from multicell.results.measures import check_observables
 from multicell.results.quantities import units_of
+from multicell.results.summary import scene_mark
 from multicell.scene.scene import Scene, load_scene
 from multicell.simulation import Simulation
 from multicell.units import shown
@@ -284,6 +285,7 @@ class Recorder:
         if interrupted:
             self._summary["interrupted"] = True
         if self._store is not None:
+            self._summary["scene_digest"] = scene_mark(self._store.scene)
             write_table(self._store.folder / "summary.json", self._summary)
 
     def _account(self, simulation: Simulation) -> dict[str, float]:

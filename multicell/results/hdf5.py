@@ -414,6 +414,8 @@ def check_whole(path: Path) -> str:
         raise OutputError(f"'{path}' is missing")
     with _open_file(path, _unmarked(path)) as file:
         _check_format(path, file)
+        text: str = file["scene"][()].tobytes().decode("utf-8", "replace")
+    return text
 
 
 def check_readable(path: Path) -> None:

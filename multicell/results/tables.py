@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -196,23 +195,3 @@ def _shells(pyvista: Any, field: Field, title: str) -> Any:
     boxes = np.broadcast_to(values[:, None, None], (len(values), _LATITUDES, _LONGITUDES))
     grid.cell_data[title] = boxes.ravel(order="F")
     return grid.cast_to_unstructured_grid()
-
-
-def write_netcdf(
-    table: Dataset, path: Path, encoding: Mapping[str, Any] | None = None, beside: str = "part"
-) -> None:
-    """Write a data set as netCDF, so that the file is either the old one or complete.
-
-    - ``encoding``, variable -> options of h5netcdf
-    - ``beside``: as of :func:`multicell.results.folder.replace_by_name`
-
-    Raises MissingPackage; OutputError if it cannot be written.
-    """
-    needs("xarray", "h5netcdf")
-    import h5netcdf
-    from xarray.backends import H5NetCDFStore
-
-    from multicell.results.hdf5 import check_readable, whole_file
-
-    with whole_file(path, check_readable, beside) as target, h5netcdf.File(target, "w") as file:
-        table.dump_to_store(H5NetCDFStore(file), encoding=encoding)

@@ -97,6 +97,7 @@ class Store:
         held: ExitStack,
     ) -> None:
         self.folder = folder
+        self.scene = scene  # text of ``scene.toml``
         self._journal = journal
         self._nutrients = nutrients
         self._held = held
@@ -132,7 +133,7 @@ class Store:
             names = tuple(scene.nutrients)
             journal = Journal.create(folder, _first_record(text, names, "", 0, 0))
             stack.callback(journal.close)
-            return cls(folder, journal, names, stack.pop_all())
+            return cls(folder, text, journal, names, stack.pop_all())
 
     @classmethod
     def resume(cls, contents: Contents, place: int, rows: int, scene: Scene) -> Self:
@@ -166,7 +167,7 @@ class Store:
             with file_errors("write", folder / "scene.toml"):
                 put_in_place(part, folder / "scene.toml")
             remove(folder, [name for name in FILES if name not in (*_OF_THE_START, hdf5.NAME)])
-            store = cls(folder, journal, names, stack.pop_all())
+            store = cls(folder, text, journal, names, stack.pop_all())
         store._frames, store._rows = place + 1, rows
         store._columns, store._logged = contents.columns, lineage.counts()
         return store

@@ -102,7 +102,7 @@ def carry_out(
 
     left: list[tuple[float, Run]] = []
     for run in {run.name: run for run in runs}.values():
-        found = status(run.name, folder)
+        found = status(run.name, folder, whole=retry)
         known = known_outcome(found, retry)
         if known is None:
             part = max(0.0, 1.0 - found.time / run.scene.duration)
@@ -407,7 +407,7 @@ def _in_words(error: Exception) -> tuple[str, Kind]:
 def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
     """Do a run from wherever it stands; another process may come first at any moment."""
     for left in reversed(range(_ATTEMPTS)):
-        found = status(work.name, Path(work.folder))
+        found = status(work.name, Path(work.folder), whole=work.retry)
         if found.state == "running":
             return Outcome(work.name, "held")
         known = known_outcome(found, work.retry)
@@ -458,7 +458,7 @@ def _empty(work: Task, place: Path) -> None:
     if not place.is_dir():
         return
     with lock_folder(place):
-        now = status(work.name, Path(work.folder), ours=True)
+        now = status(work.name, Path(work.folder), ours=True, whole=work.retry)
         if now.kind == "damage":
             _set_aside(place)
         elif now.kind == "unreadable":

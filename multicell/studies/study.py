@@ -120,6 +120,8 @@ class Study:
         if self._read is None or self._read[0] != states:
             made = table.dataset(self.plan, self.folder, states)
             table.save(made, self.folder / table.NAME)
+            if table.states_of(made, states) != list(states):
+                return made  # what cannot be read now may be another time
             self._read = states, made
         return self._read[1].copy()
 
@@ -140,10 +142,11 @@ class Study:
             The page.
         """
         from multicell.studies.page import write_report
-        from multicell.studies.table import write_csv
+        from multicell.studies.table import states_of, write_csv
 
         states = self.status()
         table = self._table(states)
+        states = states_of(table, states)
         write_csv(table, self.folder / "study.csv")
         return write_report(self.folder, self.plan.scene, table, self.runs, states)
 

@@ -20,20 +20,18 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.errors import OutputError
 from multicell.host.extras import needs
-from multicell.results.documents import read_table
 from multicell.results.folder import write_bytes
+from multicell.results.netcdf import write_netcdf
 from multicell.results.quantities import known_unit
-from multicell.results.tables import write_netcdf
 from multicell.studies.runs import MODEL_VERSION, digest
+from multicell.studies.status import FAILURES, RunStatus, failed_status, read_finished
 from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
     import xarray
 
     from multicell.studies.plan import Plan
-    from multicell.studies.status import RunStatus
 
 NAME: Final = "study.nc"
 FORMAT: Final = 1
@@ -52,7 +50,8 @@ def common_times(plan: Plan) -> FloatArray:
 def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dataset:
     """Return the table of a study.
 
-    Histories are read one at a time, so that no more than the table itself is held in memory.
+    Histories are read one at a time, so that no more than the table itself is held in memory. A run
+    that cannot be read is one that failed, as its row states (:func:`states_of`).
 
     - ``folder``: of the study, with ``runs/<name>``
     - ``states``: of all runs, in the order of ``plan.names``
@@ -64,13 +63,17 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
     import xarray
 
     times, made = common_times(plan), list[Mapping[str, str]]()
-    count, units = len(states), defaultdict[str, str](str)
-    columns = defaultdict[str, FloatArray](lambda: np.full((count, len(times)), np.nan))
-    scalars = defaultdict[str, FloatArray](lambda: np.full(count, np.nan))
+    states, units = list(states), defaultdict[str, str](str)
+    columns = defaultdict[str, FloatArray](lambda: np.full((len(states), len(times)), np.nan))
+    scalars = defaultdict[str, FloatArray](lambda: np.full(len(states), np.nan))
     for place, state in enumerate(states):
         if state.state != "done":
             continue
-        rows, numbers, own_units, versions = _read(folder, state.name, times)
+        try:
+            rows, numbers, own_units, versions = _read(folder, state.name, times)
+        except FAILURES as error:
+            states[place] = failed_status(state.name, error)
+            continue
         made.append(versions)
         units |= own_units
         for name, row in rows.items():
@@ -95,6 +98,15 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
     return xarray.Dataset(variables, coordinates, provenance(plan, made))
 
 
+def states_of(table: xarray.Dataset, states: Sequence[RunStatus]) -> list[RunStatus]:
+    """Return states of runs, of which some have failed to be read into a table."""
+    found = zip(table["state"].values.ravel(), table["reason"].values.ravel(), strict=True)
+    return [
+        known if known.state == state else RunStatus(known.name, str(state), str(reason))
+        for known, (state, reason) in zip(states, found, strict=True)
+    ]
+
+
 def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]]:
     """Return shape, names and coordinates of the dimensions of points and seeds."""
     coordinates: dict[str, Any] = {}
@@ -117,13 +129,7 @@ def _read(
     folder: Path, name: str, times: FloatArray
 ) -> tuple[dict[str, FloatArray], dict[str, float], dict[str, str], dict[str, str]]:
     """Return history at common times, numbers of the summary, units and versions of a run."""
-    from multicell.results.reader import Contents
-
-    place = folder / "runs" / name
-    history = Contents(place).history()
-    summary = read_table(place / "summary.json")
-    if summary is None or "time" not in history:
-        raise OutputError(f"'{place}' holds no results of a run that is done")
+    history, summary = read_finished(name, folder)
     rows = {
         column: at_times(times, history["time"], values)
         for column, values in history.items()

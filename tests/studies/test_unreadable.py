@@ -95,9 +95,9 @@ def test_a_run_whose_files_become_unreadable_meanwhile_is_left(tmp_path, monkeyp
     damaged = content(place)
     usual, seen = engine.status, []
 
-    def known(name, folder, *, ours=False):
+    def known(name, folder, *, ours=False, whole=False):
         seen.append(ours)
-        found = usual(name, folder, ours=ours)
+        found = usual(name, folder, ours=ours, whole=whole)
         if not ours:
             return found
         return RunStatus(name, "failed", "cannot be read: locked", kind="unreadable")

@@ -28,9 +28,9 @@ from multicell.report.tables import TABLES, Frames, joined
 from multicell.report.wording import measures
 from multicell.results.folder import versions
 from multicell.results.hdf5 import check_readable, whole_file
+from multicell.results.netcdf import write_netcdf as write_file
 from multicell.results.observables import touching
 from multicell.results.tables import blocks, frame_arrays
-from multicell.results.tables import write_netcdf as write_file
 from multicell.scene.sizes import birth_radius
 
 if TYPE_CHECKING:
