@@ -92,7 +92,7 @@ def dose_response(
     cores, scheduler, retry
         As in :meth:`multicell.studies.study.Study.run`.
     report
-        Whether to write tables, the page and its pictures.
+        Whether to write the page and its pictures; tables are written in any case.
     progress
         Called with the outcome of each run.
 
@@ -112,6 +112,8 @@ def dose_response(
         if any(given is not None for given in (scene, dose, doses, combine)):
             raise SceneError("data", "stands in place of a scene and doses", "Give one of them.")
         result = replace(of_table(data), folder=None if output is None else Path(output))
+        if output is not None:
+            result.write_tables()
     else:
         plan = plan_of(scene, dose, doses, combine=combine, observable=observable, seeds=seeds)
         folder = Path("dose-response" if output is None else output)
@@ -254,11 +256,13 @@ def carry_out(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
             "doses may end at different times"
         )
     known = "living cells" if plan.observable == LIVING else words(plan.observable)
-    return analyse(
+    result = analyse(
         plan.points, values, rows, names=plan.names, units=plan.units, response=known,
         shared=True, notes=notes,
         scene=plan.scene, folder=folder, title=plan.scene.title or "Untitled scene",
     )  # fmt: skip
+    result.write_tables()  # numbers do not wait for a page
+    return result
 
 
 def of_table(source: Any) -> DoseResponse:

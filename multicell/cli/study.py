@@ -179,11 +179,15 @@ def run(folder: Path, **how: Any) -> None:
     from multicell.host.extras import needs
 
     reported = not how["no_report"]
-    needs("dask", "distributed", *(("xarray", "h5netcdf", "pandas") if reported else ()))
+    needs("dask", "distributed", "xarray", "h5netcdf", "pandas")
     outcomes = _carry_out(made, made.run, how)
-    page = made.folder / "report.html"
-    if reported and not (page.exists() and all(outcome.reused for outcome in outcomes)):
-        made.report()
+    page, table = made.folder / "report.html", made.folder / "study.nc"
+    made_from = (page, table) if reported else (table,)
+    if not (all(path.exists() for path in made_from) and all(o.reused for o in outcomes)):
+        if reported:
+            made.report()
+        else:
+            made.write_tables()
     _print_outcomes(made, outcomes, page if reported else None, how["quiet"], how["as_json"])
 
 

@@ -142,13 +142,24 @@ class Study:
             The page.
         """
         from multicell.studies.page import write_report
+
+        table, states = self.write_tables()
+        return write_report(self.folder, self.plan.scene, table, self.runs, states)
+
+    def write_tables(self) -> tuple[xarray.Dataset, list[RunStatus]]:
+        """Write the table as ``study.nc`` and ``study.csv``.
+
+        Returns
+        -------
+        xarray.Dataset, list of RunStatus
+            The table, and the states of the runs in it.
+        """
         from multicell.studies.table import states_of, write_csv
 
         states = self.status()
         table = self._table(states)
-        states = states_of(table, states)
         write_csv(table, self.folder / "study.csv")
-        return write_report(self.folder, self.plan.scene, table, self.runs, states)
+        return table, states_of(table, states)
 
     @property
     def plot(self) -> StudyPlots:
