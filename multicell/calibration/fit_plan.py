@@ -18,6 +18,7 @@ from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_table, write_table
 from multicell.results.folder import (
     copy_of,
+    file_errors,
     is_begun,
     lock_folder,
     make_folder,
@@ -111,8 +112,8 @@ class FitPlan:
         """Make the folder of the fit, or open that of the same one; keep other processes out."""
         folder = Path(place)
         asked = json.loads(to_json(self.describe()))
-        known = _read_fit(folder)
-        if known is None or overwrite:
+        known = None if overwrite else _read_fit(folder)
+        if known is None:
             make_folder(folder, overwrite=overwrite or is_begun(folder, self._first(folder)))
         elif known.get("problem") != asked:
             there = known.get("problem")
@@ -125,9 +126,11 @@ class FitPlan:
         with lock_folder(folder):
             if overwrite:
                 remove(folder, FILES)
-            if _read_fit(folder) is None:
-                for name, content in self._first(folder).items():
+            new = _read_fit(folder) is None
+            for name, content in self._first(folder).items():
+                if new or not _holds(folder / name, content):  # damaged since, or changed
                     write_bytes(folder / name, content)
+            if new:
                 entry = {"multicell": package_version(), "problem": asked}
                 write_table(folder / FIT, entry)  # the last: then all is there
             yield folder
@@ -140,6 +143,11 @@ class FitPlan:
             "scene.toml": scene.to_toml(beside=folder).encode(),
             "data.csv": csv_text(self.table.titles, self.table.rows).encode(),
         }
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    with file_errors("read", path):
+        return path.is_file() and path.read_bytes() == content
 
 
 def make_runs(

@@ -289,7 +289,10 @@ def _print_outcomes(
             {**asdict(outcome), "coordinates": dict(run.coordinates)}
             for outcome, run in zip(outcomes, made.runs, strict=True)
         ]
-        print_json({"folder": str(made.folder), "failed": len(failed), "runs": runs})
+        print_json(
+            {"folder": str(made.folder), "failed": len(failed), "runs": runs,
+             "others": made.others()}
+        )  # fmt: skip
     elif not quiet:
         reused = sum(outcome.reused for outcome in outcomes)
         say(
@@ -298,6 +301,7 @@ def _print_outcomes(
             f"{f'; {reused:,} of them were there' if reused else ''}."
         )
         _list_failed([(made.runs[k].coordinates, outcomes[k].reason) for k in failed], made)
+        _name_others(made)
         _print_page(page)
     if failed:
         if quiet and not as_json:
@@ -311,6 +315,15 @@ def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
         say(f"  failed at {_where(coordinates, made)}: {reason}")
     if len(failed) > _LISTED:
         say(f"  and {len(failed) - _LISTED:,} more")
+
+
+def _name_others(made: Study) -> None:
+    """Say what is in the folder of runs that belongs to no point of the study."""
+    others = made.others()
+    if others:
+        names = textwrap.shorten(", ".join(others), 200, placeholder=" ...")
+        where, what = made.folder / "runs", _count(len(others), "folder")
+        say(f"{what} in '{where}' belong to no point of this study, and stay: {names}")
 
 
 def _where(coordinates: Mapping[str, Any], made: Study) -> str:
@@ -340,8 +353,9 @@ def status(folder: Path, as_json: bool) -> None:
             for state, run in zip(states, made.runs, strict=True)
         ]
         print_json(
-            {"folder": str(folder), "counts": counts, "core_seconds_left": left, "runs": runs}
-        )
+            {"folder": str(folder), "counts": counts, "core_seconds_left": left, "runs": runs,
+             "others": made.others()}
+        )  # fmt: skip
         return
     words = {"partial": "begun"}
     shown = [f"{counts[name]:,} {words.get(name, name)}" for name in STATES if counts[name]]
@@ -357,6 +371,7 @@ def status(folder: Path, as_json: bool) -> None:
     if left > 0.0:
         say(f"About {time_text(left, 2)} of one core left.")
     _list_failed(failed, made)
+    _name_others(made)
 
 
 @study.command()

@@ -15,10 +15,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.errors import OutputError
-from multicell.results.folder import copy_of, is_begun, make_folder, with_copy, write_text
+from multicell.results.folder import (
+    copy_of,
+    file_errors,
+    is_begun,
+    make_folder,
+    with_copy,
+    write_text,
+)
 from multicell.scene.scene import Scene, load_scene
 from multicell.studies.cost import StudyCost, costs_of, total_cost
-from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan
+from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan, scene_with_end
 from multicell.studies.runs import Run, canonical, digest
 
 if TYPE_CHECKING:
@@ -98,6 +105,13 @@ class Study:
         from multicell.studies.status import status
 
         return [status(name, self.folder) for name in self.plan.names]
+
+    def others(self) -> list[str]:
+        """Return the folders in ``runs`` that belong to no point: of another plan, or set aside."""
+        place, known = self.folder / "runs", set(self.plan.names)
+        with file_errors("read", place):
+            found = sorted(entry.name for entry in place.iterdir()) if place.is_dir() else []
+        return [name for name in found if name not in known]
 
     def to_xarray(self) -> xarray.Dataset:
         """Return one table of all that the runs have found; it is written to ``study.nc``, too.
@@ -241,11 +255,11 @@ def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> S
         _refuse_other(plan, read_plan(folder), folder)
     elif not there:
         scene, content = copy_of(plan.scene, folder)
-        first = {**content, SCENE: scene.to_toml(beside=folder), NAME: ""}
+        first = {**content, SCENE: scene_with_end(scene, folder), NAME: ""}
         make_folder(folder, overwrite=overwrite or is_begun(folder, first))
     if plan.scene.initial.cells is not None:
         plan = replace(plan, scene=with_copy(plan.scene, folder))
-    write_text(folder / SCENE, plan.scene.to_toml(beside=folder))
+    write_text(folder / SCENE, scene_with_end(plan.scene, folder))
     write_text(folder / NAME, plan.to_toml())
     return Study(plan, folder)
 

@@ -139,7 +139,8 @@ def check(number, kind, folder, whole):
     said = hurt(folder, random.Random(number))
     print(said, flush=True)
     limit_memory(MEMORY)
-    edits_plan = said.startswith(("study.toml", "scene.toml")) and kind != "opened"
+    edits_plan = said.startswith(("study.toml", "scene.toml")) and kind in ("study", "sensitivity")
+    edits_plan = edits_plan and ", cut:" not in said
     try:
         found = globals()[kind](folder)
     except mc.MulticellError as error:
