@@ -21,7 +21,7 @@ FACTS: Final = (
     "sd", "specimens", "seeds", "repeats", "sets_of_parameters", "fresh_runs", "seconds",
 )  # fmt: skip
 
-_MENDS: Final = "The same 'multicell fit' in this folder writes both again, without a new run"
+_MENDS: Final = "The same 'multicell fit' in this folder writes them again, without a new run"
 
 
 def load_fit(folder: str | Path) -> Fit:
@@ -89,7 +89,5 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise OutputError(f"'{folder}' holds a damaged fit: {error!r}") from error
     if json.loads(to_json(plan.describe())) != problem:
-        raise OutputError(
-            f"'{folder}' holds a fit whose scene.toml or data.csv is not what it was. {_MENDS}"
-        )
+        raise OutputError(f"'{folder}' holds a fit whose scene or data have been changed. {_MENDS}")
     return plan
