@@ -186,8 +186,10 @@ def read_summary(contents: Contents) -> dict[str, Any] | None:
     if "scene_digest" in summary:
         same = summary["scene_digest"] == scene_mark(contents.scene)
     else:  # an older version has written it
-        last = contents.places[-1] if contents.places else None
-        same = last is None or [summary.get("time"), summary.get("steps")] == [last.time, last.step]
+        same = all(
+            (summary.get("time", end.time), summary.get("steps", end.step)) == (end.time, end.step)
+            for end in contents.places[-1:]
+        )
     if not same:
         raise OutputError(f"'{path}' is of another run than the frames beside it", damaged=True)
     return summary
