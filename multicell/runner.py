@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.compiling.threads import thread_count
-from multicell.errors import OutputError, SceneError
+from multicell.errors import ExitCode, OutputError, SceneError
 from multicell.host.interrupts import STEP
 from multicell.host.memory import Returns, peak
 from multicell.integrators.base import info_of
@@ -103,7 +103,7 @@ def run(
     SceneError, OutputError
         For input that cannot be used, before the first step.
     OutputError
-        With exit code 1 if results cannot be written later on, for example because the disk is
+        With exit code 3 if results cannot be written later on, for example because the disk is
         full. What was saved before can be read, and resumed when there is room.
     StepFailed
         If a step cannot be solved. Like after Ctrl-C, the folder then holds all frames so far,
@@ -208,11 +208,11 @@ def advance_run(
 
 @contextmanager
 def failing_as_run() -> Iterator[None]:
-    """Count what cannot be written from now on as a failure of the run, not as bad input."""
+    """Count what cannot be written from now on as a failure of the machine, not as bad input."""
     try:
         yield
     except OutputError as error:
-        error.exit_code = 1
+        error.exit_code = ExitCode.MACHINE
         raise
 
 

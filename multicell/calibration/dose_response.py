@@ -345,6 +345,10 @@ def analyse(
     there: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=1))
     means = np.array([np.mean(row[np.isfinite(row)]) for row in values[there]])
     control = float(means[0]) if there[0] else math.nan
+    if not there[0]:
+        reason = next((row["reason"] for row in rows[: values.shape[1]] if row.get("reason")), "")
+        said = f": its runs failed, the first one: {reason}" if reason else ""
+        raise FitFailed(f"nothing is known of the control{said}", "Everything is relative to it.")
     if not control > 0.0:
         hint = "Viability is relative to it: it must be above 0."
         raise FitFailed(f"the control has the response {control:g}", hint)

@@ -7,7 +7,7 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import Any, final
 
-from multicell.errors import ClusterError, FitFailed
+from multicell.errors import ClusterError, ExitCode, FitFailed
 
 Call = tuple[Any, Callable[..., Any], tuple[Any, ...]]
 """What a result comes back with, the function, and its arguments."""
@@ -81,7 +81,7 @@ def result_of(future: Any) -> Any:
         raise ClusterError(
             "the scheduler has gone",
             "All runs that have ended are kept: the same fit continues with them",
-            exit_code=1,
+            exit_code=ExitCode.MACHINE,
         ) from error
     except Exception as error:
         if type(error).__name__ != "KilledWorker":  # of Dask, which need not be installed

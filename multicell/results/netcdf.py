@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def write_netcdf(
-    table: Dataset, path: Path, encoding: Mapping[str, Any] | None = None, beside: str = "part"
+    table: Dataset, path: Path, encoding: Mapping[Any, Any] | None = None, beside: str = "part"
 ) -> None:
     """Write a data set as netCDF, so that the file is either the old one or complete.
 

@@ -262,7 +262,8 @@ class Store:
 def _is_begun(folder: Path, scene: Scene) -> bool:
     """Return whether a folder holds the same run, which has ended before its first frame."""
     copied, content = copy_of(scene, folder)
-    first = {**content, "scene.toml": copied.to_toml(versions(), beside=folder), JOURNAL: b""}
+    text = copied.to_toml(versions(), beside=folder)
+    first: dict[str, bytes | str] = {**content, "scene.toml": text, JOURNAL: b""}
     with suppress(OSError, OutputError):
         if (folder / JOURNAL).is_file() and not Contents(folder).places:
             first[JOURNAL] = (folder / JOURNAL).read_bytes()

@@ -18,7 +18,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
-from multicell.errors import ClusterError, MulticellError, OutputError, is_machine_failure
+from multicell.errors import ClusterError, ExitCode, MulticellError, OutputError, exit_code_of
 from multicell.host.interrupts import STEP
 from multicell.plugins.named import own_fault
 from multicell.results.folder import (
@@ -34,8 +34,10 @@ from multicell.studies.limits import check_cores
 from multicell.studies.runs import PlainScene
 from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
 from multicell.studies.workers import (
+    ANSWER,
     CheckedClient,
     Refusal,
+    bounded,
     check_folder,
     own_cores,
     own_versions,
@@ -87,7 +89,7 @@ def carry_out(
     Raises OutputError if the folder cannot be used; SceneError, MissingPackage, ClusterError as
     :func:`multicell.studies.workers.workers` and, for workers that do not see the folder,
     :func:`multicell.studies.workers.check_folder`: before anything runs. ``ClusterError`` with exit
-    code 1 if the scheduler is lost later on; KeyboardInterrupt after Ctrl-C, once all runs have
+    code 3 if the scheduler is lost later on; KeyboardInterrupt after Ctrl-C, once all runs have
     ended between two steps; all that they have is kept. A second one ends them at once.
     """
     folder = Path(folder).absolute()
@@ -206,7 +208,11 @@ class _Work:
         """End all runs between two steps, and wait until they have."""
         if not self.under_way:
             return
-        self.client.cancel([entry.future for entry in self.under_way.values()])
+        futures = [entry.future for entry in self.under_way.values()]
+        try:
+            bounded(lambda: self.client.cancel(futures), ANSWER)
+        except Exception:  # the scheduler is silent, or gone: nobody hears of it
+            return
         begin = clock.monotonic()
         places = [run_folder(Path(e.work.folder), e.work.name) for e in self.under_way.values()]
         while any(map(in_use, places)) and clock.monotonic() - begin < _MAX_STOP:
@@ -289,19 +295,20 @@ class _Work:
             said = " ".join(str(error).split())
             reason = f"its worker could not begin it: {type(error).__name__}: {said[:300]}"
         place = run_folder(folder, work.name)
+        kind: Kind = "run" if isinstance(error, KilledWorker) else "machine"
         try:
             place.mkdir(exist_ok=True)
-            write_note(place, reason, "run" if isinstance(error, KilledWorker) else "machine")
+            write_note(place, reason, kind)
         except (OSError, OutputError) as trouble:
             reason = f"{reason} ({trouble})"
-        return Outcome(work.name, "failed", reason)
+        return Outcome(work.name, "failed", reason, kind=kind)
 
 
 def _scheduler_lost() -> ClusterError:
     return ClusterError(
         "the scheduler has gone",
         "All that runs have saved is kept: run the study again, and it continues",
-        exit_code=1,
+        exit_code=ExitCode.MACHINE,
     )
 
 
@@ -331,7 +338,7 @@ class Outcome:
     """How a run ended.
 
     - ``state``: ``"done"``, ``"failed"``, or ``"held"`` where another process works on it
-    - ``reason``: why it failed, in words; otherwise an empty string
+    - ``reason``, ``kind``: why it failed, in words, and what for; otherwise empty strings
     - ``wall``: wall time that it took now, s; none for what was there
     - ``reused``: whether it had been done, or had failed, before
     - ``made``: versions of what has computed it now
@@ -343,6 +350,7 @@ class Outcome:
     wall: float = 0.0
     reused: bool = False
     made: Mapping[str, str] = field(default_factory=dict)
+    kind: Kind = ""
 
 
 @final
@@ -382,16 +390,16 @@ def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
         reason, kind = _in_words(error)
         with suppress(OutputError):  # where the disk is full there is no room for the reason either
             write_note(place, reason, kind)
-        outcome = Outcome(work.name, "failed", reason)
+        outcome = Outcome(work.name, "failed", reason, kind=kind)
     wall = clock.perf_counter() - begin
     return outcome if outcome.reused else replace(outcome, wall=wall, made=own_versions())
 
 
 def _in_words(error: Exception) -> tuple[str, Kind]:
     """Return why a run failed, and what that was a matter of."""
+    if isinstance(error, MulticellError | OSError) and exit_code_of(error) == ExitCode.MACHINE:
+        return str(error), "machine"
     if isinstance(error, OutputError):
-        if error.exit_code == 1 or is_machine_failure(error):
-            return str(error), "machine"
         return f"damaged: {error}", "damage"
     if isinstance(error, MulticellError):
         return str(error), "run"
@@ -417,7 +425,7 @@ def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
             _forward(work, place, found, wanted)
             return Outcome(work.name, "done")
         except OutputError as error:
-            if error.exit_code == 1 or not left:
+            if exit_code_of(error) == ExitCode.MACHINE or not left:
                 raise
     raise AssertionError("unreachable")
 
@@ -427,9 +435,9 @@ def known_outcome(found: RunStatus, retry: bool) -> Outcome | None:
     if found.state == "done":
         return Outcome(found.name, "done", reused=True)
     if found.kind == "unreadable":
-        return Outcome(found.name, "failed", found.reason)
+        return Outcome(found.name, "failed", found.reason, kind=found.kind)
     if found.state == "failed" and not (retry or found.kind == "machine"):
-        return Outcome(found.name, "failed", found.reason, reused=True)
+        return Outcome(found.name, "failed", found.reason, reused=True, kind=found.kind)
     return None
 
 
@@ -462,7 +470,7 @@ def _empty(work: Task, place: Path) -> None:
         if now.kind == "damage":
             _set_aside(place)
         elif now.kind == "unreadable":
-            raise OutputError(now.reason, exit_code=1)
+            raise OutputError(now.reason, exit_code=ExitCode.MACHINE)
         elif not (now.frames or now.state == "done"):
             remove(place, (*PASSING, *FILES, NOTE))
 

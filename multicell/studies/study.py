@@ -255,7 +255,7 @@ def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> S
         _refuse_other(plan, read_plan(folder), folder)
     elif not there:
         scene, content = copy_of(plan.scene, folder)
-        first = {**content, SCENE: scene_with_end(scene, folder), NAME: ""}
+        first: dict[str, bytes | str] = {**content, SCENE: scene_with_end(scene, folder), NAME: ""}
         make_folder(folder, overwrite=overwrite or is_begun(folder, first))
     if plan.scene.initial.cells is not None:
         plan = replace(plan, scene=with_copy(plan.scene, folder))

@@ -74,13 +74,26 @@ def write_vtk(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) 
         for part, name in enumerate(parts.keys()):
             data: Any = parts[name]
             names.append(f"{name}-{number:04d}.{_ENDINGS[type(data).__name__]}")
-            data.save(folder / names[-1])
+            (folder / names[-1]).write_text(_vtk_text(data), "utf-8")
             known = {"timestep": repr(float(frame.time)), "part": str(part), "name": name}
             ElementTree.SubElement(collection, "DataSet", known | {"file": names[-1]})
     ElementTree.indent(root)
     path = folder / names[0]
     ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
     return names
+
+
+def _vtk_text(data: Any) -> str:
+    """Return the file of an object of VTK, which itself prints many lines where a disk is full."""
+    from vtkmodules import vtkIOXML
+
+    writer: Any = getattr(vtkIOXML, f"vtkXML{type(data).__name__.removesuffix('_')}Writer")()
+    writer.SetInputData(data)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    text: str = writer.GetOutputString()
+    return text
 
 
 def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
