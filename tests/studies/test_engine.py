@@ -329,7 +329,7 @@ def test_a_scheduler_that_goes_is_an_error_that_keeps_all(tmp_path, monkeypatch)
     in_this_process(monkeypatch, "cancelled")
     with pytest.raises(ClusterError, match="the scheduler has gone") as caught:
         carry_out(short_runs(2), tmp_path)
-    assert caught.value.exit_code == 1
+    assert caught.value.exit_code == 3
     in_this_process(monkeypatch)
     assert {outcome.state for outcome in carry_out(short_runs(2), tmp_path)} == {"done"}
 

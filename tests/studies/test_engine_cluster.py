@@ -214,7 +214,7 @@ def test_whatever_is_killed_of_a_cluster_nobody_goes_on_alone(tmp_path):
         workers = psutil.Process(nanny.pid).children(recursive=True)
         cluster.main.kill()
         text, _ = client.communicate(timeout=60)
-        assert client.returncode == 1, text
+        assert client.returncode == 3, text
         assert text.splitlines()[-1].startswith("Error: the scheduler has gone. All that")
         assert "Traceback" not in text
         wait_for(lambda: states(runs, tmp_path / "study") == ["partial"], within=10.0)

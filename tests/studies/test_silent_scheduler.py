@@ -36,9 +36,9 @@ def silent():
 
 def test_a_scheduler_that_accepts_and_is_silent_is_not_waited_for(silent):
     begin = time.monotonic()
-    with pytest.raises(ClusterError, match=f"does not answer within {ANSWER:g} s"):
-        with workers(None, silent):
-            pass
+    said = f"does not answer within {ANSWER:g} s"
+    with pytest.raises(ClusterError, match=said), workers(None, silent):
+        pass
     assert time.monotonic() - begin < 3.0 * ANSWER
 
 
