@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from multicell.compiling.threads import thread_count
 from multicell.errors import ExitCode, OutputError, SceneError
-from multicell.host.interrupts import STEP
+from multicell.host.interrupts import STEP, UNCUT
 from multicell.host.memory import Returns, peak
 from multicell.integrators.base import info_of
 from multicell.integrators.own import own_integrator
@@ -271,7 +271,11 @@ class Recorder:
         self._next_frame = next_frame(self._scene.output.every, frame.time)
 
     def finish(self, simulation: Simulation, *, interrupted: bool) -> None:
-        """Write the last state and the summary."""
+        """Write the last state and the summary; signals wait for the end."""
+        with UNCUT:
+            self._finish(simulation, interrupted=interrupted)
+
+    def _finish(self, simulation: Simulation, *, interrupted: bool) -> None:
         with simulation.phase("record"):
             # an observable of the user's own may have failed: no run could resume from there
             if self._last_frame < simulation.step_index == self._last_row:
@@ -429,7 +433,11 @@ def record_resumed(
         simulation = _simulation(scene, contents, place, options)
         scene = simulation.scene
         # all of it is read: what is damaged is better known before the run than after it
-        rows = int((contents.history()["step"] <= simulation.step_index).sum())
+        steps = contents.history().get("step")
+        if steps is None:
+            problem = f"'{folder}' is damaged: its history does not count steps"
+            raise OutputError(problem, damaged=True)
+        rows = int((steps <= simulation.step_index).sum())
         interrupt = stack.enter_context(STEP).deliver
         if here:
             for k in range(place):

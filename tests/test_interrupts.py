@@ -24,6 +24,9 @@ from multicell.host import interrupts
 from multicell.host.interrupts import STEP, UNCUT
 from multicell.integrators.restarts import Run
 from multicell.results import folder
+from multicell.results.documents import Lines, read_table
+from multicell.results.hdf5 import check_readable
+from multicell.results.reader import Contents
 from multicell.simulation import Simulation
 
 SCENE = mc.load_scene("growth").with_changes({"initial.count": 60, "duration": "9 d"})
@@ -229,6 +232,7 @@ for number, (owner, name, call) in enumerate(MOMENTS):
         assert again.frames[-1].time == 7200.0, (name, call, presses)
         found.history()
         assert not [name for name in os.listdir(out) if name.endswith(".part")]
+        assert os.path.exists(f"{out}/summary.json"), (name, call, presses)
 print("whole")
 """
 
@@ -317,6 +321,39 @@ def test_a_handler_that_returns_changes_nothing_of_a_solve(handled):
 # the harness
 
 READY = "from multicell.__main__ import run; print('ready', flush=True); run()"
+AIMED = """
+import os, random, signal, sys, threading, time
+from multicell.results import folder, journal
+
+def press():
+    for _ in range(PRESSES):
+        time.sleep(draw.uniform(0.0, 0.02))
+        os.kill(os.getpid(), signal.SIGINT)
+
+def new_file(path):
+    if WANTED in path.name and next(left) == 0:
+        threading.Thread(target=press).start()
+    return usual(path)
+
+draw, left, usual = random.Random(CASE), iter(range(NUMBER, -1 << 30, -1)), folder.new_file
+folder.new_file = journal.new_file = new_file
+"""
+"""Presses Ctrl-C from the moment on at which the process begins to write a file."""
+
+RUNS = """
+import multicell as mc
+print("ready", flush=True)
+result = None
+try:
+    scene = mc.load_scene("growth").with_changes({"initial.count": 100, "duration": "2 h"})
+    for number in range(1000):
+        result = mc.run(scene, output="out", overwrite=True, threads=1)
+        result = mc.resume("out", changes={"duration": "3 h"}, threads=1)
+        mc.export(result, "tables", format="netcdf", overwrite=True)
+except KeyboardInterrupt:
+    print("whole", result, flush=True)
+    raise SystemExit(130)
+"""
 LOOP = """
 import multicell as mc
 print("ready", flush=True)
@@ -331,26 +368,34 @@ except KeyboardInterrupt:
     print("whole", energy, flush=True)
     raise SystemExit(130)
 """
-SMALL = ["--set", "initial.count=100", "--set", "duration=9 d"]
+LONG, SHORT = "9 d", "3 h"  # the end of a short one comes soon, and with it all that is written
 DATA = "time / h,diameter / um\n6,60\n12,70\n18,80\n"
 
 
-def _commands(folder):
+def _commands(folder, duration):
     """Return commands by name, and the preparation that they need."""
-    out = folder / "out"
+    out, small = folder / "out", _small(duration)
     free = ["--free", "growth.cycle_time=18:30 h", "--cores", "1", "--yes"]
+    last = "9 d" if duration == LONG else "30 min"
     return {
-        "run": ["run", "growth", "-o", out, *SMALL, "--set", "output.every=10 min"],
-        "spheroid": ["run", "spheroid", "-o", out, "--threads", "1"],
-        "resume": ["resume", out, "--set", "duration=9 d"],
-        "compare": ["compare", "growth", *SMALL, "-o", folder / "chart"],
+        "run": ["run", "growth", "-o", out, *small, "--set", "output.every=10 min"],
+        "spheroid": ["run", "spheroid", "-o", out, "--threads", "1", "--set", f"duration={last}"],
+        "resume": ["resume", out, "--set", f"duration={duration}"],
+        "compare": ["compare", "growth", *small, "-o", folder / "chart"],
         "stability": ["stability", "settle", "-o", folder / "chart"],
         "study": ["study", "run", folder / "study", "--cores", "1", "--yes"],
-        "sensitivity": ["sensitivity", "growth", *SMALL, "-o", folder / "indices", *free],
-        "fit": ["fit", "growth", *SMALL[:2], "-o", folder / "fit", "--data", folder / "data.csv",
+        "sensitivity": ["sensitivity", "growth", *small, "-o", folder / "indices", *free],
+        "fit": ["fit", "growth", *small[:2], "-o", folder / "fit", "--data", folder / "data.csv",
                 *free],
         "explain": ["explain", "spheroid"],
+        "doses": ["dose-response", "growth", *small, "--seeds", "1", "--cores", "1", "--yes",
+                  "-o", folder / "doses", "--dose", "growth.cycle_variation=0,0.1,0.2,0.3,0.4"],
+        "export": ["export", out, "-o", folder / "tables", "--format", "netcdf", "--overwrite"],
     }  # fmt: skip
+
+
+def _small(duration):
+    return ["--set", "initial.count=100", "--set", f"duration={duration}"]
 
 
 def _multicell(*arguments):
@@ -360,13 +405,13 @@ def _multicell(*arguments):
     assert done.returncode == 0, done.stderr
 
 
-def _prepare(name, folder):
-    if name == "resume":
-        _multicell("run", "growth", "-o", folder / "out", *SMALL, "--set", "duration=1 h",
-                   "--no-report", "--quiet")  # fmt: skip
+def _prepare(name, folder, duration):
+    if name in ("resume", "export"):
+        out = folder / "out"
+        _multicell("run", "growth", "-o", out, *_small("1 h"), "--no-report", "--quiet")
     (folder / "data.csv").write_text(DATA)
     if name == "study":
-        _multicell("study", "new", "growth", "-o", folder / "study", *SMALL,
+        _multicell("study", "new", "growth", "-o", folder / "study", *_small(duration),
                    "--vary", "growth.cycle_time=18,24,30 h")  # fmt: skip
 
 
@@ -422,6 +467,27 @@ def _interrupted(command, environment, moments, cwd):
     return "hung", output, errors
 
 
+def _read_back(folder):
+    """Read all that is in place in a folder; raises an error where something is not whole."""
+    for path in folder.rglob("*"):
+        if path.name in ("frames.h5", "frames.journal") and path.stat().st_size:
+            contents = Contents(path.parent)
+            contents.whole()
+            contents.history()
+            for place in range(len(contents.places)):
+                contents.frame(place)
+        elif path.name in ("summary.json", "failure.json", "study.json"):
+            assert read_table(path) is not None
+        elif path.name == "search.log":
+            assert Lines(path).entries is not None
+        elif path.name == "scene.toml":
+            mc.load_scene(path)
+        elif path.suffix in (".nc", ".h5ad") and ".export-" not in str(path):
+            check_readable(path)
+        elif path.suffix == ".json":
+            json.loads(path.read_text())
+
+
 @pytest.mark.harness
 @pytest.mark.slow
 def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
@@ -430,30 +496,50 @@ def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
         rng = random.Random(case)
         folder = tmp_path / str(case)
         folder.mkdir()
-        names = [*_commands(folder), "loop auto", "loop cvode"]
+        names = [*_commands(folder, LONG), "loop auto", "loop cvode", "runs"]
         name = names[case % len(names)]
+        presses = rng.choice([1, 2, 2, 3])
+        # half of them when something is written: frames.h5, or any file
+        aimed = rng.random() < 0.5 and name not in ("stability", "explain", *names[-3:-1])
         environment = {"PYTHONFAULTHANDLER": "1"} if rng.random() < 0.5 else {}
         if rng.random() < 0.4:
             environment["NUMBA_CACHE_DIR"] = str(folder / "cache")
-        moments = [rng.uniform(0.0, 8.0)] + [rng.uniform(0.0, 2.0)] * (rng.random() < 0.5)
-        if name in ("study", "sensitivity", "fit"):
+        moments = [rng.uniform(0.0, 8.0), *(rng.uniform(0.0, 0.5) for _ in range(presses - 1))]
+        if name in ("study", "sensitivity", "fit", "doses", "runs"):
             moments[0] *= 2.0
-        if name.startswith("loop"):
+        aim, duration = "", SHORT if aimed else LONG
+        if aimed:
+            wanted, number = rng.choice([("frames.h5", 0), ("", rng.randrange(4))])
+            aim = (AIMED.replace("CASE", str(case)).replace("PRESSES", str(presses))
+                   .replace("WANTED", repr(wanted)).replace("NUMBER", str(number)))  # fmt: skip
+            moments = []
+        if name == "runs":
+            command = [sys.executable, "-c", aim + RUNS]
+        elif name.startswith("loop"):
             program = LOOP.replace("METHOD", repr(name.split()[1]))
             command = [sys.executable, "-c", program]
-            moments = [rng.uniform(5.0, 15.0)]
+            moments[0] = rng.uniform(5.0, 15.0)
         else:
-            _prepare(name, folder)
-            command = [sys.executable, "-c", READY, *map(str, _commands(folder)[name])]
+            _prepare(name, folder, duration)
+            told = map(str, _commands(folder, duration)[name])
+            command = [sys.executable, "-c", aim + READY, *told]
         code, output, errors = _interrupted(command, environment, moments, folder)
-        told = (case, name, moments, environment, code, output[-500:], errors[-1500:])
-        if name.startswith("loop"):
+        told = (case, name, presses, aim[-300:], moments, environment, code, output[-500:],
+                errors[-1500:])  # fmt: skip
+        if name.startswith("loop") or name == "runs":
             fine = code == 130 and "whole" in output and errors == ""
+            # the program of a user who presses once more while it says so
+            fine |= presses > 1 and errors.rstrip().endswith("\nKeyboardInterrupt")
         else:
             fine = code == 0 or (code == 130 and errors.rstrip().endswith("Interrupted."))
             fine &= not any(word in errors for word in ("Traceback", "ignored", "Fatal", " bug "))
-        if fine and (folder / "out" / "frames.h5").exists():
-            fine = mc.load_result(folder / "out").frames[-1].progress is not None
+        fine |= name == "doses" and "There is no curve to fit" in errors
+        # Python itself ends so where Ctrl-C comes once more while it ends
+        fine |= code == -signal.SIGINT and presses > 1 and errors == ""
+        try:
+            _read_back(folder)
+        except Exception as error:
+            fine, told = False, (*told, repr(error))
         if not fine:
             found.append(told)
     assert found == [], json.dumps(found, indent=1, default=str)

@@ -146,6 +146,22 @@ def test_a_file_that_another_program_changes_is_held_and_then_damaged(held):
     assert found.value.damaged
 
 
+def test_a_file_that_is_cut_or_marked_in_its_first_bytes_is_damaged(folder, tmp_path):
+    whole, path = (folder / "frames.h5").read_bytes(), tmp_path / "frames.h5"
+    marked = whole[:11] + b"\1" + whole[12:]
+    for data in [whole[:n] for n in range(60)] + [marked[:n] for n in range(60)]:
+        path.write_bytes(data)
+        with pytest.raises(mc.OutputError, match="damaged") as found:
+            File(path)
+        assert found.value.damaged
+    for place in (9, 13, 20, 30, 40, 45):  # beside the mark something else is wrong
+        path.write_bytes(marked[:place] + bytes([marked[place] ^ 4]) + marked[place + 1 :])
+        with pytest.raises(mc.OutputError, match="damaged"):
+            File(path)
+    path.write_bytes(marked)
+    File(path).check()
+
+
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.EACCES, errno.EIO, errno.ESTALE])
 def test_what_the_machine_refuses_is_not_called_damage(number, folder, monkeypatch):
     result = mc.load_result(folder)

@@ -92,7 +92,7 @@ def launch() -> None:
 
     numba.get_num_threads()
     _Numba.launched = True
-    _Numba.single = numba.threading_layer() == "workqueue"
+    _Numba.single = numba.threading_layer() == "workqueue"  # type: ignore[attr-defined]
 
 
 def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:

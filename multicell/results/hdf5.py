@@ -312,7 +312,7 @@ def _shared(sets: Mapping[str, Kind]) -> list[str]:
     ]
 
 
-_SUPERBLOCK: Final = struct.Struct("<8s3BB32sI")  # signature, ..., marks, ..., checksum: 48 bytes
+_SUPERBLOCK: Final = 48  # bytes: a signature of 8, the version, ..., marks at 11, ..., a checksum
 
 
 def _unmarked(path: Path) -> bytes | None:
@@ -322,11 +322,15 @@ def _unmarked(path: Path) -> bytes | None:
     a file, whole as it may be. Checksums tell whether it is. None where there are no marks.
     """
     with file_errors("read", path), path.open("rb") as file:
-        head = file.read(_SUPERBLOCK.size)
-        if not head.startswith(b"\x89HDF\r\n\x1a\n\x03") or not head[11]:
+        head = file.read(_SUPERBLOCK)
+        begins = head.startswith(b"\x89HDF\r\n\x1a\n\x03") and len(head) == _SUPERBLOCK
+        if not begins or not head[11]:
             return None
-        head = head[:11] + b"\0" + head[12:-4]
-        return head + _lookup3(head).to_bytes(4, "little") + file.read()
+        plain = head[:11] + b"\0" + head[12:-4]
+        right = _lookup3(plain).to_bytes(4, "little")
+        if head[-4:] not in (right, _lookup3(head[:-4]).to_bytes(4, "little")):
+            return None  # HDF5 will say what is wrong with it
+        return plain + right + file.read()
 
 
 def _lookup3(data: bytes) -> int:
@@ -336,7 +340,7 @@ def _lookup3(data: bytes) -> int:
     def turned(x: int, by: int) -> int:
         return (x << by | x >> (32 - by)) & mask
 
-    words = [x for (x,) in struct.iter_unpack("<I", data + bytes(-size % 12))]
+    words: list[int] = [x for (x,) in struct.iter_unpack("<I", data + bytes(-size % 12))]
     a = b = c = (0xDEADBEEF + size) & mask
     while len(words) > 3:
         a, b, c = a + words[0] & mask, b + words[1] & mask, c + words[2] & mask
@@ -459,6 +463,44 @@ def _damage(path: Path, problem: str) -> OutputError:
     return OutputError(f"'{path}' is damaged: {problem}", damaged=True)
 
 
+_RATIO: Final = 1032  # of what deflate unpacks to what it unpacks it from, at most
+_FILTERS: Final = {
+    getattr(h5py.h5z, f"FILTER_{name}") for name in ("DEFLATE", "LZF", "SHUFFLE", "FLETCHER32")
+}
+"""Those that unpack to no more than that; others make much of nothing."""
+
+
+def _check_sets(path: Path, file: Any, sets: Mapping[str, Kind]) -> dict[str, int]:
+    """Refuse data sets that are not of their kinds, before any of them is read.
+
+    What is resized in a file takes no room there, and memory where it is read. Returns the number
+    of rows by pool, where the history is one.
+    """
+    lengths: dict[str, int] = {}
+    for name, kind in sets.items():
+        column = file.get(name)
+        if column is None and name in SPARSE:
+            continue
+        width = () if kind.width is None else (kind.width,)
+        if not isinstance(column, h5py.Dataset) or column.dtype != np.dtype(kind.dtype):
+            raise _damage(path, f"{name} is not what it should be")
+        if column.shape[:1] + width != column.shape:
+            raise _damage(path, f"{name} has the shape {column.shape}")
+        storage = column.id.get_create_plist()
+        filters = {storage.get_filter(k)[0] for k in range(storage.get_nfilters())}
+        rows = max(len(column), column.chunks[0] if column.chunks and len(column) else 0)
+        size = rows * column.dtype.itemsize * math.prod(width)
+        if not filters <= _FILTERS or size > _RATIO * column.id.get_storage_size():
+            raise _damage(path, f"{name} says that it is larger than it can be")
+        pool = name.partition("/")[0] if kind.pool == "" else kind.pool
+        if lengths.setdefault(pool, len(column)) != len(column):
+            raise _damage(path, f"{name} has {len(column)} rows")
+    frames = lengths["frames"]
+    if lengths["ends"] != frames + 1:
+        raise _damage(path, f"there are {frames} frames and {lengths['ends']} ends of them")
+    return lengths
+
+
 def _short(error: BaseException) -> str:
     lines = str(error).strip("'\" ").splitlines()
     return lines[0][:200] if lines else type(error).__name__
@@ -523,11 +565,19 @@ class File:
             _check_links(path, file, 2)
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
+            sets = {f"history/{name}": of_rows("<f8") for name in self.columns}
+            sets |= {"scene": of_rows("|u1"), **layout(self.nutrients)}
+            lengths = _check_sets(path, file, sets)
             shared = {p: file[p][()] for p in ("scene", *_shared(layout(self.nutrients)))}
             if digest(shared) != int(file.attrs["digest"]):
                 problem = "its scene, index or lineage is not what was written"
                 raise _damage(path, f"{problem}. Nothing in it can be read")
-            self.rows = len(file["history"][self.columns[0]]) if self.columns else 0
+            self.rows = lengths.get("history", 0)
+            for name, ends in shared.items():
+                if name.endswith("/offset") and (
+                    ends[0] or ends[-1] != lengths[name] or (np.diff(ends) < 0).any()
+                ):
+                    raise _damage(path, f"{name} does not count rows")
             self.identity, self.absorbed = (
                 file.attrs[key].decode("ascii") for key in ("identity", "absorbed")
             )

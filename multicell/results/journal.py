@@ -16,7 +16,9 @@ middle of is one that was being written: it does not count, and the next one is 
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
 import struct
 import time as clock
 import zlib
@@ -181,6 +183,57 @@ def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, 
     return chain, [head, chain.to_bytes(4, "little"), text, *pieces]
 
 
+_ENTRIES: Final[Mapping[str, Mapping[str, Any]]] = {
+    "open": {
+        "identity": str, "base": str, "frames": int, "rows": int, "scene": str, "nutrients": list,
+    },
+    "back": {"scene": str, "frames": int, "rows": int},
+    "rows": {"start": int, "columns": list},
+    "lineage": {"number": int},
+    "frame": {"number": int, "time": float, "step": int},
+}  # fmt: skip
+"""Entries of the header of each kind of record; numbers are at least zero, lists are of names."""
+
+_TYPE: Final = re.compile(r"[<|][biuf][1248]")  # of arrays
+_MOST_AXES: Final = 3
+_WIDEST: Final = 8  # axis of an array without entries, beside the one of length zero
+
+
+def _header(text: bytes, length: int, *, first: bool) -> dict[str, Any] | None:
+    """Return the header of a record of ``length`` bytes of arrays; None if it cannot be one.
+
+    A checksum only says that a record is what somebody has written.
+    """
+    try:
+        header = json.loads(text)
+        kind, arrays = header.get("kind"), header.get("arrays", [])
+        entries = [(header[key], wanted) for key, wanted in _ENTRIES[kind].items()]
+        right = (kind == "open") == first and all(_is_right(*entry) for entry in entries)
+        size = sum(_size(*entry) for entry in arrays)
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        return None
+    return header if right and size == length else None
+
+
+def _is_right(entry: Any, wanted: type) -> bool:
+    """Return whether an entry of a header is of its type, and can be."""
+    same: bool = type(entry) is wanted  # True is no number
+    if same and wanted is list:
+        return all(type(name) is str for name in entry) and len({*entry}) == len(entry)
+    return same and (wanted is str or 0 <= entry < 1 << 62)
+
+
+def _size(name: Any, kind: Any, shape: Any) -> int:
+    """Return the bytes of an array; raises ValueError where there can be no such one."""
+    entries = [type(n) is int and n >= 0 for n in shape]
+    if type(name) is not str or not _TYPE.fullmatch(kind) or not all(entries):
+        raise ValueError
+    size: int = math.prod(shape) * int(kind[2:])
+    if len(shape) > _MOST_AXES or (not size and max(shape) > _WIDEST):
+        raise ValueError
+    return size
+
+
 @final
 class Reader:
     """The complete records of a journal, as they were when it was opened.
@@ -221,7 +274,11 @@ class Reader:
         if zlib.crc32(text) != of_text:
             self.damage = f"the record at byte {self.end} is damaged"
             return False
-        self.records.append(Record(json.loads(text), begin, length, of_body))
+        header = _header(text, length, first=not self.records)
+        if header is None:
+            self.damage = f"the record at byte {self.end} is none of a run"
+            return False
+        self.records.append(Record(header, begin, length, of_body))
         self.end, self.chain = begin + length, of_head
         return True
 

@@ -12,7 +12,8 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray
+from multicell.cells import Cells, FloatArray, State
+from multicell.errors import OutputError
 from multicell.results.coding import decode, encode
 from multicell.results.lineage import COLUMNS
 from multicell.results.records import FIELD, SPARSE, UNIT, Arrays, without_zeros
@@ -107,6 +108,24 @@ def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
         absent = np.full((entry.width,) if entry.width else (), entry.absent)
         found[f"{group}/{key}"] = arrays.get(f"{group}/{key}", absent)
     return found
+
+
+def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> None:
+    """Refuse arrays of another type or shape than a frame has; raises OutputError."""
+    sets = layout(nutrients)
+    sets |= {"time": sets["frames/time"], "step": sets["frames/step"]}
+    count = arrays["cells/id"].shape if "cells/id" in arrays else ()
+    for path, array in arrays.items():
+        kind = sets.get(path, Kind("<f8", None, "values" if path.endswith("/values") else ""))
+        axes = {"frames": 0, "values": 3}.get(kind.pool, 1)
+        rows = count if path.startswith("cells/") else array.shape[:axes]
+        width = () if kind.width is None else (kind.width,)
+        right = kind.pool and len(rows) == axes and array.shape == (*rows, *width)
+        if not right or array.dtype.str != kind.dtype:
+            problem = f"{path} has the type {array.dtype.str} and shape {array.shape}"
+            raise OutputError(problem, damaged=True)
+    if not np.isin(arrays.get("cells/state", 0), [*State]).all():
+        raise OutputError("a cell is in no known state", damaged=True)
 
 
 def read_frame(file: Any, place: int, nutrients: Iterable[str], ends: Ends) -> Arrays:

@@ -77,11 +77,29 @@ class Lineage:
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Lineage:
-        """Return the lineage of arrays, log/column -> rows."""
+        """Return the lineage of arrays, log/column -> rows.
+
+        Raises ValueError if they can be none.
+        """
         lineage = cls()
         for log, columns in COLUMNS.items():
             lineage._note(log, tuple(arrays[f"{log}/{name}"] for name in columns))
+        for log in ("deaths", "ends"):
+            if not np.isin(arrays[f"{log}/id"], arrays["births/id"]).all():
+                raise ValueError(f"{log} are of cells that were not born")
+        if not np.isin(arrays["ends/cause"], [_DIVIDED, *State]).all():
+            raise ValueError("an end has no known cause")
         return lineage
+
+    @staticmethod
+    def check(arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Refuse arrays, log/column -> rows, that have not the columns of the logs: ValueError."""
+        for log, columns in COLUMNS.items():
+            shape = arrays[f"{log}/id"].shape if f"{log}/id" in arrays else ()
+            for path, dtype in ((f"{log}/{name}", dtype) for name, dtype in columns.items()):
+                rows = arrays.get(path)
+                if rows is None or rows.dtype != dtype or rows.ndim != 1 or rows.shape != shape:
+                    raise ValueError(f"it has no {path} as it should be")
 
     def table(self) -> dict[str, NDArray[Any]]:
         """Return one row for every cell that ever was, in the order of the identities.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.results import hdf5, journal
 from multicell.results.frame import Frame
+from multicell.results.layout import check_frame
 from multicell.results.lineage import COLUMNS, Lineage
 from multicell.results.records import Arrays, frame_of
 
@@ -101,36 +102,54 @@ class Contents:
 
     def _follow_journal(self, reader: journal.Reader) -> None:
         self.damage = reader.damage
-        log = None
+        log: tuple[Any, Any] = None, None  # number and rows of the lineage before a frame
         for record in reader.records:
             header, read = record.header, partial(reader.arrays, record)
+            follows = True
             match header["kind"]:
                 case "open":
                     self.identity = header["identity"]
                     self.nutrients = tuple(sorted(header["nutrients"]))
-                    self._go_back(header)
+                    follows = self._go_back(header)
                 case "back":
-                    self._go_back(header)
+                    follows = self._go_back(header)
                 case "rows":
-                    self._add_rows(header, read)
+                    follows = self._add_rows(header, read)
                 case "lineage":
-                    log = read
+                    log = header["number"], read
                 case "frame":
-                    assert log is not None  # each frame is written behind its lineage
+                    # each is written behind its lineage
+                    follows = header["number"] == log[0] == len(self.places)
                     when = header["time"], header["step"]
-                    self.places.append(_Place(*when, record.digest, read, log))
+                    if follows:
+                        self.places.append(_Place(*when, record.digest, read, log[1]))
+            if not follows:
+                self.damage = f"the record before byte {record.begin} does not follow the others"
+                return
 
-    def _go_back(self, header: Mapping[str, Any]) -> None:
-        """Forget what a run that was resumed from an earlier frame has left behind."""
+    def _go_back(self, header: Mapping[str, Any]) -> bool:
+        """Forget what a run that was resumed from an earlier frame has left behind.
+
+        Returns whether there is so much of it.
+        """
+        if header["frames"] > len(self.places) or header["rows"] > self.rows:
+            return False
         del self.places[header["frames"] :]
         self._rows, before = [], self._rows
         for part in before:
             count = min(part.length, header["rows"] - self.rows)
             self._rows += [part._replace(length=count)] if count > 0 else []
         self.scene = header["scene"]
+        return True
 
-    def _add_rows(self, header: Mapping[str, Any], read: Callable[[], Arrays]) -> None:
+    def _add_rows(self, header: Mapping[str, Any], read: Callable[[], Arrays]) -> bool:
+        """Add rows of the history; return whether they are such, with the columns of the others."""
         columns = tuple(header["columns"])
+        arrays = [(name, kind, shape[1:]) for name, kind, shape in header.get("arrays", ())]
+        if not {"time"} <= {*(self.columns or columns)} <= {*columns}:
+            return False
+        if arrays != [("rows", "<f8", [len(columns)])]:
+            return False
         self.columns = self.columns or columns
 
         def by_column() -> dict[str, NDArray[np.float64]]:
@@ -138,6 +157,7 @@ class Contents:
 
         ((_, _, (length, _)),) = header["arrays"]
         self._rows.append(_Rows(length, by_column))
+        return True
 
     @property
     def rows(self) -> int:
@@ -147,7 +167,9 @@ class Contents:
     def frame(self, place: int) -> Frame:
         """Return a frame."""
         try:
-            return frame_of(self.places[place].arrays(), self.nutrients)
+            arrays = self.places[place].arrays()
+            check_frame(arrays, self.nutrients)
+            return frame_of(arrays, self.nutrients)
         except OutputError as error:
             how = "is damaged" if error.damaged else "cannot be read"
             problem = f"frame {place} in '{self.folder}' {how}: {error}"
@@ -159,8 +181,15 @@ class Contents:
         """Return the lineage up to a frame; raises OutputError if it is damaged."""
         paths = [f"{log}/{name}" for log, columns in COLUMNS.items() for name in columns]
         parts = [entry.log() for entry in self.places[: place + 1]]
-        whole = {path: np.concatenate([part[path] for part in parts]) for path in paths}
-        return Lineage.of(whole)
+        try:
+            for part in parts:
+                Lineage.check(part)
+            whole = {path: np.concatenate([part[path] for part in parts]) for path in paths}
+            return Lineage.of(whole)
+        except ValueError as error:
+            raise OutputError(
+                f"the lineage in '{self.folder}' is damaged: {error}", damaged=True
+            ) from error
 
     def history(self, rows: int | None = None) -> dict[str, NDArray[np.float64]]:
         """Return the first rows of the history, by default all, by column."""

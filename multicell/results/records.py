@@ -95,7 +95,7 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
         )
     except KeyError as error:
         raise OutputError(f"it has no {error.args[0]}", damaged=True) from None
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise OutputError(str(error), damaged=True) from None
 
 

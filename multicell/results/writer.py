@@ -233,14 +233,11 @@ class Store:
     def settle(self) -> None:
         """Make one file ``frames.h5`` of all that there is.
 
-        The journal goes when that file has been read back. No signal comes in between.
+        The journal goes when that file has been read back.
         """
-        with UNCUT:
-            self._settle()
-
-    def _settle(self) -> None:
         self.flush()
         contents = Contents(self.folder)
+        contents.whole()
         frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
         held = contents.scene, contents.nutrients, frames, contents.history(), contents.identity
         try:

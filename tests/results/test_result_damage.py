@@ -5,15 +5,24 @@ runs in a process of its own: HDF5 is not Python, and can crash or hang.
 """
 
 import os
+import random
 import shutil
 import signal
 import subprocess
 import sys
+import tracemalloc
+from contextlib import closing
 from pathlib import Path
 
+import forged
+import h5py
 import pytest
 
 import multicell as mc
+from multicell.results.journal import Reader
+from multicell.results.reader import Contents
+from multicell.results.writer import Store
+from multicell.simulation import Simulation
 
 CHANGES = {
     "duration": "3 h",
@@ -99,3 +108,90 @@ def test_damaged_folders_are_read_right_or_refused(folders, forks, tmp_path, pyt
         f"case {k}, {kind}: {code}\n{text}" for k, kind, code, text in wrong
     )
     assert refused > 0.3 * pytestconfig.getoption("damages")
+
+
+@pytest.mark.harness
+@pytest.mark.slow
+def test_forged_folders_are_refused_in_words(folders, forks, tmp_path, pytestconfig):
+    made, _ = folders
+    wrong = []
+    for case in range(pytestconfig.getoption("damages")):
+        folder = tmp_path / "case" / "out"
+        kind = ("killed", "resumed and killed", "finished")[case % 3]
+        shutil.copytree(made[kind], folder)
+        task = {"number": case, "folder": str(folder)}
+        done = forks.ask(function="forged:check", limit=60.0, **{"with": task})
+        if done["code"] != 0:
+            wrong.append((case, kind, done["code"], done["text"][-1500:]))
+        shutil.rmtree(tmp_path / "case")
+    assert not wrong, "\n\n".join(f"case {k}, {kind}: {c}\n{text}" for k, kind, c, text in wrong)
+
+
+@pytest.fixture(scope="module")
+def journal(tmp_path_factory):
+    """A folder with the journal of a run that was killed."""
+    scene = mc.load_scene("spheroid").with_changes({**CHANGES, "initial.count": 20})
+    simulation, folder = Simulation(scene, threads=1), tmp_path_factory.mktemp("journal") / "out"
+    with closing(Store.create(folder, scene)) as store:
+        for _ in range(3):
+            store.append_history(simulation.history_row())
+            store.append(simulation.frame(), simulation.lineage)
+            simulation.step()
+    return folder
+
+
+def test_forged_headers_of_a_journal_are_refused_in_words(journal, tmp_path, capsys):
+    count, refused = len(Reader(journal / "frames.journal").records), 0
+    for case in range(250):
+        folder = tmp_path / f"{case}"
+        shutil.copytree(journal, folder)
+        rng = random.Random(case)
+        edit, words = forged.edit_of(rng)
+        forged.rewrite(folder / "frames.journal", rng.randrange(count), edit)
+        try:
+            result = mc.load_result(folder)
+            for k in range(len(result.frames)):
+                repr(result.frames[k].cells)
+            Contents(folder).whole()
+        except mc.OutputError as error:
+            refused += 1
+            assert "damaged" in str(error)  # noqa: PT017
+            assert error.damaged  # noqa: PT017
+        except mc.MulticellError:
+            refused += 1
+        except Exception as error:
+            error.add_note(f"case {case}: {words}")
+            raise
+        shutil.rmtree(folder)
+    assert refused > 200
+
+
+@pytest.mark.parametrize("name", ["frames/time", "scene", "lineage/births/id", "history/time",
+                                  "cells/position", "fields/oxygen/coded"])  # fmt: skip
+def test_what_is_larger_than_it_can_be_is_refused_before_it_is_read(name, journal, tmp_path):
+    folder = tmp_path / "out"
+    shutil.copytree(journal, folder)
+    mc.resume(folder, report=False, threads=1, changes={"duration": "30 min"})
+    with h5py.File(folder / "frames.h5", "r+") as file:
+        file[name].resize(1 << 25, axis=0)
+    tracemalloc.start()
+    try:
+        with pytest.raises(mc.OutputError, match="larger than it can be") as found:
+            mc.load_result(folder)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert found.value.damaged
+    assert peak < 1 << 24
+
+
+def test_numbers_that_are_packed_into_no_bits_are_refused(journal, tmp_path):
+    folder = tmp_path / "out"
+    shutil.copytree(journal, folder)
+    mc.resume(folder, report=False, threads=1, changes={"duration": "30 min"})
+    with h5py.File(folder / "frames.h5", "r+") as file:
+        values = file["frames/step"][()]
+        del file["frames/step"]
+        file.create_dataset("frames/step", data=values, maxshape=(None,), scaleoffset=0)
+    with pytest.raises(mc.OutputError, match="larger than it can be"):
+        mc.load_result(folder)
