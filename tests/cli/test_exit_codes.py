@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from full_disk import SHORT, WRITING
 
 import multicell as mc
 from multicell.cli.main import main
@@ -21,7 +22,6 @@ from multicell.errors import (
 )
 from multicell.results import folder as folders
 
-SHORT = ["--set", "duration=2 h", "--set", "output.every=1 h"]
 DOCS = Path(__file__).parents[2] / "docs" / "using.md"
 
 
@@ -87,25 +87,6 @@ def done(tmp_path_factory):
     assert code("study", "run", place / "study", "--cores", 1, "--no-report")[0] == 0
     (place / "data.csv").write_text("time / h,diameter / um\n0.5,15\n1,15\n1.5,16\n2,16\n")
     return place
-
-
-FREE = ["--free", "growth.cycle_time=8:25 h"]
-WRITING = {
-    "run": lambda at, out: ["run", "growth", "-o", out, *SHORT],
-    "resume": lambda at, out: ["resume", at / "run", "-o", out, "--set", "duration=3 h"],
-    "export": lambda at, out: ["export", at / "run", "-o", out],
-    "export netcdf": lambda at, out: ["export", at / "run", "-o", out, "--format", "netcdf"],
-    "plot": lambda at, out: ["plot", at / "run", "-o", out.with_suffix(".png")],
-    "study new": lambda at, out: ["study", "new", "growth", "-o", out],
-    "study report": lambda at, out: ["study", "report", at / "study"],
-    "compare": lambda at, out: ["compare", "settle", "-o", out, "--methods", "euler"],
-    "stability": lambda at, out: ["stability", "settle", "-o", out, "--methods", "euler"],
-    "sensitivity": lambda at, out: ["sensitivity", "growth", *SHORT, *FREE, "--size", "4",
-                                    "-o", out, "--cores", "1"],
-    "fit": lambda at, out: ["fit", "growth", *SHORT, *FREE, "--data", at / "data.csv", "-o", out,
-                            "--budget", "40", "--cores", "1"],
-    "init": lambda at, out: ["init", "growth", "-o", out.with_suffix(".toml")],
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", WRITING)
