@@ -2,10 +2,83 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Sequence
-from typing import ClassVar, final
+from enum import IntEnum
+from typing import ClassVar, Final, Self, final
 
 _LONGEST_PATH = 200  # letters of a key that are shown
+
+_SOMETHING_ELSE: Final = {
+    errno.EISDIR, errno.ENOTDIR, errno.ELOOP, errno.EINVAL, errno.EFBIG, errno.ENXIO, errno.EEXIST,
+    errno.ENAMETOOLONG,
+}  # fmt: skip
+"""The system refuses these for what stands in a file's place, such as a folder or a pipe, or for
+its name."""
+
+
+@final
+class ExitCode(IntEnum):
+    """How a command ends; each member states its one meaning as ``words``."""
+
+    words: str
+
+    DONE = 0, "done"
+    FAILED = (
+        1,
+        (
+            "what was computed failed for what it is: a step that cannot be solved, "
+            "a run of a study, a fit without a result, code of your own"
+        ),
+    )
+    REFUSED = (
+        2,
+        (
+            "the input cannot be used: a scene, an option, data, a damaged file or one of another "
+            "run, a folder that holds something else, a missing package"
+        ),
+    )
+    MACHINE = (
+        3,
+        (
+            "the machine refused: a full disk, a file that may not be read or written or is in "
+            "use, too little memory, workers that have gone; the same command continues once "
+            "that is mended"
+        ),
+    )
+    BUG = 4, "an error of multicell itself; please report it"
+    INTERRUPTED = 130, "stopped by Ctrl-C or by an answer; results up to then stay readable"
+
+    def __new__(cls, number: int, words: str) -> Self:
+        """Return a member with its meaning."""
+        member = int.__new__(cls, number)
+        member._value_ = number
+        member.words = words
+        return member
+
+
+def exit_code_of(error: BaseException) -> ExitCode:
+    """Return how a command ends that an error ends."""
+    if is_machine_failure(error):
+        return ExitCode.MACHINE
+    if isinstance(error, OSError):
+        return ExitCode.MACHINE if error.errno is None else ExitCode.REFUSED
+    return error.exit_code if isinstance(error, MulticellError) else ExitCode.BUG
+
+
+def is_machine_failure(error: BaseException | None) -> bool:
+    """Return whether the machine is the cause of an error, not what a file holds.
+
+    A file that may not be read, is locked or gone, a full disk, too many open files and too little
+    memory say nothing of the file's content: nothing may be removed for them.
+    """
+    while error is not None and not getattr(error, "damaged", False):
+        if isinstance(error, MemoryError):
+            return True
+        if isinstance(error, OSError) and error.errno is not None:
+            return error.errno not in _SOMETHING_ELSE
+        error = error.__cause__
+    return False
 
 
 class MulticellError(Exception):
@@ -21,7 +94,7 @@ class MulticellError(Exception):
         What to try, for example the likely name of a misspelt key.
     """
 
-    exit_code: ClassVar[int] = 1
+    exit_code: ClassVar[ExitCode] = ExitCode.FAILED
 
     def __init__(self, problem: str, hint: str = "", *, where: str = "") -> None:
         self.problem, self.hint = problem, hint
@@ -45,7 +118,7 @@ class SceneError(MulticellError):
         As for all errors.
     """
 
-    exit_code: ClassVar[int] = 2
+    exit_code: ClassVar[ExitCode] = ExitCode.REFUSED
 
     def __init__(self, path: str, problem: str, hint: str = "") -> None:
         self.path = path
@@ -65,7 +138,7 @@ class DataError(MulticellError):
         As for all errors.
     """
 
-    exit_code: ClassVar[int] = 2
+    exit_code: ClassVar[ExitCode] = ExitCode.REFUSED
 
     def __init__(self, place: str, problem: str, hint: str = "") -> None:
         self.place = place
@@ -86,8 +159,8 @@ class OutputError(MulticellError):
     problem
         What is wrong, where, and what to do about it.
     exit_code
-        2 for a folder that could not be used from the start, 1 for a run that could not go on
-        writing.
+        ``MACHINE`` for a run that could not go on writing; a folder that could not be used from
+        the start is refused, unless the system is the cause (:func:`exit_code_of`).
     in_use
         Whether another run in the folder is what keeps it from being used.
     damaged
@@ -96,13 +169,18 @@ class OutputError(MulticellError):
         many open files, disk full), or it may not be used in this way.
     """
 
-    exit_code: int = 2  # type: ignore[misc]  # of each one its own
+    exit_code: ExitCode  # type: ignore[misc]  # of each one its own
 
     def __init__(
-        self, problem: str, *, exit_code: int = 2, in_use: bool = False, damaged: bool = False
+        self,
+        problem: str,
+        *,
+        exit_code: ExitCode = ExitCode.REFUSED,
+        in_use: bool = False,
+        damaged: bool = False,
     ) -> None:
         super().__init__(problem)
-        self.exit_code = exit_code
+        self.exit_code = ExitCode.MACHINE if in_use else exit_code
         self.in_use = in_use
         self.damaged = damaged
 
@@ -144,7 +222,7 @@ class MissingPackage(MulticellError):  # noqa: N818 - it names what is so, like 
         The set of optional packages that has them: ``pip install "multicell[extra]"``.
     """
 
-    exit_code: ClassVar[int] = 2
+    exit_code: ClassVar[ExitCode] = ExitCode.REFUSED
 
     def __init__(self, packages: Sequence[str], extra: str) -> None:
         self.packages = tuple(packages)
@@ -165,11 +243,11 @@ class ClusterError(MulticellError):
     problem, hint
         As for all errors, with the address.
     exit_code
-        2 before anything has run, 1 afterwards.
+        ``REFUSED`` before anything has run, ``MACHINE`` afterwards.
     """
 
-    exit_code: int = 2  # type: ignore[misc]  # of each one its own
+    exit_code: ExitCode  # type: ignore[misc]  # of each one its own
 
-    def __init__(self, problem: str, hint: str, *, exit_code: int = 2) -> None:
+    def __init__(self, problem: str, hint: str, *, exit_code: ExitCode = ExitCode.REFUSED) -> None:
         super().__init__(problem, hint)
         self.exit_code = exit_code

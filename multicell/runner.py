@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from multicell.compiling.threads import thread_count
 from multicell.coupling.start_check import check_population
-from multicell.errors import OutputError, SceneError
+from multicell.errors import ExitCode, OutputError, SceneError
 from multicell.host.interrupts import STEP, UNCUT
 from multicell.host.memory import Returns, peak
 from multicell.integrators.base import info_of
@@ -26,6 +26,7 @@ from multicell.results.folder import lock_folder
 from multicell.results.frame import Frame
 from multicell.results.measures import check_observables
 from multicell.results.quantities import units_of
+from multicell.results.summary import scene_mark
 from multicell.scene.scene import Scene, load_scene
 from multicell.simulation import Simulation
 from multicell.units import shown
@@ -103,7 +104,7 @@ def run(
     SceneError, OutputError
         For input that cannot be used, before the first step.
     OutputError
-        With exit code 1 if results cannot be written later on, for example because the disk is
+        With exit code 3 if results cannot be written later on, for example because the disk is
         full. What was saved before can be read, and resumed when there is room.
     StepFailed
         If a step cannot be solved. Like after Ctrl-C, the folder then holds all frames so far,
@@ -209,11 +210,11 @@ def advance_run(
 
 @contextmanager
 def failing_as_run() -> Iterator[None]:
-    """Count what cannot be written from now on as a failure of the run, not as bad input."""
+    """Count what cannot be written from now on as a failure of the machine, not as bad input."""
     try:
         yield
     except OutputError as error:
-        error.exit_code = 1
+        error.exit_code = ExitCode.MACHINE
         raise
 
 
@@ -290,6 +291,7 @@ class Recorder:
         if interrupted:
             self._summary["interrupted"] = True
         if self._store is not None:
+            self._summary["scene_digest"] = scene_mark(self._store.scene)
             write_table(self._store.folder / "summary.json", self._summary)
 
     def _account(self, simulation: Simulation) -> dict[str, float]:
@@ -474,7 +476,8 @@ def _place(contents: Contents, frame: int) -> int:
     count = len(contents.places)
     place = frame + count if frame < 0 else frame
     if not 0 <= place < count:
-        have = f"it has the frames 0 to {count - 1}" if count else "it has no frames"
+        have = "it has no frames. 'multicell run' with the same scene and folder begins it anew"
+        have = f"it has the frames 0 to {count - 1}" if count else have
         raise OutputError(f"the run in '{contents.folder}' has no frame {frame}: {have}")
     return place
 

@@ -92,7 +92,7 @@ def dose_response(
     cores, scheduler, retry
         As in :meth:`multicell.studies.study.Study.run`.
     report
-        Whether to write tables, the page and its pictures.
+        Whether to write the page and its pictures; tables are written in any case.
     progress
         Called with the outcome of each run.
 
@@ -112,6 +112,8 @@ def dose_response(
         if any(given is not None for given in (scene, dose, doses, combine)):
             raise SceneError("data", "stands in place of a scene and doses", "Give one of them.")
         result = replace(of_table(data), folder=None if output is None else Path(output))
+        if output is not None:
+            result.write_tables()
     else:
         plan = plan_of(scene, dose, doses, combine=combine, observable=observable, seeds=seeds)
         folder = Path("dose-response" if output is None else output)
@@ -254,11 +256,13 @@ def carry_out(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
             "doses may end at different times"
         )
     known = "living cells" if plan.observable == LIVING else words(plan.observable)
-    return analyse(
+    result = analyse(
         plan.points, values, rows, names=plan.names, units=plan.units, response=known,
         shared=True, notes=notes,
         scene=plan.scene, folder=folder, title=plan.scene.title or "Untitled scene",
     )  # fmt: skip
+    result.write_tables()  # numbers do not wait for a page
+    return result
 
 
 def of_table(source: Any) -> DoseResponse:
@@ -341,6 +345,10 @@ def analyse(
     there: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=1))
     means = np.array([np.mean(row[np.isfinite(row)]) for row in values[there]])
     control = float(means[0]) if there[0] else math.nan
+    if not there[0]:
+        reason = next((row["reason"] for row in rows[: values.shape[1]] if row.get("reason")), "")
+        said = f": its runs failed, the first one: {reason}" if reason else ""
+        raise FitFailed(f"nothing is known of the control{said}", "Everything is relative to it.")
     if not control > 0.0:
         hint = "Viability is relative to it: it must be above 0."
         raise FitFailed(f"the control has the response {control:g}", hint)

@@ -17,6 +17,9 @@ from multicell.calibration.problem import Problem
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_table, write_table
 from multicell.results.folder import (
+    copy_of,
+    file_errors,
+    is_begun,
     lock_folder,
     make_folder,
     package_version,
@@ -24,6 +27,7 @@ from multicell.results.folder import (
     to_json,
     versions,
     with_copy,
+    write_bytes,
     write_text,
 )
 from multicell.scene.start_table import COPIES
@@ -108,9 +112,9 @@ class FitPlan:
         """Make the folder of the fit, or open that of the same one; keep other processes out."""
         folder = Path(place)
         asked = json.loads(to_json(self.describe()))
-        known = _read_fit(folder)
-        if known is None or overwrite:
-            make_folder(folder, overwrite=overwrite)
+        known = None if overwrite else _read_fit(folder)
+        if known is None:
+            make_folder(folder, overwrite=overwrite or is_begun(folder, self._first(folder)))
         elif known.get("problem") != asked:
             there = known.get("problem")
             parts = there if isinstance(there, dict) else {}
@@ -122,13 +126,28 @@ class FitPlan:
         with lock_folder(folder):
             if overwrite:
                 remove(folder, FILES)
-            if _read_fit(folder) is None:
-                kept = with_copy(self.scene, folder)
-                write_text(folder / "scene.toml", kept.to_toml(beside=folder))
-                write_text(folder / "data.csv", csv_text(self.table.titles, self.table.rows))
+            new = _read_fit(folder) is None
+            for name, content in self._first(folder).items():
+                if new or not _holds(folder / name, content):  # damaged since, or changed
+                    write_bytes(folder / name, content)
+            if new:
                 entry = {"multicell": package_version(), "problem": asked}
                 write_table(folder / FIT, entry)  # the last: then all is there
             yield folder
+
+    def _first(self, folder: Path) -> dict[str, bytes]:
+        """Return the content of what is written to a folder first, by name."""
+        scene, content = copy_of(self.scene, folder)
+        return {
+            **content,
+            "scene.toml": scene.to_toml(beside=folder).encode(),
+            "data.csv": csv_text(self.table.titles, self.table.rows).encode(),
+        }
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    with file_errors("read", path):
+        return path.is_file() and path.read_bytes() == content
 
 
 def make_runs(

@@ -7,7 +7,7 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import Any, final
 
-from multicell.errors import ClusterError, FitFailed
+from multicell.errors import ClusterError, ExitCode, FitFailed
 
 Call = tuple[Any, Callable[..., Any], tuple[Any, ...]]
 """What a result comes back with, the function, and its arguments."""
@@ -45,15 +45,27 @@ class Pool:
             return
         import distributed
 
+        from multicell.studies.workers import CheckedClient, Refusal
+
         as_completed: Any = distributed.as_completed  # which has no types
-        # equal calls are different work: one that was cancelled must not come back as another
-        pending = {
-            self._client.submit(function, *arguments, pure=False): key
-            for key, function, arguments in calls
-        }
+        client = CheckedClient(self._client)
+
+        def submit(call: Call) -> Any:
+            # equal calls are different work: one that was cancelled must not come back as another
+            return client.submit(call[1], *call[2], pure=False)
+
+        pending = {submit(call): call for call in calls}
+        ended = as_completed(list(pending), loop=self._client.loop)
         try:
-            for future in as_completed(list(pending), loop=self._client.loop):
-                yield pending[future], result_of(future)
+            for future in ended:
+                call, found = pending.pop(future), result_of(future)
+                if isinstance(found, Refusal):
+                    client.note(found)
+                    again = submit(call)
+                    pending[again] = call
+                    ended.add(again)
+                else:
+                    yield call[0], found
         except ClusterError:
             raise
         except BaseException:
@@ -69,7 +81,7 @@ def result_of(future: Any) -> Any:
         raise ClusterError(
             "the scheduler has gone",
             "All runs that have ended are kept: the same fit continues with them",
-            exit_code=1,
+            exit_code=ExitCode.MACHINE,
         ) from error
     except Exception as error:
         if type(error).__name__ != "KilledWorker":  # of Dask, which need not be installed

@@ -72,7 +72,7 @@ def sensitivity(
     cores, scheduler, retry
         As in :meth:`multicell.studies.study.Study.run`.
     report
-        Whether to write the page and its pictures.
+        Whether to write the page and its pictures; tables are written in any case.
     progress
         Called with the outcome of each run.
 
@@ -168,7 +168,9 @@ def carry_out(plan: SensitivityPlan, output: str | Path, **how: Any) -> Sensitiv
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
     result = result_of(plan.scene, plan.ranges, plan.seeds, values, failures)
-    return replace(result, folder=folder)
+    result = replace(result, folder=folder)
+    result.write_tables()  # numbers do not wait for a page
+    return result
 
 
 def result_of(

@@ -122,15 +122,24 @@ class Sensitivity:
         """
         from multicell.calibration.sensitivity_page import write_report
 
+        return write_report(self, self.write_tables(folder))
+
+    def write_tables(self, folder: str | Path | None = None) -> Path:
+        """Write ``sensitivity.csv`` and ``sensitivity.json``; return the folder.
+
+        Raises
+        ------
+        OutputError
+            As :meth:`report`.
+        """
         place = self.folder if folder is None else Path(folder)
         if place is None:
             raise OutputError("the analysis has no output folder: say where the report shall go")
         with file_errors("use the output folder", place):
             place.mkdir(parents=True, exist_ok=True)
-        texts = {"sensitivity.csv": self.to_csv(), "sensitivity.json": self.to_json()}
-        for name, text in texts.items():
-            write_text(place / name, text)
-        return write_report(self, place)
+        write_text(place / "sensitivity.csv", self.to_csv())
+        write_text(place / "sensitivity.json", self.to_json())
+        return place
 
 
 def _table_lines(rows: Sequence[Row]) -> list[str]:

@@ -15,10 +15,13 @@ from multicell.calibration.priors import Density
 from multicell.errors import MulticellError, OutputError
 from multicell.results.documents import read_table as read_document
 from multicell.results.folder import to_json
+from multicell.studies.runs import MODEL_VERSION
 
 FACTS: Final = (
     "sd", "specimens", "seeds", "repeats", "sets_of_parameters", "fresh_runs", "seconds",
 )  # fmt: skip
+
+_MENDS: Final = "The same 'multicell fit' in this folder writes them again, without a new run"
 
 
 def load_fit(folder: str | Path) -> Fit:
@@ -58,6 +61,12 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
         raise OutputError(f"'{folder}' holds no fit")
     try:
         problem = entry["problem"]
+        if problem["model"] != MODEL_VERSION:
+            raise OutputError(
+                f"'{folder}' holds a fit of model version {problem['model']}, and this multicell "
+                f"has {MODEL_VERSION}, whose runs have other numbers: fit again in another folder, "
+                f"or open it with multicell {entry.get('multicell')}"
+            )
         known = problem.get("densities", {})
         free = {
             key: (
@@ -72,10 +81,13 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
             repeats=result["repeats"], sd=problem["sd"], specimens=problem["specimens"],
         )  # fmt: skip
         plan = replace(plan, points=int(result["sets_of_parameters"]))
+    except OutputError:
+        raise
     except MulticellError as error:
-        raise OutputError(f"'{folder}' holds a fit that cannot be opened: {error}") from error
+        problem = f"'{folder}' holds a fit that cannot be opened: {error}. {_MENDS}"
+        raise OutputError(problem) from error
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise OutputError(f"'{folder}' holds a damaged fit: {error!r}") from error
     if json.loads(to_json(plan.describe())) != problem:
-        raise OutputError(f"'{folder}' holds a fit that its scene or data have been changed in")
+        raise OutputError(f"'{folder}' holds a fit whose scene or data have been changed. {_MENDS}")
     return plan

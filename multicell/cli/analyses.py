@@ -125,6 +125,7 @@ def dose_response(
 
     if described is None:
         result = replace(of_table(data), folder=output)
+        result.write_tables()
     else:
         keys, doses = list(pairs), tuple(pairs.values())
         plan = plan_of(
@@ -136,6 +137,4 @@ def dose_response(
             seeds=seeds,
         )
         result = studies.carry_out_study(plan, output, carry_out, how)
-    if how["no_report"]:
-        result.write_tables()
     studies.print_analysis(result, any(row["reason"] for row in result.table), how)

@@ -1,7 +1,7 @@
 """The command ``multicell``: parse, call, print.
 
-Exit codes: 0 done, 1 a run that failed, 2 bad input, 130 interrupted by Ctrl-C. Errors are one
-sentence on stderr. With ``--json`` stdout holds exactly one JSON document.
+Exit codes are those of :class:`multicell.errors.ExitCode`. Errors are one sentence on stderr.
+With ``--json`` stdout holds exactly one JSON document.
 """
 
 from __future__ import annotations
@@ -196,7 +196,8 @@ def doctor(as_json: bool) -> None:
     rows["cores"] = f"{found['cores']}, of which multicell uses {found['threads']}"
     if found["memory_GiB"] is not None:
         rows["memory"] = f"{found['memory_GiB']:g} GiB"
-    kept = "" if found["cache_writable"] else " (cannot be written to: every command compiles anew)"
+    hint = " (cannot be written to: set NUMBA_CACHE_DIR to a folder of your own)"
+    kept = "" if found["cache_writable"] else hint
     rows["compiled code"] = f"{found['cache']}{kept}"
     for extra, names in found["missing"].items():
         rows[f"extra '{extra}'"] = f'lacks {", ".join(names)}: pip install ".[{extra}]"'

@@ -1,6 +1,6 @@
 """Run a command in a process: streams, exit codes, messages of errors.
 
-A command ends with one of the exit codes of :mod:`multicell.cli.main` and at most one line about
+A command ends with one of :class:`multicell.errors.ExitCode` and at most one line about
 what went wrong, whatever the streams are: of a narrow encoding, full, closed, or a pipe that nobody
 reads any more. Only ``MULTICELL_DEBUG=1`` shows tracebacks.
 """
@@ -13,13 +13,13 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib import import_module
 from typing import IO, Any, NoReturn, final
 
 import click
 
-from multicell.errors import MulticellError, UnitWarning
+from multicell.errors import ExitCode, MulticellError, UnitWarning, exit_code_of
 from multicell.host.interrupts import end_command, interrupted
 from multicell.plugins.named import own_fault
 
@@ -46,9 +46,6 @@ def print_file(path: object, as_json: bool) -> None:
         click.echo(path)
 
 
-INTERRUPTED = 130  # exit code after Ctrl-C
-PIPE_CLOSED = 1
-"""Exit code where the reader of our output has gone: click's and rich's, without words."""
 DEBUG = "MULTICELL_DEBUG"  # environment variable that shows the traceback of an unexpected error
 
 
@@ -90,7 +87,28 @@ class Commands(click.Group):
         def command() -> Any:
             return super(Commands, self).main(given, prog_name, complete_var, False, **extra)
 
-        leave(exit_code(command, "--json" in given))
+        with quiet_libraries() if {"--quiet", "-q"} & {*given} else nullcontext():
+            leave(exit_code(command, "--json" in given))
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Print no warnings of libraries, here and in processes that this one starts."""
+    import logging
+
+    before, disabled = os.environ.get("PYTHONWARNINGS"), logging.root.manager.disable
+    os.environ["PYTHONWARNINGS"] = "ignore"
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(disabled)
+        if before is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 def exit_code(command: Callable[[], Any], as_json: bool) -> int:
@@ -106,14 +124,16 @@ def exit_code(command: Callable[[], Any], as_json: bool) -> int:
     except (KeyboardInterrupt, click.Abort):
         end_command()
         complain("Interrupted.")
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
     except click.exceptions.Exit as leaving:
         return leaving.exit_code
+    except SystemExit as leaving:  # click's, where who reads our output has gone
+        return ExitCode.MACHINE if leaving.code == 1 else int(leaving.code or 0)
     except Exception as error:
         if interrupted() and not isinstance(error, MulticellError | OSError):
             # a Ctrl-C during the import of a library, or reported as another error
             complain("Interrupted.")
-            return INTERRUPTED
+            return ExitCode.INTERRUPTED
         return _explain(error, as_json)
 
 
@@ -137,7 +157,7 @@ def _notes() -> Iterator[None]:
 def _explain(error: Exception, as_json: bool) -> int:
     """Print one line (usage errors: click's) about an error; return its exit code."""
     if isinstance(error, BrokenPipeError):
-        return PIPE_CLOSED
+        return ExitCode.MACHINE  # without words: who reads has gone
     if isinstance(error, click.ClickException):
         with quietly():
             error.show(file=sys.stderr)
@@ -159,28 +179,29 @@ def _explain(error: Exception, as_json: bool) -> int:
 def in_words(error: Exception) -> tuple[str, int]:
     """Return one line about an error, and its exit code."""
     if isinstance(error, MulticellError):
-        return str(error), error.exit_code
+        return str(error), exit_code_of(error)
     if isinstance(error, OSError):
         reason = error.strerror or str(error) or type(error).__name__
         if error.filename is None:
-            return f"the output cannot be written: {reason}", 1
-        return f"'{error.filename}' cannot be used: {reason}", 1
+            return f"the output cannot be written: {reason}", ExitCode.MACHINE
+        return f"'{error.filename}' cannot be used: {reason}", exit_code_of(error)
     if isinstance(error, MemoryError):
-        return "there is not enough memory for this", 1
+        return "there is not enough memory for this", ExitCode.MACHINE
     fault = own_fault(error)
     if fault is not None:
-        return f"your own code fails: {fault}. {DEBUG}=1 shows how it was called", 1
+        words = f"your own code fails: {fault}. {DEBUG}=1 shows how it was called"
+        return words, ExitCode.FAILED
     said = " ".join(str(error).split())
     if "no locator available" in said:  # numba's words
         return (
             "compiled code cannot be kept: neither the folder of multicell nor the home folder can "
             "be written to. Set NUMBA_CACHE_DIR to a folder of your own",
-            1,
+            ExitCode.MACHINE,
         )
     return (
         f"unexpected {type(error).__name__}{f': {said}' if said else ''}. This is a bug of "
         f"multicell; {DEBUG}=1 shows where it happened, which a report of it should contain",
-        1,
+        ExitCode.BUG,
     )
 
 
@@ -199,7 +220,7 @@ def leave(code: int) -> NoReturn:
                 stream.flush()
         except (OSError, ValueError):
             _silence(stream, number)
-            code = code or 1
+            code = code or ExitCode.MACHINE
     sys.exit(code)
 
 

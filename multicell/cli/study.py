@@ -15,6 +15,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json
+from multicell.errors import ExitCode, MulticellError, exit_code_of
 from multicell.units import time_text
 
 if TYPE_CHECKING:
@@ -179,12 +180,22 @@ def run(folder: Path, **how: Any) -> None:
     from multicell.host.extras import needs
 
     reported = not how["no_report"]
-    needs("dask", "distributed", *(("xarray", "h5netcdf", "pandas") if reported else ()))
+    needs("dask", "distributed", "xarray", "h5netcdf", "pandas")
     outcomes = _carry_out(made, made.run, how)
-    page = made.folder / "report.html"
-    if reported and not (page.exists() and all(outcome.reused for outcome in outcomes)):
-        made.report()
-    _print_outcomes(made, outcomes, page if reported else None, how["quiet"], how["as_json"])
+    page, table = made.folder / "report.html", made.folder / "study.nc"
+    trouble: MulticellError | None = None
+    made_from = (page, table) if reported else (table,)
+    if not (all(path.exists() for path in made_from) and all(o.reused for o in outcomes)):
+        try:
+            if reported:
+                made.report()
+            else:
+                made.write_tables()
+        except MulticellError as error:  # how the runs ended comes first
+            trouble, reported = error, False
+    _print_outcomes(
+        made, outcomes, page if reported else None, trouble, how["quiet"], how["as_json"]
+    )
 
 
 def _open_study(folder: Path) -> Study:
@@ -216,7 +227,7 @@ def confirm(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None
         raise click.UsageError(f"{words}. There is no terminal to ask at: --yes confirms.")
     if not click.confirm("Go on?", err=True):
         complain("Nothing has run.")
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(ExitCode.INTERRUPTED)
 
 
 def _terminal() -> bool:
@@ -254,7 +265,7 @@ def _carry_out(study: Study, carry_out: Callable[..., Any], how: Mapping[str, An
 
 
 def print_analysis(result: Any, failed: bool, how: Mapping[str, Any]) -> None:
-    """Report an analysis, and end with 1 if one of its runs has failed."""
+    """Report an analysis, and end as failed if one of its runs has."""
     page = None if how["no_report"] else result.report()
     if how["as_json"]:
         print_json(result.to_dict())
@@ -262,7 +273,7 @@ def print_analysis(result: Any, failed: bool, how: Mapping[str, Any]) -> None:
         say(result.text())
         _print_page(page)
     if failed:
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(ExitCode.FAILED)
 
 
 def say(text: str) -> None:
@@ -276,16 +287,24 @@ def _print_page(page: Path | None) -> None:
 
 
 def _print_outcomes(
-    made: Study, outcomes: Sequence[Outcome], page: Path | None, quiet: bool, as_json: bool
+    made: Study,
+    outcomes: Sequence[Outcome],
+    page: Path | None,
+    trouble: MulticellError | None,
+    quiet: bool,
+    as_json: bool,
 ) -> None:
-    """Print what the runs came to; end with 1 if one has failed."""
+    """Print what the runs came to, and then ``trouble``; end with the code of the worst."""
     failed = [k for k, outcome in enumerate(outcomes) if outcome.state != "done"]
     if as_json:
         runs = [
             {**asdict(outcome), "coordinates": dict(run.coordinates)}
             for outcome, run in zip(outcomes, made.runs, strict=True)
         ]
-        print_json({"folder": str(made.folder), "failed": len(failed), "runs": runs})
+        print_json(
+            {"folder": str(made.folder), "failed": len(failed), "runs": runs,
+             "others": made.others(), **({} if trouble is None else {"error": str(trouble)})}
+        )  # fmt: skip
     elif not quiet:
         reused = sum(outcome.reused for outcome in outcomes)
         say(
@@ -294,12 +313,19 @@ def _print_outcomes(
             f"{f'; {reused:,} of them were there' if reused else ''}."
         )
         _list_failed([(made.runs[k].coordinates, outcomes[k].reason) for k in failed], made)
+        _name_others(made)
         _print_page(page)
-    if failed:
-        if quiet and not as_json:
-            reason = outcomes[failed[0]].reason
-            complain(f"{_count(len(failed), 'run')} failed, the first of them: {reason}")
-        raise click.exceptions.Exit(1)
+    if failed and quiet and not as_json:
+        reason = outcomes[failed[0]].reason
+        complain(f"{_count(len(failed), 'run')} failed, the first of them: {reason}")
+    if trouble is not None:
+        complain(f"Error: {trouble}")
+    kinds = {outcomes[k].kind for k in failed}
+    codes = [] if trouble is None else [exit_code_of(trouble)]
+    if kinds:
+        codes += [ExitCode.MACHINE if kinds <= {"machine", "unreadable"} else ExitCode.FAILED]
+    if codes:
+        raise click.exceptions.Exit(min(codes))
 
 
 def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
@@ -307,6 +333,15 @@ def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
         say(f"  failed at {_where(coordinates, made)}: {reason}")
     if len(failed) > _LISTED:
         say(f"  and {len(failed) - _LISTED:,} more")
+
+
+def _name_others(made: Study) -> None:
+    """Say what is in the folder of runs that belongs to no point of the study."""
+    others = made.others()
+    if others:
+        names = textwrap.shorten(", ".join(others), 200, placeholder=" ...")
+        where, what = made.folder / "runs", _count(len(others), "folder")
+        say(f"{what} in '{where}' belong to no point of this study, and stay: {names}")
 
 
 def _where(coordinates: Mapping[str, Any], made: Study) -> str:
@@ -336,8 +371,9 @@ def status(folder: Path, as_json: bool) -> None:
             for state, run in zip(states, made.runs, strict=True)
         ]
         print_json(
-            {"folder": str(folder), "counts": counts, "core_seconds_left": left, "runs": runs}
-        )
+            {"folder": str(folder), "counts": counts, "core_seconds_left": left, "runs": runs,
+             "others": made.others()}
+        )  # fmt: skip
         return
     words = {"partial": "begun"}
     shown = [f"{counts[name]:,} {words.get(name, name)}" for name in STATES if counts[name]]
@@ -353,6 +389,7 @@ def status(folder: Path, as_json: bool) -> None:
     if left > 0.0:
         say(f"About {time_text(left, 2)} of one core left.")
     _list_failed(failed, made)
+    _name_others(made)
 
 
 @study.command()

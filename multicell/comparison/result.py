@@ -17,6 +17,7 @@ from multicell.comparison.norms import NORMS, Norm, described
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.results.documents import read_table, write_table
+from multicell.results.folder import file_errors
 from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -24,9 +25,12 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
+NUMBERS: Final = "workprecision.json"
+"""All that was measured; it is written before anything is made of it."""
+
 FILES: Final = (
     "workprecision.csv",
-    "workprecision.json",
+    NUMBERS,
     "conditioning.csv",
     "workprecision.png",
     "worst-cell.png",
@@ -131,9 +135,10 @@ class WorkPrecision(Comparison):
         OutputError
             If the folder cannot be written to.
         """
-        page = super().save(folder)
-        write_table(Path(folder) / "workprecision.json", self.to_dict())
-        return page
+        with file_errors("use the output folder", Path(folder)):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+        write_table(Path(folder) / NUMBERS, self.to_dict())
+        return super().save(folder)
 
     @property
     def stepwise(self) -> bool:

@@ -17,14 +17,15 @@ from multicell.comparison.ladders import (
     stiffness,
 )
 from multicell.comparison.measure import Effort, TimedPoint, climb, time_again
+from multicell.comparison.measured import Measurements, named_only, open_measurements
 from multicell.comparison.norms import Metric, norms_with
 from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, method_pair, reference, unsolved_problem
-from multicell.comparison.result import FILES, WorkPrecision
+from multicell.comparison.result import FILES, NUMBERS, WorkPrecision
 from multicell.comparison.styles import unregistered_styles
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator
-from multicell.results.folder import make_folder, remove, versions
+from multicell.results.folder import versions
 from multicell.scene.bare import note_bare
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
@@ -101,7 +102,9 @@ def compare(
     threads
         Number of threads, by default all.
     overwrite
-        Whether the folder may hold something: files of an earlier comparison are replaced.
+        Whether the folder may hold something: files of an earlier comparison are replaced. A
+        comparison that was ended early (a full disk, a kill) continues when it is asked for again:
+        methods of the package are not measured twice.
     progress
         Called with a line of words for everything that is begun.
 
@@ -131,33 +134,72 @@ def compare(
     chosen = select_methods(asked, described, radius)
     pair = None if references is None else method_pair(references, described, radius)
     _check_ladder(chosen, ladder)
-    if output is not None:
-        remove(make_folder(output, overwrite=overwrite), FILES)
-    exact = reference(
-        described, pair=pair, stepwise=count, shift=moved, norms=norms, threads=threads,
-        progress=tell,
-    )  # fmt: skip
-    decay = stiffness(exact.problem, exact.trajectory)
-    left = max(60.0, 10.0 * exact.wall) if budget is None else budget
-    table: list[Row] = []
-    again: list[TimedPoint] = []
-    for k, method in enumerate(chosen):
-        rungs = settings(method, ladder, exact.problem, decay)
-        effort = Effort(repeats, patience, left / (len(chosen) - k), len(rungs))
-        rows, timed, spent = climb(method, rungs, exact, effort, tell)
-        table += rows
-        again += timed
-        left -= spent
-    tell("timing again, all methods in turns")
-    time_again(again, exact.problem, repeats)
-    named = [] if methods is None else [method.name for method in chosen]
-    facts = {**_facts(exact, decay), "looks": unregistered_styles(chosen), "named": named}
-    if metrics:
-        facts["metrics"] = list(metrics)
-    result = WorkPrecision(described, table, exact.uncertainty, facts, clock, exact.conditioning)
-    if output is not None:
-        result.save(output)
+    what = {
+        "ladder": ladder, "stepwise": count, "shift": moved, "clock": clock, "repeats": repeats,
+        "patience": patience, "budget": budget, "threads": threads,
+        "metrics": list(metrics or ()), "references": pair and [(m.name, s) for m, s in pair],
+    }  # fmt: skip
+    given = [m for m, _ in references or ()]
+    own = bool(metrics) or named_only(given) != given  # they may have changed since
+    with open_measurements(
+        output, FILES, described, what, chosen, () if own else asked, overwrite=overwrite
+    ) as measured:
+        if output is not None and measured.has(chosen) and (Path(output) / NUMBERS).is_file():
+            result = WorkPrecision.read(Path(output) / NUMBERS)
+            result.save(output)  # what is made of it is all that was lacking
+            return result
+        exact = reference(
+            described, pair=pair, stepwise=count, shift=moved, norms=norms, threads=threads,
+            progress=tell,
+        )  # fmt: skip
+        decay = stiffness(exact.problem, exact.trajectory)
+        left = max(60.0, 10.0 * exact.wall) if budget is None else budget
+        table: list[Row] = []
+        again: list[TimedPoint] = []
+        for k, method in enumerate(chosen):
+            rungs = settings(method, ladder, exact.problem, decay)
+            effort = Effort(repeats, patience, left / (len(chosen) - k), len(rungs))
+            rows, timed, spent = _measure(method, rungs, exact, effort, measured, tell)
+            table += rows
+            again += timed
+            left -= spent
+        tell("timing again, all methods in turns")
+        time_again(again, exact.problem, repeats)
+        named = [] if methods is None else [method.name for method in chosen]
+        facts = {**_facts(exact, decay), "looks": unregistered_styles(chosen), "named": named}
+        if metrics:
+            facts["metrics"] = list(metrics)
+        result = WorkPrecision(
+            described, table, exact.uncertainty, facts, clock, exact.conditioning
+        )
+        if output is not None:
+            result.save(output)
     return result
+
+
+def _measure(
+    method: Method,
+    rungs: Sequence[float],
+    exact: Reference,
+    effort: Effort,
+    measured: Measurements,
+    tell: Callable[[str], None],
+) -> tuple[list[Row], list[TimedPoint], float]:
+    """Return what :func:`climb` does, from the folder where it was measured before."""
+    known = measured.find(method)
+    if known is not None:
+        tell(f"{method.name}: was measured before")
+        rows = known["rows"]
+        timed = [
+            TimedPoint(rows[k], method, share, spent, [(wall, cpu) for wall, cpu in repeats])
+            for k, share, spent, repeats in known["timed"]
+        ]
+        return rows, timed, known["spent"]
+    rows, timed, spent = climb(method, rungs, exact, effort, tell)
+    places = {id(row): k for k, row in enumerate(rows)}
+    points = [(places[id(point.row)], point.share, point.spent, point.repeats) for point in timed]
+    measured.add(method, rows=rows, timed=points, spent=spent)
+    return rows, timed, spent
 
 
 def _facts(exact: Reference, decay: float) -> dict[str, Any]:

@@ -60,6 +60,15 @@ def shortened(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[:most]}…"
 
 
+def whole_number(text: str) -> int | None:
+    """Return the number below 2^63 that a text of digits is; None for any other text.
+
+    Python refuses to read one of thousands of digits.
+    """
+    number = int(text.lstrip("0")[:20] or "0") if text.isdecimal() else 2**63
+    return number if number < 2**63 else None
+
+
 @final
 @dataclass(eq=False, slots=True)
 class Element:
@@ -138,15 +147,18 @@ class Element:
             raise self.error(f"is {self.word()[:60]!r}, must be a finite number")
         wanted = Bounds(**bounds)
         if not wanted.contain(value):
-            raise self.error(f"is {self.word()}, must be {wanted.words()}")
+            raise self.error(f"is {self.word()[:60]}, must be {wanted.words()}")
         return value
 
     def whole(self, attribute: str) -> int:
         """Return an attribute as a whole number from 0 on; SceneError otherwise."""
         stated = self.attributes.get(attribute, "")
-        if not stated.isdecimal():
-            raise self.error(f"has the {attribute} {stated!r}, must be a whole number")
-        return int(stated)
+        number = whole_number(stated)
+        if number is None:
+            raise self.error(
+                f"has the {attribute} {stated[:60]!r}, must be a whole number below 2^63"
+            )
+        return number
 
     def flag(self) -> bool:
         """Return whether its text says yes."""

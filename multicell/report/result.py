@@ -249,13 +249,13 @@ def load_result(folder: str | Path) -> Result:
     SceneError
         If its ``scene.toml`` cannot be read.
     """
-    from multicell.results.documents import read_table
     from multicell.results.reader import Contents, Frames
+    from multicell.results.summary import read_summary
 
     contents = Contents(folder)
     contents.whole()
     frames = Frames(contents)
-    summary = read_table(contents.folder / "summary.json")
+    summary = read_summary(contents)
     scene = recorded_scene(contents)
     return Result(
         folder=contents.folder,
@@ -269,20 +269,15 @@ def load_result(folder: str | Path) -> Result:
 
 def recorded_scene(contents: Contents) -> Scene:
     """Return the scene of a result folder."""
-    from multicell.host.files import parse_toml
-    from multicell.scene.scene import Scene, load_scene
-    from multicell.scene.start_table import place_table
+    from multicell.scene.scene import load_scene
 
     path = contents.folder / "scene.toml"
-    try:
-        run = Scene.from_dict(place_table(parse_toml(contents.scene), path))
-    except ValueError as error:
-        raise OutputError(f"the scene in '{contents.folder}' is damaged: {error}") from error
+    run = scene_of_text(contents.scene, path)
     if path.exists() and not path.is_file():
         raise OutputError(f"'{path}' is no file")  # to read a pipe would wait for ever
     texts = (path, path.with_name("scene.toml.next"))
     # remarks may change; numbers may not
-    if not any(_same_text(text, contents.scene) for text in texts) and load_scene(path) != run:
+    if not any(same_text(text, contents.scene) for text in texts) and load_scene(path) != run:
         raise OutputError(
             f"'{path}' is not the scene that was run, so the frames beside it do not belong to it. "
             "To go on with changes use 'multicell resume --set'"
@@ -295,7 +290,20 @@ def recorded_scene(contents: Contents) -> Scene:
     return run
 
 
-def _same_text(path: Path, text: str) -> bool:
+def scene_of_text(text: str, path: Path) -> Scene:
+    """Return the scene that frames are of, whose ``scene.toml`` is at ``path``."""
+    from multicell.host.files import parse_toml
+    from multicell.scene.scene import Scene
+    from multicell.scene.start_table import place_table
+
+    try:
+        return Scene.from_dict(place_table(parse_toml(text), path))
+    except ValueError as error:
+        raise OutputError(f"the scene in '{path.parent}' is damaged: {error}") from error
+
+
+def same_text(path: Path, text: str) -> bool:
+    """Return whether a file holds a text, without reading one of another length."""
     data = text.encode()
     try:
         return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data

@@ -99,10 +99,10 @@ def lock_folder(folder: Path) -> Iterator[None]:
 def in_use(folder: Path) -> bool:
     """Return whether a run uses a folder; the folder stays as it is."""
     path = folder / LOCK
-    if not path.is_file() or path.is_symlink():
-        return False
-    lock = FileLock(path, timeout=0, thread_local=False)
     try:
+        if not path.is_file() or path.is_symlink():
+            return False
+        lock = FileLock(path, timeout=0, thread_local=False)
         lock.acquire()
     except Timeout:
         return True
@@ -139,6 +139,24 @@ def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
             "name that folder itself"
         )
     return folder
+
+
+def is_begun(folder: str | Path, content: Mapping[str, bytes | str]) -> bool:
+    """Return whether a folder holds nothing but what is to be written there first.
+
+    So one looks whose disk was full, or whose process was killed, before there was any result.
+
+    - ``content``: of those files, by name; some may be lacking, or be written in part
+    """
+    folder = Path(folder)
+    with suppress(OSError):  # whoever is going to write there will say what is wrong
+        held = {entry.name for entry in folder.iterdir()} - {LOCK}
+        known = {name: c.encode() if isinstance(c, str) else c for name, c in content.items()}
+        parts = {f"{name}.part" for name in known}
+        return bool(held) and all(
+            name in known and (folder / name).read_bytes() == known[name] for name in held - parts
+        )
+    return False
 
 
 def remove(folder: Path, names: Iterable[str]) -> None:
@@ -188,9 +206,9 @@ def replace_by_name(path: Path, check: Check, beside: str = "part") -> Iterator[
 
 
 @contextmanager
-def replace_file(path: Path, check: Check) -> Iterator[IO[bytes]]:
+def replace_file(path: Path, check: Check, beside: str = "part") -> Iterator[IO[bytes]]:
     """Write a file as :func:`replace_by_name` does, by bytes that can be read and sought."""
-    with replace_by_name(path, check) as part, os.fdopen(new_file(part), "w+b") as file:
+    with replace_by_name(path, check, beside) as part, os.fdopen(new_file(part), "w+b") as file:
         yield file
 
 
@@ -264,11 +282,19 @@ def with_copy(scene: Scene, folder: Path) -> Scene:
 
     A scene without a table is returned as it is.
     """
+    copied, files = copy_of(scene, folder)
+    for name, content in files.items():
+        path = folder / name
+        if not path.is_file() or path.read_bytes() != content:
+            write_bytes(path, content)
+    return copied
+
+
+def copy_of(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
+    """Return what :func:`with_copy` does, and the content of the copy by its name."""
     table = scene.initial.cells
     if table is None:
-        return scene
+        return scene, {}
     name, content = table.content()
-    path = folder / name
-    if not path.is_file() or path.read_bytes() != content:
-        write_bytes(path, content)
-    return replace(scene, initial=replace(scene.initial, cells=replace(table, file=str(path))))
+    cells = replace(table, file=str(folder / name))
+    return replace(scene, initial=replace(scene.initial, cells=cells)), {name: content}

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.folder import file_errors, package_version, replace_file
+from multicell.results.folder import Check, file_errors, package_version, replace_file
 from multicell.results.journal import digest
 from multicell.results.layout import FORMAT, Kind, frame_rows, layout, of_rows, read_frame
 from multicell.results.lineage import COLUMNS
@@ -148,13 +148,22 @@ def write(
             raise _damage(part, "it is not what was written")
         written.check()
 
-    with replace_file(path, check) as file:
+    with whole_file(path, check) as sink, h5py.File(sink, "w", libver=_LIBVER) as target:
+        target.attrs["identity"] = np.bytes_(identity)
+        target.attrs["absorbed"] = np.bytes_(absorbed)
+        _fill(target, scene, _Log(target, nutrients, sink), noted(), history)
+
+
+@contextmanager
+def whole_file(path: Path, check: Check, beside: str = "part") -> Iterator[Sink]:
+    """Give what HDF5 may write a file to that takes the place of ``path`` when it is complete.
+
+    - ``check``, ``beside``: as of :func:`multicell.results.folder.replace_by_name`
+    """
+    with replace_file(path, check, beside) as file:
         sink = Sink(file)
         try:
-            with h5py.File(sink, "w", libver=_LIBVER) as target:
-                target.attrs["identity"] = np.bytes_(identity)
-                target.attrs["absorbed"] = np.bytes_(absorbed)
-                _fill(target, scene, _Log(target, nutrients, sink), noted(), history)
+            yield sink
         except OutputError:
             raise
         except Exception:
@@ -400,12 +409,17 @@ def _in_words(path: Path, error: Exception) -> OutputError:
     return OutputError(f"cannot read '{path}': {os.strerror(number)}")
 
 
-def check_whole(path: Path) -> None:
-    """Refuse a file that is missing, cut short, or not one of ours; its data are not read."""
+def check_whole(path: Path) -> str:
+    """Return the text of the scene in a file; other data are not read.
+
+    Raises OutputError for a file that is missing, cut short, or not one of ours.
+    """
     if not path.is_file():
         raise OutputError(f"'{path}' is missing")
     with _open_file(path, _unmarked(path)) as file:
         _check_format(path, file)
+        text: str = file["scene"][()].tobytes().decode("utf-8", "replace")
+    return text
 
 
 def check_readable(path: Path) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from multicell.errors import OutputError
+from multicell.results.documents import read_table
 from multicell.results.folder import versions
 from multicell.results.measures import observables_of
 from multicell.results.observable import TissueState, represented
@@ -17,6 +20,7 @@ from multicell.scene.sizes import birth_volume
 if TYPE_CHECKING:
     from multicell.cells import Cells
     from multicell.results.frame import Frame, Progress
+    from multicell.results.reader import Contents
     from multicell.scene.scene import Scene
 
 
@@ -187,3 +191,29 @@ def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
         "relative_volume_error": error / total if total > 0.0 else 0.0,
         "worst_cell_error": float(np.abs(excess / volume)[living].max(initial=0.0)),
     }
+
+
+def scene_mark(text: str) -> str:
+    """Return what a summary names its scene by: a digest of the text that the frames hold too."""
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def read_summary(contents: Contents) -> dict[str, Any] | None:
+    """Return the summary in a result folder, None where there is none.
+
+    Raises OutputError for one that is damaged, or of another run than the frames beside it.
+    """
+    path = contents.folder / "summary.json"
+    summary = read_table(path)
+    if summary is None:
+        return None
+    if "scene_digest" in summary:
+        same = summary["scene_digest"] == scene_mark(contents.scene)
+    else:  # an older version has written it
+        same = all(
+            (summary.get("time", end.time), summary.get("steps", end.step)) == (end.time, end.step)
+            for end in contents.places[-1:]
+        )
+    if not same:
+        raise OutputError(f"'{path}' is of another run than the frames beside it", damaged=True)
+    return summary

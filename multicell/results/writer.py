@@ -43,7 +43,7 @@ from __future__ import annotations
 import time as clock
 import uuid
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final, Self, final
 
@@ -55,7 +55,9 @@ from multicell.results import hdf5
 from multicell.results.folder import (
     FILES,
     PASSING,
+    copy_of,
     file_errors,
+    is_begun,
     lock_folder,
     make_folder,
     put_in_place,
@@ -87,9 +89,15 @@ class Store:
     """
 
     def __init__(
-        self, folder: Path, journal: Journal, nutrients: tuple[str, ...], held: ExitStack
+        self,
+        folder: Path,
+        scene: str,
+        journal: Journal,
+        nutrients: tuple[str, ...],
+        held: ExitStack,
     ) -> None:
         self.folder = folder
+        self.scene = scene  # text of ``scene.toml``
         self._journal = journal
         self._nutrients = nutrients
         self._held = held
@@ -106,12 +114,15 @@ class Store:
 
         - ``folder``: output folder; from now on no other run may write to it
         - ``scene``: the scene of the run; it says which nutrients the frames have
-        - ``overwrite``: remove the files of an earlier run first
+        - ``overwrite``: remove the files of an earlier run first; one of the same scene that has
+          no frame yet is begun anew in any case
         """
-        folder = make_folder(folder, overwrite=overwrite)
+        folder = Path(folder)
+        make_folder(folder, overwrite=overwrite or _is_begun(folder, scene))
         with ExitStack() as stack:
             stack.enter_context(lock_folder(folder))
-            make_folder(folder, overwrite=overwrite)  # another run may have come first
+            # another run may have come first
+            make_folder(folder, overwrite=overwrite or _is_begun(folder, scene))
             # a table of cells may be one of the files that are removed
             scene = with_copy(scene, folder)
             table = scene.initial.cells
@@ -122,7 +133,7 @@ class Store:
             names = tuple(scene.nutrients)
             journal = Journal.create(folder, _first_record(text, names, "", 0, 0))
             stack.callback(journal.close)
-            return cls(folder, journal, names, stack.pop_all())
+            return cls(folder, text, journal, names, stack.pop_all())
 
     @classmethod
     def resume(cls, contents: Contents, place: int, rows: int, scene: Scene) -> Self:
@@ -156,7 +167,7 @@ class Store:
             with file_errors("write", folder / "scene.toml"):
                 put_in_place(part, folder / "scene.toml")
             remove(folder, [name for name in FILES if name not in (*_OF_THE_START, hdf5.NAME)])
-            store = cls(folder, journal, names, stack.pop_all())
+            store = cls(folder, text, journal, names, stack.pop_all())
         store._frames, store._rows = place + 1, rows
         store._columns, store._logged = contents.columns, lineage.counts()
         return store
@@ -243,6 +254,17 @@ class Store:
     def close(self) -> None:
         """Close the journal and let others write to the folder; closing twice does no harm."""
         self._held.close()
+
+
+def _is_begun(folder: Path, scene: Scene) -> bool:
+    """Return whether a folder holds the same run, which has ended before its first frame."""
+    copied, content = copy_of(scene, folder)
+    text = copied.to_toml(versions(), beside=folder)
+    first: dict[str, bytes | str] = {**content, "scene.toml": text, JOURNAL: b""}
+    with suppress(OSError, OutputError):
+        if (folder / JOURNAL).is_file() and not Contents(folder).places:
+            first[JOURNAL] = (folder / JOURNAL).read_bytes()
+    return is_begun(folder, first)
 
 
 def _first_record(

@@ -354,7 +354,7 @@ def scene_text(source: str | Path) -> str:
         raise SceneError("", problem) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise SceneError("", f"the scene file {str(source)!r} cannot be read: {reason}") from None
+        raise SceneError("", f"the scene file {str(source)!r} cannot be read: {reason}") from error
 
 
 def check_dotted(key: object) -> None:

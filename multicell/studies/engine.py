@@ -8,23 +8,41 @@ dies is known to have died of the run that it had.
 
 from __future__ import annotations
 
+import itertools
 import time as clock
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
-from multicell.errors import ClusterError, MulticellError, OutputError
+from multicell.errors import ClusterError, ExitCode, MulticellError, OutputError, exit_code_of
 from multicell.host.interrupts import STEP
 from multicell.plugins.named import own_fault
-from multicell.results.folder import FILES, PASSING, file_errors, in_use, lock_folder, remove
+from multicell.results.folder import (
+    FILES,
+    LOCK,
+    PASSING,
+    file_errors,
+    in_use,
+    lock_folder,
+    remove,
+)
 from multicell.studies.limits import check_cores
 from multicell.studies.runs import PlainScene
 from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
-from multicell.studies.workers import check_folder, own_cores, workers
+from multicell.studies.workers import (
+    ANSWER,
+    CheckedClient,
+    Refusal,
+    bounded,
+    check_folder,
+    own_cores,
+    own_versions,
+    workers,
+)
 
 if TYPE_CHECKING:
     from multicell.simulation import Simulation
@@ -60,8 +78,9 @@ def carry_out(
     - ``folder``: of the study; runs are in ``runs/<name>`` there
     - ``cores``, ``scheduler``: as in :func:`multicell.studies.workers.workers`
     - ``retry``: whether to try runs again that failed for what their scenes are, and to compute
-      those anew whose folders are damaged. Runs that failed for another reason, such as a full
-      disk, are tried again in any case.
+      those anew whose folders are damaged; what was in these is set aside beside them. Runs that
+      failed for another reason, such as a full disk, are tried again in any case; what cannot be
+      read at this moment stays as it is.
     - ``progress``: called with each outcome once, in the order in which they come; with those that
       are known from before first
 
@@ -70,7 +89,7 @@ def carry_out(
     Raises OutputError if the folder cannot be used; SceneError, MissingPackage, ClusterError as
     :func:`multicell.studies.workers.workers` and, for workers that do not see the folder,
     :func:`multicell.studies.workers.check_folder`: before anything runs. ``ClusterError`` with exit
-    code 1 if the scheduler is lost later on; KeyboardInterrupt after Ctrl-C, once all runs have
+    code 3 if the scheduler is lost later on; KeyboardInterrupt after Ctrl-C, once all runs have
     ended between two steps; all that they have is kept. A second one ends them at once.
     """
     folder = Path(folder).absolute()
@@ -85,7 +104,7 @@ def carry_out(
 
     left: list[tuple[float, Run]] = []
     for run in {run.name: run for run in runs}.values():
-        found = status(run.name, folder)
+        found = status(run.name, folder, whole=retry)
         known = known_outcome(found, retry)
         if known is None:
             part = max(0.0, 1.0 - found.time / run.scene.duration)
@@ -165,6 +184,7 @@ class _Work:
 
     def __post_init__(self) -> None:
         self._ended: SimpleQueue[str] = SimpleQueue()
+        self._checked_client = CheckedClient(self.client)
         self._threads = 0
         self._counted = self._checked = -1e9
 
@@ -188,7 +208,11 @@ class _Work:
         """End all runs between two steps, and wait until they have."""
         if not self.under_way:
             return
-        self.client.cancel([entry.future for entry in self.under_way.values()])
+        futures = [entry.future for entry in self.under_way.values()]
+        try:
+            bounded(lambda: self.client.cancel(futures), ANSWER)
+        except Exception:  # the scheduler is silent, or gone: nobody hears of it
+            return
         begin = clock.monotonic()
         places = [run_folder(Path(e.work.folder), e.work.name) for e in self.under_way.values()]
         while any(map(in_use, places)) and clock.monotonic() - begin < _MAX_STOP:
@@ -199,7 +223,7 @@ class _Work:
         if clock.monotonic() - self._counted < _RECOUNT and self.client.status == "running":
             return
         try:
-            found = sum(self.client.nthreads().values())
+            found = self._checked_client.threads()
         except Exception as error:
             raise _scheduler_lost() from error
         cluster = self.client.cluster
@@ -219,7 +243,7 @@ class _Work:
 
     def _submit(self, work: Task) -> None:
         found = status(work.name, Path(work.folder))
-        future = self.client.submit(_on_worker, work, pure=False, retries=0)
+        future = self._checked_client.submit(_on_worker, work, pure=False, retries=0)
         self.under_way[future.key] = _UnderWay(work, future, found.frames)
         future.add_done_callback(lambda ended: self._ended.put(ended.key))
 
@@ -238,13 +262,17 @@ class _Work:
             self.report(outcome)
 
     def _result(self, entry: _UnderWay) -> Outcome | None:
-        """Return what a worker has answered; None if it died with its answer."""
+        """Return what a worker has answered; None if it died with its answer, or refused."""
         try:
-            outcome: Outcome = entry.future.result(timeout=_RECOUNT)
-            return outcome
+            outcome: Outcome | Refusal = entry.future.result(timeout=_RECOUNT)
         except Exception:
             self.waiting.appendleft(entry.work)  # its folder says how it ended
             return None
+        if isinstance(outcome, Refusal):
+            self.waiting.appendleft(entry.work)
+            self._checked_client.note(outcome)
+            return None
+        return outcome
 
     def _trouble(self, entry: _UnderWay, error: BaseException) -> Outcome | None:
         """Return why a run failed of which no worker could say so; None to try it again.
@@ -267,19 +295,20 @@ class _Work:
             said = " ".join(str(error).split())
             reason = f"its worker could not begin it: {type(error).__name__}: {said[:300]}"
         place = run_folder(folder, work.name)
+        kind: Kind = "run" if isinstance(error, KilledWorker) else "machine"
         try:
             place.mkdir(exist_ok=True)
-            write_note(place, reason, "run" if isinstance(error, KilledWorker) else "machine")
+            write_note(place, reason, kind)
         except (OSError, OutputError) as trouble:
             reason = f"{reason} ({trouble})"
-        return Outcome(work.name, "failed", reason)
+        return Outcome(work.name, "failed", reason, kind=kind)
 
 
 def _scheduler_lost() -> ClusterError:
     return ClusterError(
         "the scheduler has gone",
         "All that runs have saved is kept: run the study again, and it continues",
-        exit_code=1,
+        exit_code=ExitCode.MACHINE,
     )
 
 
@@ -309,9 +338,10 @@ class Outcome:
     """How a run ended.
 
     - ``state``: ``"done"``, ``"failed"``, or ``"held"`` where another process works on it
-    - ``reason``: why it failed, in words; otherwise an empty string
+    - ``reason``, ``kind``: why it failed, in words, and what for; otherwise empty strings
     - ``wall``: wall time that it took now, s; none for what was there
     - ``reused``: whether it had been done, or had failed, before
+    - ``made``: versions of what has computed it now
     """
 
     name: str
@@ -319,6 +349,8 @@ class Outcome:
     reason: str = ""
     wall: float = 0.0
     reused: bool = False
+    made: Mapping[str, str] = field(default_factory=dict)
+    kind: Kind = ""
 
 
 @final
@@ -358,15 +390,16 @@ def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
         reason, kind = _in_words(error)
         with suppress(OutputError):  # where the disk is full there is no room for the reason either
             write_note(place, reason, kind)
-        outcome = Outcome(work.name, "failed", reason)
-    return outcome if outcome.reused else replace(outcome, wall=clock.perf_counter() - begin)
+        outcome = Outcome(work.name, "failed", reason, kind=kind)
+    wall = clock.perf_counter() - begin
+    return outcome if outcome.reused else replace(outcome, wall=wall, made=own_versions())
 
 
 def _in_words(error: Exception) -> tuple[str, Kind]:
     """Return why a run failed, and what that was a matter of."""
+    if isinstance(error, MulticellError | OSError) and exit_code_of(error) == ExitCode.MACHINE:
+        return str(error), "machine"
     if isinstance(error, OutputError):
-        if error.exit_code == 1 or getattr(error.__cause__, "errno", None) is not None:
-            return str(error), "machine"
         return f"damaged: {error}", "damage"
     if isinstance(error, MulticellError):
         return str(error), "run"
@@ -382,7 +415,7 @@ def _in_words(error: Exception) -> tuple[str, Kind]:
 def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
     """Do a run from wherever it stands; another process may come first at any moment."""
     for left in reversed(range(_ATTEMPTS)):
-        found = status(work.name, Path(work.folder))
+        found = status(work.name, Path(work.folder), whole=work.retry)
         if found.state == "running":
             return Outcome(work.name, "held")
         known = known_outcome(found, work.retry)
@@ -392,7 +425,7 @@ def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
             _forward(work, place, found, wanted)
             return Outcome(work.name, "done")
         except OutputError as error:
-            if error.exit_code == 1 or not left:
+            if exit_code_of(error) == ExitCode.MACHINE or not left:
                 raise
     raise AssertionError("unreachable")
 
@@ -401,8 +434,10 @@ def known_outcome(found: RunStatus, retry: bool) -> Outcome | None:
     """Return how a run ended that is not to be worked on any more; None for all others."""
     if found.state == "done":
         return Outcome(found.name, "done", reused=True)
+    if found.kind == "unreadable":
+        return Outcome(found.name, "failed", found.reason, kind=found.kind)
     if found.state == "failed" and not (retry or found.kind == "machine"):
-        return Outcome(found.name, "failed", found.reason, reused=True)
+        return Outcome(found.name, "failed", found.reason, reused=True, kind=found.kind)
     return None
 
 
@@ -427,10 +462,29 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
 
 
 def _empty(work: Task, place: Path) -> None:
-    """Remove what a run has left that was killed before its first frame, or damaged."""
+    """Remove what a run has left that was killed before its first frame; set aside damage."""
     if not place.is_dir():
         return
     with lock_folder(place):
-        now = status(work.name, Path(work.folder), ours=True)
-        if now.kind == "damage" or not (now.frames or now.state == "done"):
+        now = status(work.name, Path(work.folder), ours=True, whole=work.retry)
+        if now.kind == "damage":
+            _set_aside(place)
+        elif now.kind == "unreadable":
+            raise OutputError(now.reason, exit_code=ExitCode.MACHINE)
+        elif not (now.frames or now.state == "done"):
             remove(place, (*PASSING, *FILES, NOTE))
+
+
+def _set_aside(place: Path) -> None:
+    """Move all that is in the folder of a run to a new folder beside it, of which nothing is read.
+
+    The folder itself stays, with its lock.
+    """
+    with file_errors("set aside", place):
+        numbers = itertools.count(1)
+        while (aside := place.with_name(f"{place.name}.damaged-{next(numbers)}")).exists():
+            pass
+        aside.mkdir()
+        for entry in list(place.iterdir()):
+            if entry.name != LOCK:
+                entry.rename(aside / entry.name)

@@ -19,7 +19,7 @@ from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml, read_regular
-from multicell.scene.scene import Scene, load_scene
+from multicell.scene.scene import Scene, load_scene, scene_text
 from multicell.schema import near_miss
 from multicell.studies.axes import Axis, change, parse_axis, with_unique_names
 from multicell.studies.keys import refuse_ineffective
@@ -31,6 +31,9 @@ NAME: Final = "study.toml"
 SCENE: Final = "scene.toml"
 _LARGEST: Final = 20_000_000
 """Bytes of study.toml: 1,000 for each of as many points as there may be."""
+END: Final = "# end"
+"""Begins the last line of ``study.toml`` and of the scene beside it: where only one has it, the
+other was cut or emptied. Files that a user has written have none."""
 _KEYS: Final = ("scene", "seeds", "design", "vary", "points")
 DESIGNS: Final = {
     "grid": "all combinations",
@@ -224,7 +227,7 @@ def read_plan(folder: str | Path) -> Plan:
     """
     folder = Path(folder)
     path = folder / NAME
-    entries = _entries(path)
+    entries, marked = _entries(path)
     for key in entries:
         if key not in _KEYS:
             raise SceneError(key, f"is not a known key of '{path}'", near_miss(key, _KEYS))
@@ -232,10 +235,28 @@ def read_plan(folder: str | Path) -> Plan:
     if not isinstance(source, str):
         raise SceneError("scene", f"is {shown(source)}, must be the path of a scene file")
     scene = load_scene(folder / source)
+    if source == SCENE and marked != _has_end(scene_text(folder / SCENE)):
+        cut = folder / SCENE if marked else path
+        raise SceneError(
+            "",
+            f"'{cut}' is cut short: its last line '{END}' is missing",
+            "The 'multicell study new' that made it writes it again with --overwrite: runs that "
+            "are there stay. If nothing is missing, add the line.",
+        )
     return make_plan(scene, entries.pop("vary", None), **entries)
 
 
-def _entries(path: Path) -> dict[str, Any]:
+def scene_with_end(scene: Scene, folder: Path) -> str:
+    """Return the text of the scene that stands beside ``study.toml``."""
+    return f"{scene.to_toml(beside=folder)}\n{END}\n"
+
+
+def _has_end(text: str) -> bool:
+    return any(line.startswith(END) for line in text.splitlines())
+
+
+def _entries(path: Path) -> tuple[dict[str, Any], bool]:
+    """Return what is in ``study.toml``, and whether it has its last line."""
     try:
         text = read_regular(path, _LARGEST).decode("utf-8").replace("\r\n", "\n")
     except FileNotFoundError:
@@ -243,9 +264,9 @@ def _entries(path: Path) -> dict[str, Any]:
         raise SceneError("", f"'{path.parent}' holds no study: there is no {NAME}", hint) from None
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise SceneError("", f"'{path}' cannot be read: {reason}") from None
+        raise SceneError("", f"'{path}' cannot be read: {reason}") from error
     try:
-        return parse_toml(text)
+        return parse_toml(text), _has_end(text)
     except ValueError as error:
         raise SceneError("", f"'{path}' is not valid TOML: {error}") from None
 
@@ -256,6 +277,7 @@ def _lines(plan: Plan) -> Iterator[str]:
     last = "" if plan.seeds == 1 else f" to {seed + plan.seeds - 1}"
     yield "# A study of multicell: what is varied, and how. 'multicell study run' with the name of"
     yield "# this folder computes what is missing; after any change here it keeps what fits."
+    yield f"# Its last line, and that of {SCENE}, shows that nothing was cut off."
     yield f"# Numbers without a unit: {BASE_UNITS}"
     yield ""
     yield f'scene = "{SCENE}"  # what is varied, in this folder'
@@ -266,6 +288,8 @@ def _lines(plan: Plan) -> Iterator[str]:
     yield f"[{table}]  # key = values"
     for axis in plan.axes:
         yield axis_line(axis)
+    yield ""
+    yield f"{END}: {len(plan.points) * plan.seeds} runs"
 
 
 def axis_line(axis: Axis) -> str:

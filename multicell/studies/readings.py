@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.errors import MulticellError, SceneError
-from multicell.results.documents import read_table
+from multicell.errors import SceneError
 from multicell.results.measures import OBSERVABLES
 from multicell.results.measures import observables_of as measured_in
 from multicell.results.observable import OWN
 from multicell.results.quantities import entry, unit_of
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
-from multicell.studies.status import run_folder
+from multicell.studies.status import FAILURES, failed_status, read_finished
 from multicell.studies.table import at_times
 
 if TYPE_CHECKING:
@@ -56,9 +55,9 @@ def read_final(
         if outcome.state != "done":
             continue
         try:
-            found = _read_run(run_folder(folder, outcome.name), observables, times)
-        except MulticellError as error:
-            failures[outcome.name] = str(error)
+            found = _read_run(folder, outcome.name, observables, times)
+        except FAILURES as error:
+            failures[outcome.name] = failed_status(outcome.name, error).reason
             continue
         for name in observables:
             final[name][number] = found[name]
@@ -66,12 +65,9 @@ def read_final(
 
 
 def _read_run(
-    place: Path, observables: Sequence[str], times: FloatArray | None
+    folder: Path, run: str, observables: Sequence[str], times: FloatArray | None
 ) -> dict[str, FloatArray | float]:
-    from multicell.results.reader import Contents
-
-    history = Contents(place).history()
-    summary = read_table(place / "summary.json") or {}
+    history, summary = read_finished(run, folder)
 
     def value(name: str) -> FloatArray | float:
         if name not in history:

@@ -9,7 +9,8 @@ however many processes work on it. A run is
 ``running``
     while a process holds the lock of its folder;
 ``failed``
-    where a note in its folder states why (:data:`NOTE`), or what is there is damaged;
+    where a note in its folder states why (:data:`NOTE`), or what is there is damaged, or may not be
+    read at this moment;
 ``partial``
     where there are frames from which it can continue;
 ``waiting``
@@ -19,14 +20,20 @@ however many processes work on it. A run is
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Literal, final
+from typing import Any, Final, Literal, final
 
-from multicell.errors import MulticellError, OutputError
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.errors import MulticellError, OutputError, is_machine_failure
+from multicell.report.result import recorded_scene, same_text, scene_of_text
 from multicell.results import hdf5, journal
 from multicell.results.documents import read_table, write_table
 from multicell.results.folder import in_use
+from multicell.results.summary import read_summary, scene_mark
 from multicell.scene.scene import load_scene
 from multicell.studies.runs import digest
 
@@ -34,9 +41,10 @@ NOTE: Final = "failure.json"  # file in the folder of a run that failed: ``reaso
 
 STATES: Final = ("done", "running", "partial", "waiting", "failed")
 
-Kind = Literal["", "run", "machine", "damage"]
+Kind = Literal["", "run", "machine", "damage", "unreadable"]
 """What a run failed for: nothing yet; its scene, which fails again; what is no matter of its scene,
-such as a full disk; a folder that holds something else than what was written to it."""
+such as a full disk; a folder that holds something else than what was written to it; files that
+cannot be read now, of which nobody knows what they hold."""
 
 
 @final
@@ -68,20 +76,23 @@ def run_folder(folder: Path, name: str) -> Path:
     return folder / "runs" / name
 
 
-def status(name: str, folder: Path, *, ours: bool = False) -> RunStatus:
+def status(name: str, folder: Path, *, ours: bool = False, whole: bool = False) -> RunStatus:
     """Return the state of one run.
 
     - ``folder``: of the study
     - ``ours``: whether it is the caller who holds the lock of the run's folder
+    - ``whole``: whether all frames of a run that is done are read, to see that none is damaged
     """
     place = run_folder(folder, name)
-    if not place.is_dir():
-        return RunStatus(name, "waiting")
     try:
+        if not place.is_dir():
+            return RunStatus(name, "waiting")
         if not ours and in_use(place):
             return _unfinished_status(name, place, "running")
         done = _finished_status(name, place)
         if done is not None:
+            if whole:
+                read_finished(name, folder, whole=True)
             return done
         found, note = _unfinished_status(name, place, "partial"), read_table(place / NOTE)
         if note is None:
@@ -89,8 +100,19 @@ def status(name: str, folder: Path, *, ours: bool = False) -> RunStatus:
         kind = note.get("kind")
         known: Kind = kind if kind in ("machine", "damage") else "run"
         return replace(found, state="failed", reason=str(note.get("reason", "")), kind=known)
-    except MulticellError as error:
-        return RunStatus(name, "failed", f"damaged: {error}", kind="damage")
+    except FAILURES as error:
+        return failed_status(name, error)
+
+
+FAILURES: Final = (MulticellError, OSError, MemoryError)
+"""What reading the folder of a run may raise."""
+
+
+def failed_status(name: str, error: Exception) -> RunStatus:
+    """Return the state of a run that cannot be read."""
+    if is_machine_failure(error):
+        return RunStatus(name, "failed", f"cannot be read: {error}", kind="unreadable")
+    return RunStatus(name, "failed", f"damaged: {error}", kind="damage")
 
 
 _Stamps = tuple[tuple[int, int, int], ...]
@@ -120,15 +142,42 @@ def _read_finished(name: str, place: Path) -> RunStatus | None:
     summary = read_table(place / "summary.json")
     if summary is None or summary.get("interrupted"):
         return None
-    hdf5.check_whole(place / hdf5.NAME)
-    if digest(load_scene(place / "scene.toml")) != name:
-        raise OutputError(f"'{place / 'scene.toml'}' is not the scene that the folder is named by")
+    text, path = hdf5.check_whole(place / hdf5.NAME), place / "scene.toml"
+    if digest(load_scene(path)) != name:
+        raise OutputError(f"'{path}' is not the scene that the folder is named by")
+    if not same_text(path, text) and digest(scene_of_text(text, path)) != name:
+        raise OutputError(f"'{place / hdf5.NAME}' is of another run than its folder is named by")
+    if summary.get("scene_digest", scene_mark(text)) != scene_mark(text):
+        raise OutputError(f"'{place / 'summary.json'}' is of another run than the frames beside it")
     try:
         time, cells = float(summary["time"]), int(summary["cells"])
         return RunStatus(name, "done", "", cells, time, float(summary["wall"]["total"]))
     except (KeyError, TypeError, ValueError):
         problem = f"'{place / 'summary.json'}' lacks what a run writes at its end"
         raise OutputError(problem) from None
+
+
+def read_finished(
+    name: str, folder: Path, *, whole: bool = False
+) -> tuple[Mapping[str, NDArray[np.float64]], Mapping[str, Any]]:
+    """Return history and summary of a run that is done.
+
+    - ``whole``: whether all frames are read, too
+
+    Raises OutputError if they are not of the scene that is beside them, or not what was written.
+    """
+    from multicell.results.reader import Contents
+
+    place = run_folder(folder, name)
+    contents = Contents(place)
+    if not same_text(place / "scene.toml", contents.scene):
+        recorded_scene(contents)
+    summary, history = read_summary(contents), contents.history()
+    if summary is None or "time" not in history:
+        raise OutputError(f"'{place}' holds no results of a run that is done")
+    if whole and contents.file is not None:
+        contents.file.check()
+    return history, summary
 
 
 def _unfinished_status(name: str, place: Path, state: str) -> RunStatus:

@@ -15,10 +15,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.errors import OutputError
-from multicell.results.folder import make_folder, with_copy, write_text
+from multicell.results.folder import (
+    copy_of,
+    file_errors,
+    is_begun,
+    make_folder,
+    with_copy,
+    write_text,
+)
 from multicell.scene.scene import Scene, load_scene
 from multicell.studies.cost import StudyCost, costs_of, total_cost
-from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan
+from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan, scene_with_end
 from multicell.studies.runs import Run, canonical, digest
 
 if TYPE_CHECKING:
@@ -99,6 +106,13 @@ class Study:
 
         return [status(name, self.folder) for name in self.plan.names]
 
+    def others(self) -> list[str]:
+        """Return the folders in ``runs`` that belong to no point: of another plan, or set aside."""
+        place, known = self.folder / "runs", set(self.plan.names)
+        with file_errors("read", place):
+            found = sorted(entry.name for entry in place.iterdir()) if place.is_dir() else []
+        return [name for name in found if name not in known]
+
     def to_xarray(self) -> xarray.Dataset:
         """Return one table of all that the runs have found; it is written to ``study.nc``, too.
 
@@ -120,6 +134,8 @@ class Study:
         if self._read is None or self._read[0] != states:
             made = table.dataset(self.plan, self.folder, states)
             table.save(made, self.folder / table.NAME)
+            if table.states_of(made, states) != list(states):
+                return made  # what cannot be read now may be another time
             self._read = states, made
         return self._read[1].copy()
 
@@ -140,12 +156,24 @@ class Study:
             The page.
         """
         from multicell.studies.page import write_report
-        from multicell.studies.table import write_csv
+
+        table, states = self.write_tables()
+        return write_report(self.folder, self.plan.scene, table, self.runs, states)
+
+    def write_tables(self) -> tuple[xarray.Dataset, list[RunStatus]]:
+        """Write the table as ``study.nc`` and ``study.csv``.
+
+        Returns
+        -------
+        xarray.Dataset, list of RunStatus
+            The table, and the states of the runs in it.
+        """
+        from multicell.studies.table import states_of, write_csv
 
         states = self.status()
         table = self._table(states)
         write_csv(table, self.folder / "study.csv")
-        return write_report(self.folder, self.plan.scene, table, self.runs, states)
+        return table, states_of(table, states)
 
     @property
     def plot(self) -> StudyPlots:
@@ -226,10 +254,12 @@ def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> S
     if there and not overwrite:
         _refuse_other(plan, read_plan(folder), folder)
     elif not there:
-        make_folder(folder, overwrite=overwrite)
+        scene, content = copy_of(plan.scene, folder)
+        first: dict[str, bytes | str] = {**content, SCENE: scene_with_end(scene, folder), NAME: ""}
+        make_folder(folder, overwrite=overwrite or is_begun(folder, first))
     if plan.scene.initial.cells is not None:
         plan = replace(plan, scene=with_copy(plan.scene, folder))
-    write_text(folder / SCENE, plan.scene.to_toml(beside=folder))
+    write_text(folder / SCENE, scene_with_end(plan.scene, folder))
     write_text(folder / NAME, plan.to_toml())
     return Study(plan, folder)
 

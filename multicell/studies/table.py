@@ -20,19 +20,18 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.errors import OutputError
 from multicell.host.extras import needs
-from multicell.results.documents import read_table
-from multicell.results.folder import file_errors, put_in_place, sync_file, versions, write_bytes
+from multicell.results.folder import write_bytes
+from multicell.results.netcdf import write_netcdf
 from multicell.results.quantities import known_unit
 from multicell.studies.runs import MODEL_VERSION, digest
+from multicell.studies.status import FAILURES, RunStatus, failed_status, read_finished
 from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
     import xarray
 
     from multicell.studies.plan import Plan
-    from multicell.studies.status import RunStatus
 
 NAME: Final = "study.nc"
 FORMAT: Final = 1
@@ -51,7 +50,8 @@ def common_times(plan: Plan) -> FloatArray:
 def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dataset:
     """Return the table of a study.
 
-    Histories are read one at a time, so that no more than the table itself is held in memory.
+    Histories are read one at a time, so that no more than the table itself is held in memory. A run
+    that cannot be read is one that failed, as its row states (:func:`states_of`).
 
     - ``folder``: of the study, with ``runs/<name>``
     - ``states``: of all runs, in the order of ``plan.names``
@@ -62,14 +62,19 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
     needs("xarray")
     import xarray
 
-    times = common_times(plan)
-    count, units = len(states), defaultdict[str, str](str)
-    columns = defaultdict[str, FloatArray](lambda: np.full((count, len(times)), np.nan))
-    scalars = defaultdict[str, FloatArray](lambda: np.full(count, np.nan))
+    times, made = common_times(plan), list[Mapping[str, str]]()
+    states, units = list(states), defaultdict[str, str](str)
+    columns = defaultdict[str, FloatArray](lambda: np.full((len(states), len(times)), np.nan))
+    scalars = defaultdict[str, FloatArray](lambda: np.full(len(states), np.nan))
     for place, state in enumerate(states):
         if state.state != "done":
             continue
-        rows, numbers, own_units = _read(folder, state.name, times)
+        try:
+            rows, numbers, own_units, versions = _read(folder, state.name, times)
+        except FAILURES as error:
+            states[place] = failed_status(state.name, error)
+            continue
+        made.append(versions)
         units |= own_units
         for name, row in rows.items():
             columns[name][place] = row
@@ -90,7 +95,16 @@ def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dat
     for name, words in texts.items():
         variables[name] = (dims, np.array(words, dtype=object).reshape(shape))
     coordinates["time"] = ("time", times, {"units": "s"})
-    return xarray.Dataset(variables, coordinates, provenance(plan))
+    return xarray.Dataset(variables, coordinates, provenance(plan, made))
+
+
+def states_of(table: xarray.Dataset, states: Sequence[RunStatus]) -> list[RunStatus]:
+    """Return states of runs, of which some have failed to be read into a table."""
+    found = zip(table["state"].values.ravel(), table["reason"].values.ravel(), strict=True)
+    return [
+        known if known.state == state else RunStatus(known.name, str(state), str(reason))
+        for known, (state, reason) in zip(states, found, strict=True)
+    ]
 
 
 def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]]:
@@ -113,15 +127,9 @@ def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]
 
 def _read(
     folder: Path, name: str, times: FloatArray
-) -> tuple[dict[str, FloatArray], dict[str, float], dict[str, str]]:
-    """Return history at common times, numbers of the summary, and units of a run."""
-    from multicell.results.reader import Contents
-
-    place = folder / "runs" / name
-    history = Contents(place).history()
-    summary = read_table(place / "summary.json")
-    if summary is None or "time" not in history:
-        raise OutputError(f"'{place}' holds no results of a run that is done")
+) -> tuple[dict[str, FloatArray], dict[str, float], dict[str, str], dict[str, str]]:
+    """Return history at common times, numbers of the summary, units and versions of a run."""
+    history, summary = read_finished(name, folder)
     rows = {
         column: at_times(times, history["time"], values)
         for column, values in history.items()
@@ -133,7 +141,8 @@ def _read(
         flat = "end_time" if path == "time" else path.replace(".", "_")
         if flat not in rows:
             numbers[flat], units[flat] = value, known_unit(path)
-    return rows, numbers, units
+    made = summary.get("versions")
+    return rows, numbers, units, made if isinstance(made, dict) else {}
 
 
 def at_times(times: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
@@ -163,8 +172,17 @@ def _flat(summary: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, flo
             yield f"{path}{name}", float(value)
 
 
-def provenance(plan: Plan) -> dict[str, Any]:
-    """Return where a table comes from: versions, the digest and text of its scene, the command."""
+def provenance(plan: Plan, made: Sequence[Mapping[str, str]]) -> dict[str, Any]:
+    """Return where a table comes from: versions, the digest and text of its scene, the command.
+
+    - ``made``: versions of what has computed each run; of a package of which runs have several the
+      table states all
+    """
+    known: dict[str, list[str]] = {}
+    for name, number in (entry for versions in made for entry in versions.items()):
+        if number not in known.setdefault(name, []):
+            known[name].append(number)
+    several = {name: found if len(found) > 1 else found[0] for name, found in known.items()}
     return {
         "format": FORMAT,
         "model_version": MODEL_VERSION,
@@ -172,27 +190,19 @@ def provenance(plan: Plan) -> dict[str, Any]:
         "scene": plan.scene.to_toml(),
         "scene_digest": digest(plan.scene),
         "plan": plan.to_toml(),
-        "versions": json.dumps(versions()),
+        "versions": json.dumps(several),
         "command": shlex.join(sys.argv),
     }
 
 
 def save(table: xarray.Dataset, path: Path) -> None:
     """Write a table as netCDF, so that the file is either the old one or complete."""
-    needs("xarray", "h5netcdf")
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two processes may write it
     packed = {
         name: {"zlib": True, "complevel": 1, "shuffle": True}
         for name, variable in table.data_vars.items()
         if variable.dtype.kind == "f" and variable.size
     }
-    with file_errors("write", path):
-        try:
-            table.to_netcdf(part, engine="h5netcdf", encoding=packed)
-            sync_file(part)
-            put_in_place(part, path)
-        finally:
-            part.unlink(missing_ok=True)
+    write_netcdf(table, path, packed, f"{os.getpid()}.part")  # two processes may write it
 
 
 def write_csv(table: xarray.Dataset, path: Path) -> None:

@@ -3,25 +3,35 @@
 from __future__ import annotations
 
 import logging
+import math
 import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterator
+import time as clock
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast, final
 
-from multicell.errors import ClusterError
+from multicell.errors import ClusterError, ExitCode
 from multicell.host.extras import needs, quiet
+from multicell.host.interrupts import STEP
 from multicell.results.folder import file_errors, versions
 from multicell.studies.limits import check_cores
+from multicell.studies.runs import MODEL_VERSION
 
 if TYPE_CHECKING:
     from distributed import Client
 
+Result = TypeVar("Result")
+
 ANSWER: Final = 5.0  # time in s within which a scheduler must answer
+_SILENCE: Final = 60.0  # time in s after which one that has answered before counts as gone
 
 _STARTS: Final = 3  # attempts to start worker processes
 _SET_BY_DASK: Final = ("PYTHONHASHSEED", "__DASK_PARENT_PID", "PYTHONSAFEPATH")
@@ -81,11 +91,41 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
         place = stack.enter_context(_local_cluster(cores)) if scheduler is None else scheduler
         address = getattr(scheduler, "scheduler_address", scheduler)
         security = None if scheduler is None else getattr(scheduler, "security", None)
-        client = _client(place if scheduler is None else address, security)
+        client = _client(place if scheduler is None else address, security, scheduler is None)
         stack.callback(_close, client)
         if scheduler is not None:
             check_workers(client, address)
         yield client
+
+
+def bounded(call: Callable[[], Result], seconds: float = _SILENCE) -> Result:
+    """Return what a call of Dask returns, which waits for a scheduler that may be silent.
+
+    Ctrl-C ends the wait. The call itself is left to its thread, which ends with this process.
+
+    Raises TimeoutError after so many seconds, and what the call raises.
+    """
+    answers: SimpleQueue[tuple[Result | None, BaseException | None]] = SimpleQueue()
+
+    def ask() -> None:
+        try:
+            answers.put((call(), None))
+        except BaseException as error:  # raised where it is waited for
+            answers.put((None, error))
+
+    Thread(target=ask, daemon=True).start()
+    end = clock.monotonic() + seconds
+    while True:
+        STEP.deliver()
+        try:
+            found, error = answers.get(timeout=0.1)
+        except Empty:
+            if clock.monotonic() > end:
+                raise TimeoutError(f"no answer for {seconds:g} s") from None
+            continue
+        if error is not None:
+            raise error
+        return cast("Result", found)
 
 
 @contextmanager
@@ -110,6 +150,12 @@ def _local_cluster(cores: int | None) -> Iterator[Any]:
 def _start_cluster(count: int) -> Any:
     import distributed
 
+    if multiprocessing.current_process().daemon:
+        raise ClusterError(
+            f"{count} worker processes cannot be started: this process is a worker of a pool, "
+            "which may start no others",
+            "Use cores=1 in it. Nothing has run",
+        )
     local: Any = distributed.LocalCluster
     certificates: Any = distributed.Security
     for left in reversed(range(_STARTS)):
@@ -178,19 +224,24 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _client(place: Any, security: Any) -> Client:
+def _client(place: Any, security: Any, own: bool) -> Client:
     from distributed import Client
 
     client = Client.__new__(Client)
-    try:
+
+    def connect() -> None:
         client.__init__(  # type: ignore[misc]
             place, timeout=ANSWER, set_as_default=False, security=security
         )
+
+    try:
+        # one that accepts and is silent is waited for by Dask for minutes
+        bounded(connect, math.inf if own else ANSWER)
         return client
     except Exception as error:
         # left to the garbage collector it would be closed at any moment, also while another one
         # holds the lock of Dask's loops, for which both would wait for ever
-        _close(client)
+        _close(client, 1.0)
         client.status = "closed"  # what is closed is not closed once more
         said = " ".join(str(error).split()) or type(error).__name__
         raise ClusterError(
@@ -200,14 +251,21 @@ def _client(place: Any, security: Any) -> Client:
         ) from error
 
 
-def _close(client: Any) -> None:
+def _close(client: Any, seconds: float = ANSWER) -> None:
     with suppress(Exception):  # it may have gone, and nothing depends on it any more
-        client.close(timeout=ANSWER)
+        bounded(lambda: client.close(timeout=seconds), 2.0 * seconds)
 
 
 def check_workers(client: Any, scheduler: str) -> None:
     """Refuse a cluster whose workers would not do what this process does."""
-    threads = client.nthreads()
+    try:
+        threads = bounded(client.nthreads, ANSWER)
+        answers = bounded(lambda: client.run(eval, _WHAT, on_error="return")) if threads else {}
+    except TimeoutError as error:
+        raise ClusterError(
+            f"the scheduler '{scheduler}' or one of its workers does not answer ({error})",
+            "Nothing has run",
+        ) from error
     if not threads:
         raise ClusterError(
             f"the scheduler '{scheduler}' has no workers",
@@ -216,28 +274,100 @@ def check_workers(client: Any, scheduler: str) -> None:
         )
     many = [f"{address} has {count} threads" for address, count in threads.items() if count != 1]
     _refuse(many, "a run takes a process of its own", "Start workers with '--nthreads 1'")
-    own = {**versions(), "Python": "{}.{}".format(*sys.version_info)}
-    wrong = []
+    own, wrong = own_versions(), []
     # an expression, not a function of ours, which workers without multicell could not load
-    for address, theirs in client.run(eval, _WHAT, on_error="return").items():
+    for address, theirs in answers.items():
         if isinstance(theirs, ModuleNotFoundError):
             wrong.append(f"{address} has no multicell")
         elif isinstance(theirs, BaseException):
             said = f"{type(theirs).__name__}: {theirs}"
             wrong.append(f"{address} cannot load multicell ({said})")
-        else:
-            other = [name for name in own if theirs.get(name) != own[name]]
-            wrong += [f"{address} has {name} {theirs.get(name)}" for name in other[:1]]
-    ours = ", ".join(f"{name} {number}" for name, number in own.items())
-    _refuse(
-        wrong, f"this process has {ours}", "Install the same packages where workers run as here"
-    )
+        elif said := _difference(theirs, own):
+            wrong.append(f"{address} {said}")
+    _refuse(wrong, f"this process has {_listed(own)}", _SAME)
 
 
 _WHAT: Final = (
     "{**__import__('multicell.results.folder', fromlist=['versions']).versions(),"
-    " 'Python': '{}.{}'.format(*__import__('sys').version_info)}"
+    " 'Python': '{}.{}'.format(*__import__('sys').version_info),"
+    " 'model version': str(__import__('multicell.studies.runs', fromlist=['x']).MODEL_VERSION)}"
 )
+_SAME: Final = "Install the same packages where workers run as here"
+
+
+def own_versions() -> dict[str, str]:
+    """Return the versions of all that decides the numbers of this process."""
+    python = "{}.{}".format(*sys.version_info)
+    return {**versions(), "Python": python, "model version": str(MODEL_VERSION)}
+
+
+def _difference(theirs: Mapping[str, str], own: Mapping[str, str]) -> str:
+    """Return the first version that is another one in a worker, or nothing."""
+    other = (name for name in own if theirs.get(name) != own[name])
+    return next((f"has {name} {theirs.get(name)}" for name in other), "")
+
+
+def _listed(own: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {number}" for name, number in own.items())
+
+
+@final
+@dataclass(frozen=True)
+class Refusal:
+    """What a worker answers that would not compute as the process that asks; it may join late."""
+
+    worker: str
+    said: str
+
+
+def call_checked(wanted: Mapping[str, str], function: Callable[..., Any], *arguments: Any) -> Any:
+    """Make a call on a worker if that has the versions that are wanted; else a :class:`Refusal`."""
+    said = _difference(own_versions(), wanted)
+    if said:
+        from distributed import get_worker
+
+        return Refusal(get_worker().address, said)
+    return function(*arguments)
+
+
+@final
+class CheckedClient:
+    """What submits calls to the workers of a client that have the versions of this process.
+
+    Workers may join at any time. One that answers with a refusal gets no further call.
+
+    - ``client``: of Dask
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._own = own_versions()
+        self._refused: dict[str, str] = {}
+
+    def threads(self) -> int:
+        """Return how many threads the workers have that may be used."""
+        return sum(self._known().values())
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        """Submit a call; its future comes to the result, or a refusal, as of ``call_checked``."""
+        if self._refused:
+            options |= {"workers": list(self._known()), "allow_other_workers": False}
+        return self._client.submit(call_checked, self._own, function, *arguments, **options)
+
+    def note(self, refusal: Refusal) -> None:
+        """Do without a worker from now on; raises ClusterError if it was the last one."""
+        self._refused[refusal.worker] = refusal.said
+        if not self._known():
+            raise ClusterError(
+                f"worker {refusal.worker} {refusal.said}, but this process has "
+                f"{_listed(self._own)}, and no other worker is left",
+                f"{_SAME}. All that runs have saved is kept",
+                exit_code=ExitCode.MACHINE,
+            )
+
+    def _known(self) -> dict[str, int]:
+        threads = bounded(self._client.nthreads).items()
+        return {address: count for address, count in threads if address not in self._refused}
 
 
 def _refuse(wrong: list[str], right: str, hint: str) -> None:
@@ -259,7 +389,7 @@ def check_folder(client: Client, folder: Path) -> None:
     with file_errors("write", path):
         path.write_text(mark, encoding="ascii")
         try:
-            seen = client.run(_sees, str(path))
+            seen = bounded(lambda: client.run(_sees, str(path)))
         finally:
             path.unlink()
     wrong = [f"{address} {said}" for address, said in seen.items() if said]

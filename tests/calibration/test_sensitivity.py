@@ -339,3 +339,34 @@ def test_salib_is_loaded_for_analyses_only():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert set(done.stdout.split()) == {"False"}
+
+
+def test_numbers_are_those_of_this_analysis_with_and_without_a_page(tmp_path, here):
+    out = tmp_path / "out"
+    sizes = []
+    for more in ((), ("--size", "8", "--no-report"), ("--size", "8", "--no-report")):
+        done = command(tmp_path, "--observable", "diameter", *more)
+        assert done.exit_code == 0, done.output
+        document = json.loads((out / "sensitivity.json").read_text())
+        rows = list(csv.DictReader(io.StringIO((out / "sensitivity.csv").read_text())))
+        assert [float(row["mu"]) for row in rows] == [row["mu"] for row in document["table"]]
+        sizes.append(document["size"])
+        (out / "sensitivity.csv").write_text("damaged")
+        (out / "sensitivity.json").write_text("damaged")
+    assert sizes == [4, 8, 8]
+
+
+def test_numbers_are_there_before_a_page_that_cannot_be_written(tmp_path, here, monkeypatch):
+    from multicell.calibration import sensitivity_page
+
+    def full(*_):
+        raise OutputError("cannot write: No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sensitivity_page, "write_report", full)
+        done = command(tmp_path, "--observable", "diameter")
+    assert "No space left" in done.output
+    assert json.loads((tmp_path / "out" / "sensitivity.json").read_text())["size"] == 4
+    count = len(here)
+    assert command(tmp_path, "--observable", "diameter").exit_code == 0
+    assert len(here) == count

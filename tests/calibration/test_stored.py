@@ -9,6 +9,7 @@ import pytest
 
 import multicell as mc
 from multicell.calibration.simulator import SceneSimulator
+from multicell.results.documents import read_table, write_table
 from multicell.results.folder import to_json
 
 SCENE = mc.load_scene("growth").with_changes(
@@ -92,3 +93,55 @@ def test_every_run_is_a_row(stored):
     titles, *lines = (folder / "runs.csv").read_text().splitlines()
     assert len(lines) == 64
     assert "cycle_time" in titles
+
+
+def as_asked(folder, **more):
+    return mc.fit(SCENE, DATA, FREE, output=folder, **{**FEW, **more})
+
+
+@pytest.mark.parametrize(
+    ("file", "way"),
+    [("scene.toml", "edited"), ("scene.toml", "removed"), ("data.csv", "emptied"),
+     ("result.json", "edited")],
+)  # fmt: skip
+def test_the_same_fit_mends_what_is_damaged_without_a_run(stored, file, way, tmp_path, monkeypatch):
+    found, folder = stored
+    place = tmp_path / "fit"
+    shutil.copytree(folder, place)
+    path = place / file
+    if way == "removed":
+        path.unlink()
+    else:
+        path.write_text(path.read_text().replace("6", "5") if way == "edited" else "")
+    with pytest.raises(mc.OutputError):
+        mc.load_fit(place)
+    monkeypatch.setattr(SceneSimulator, "__call__", None)
+    for again in (as_asked(place), mc.load_fit(place)):
+        assert (again.best.values, again.readings) == (found.best.values, found.readings)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b'{"a": 1}'])
+def test_a_damaged_entry_of_a_fit_is_overwritten_where_asked_for(content, tmp_path):
+    from multicell.calibration.fit import plan_of
+
+    plan = plan_of(SCENE, DATA, FREE, seeds=1, repeats=4, budget=64)
+    with plan.open_folder(tmp_path / "fit") as folder:
+        (folder / "fit.json").write_bytes(content)
+        (folder / "search.log").write_bytes(content)
+    with pytest.raises(mc.OutputError, match="Allow overwriting"), plan.open_folder(folder):
+        pass
+    with plan.open_folder(folder, overwrite=True):
+        assert not (folder / "search.log").exists()
+    with plan.open_folder(folder):
+        pass
+
+
+def test_a_fit_of_another_model_version_is_said_to_be_one(stored, tmp_path):
+    _, folder = stored
+    place = tmp_path / "fit"
+    shutil.copytree(folder, place)
+    entry = read_table(place / "fit.json")
+    entry["problem"]["model"] -= 1
+    write_table(place / "fit.json", entry)
+    with pytest.raises(mc.OutputError, match=r"a fit of model version .* whose runs have other"):
+        mc.load_fit(place)

@@ -128,7 +128,7 @@ def test_no_is_an_answer(folder, monkeypatch):
     call("new", RICH, "-o", folder, *long)
     monkeypatch.setattr("multicell.cli.study._terminal", lambda: True)
     answer = call("run", folder, input="n\n")
-    assert answer.exit_code == 1
+    assert answer.exit_code == 130
     assert "Nothing has run." in answer.output
 
 

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from multicell.cli import options as cli_common
 from multicell.cli import process as door
 from multicell.cli.main import main
+from multicell.errors import ExitCode
 
 SETTLE = ("settle", "--set", "initial.count=4", "--set", "duration=2 min", "--no-report")
 FULL = Path("/dev/full")
@@ -149,7 +150,7 @@ def test_full_output_ends_with_one_line(arguments):
         if "nonsense" in arguments:
             assert done.returncode == 2
         else:
-            assert done.returncode == 1
+            assert done.returncode == ExitCode.MACHINE
             assert lines == ["Error: the output cannot be written: No space left on device"]
         quiet = process(*arguments, stderr=full)
         assert quiet.returncode == (2 if "nonsense" in arguments else 0)
@@ -172,7 +173,7 @@ def test_a_pipe_that_nobody_reads_ends_quietly(arguments):
         done = process(*arguments, stdout=writer)
     finally:
         os.close(writer)
-    assert done.returncode == door.PIPE_CLOSED
+    assert done.returncode == ExitCode.MACHINE
     assert done.stderr == b""
 
 
@@ -326,7 +327,7 @@ def test_an_unexpected_error_is_one_line_that_says_what_to_do(error, monkeypatch
     monkeypatch.setattr("multicell.report.explain.scene.explain", broken)
     monkeypatch.delenv(door.DEBUG, raising=False)
     answer = call("explain", "settle", "--json")
-    assert answer.exit_code == 1
+    assert answer.exit_code == ExitCode.BUG
     (line,) = answer.stderr.splitlines()
     assert "bug of multicell" in line
     assert door.DEBUG in line
@@ -338,5 +339,5 @@ def test_an_unexpected_error_is_one_line_that_says_what_to_do(error, monkeypatch
 
 def test_errors_of_the_system_name_the_file():
     words, code = door.in_words(PermissionError(13, "Permission denied", "somewhere"))
-    assert (words, code) == ("'somewhere' cannot be used: Permission denied", 1)
-    assert door.in_words(MemoryError()) == ("there is not enough memory for this", 1)
+    assert (words, code) == ("'somewhere' cannot be used: Permission denied", 3)
+    assert door.in_words(MemoryError()) == ("there is not enough memory for this", 3)

@@ -126,6 +126,6 @@ def test_odd_variables_end_in_results_or_words(name, hostile):
     done = multicell(hostile, "run", "growth", "-o", "o", *SHORT, *pictures, **VARIABLES[name])
     assert "bug of multicell" not in done.stderr
     assert "Traceback" not in done.stderr
-    assert done.returncode in (0, 1, 2)
+    assert done.returncode in (0, 1, 2, 3)
     assert (done.returncode == 0) == (hostile / "o" / "summary.json").exists()
     assert not (hostile / "RAN").exists()

@@ -28,7 +28,10 @@ def files_of(folder):
 
 def hurt(folder, rng):
     path = folder / rng.choice(files_of(folder))
-    way = rng.choice([cut, flip, flip, _edit, _edit, _edit, special, special, text])
+    ways = [cut, flip, flip, _edit, _edit, _edit, special, special, text]
+    if path.parent.parent.name == "runs":
+        ways += [_of_another_run] * 3
+    way = rng.choice(ways)
     return f"{path.relative_to(folder)}, {way.__name__}: {way(path, rng)}"
 
 
@@ -66,6 +69,14 @@ def _edit(path, rng):
             rng.choice(b"123456789".replace(data[place : place + 1], b"")).to_bytes(1, "big")
         )
     return f"digit at {place}"
+
+
+def _of_another_run(path, rng):
+    """Put the file of another run in the place of this one's."""
+    others = sorted(p for p in path.parent.parent.glob(f"*/{path.name}") if p != path)
+    other = rng.choice(others)
+    shutil.copy(other, path)
+    return other.parent.name
 
 
 # --- what must hold ---------------------------------------------------------------------------
@@ -128,7 +139,8 @@ def check(number, kind, folder, whole):
     said = hurt(folder, random.Random(number))
     print(said, flush=True)
     limit_memory(MEMORY)
-    edits_plan = said.startswith(("study.toml", "scene.toml")) and kind != "opened"
+    edits_plan = said.startswith(("study.toml", "scene.toml")) and kind in ("study", "sensitivity")
+    edits_plan = edits_plan and ", cut:" not in said
     try:
         found = globals()[kind](folder)
     except mc.MulticellError as error:

@@ -140,7 +140,7 @@ def test_a_full_disk_ends_a_run_with_one_error_and_loses_nothing(
             folder = mount(_size(rng, case, size)) / "out"
             done = forks.multicell(*command("run", folder))
             stopped += _stopped_with_words(done, folder, whole)
-            if rng.random() < 0.5 and done["code"] == 1 and Contents(folder).places:
+            if rng.random() < 0.5 and done["code"] == 3 and Contents(folder).places:
                 mount(int(rng.uniform(0.5, 2.0) * size) + 200)
                 done = forks.multicell(*command("resume", folder))
                 _stopped_with_words(done, folder, whole)
@@ -177,5 +177,5 @@ def _stopped_with_words(done, folder, whole):
     count = assert_a_beginning(folder, whole) if folder.is_dir() else 0
     # before the first step the folder could not be used; a run that was complete needs nothing
     if count and not complete:
-        assert done["code"] == 1
+        assert done["code"] == 3
     return True

@@ -198,7 +198,7 @@ def test_each_file_that_cannot_be_written_is_one_error(stage, whole, tmp_path, m
     _refuse(monkeypatch, stage)
     with pytest.raises(OutputError, match="No space left on device") as caught:
         mc.run(scene, output=folder)
-    assert caught.value.exit_code == 1
+    assert caught.value.exit_code == 3
     assert stage in str(caught.value)
     assert not list(folder.glob("*.part"))
     assert not (folder / LOCK).exists()

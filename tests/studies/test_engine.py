@@ -62,7 +62,7 @@ def in_this_process(monkeypatch, *troubles):
         def nthreads(self):
             return {"here": 1}
 
-        def submit(self, function, work, **_):
+        def submit(self, function, versions, task, work, **_):
             return Future(do_run(work))
 
     monkeypatch.setattr(engine, "workers", lambda *_: nullcontext(Client()))
@@ -183,7 +183,8 @@ def test_what_is_damaged_is_named_and_computed_anew_where_asked_for(damage, tmp_
     carry_out([run], tmp_path)
     name, change = DAMAGES[damage]
     path = place / name
-    path.write_bytes(change(path.read_bytes()))
+    damaged = change(path.read_bytes())
+    path.write_bytes(damaged)
     (found,) = statuses([run], tmp_path)
     assert (found.state, found.kind) == ("failed", "damage")
     assert found.reason.startswith("damaged: ")
@@ -193,6 +194,9 @@ def test_what_is_damaged_is_named_and_computed_anew_where_asked_for(damage, tmp_
     assert (outcome.state, outcome.reused) == ("done", False)
     mc.run(run.scene, output=tmp_path / "whole", report=False, threads=1)
     assert_same_bits(tmp_path / "whole", place)
+    aside = place.with_name(f"{place.name}.damaged-1")
+    assert (aside / name).read_bytes() == damaged
+    assert {entry.name for entry in aside.iterdir()} == {entry.name for entry in place.iterdir()}
 
 
 def test_a_damaged_frame_of_a_half_done_run_is_named(tmp_path, monkeypatch):
@@ -325,7 +329,7 @@ def test_a_scheduler_that_goes_is_an_error_that_keeps_all(tmp_path, monkeypatch)
     in_this_process(monkeypatch, "cancelled")
     with pytest.raises(ClusterError, match="the scheduler has gone") as caught:
         carry_out(short_runs(2), tmp_path)
-    assert caught.value.exit_code == 1
+    assert caught.value.exit_code == 3
     in_this_process(monkeypatch)
     assert {outcome.state for outcome in carry_out(short_runs(2), tmp_path)} == {"done"}
 

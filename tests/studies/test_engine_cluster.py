@@ -1,19 +1,21 @@
 """Studies on a Dask cluster of which only the address is known."""
 
 import gc
-import sys
+import json
+import os
 
 import psutil
 import pytest
-from clusters import Cluster
+from clusters import PACKAGE, Cluster
 from stored import assert_same_bits
 from studied import CHANGES, alive, gone, runs_of, short_runs, started, statuses, wait_for
 
 import multicell as mc
+from multicell.calibration.pool import Pool
 from multicell.errors import ClusterError
-from multicell.results.folder import versions
 from multicell.studies.engine import carry_out
-from multicell.studies.workers import _sees, check_folder, check_workers, workers
+from multicell.studies.runs import MODEL_VERSION
+from multicell.studies.workers import _sees, check_folder, check_workers, own_versions, workers
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +67,66 @@ def test_workers_that_cannot_run_scenes_as_we_do_are_named(cluster, tmp_path):
     ended(worker)
 
 
+@pytest.fixture
+def another_version(tmp_path):
+    """Return the path with which a worker has another version of the model, and of NumPy."""
+    place = tmp_path / "another"
+    place.mkdir()
+    (place / "sitecustomize.py").write_text(
+        "import multicell.studies.runs as runs, multicell.results.folder as folder\n"
+        "runs.MODEL_VERSION, own = 99, folder.package_version\n"
+        "folder.package_version = lambda *x: '2.3.5' if x == ('numpy',) else own(*x)\n"
+    )
+    return os.pathsep.join([str(place), PACKAGE])
+
+
+@pytest.mark.harness
+@pytest.mark.slow
+def test_a_worker_of_another_version_that_joins_later_computes_nothing(another_version, tmp_path):
+    runs, seen = short_runs(12), []
+    with Cluster(tmp_path) as cluster:
+        cluster.worker()
+
+        def joins(outcome):
+            seen.append(outcome)
+            if len(seen) == 1:
+                cluster.worker(path=another_version)
+
+        outcomes = carry_out(runs, tmp_path / "study", scheduler=cluster.address, progress=joins)
+        assert [(o.state, dict(o.made)) for o in outcomes] == [("done", own_versions())] * 12
+        for run in runs:
+            summary = json.loads((tmp_path / "study/runs" / run.name / "summary.json").read_text())
+            assert summary["versions"]["numpy"] == own_versions()["numpy"]
+
+
+@pytest.mark.slow
+def test_where_no_worker_of_this_version_is_left_a_study_says_so(another_version, tmp_path):
+    with Cluster(tmp_path) as cluster:
+        good = cluster.worker()
+
+        def leaves(outcome):
+            ended(good)
+            cluster.worker(path=another_version)
+
+        with pytest.raises(ClusterError, match=r"has numpy 2\.3\.5, but.* and no other worker"):
+            carry_out(short_runs(3), tmp_path / "study", scheduler=cluster.address, progress=leaves)
+
+
+@pytest.mark.slow
+def test_calls_of_a_fit_are_made_by_workers_of_this_version(another_version, tmp_path):
+    with Cluster(tmp_path) as cluster:
+        cluster.worker()
+        with workers(None, cluster.address) as client:
+            cluster.worker(path=another_version)
+            wait_for(lambda: len(client.nthreads()) == 2)
+            calls = [(k, eval, (MODEL,)) for k in range(20)]
+            found = dict(Pool(client).results(calls))
+    assert found == dict.fromkeys(range(20), MODEL_VERSION)
+
+
+MODEL = "__import__('multicell.studies.runs', fromlist=['x']).MODEL_VERSION"
+
+
 class Other:
     """A client of one worker that answers otherwise than this process would."""
 
@@ -78,7 +140,7 @@ class Other:
         return {"tcp://10.0.0.7:4000": self.answer}
 
 
-OWN = {**versions(), "Python": "{}.{}".format(*sys.version_info)}
+OWN = own_versions()
 
 
 @pytest.mark.parametrize(
@@ -86,6 +148,7 @@ OWN = {**versions(), "Python": "{}.{}".format(*sys.version_info)}
     [
         (ImportError("broken"), r"cannot load multicell \(ImportError: broken\)"),
         ({**OWN, "multicell": "0.0.1"}, r"has multicell 0\.0\.1, but"),
+        ({**OWN, "model version": "99"}, r"has model version 99, but this process has multicell"),
         ({**OWN, "Python": "3.9"}, r"has Python 3\.9, but this process has multicell"),
     ],
 )
@@ -151,7 +214,7 @@ def test_whatever_is_killed_of_a_cluster_nobody_goes_on_alone(tmp_path):
         workers = psutil.Process(nanny.pid).children(recursive=True)
         cluster.main.kill()
         text, _ = client.communicate(timeout=60)
-        assert client.returncode == 1, text
+        assert client.returncode == 3, text
         assert text.splitlines()[-1].startswith("Error: the scheduler has gone. All that")
         assert "Traceback" not in text
         wait_for(lambda: states(runs, tmp_path / "study") == ["partial"], within=10.0)

@@ -205,3 +205,38 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path):
     with pytest.raises(OutputError, match="is not empty"):
         mc.study(EMT6, output=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("file", ["study.toml", "scene.toml"])
+def test_a_plan_that_is_cut_short_is_no_other_plan(file, tmp_path):
+    folder = tmp_path / "study"
+    mc.study(EMT6, output=folder, **WIDER[0])
+    plan, path = mc.load_study(folder).plan, folder / file
+    text = path.read_text()
+    for size in (*range(0, len(text.rstrip()) - 8, 37), text.rindex("\n# end")):
+        path.write_text(text[:size])
+        with pytest.raises((SceneError, OutputError)):
+            mc.load_study(folder)
+        with pytest.raises((SceneError, OutputError)):
+            mc.study(EMT6, output=folder, **WIDER[0])
+    mc.study(EMT6, output=folder, overwrite=True, **WIDER[0])
+    assert mc.load_study(folder).plan == plan
+    assert path.read_text() == text
+
+
+def test_an_edited_plan_is_read_and_what_it_leaves_out_is_named(tmp_path):
+    folder = tmp_path / "study"
+    study = mc.study(EMT6, output=folder, **WIDER[0])
+    for name in (*study.plan.names, f"{study.plan.names[0]}.damaged-1"):
+        (folder / "runs" / name).mkdir(parents=True)
+    path = folder / "study.toml"
+    path.write_text(path.read_text().replace("seeds = 2", "seeds = 1") + "# a remark\n")
+    edited = mc.load_study(folder)
+    left = set(study.plan.names) - set(edited.plan.names)
+    assert len(left) == 2
+    assert set(edited.others()) == {*left, f"{study.plan.names[0]}.damaged-1"}
+
+
+def test_a_plan_of_an_older_version_has_no_mark_at_its_end(tmp_path):
+    text = 'scene = "scene.toml"\nseeds = 2\n\n[vary]\ncontact.law = ["jkr", "hertz"]\n'
+    assert len(read_plan(write(tmp_path / "study", text)).names) == 4

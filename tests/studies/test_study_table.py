@@ -11,7 +11,7 @@ import xarray as xr
 from studied import SHORT
 
 import multicell as mc
-from multicell import OutputError
+from multicell.results.documents import read_table, write_table
 from multicell.results.quantities import known_unit
 from multicell.studies import table
 from multicell.studies.runs import MODEL_VERSION
@@ -182,8 +182,22 @@ def test_results_that_have_gone_are_told(tmp_path):
     study = compute(mc.study(BASE, output=tmp_path / "study"))
     state = study.status()
     (study.folder / "runs" / study.plan.names[0] / "summary.json").unlink()
-    with pytest.raises(OutputError, match="holds no results"):
-        table.dataset(study.plan, study.folder, state)
+    found = table.dataset(study.plan, study.folder, state)
+    (after, *_) = table.states_of(found, state)
+    assert after.state == "failed"
+    assert "holds no results" in after.reason
+
+
+def test_the_table_states_all_versions_that_have_made_its_runs(tmp_path):
+    study = compute(mc.study(BASE, seeds=2, output=tmp_path / "study"))
+    path = study.folder / "runs" / study.plan.names[0] / "summary.json"
+    summary = read_table(path)
+    own = summary["versions"]["numpy"]
+    summary["versions"]["numpy"] = "2.3.5"
+    write_table(path, summary)
+    versions = json.loads(study.to_xarray().attrs["versions"])
+    assert versions["numpy"] == ["2.3.5", own]
+    assert versions["multicell"] == mc.__version__
 
 
 def test_values_between_rows_are_linear_and_gaps_stay_gaps():

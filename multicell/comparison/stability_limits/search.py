@@ -10,12 +10,13 @@ from typing import Final
 
 from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method, capable_methods, select_methods
+from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.replay import solve_compiled
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.state import State, settled_state
 from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
 from multicell.integrators.base import Integrator
-from multicell.results.folder import make_folder, remove, versions
+from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
 
 LOOSEST_TOLERANCE: Final = 0.1
@@ -67,7 +68,8 @@ def stability(
     threads
         Number of threads, by default all.
     overwrite
-        Whether the folder may hold something: files of an earlier map are replaced.
+        Whether the folder may hold something: files of an earlier map are replaced. A search that
+        was ended early continues when it is asked for again.
 
     Raises
     ------
@@ -80,21 +82,45 @@ def stability(
     tell = progress or (lambda _: None)
     names = [*capable_methods(described), *_EXTRA] if methods is None else methods
     chosen = select_methods(names, described, 0.9 * described.cells.division_radius)
-    if output is not None:
-        remove(make_folder(output, overwrite=overwrite), FILES)
-    begin = clock.perf_counter()
-    tell("settling")
-    begun = settled_state(described, threads)
-    table: list[Row] = []
-    for method in chosen:
-        tell(method.name)
-        table += _rows(begun, method, patience)
-    wall = clock.perf_counter() - begin
-    facts = {"precision": PRECISION, "wall": wall, "versions": versions()}
-    result = StabilityMap(described, table, facts)
-    if output is not None:
-        result.save(output)
+    what = {"patience": patience, "threads": threads}
+    with open_measurements(
+        output, FILES, described, what, chosen, names, overwrite=overwrite
+    ) as measured:
+        wall, table = _measure(described, chosen, patience, threads, measured, tell)
+        facts = {"precision": PRECISION, "wall": wall, "versions": versions()}
+        result = StabilityMap(described, table, facts)
+        if output is not None:
+            result.save(output)
     return result
+
+
+def _measure(
+    scene: Scene,
+    methods: Sequence[Method],
+    patience: float,
+    threads: int | None,
+    measured: Measurements,
+    tell: Callable[[str], None],
+) -> tuple[float, list[Row]]:
+    """Return the wall time that all trials took, s, and their rows, some from the folder."""
+    begin = clock.perf_counter()
+    before, table, state = 0.0, [], None
+    for method in methods:
+        known = measured.find(method)
+        if known is not None:
+            tell(f"{method.name}: was measured before")
+            before += known["wall"]
+            table += known["rows"]
+            continue
+        if state is None:
+            tell("settling")
+            state = settled_state(scene, threads)
+        tell(method.name)
+        started = clock.perf_counter()
+        rows = _rows(state, method, patience)
+        measured.add(method, rows=rows, wall=clock.perf_counter() - started)
+        table += rows
+    return before + clock.perf_counter() - begin, table
 
 
 def _rows(state: State, method: Method, patience: float) -> list[Row]:

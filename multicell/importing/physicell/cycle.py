@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.behaviours.growth_laws.laws import Relaxation
 from multicell.cells import SPHERE
+from multicell.importing.files import whole_number
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
@@ -227,10 +228,11 @@ def _scale(model: Model, cycle: Cycle, lead: Cycle) -> float:
 
 def _code(element: Element) -> int:
     stated = element.attributes.get("code", "")
-    if not stated.isdecimal() or int(stated) not in MODELS:
+    number = whole_number(stated)
+    if number is None or number not in MODELS:
         known = ", ".join(f"{code} {m.name}" for code, m in MODELS.items() if code not in (3, 4))
-        raise element.error(f"has the code {stated!r}, must be one of {known}")
-    return int(stated)
+        raise element.error(f"has the code {stated[:60]!r}, must be one of {known}")
+    return number
 
 
 def _cycle(kind: Kind) -> Cycle:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.behaviours.catalogue import CONTACTS, behaviour_named
 from multicell.errors import SceneError
-from multicell.importing.files import found_file, read_rows
+from multicell.importing.files import found_file, read_rows, whole_number
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 
@@ -131,7 +131,7 @@ def _first_name(model: Model, word: str) -> str:
         if found:
             word = found.expand(name) + word[found.end() :]
     found = re.fullmatch(r"(.*) cell type (\d+)", word)
-    kind = next((k for k in model.kinds if found and k.number == int(found[2])), None)
+    kind = next((k for k in model.kinds if found and k.number == whole_number(found[2])), None)
     return f"{found[1]} {kind.name}" if found and kind else word
 
 

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from multicell.errors import SceneError
+from multicell.importing.files import whole_number
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Model
 from multicell.scene.domain import filling
@@ -32,8 +33,8 @@ def read_run(model: Model) -> None:
     if seed is None:
         return
     word = seed.word().removesuffix(".0")
-    if word.isdecimal() and int(word) < 2**63:
-        model.scene["seed"] = int(word)
+    if (number := whole_number(word)) is not None:
+        model.scene["seed"] = number
     elif word in ("", "random", "system_clock"):
         note = "every run has a seed here: 0"
         model.account.take(seed, Fate.APPROXIMATED, "seed", note)

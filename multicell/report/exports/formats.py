@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.host.interrupts import UNCUT
 from multicell.report.tables import TABLES, Frames, joined
 from multicell.report.wording import measures
 from multicell.results.folder import versions
+from multicell.results.hdf5 import check_readable, whole_file
+from multicell.results.netcdf import write_netcdf as write_file
 from multicell.results.observables import touching
 from multicell.results.tables import blocks, frame_arrays
 from multicell.scene.sizes import birth_radius
@@ -56,13 +57,10 @@ _KINDS: Final = {
 def write_netcdf(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
     """Write the history and each frame into files of their own and return the names."""
     names = ["history.nc"]
-    with UNCUT:  # of HDF5 too
-        run.to_xarray().to_netcdf(folder / names[0], engine="h5netcdf")
+    write_file(run.to_xarray(), folder / names[0])
     for number, frame in frames():
         names.append(f"frame-{number:04d}.nc")
-        arrays = frame_arrays(frame, tuple(run.scene.types))
-        with UNCUT:
-            arrays.to_netcdf(folder / names[-1], engine="h5netcdf")
+        write_file(frame_arrays(frame, tuple(run.scene.types)), folder / names[-1])
     return names
 
 
@@ -76,7 +74,7 @@ def write_vtk(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) 
         for part, name in enumerate(parts.keys()):
             data: Any = parts[name]
             names.append(f"{name}-{number:04d}.{_ENDINGS[type(data).__name__]}")
-            data.save(folder / names[-1])
+            (folder / names[-1]).write_text(_vtk_text(data), "utf-8")
             known = {"timestep": repr(float(frame.time)), "part": str(part), "name": name}
             ElementTree.SubElement(collection, "DataSet", known | {"file": names[-1]})
     ElementTree.indent(root)
@@ -85,9 +83,23 @@ def write_vtk(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) 
     return names
 
 
+def _vtk_text(data: Any) -> str:
+    """Return the file of an object of VTK, which itself prints many lines where a disk is full."""
+    from vtkmodules import vtkIOXML
+
+    writer: Any = getattr(vtkIOXML, f"vtkXML{type(data).__name__.removesuffix('_')}Writer")()
+    writer.SetInputData(data)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    text: str = writer.GetOutputString()
+    return text
+
+
 def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
     """Write the cells of all frames into one file and return its name."""
     import anndata
+    import h5py
     import pandas
 
     name = "cells.h5ad"
@@ -105,8 +117,8 @@ def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[st
         uns={"scene": run.scene.to_toml(), "versions": versions()},
     )
     _connect(data, [frame for _, frame in frames()])
-    with UNCUT:
-        data.write_h5ad(folder / name, compression="gzip")
+    with whole_file(folder / name, check_readable) as target, h5py.File(target, "w") as file:
+        anndata.io.write_elem(file, "/", data, dataset_kwargs={"compression": "gzip"})
     return [name]
 
 

@@ -1,0 +1,77 @@
+"""Every command on a disk that gets full: one line, one exit code, and the same command continues.
+
+``pytest tests/cli/test_full_disks.py --full-disks 60`` tries as many disks.
+"""
+
+import random
+import shutil
+import sys
+
+import pytest
+from full_disk import SHORT, WRITING
+
+from multicell.errors import ExitCode
+
+BIG = 64 * 1024  # kB: more than any of them writes
+
+
+@pytest.fixture(scope="module")
+def done(forks, tmp_path_factory):
+    """Return a run, a study and data for a fit, and let the processes load what commands need."""
+    place = tmp_path_factory.mktemp("done")
+    vary = ["--vary=cells.young=1,2 kPa"]
+    for words in (
+        ["run", "growth", "-o", place / "run", *SHORT, "--no-report"],
+        ["study", "new", "growth", "-o", place / "study", *SHORT, *vary],
+        ["study", "run", place / "study", "--cores", 1, "--no-report"],
+    ):
+        ended = forks.multicell(*words)
+        assert ended["code"] == 0, ended["text"]
+    (place / "data.csv").write_text("time / h,diameter / um\n0.5,15\n1,15\n1.5,16\n2,16\n")
+    return place
+
+
+def written(folder, before=()):
+    return sum(p.stat().st_size for p in folder.rglob("*") if p.is_file() and p not in before)
+
+
+@pytest.mark.harness
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="small disks are mounted on Linux")
+@pytest.mark.parametrize("name", WRITING)
+def test_a_full_disk_ends_a_command_in_a_line_and_it_continues(
+    name, done, forks, small_disk, pytestconfig
+):
+    mount, unmount = small_disk
+    names = list(WRITING)
+    most = pytestconfig.getoption("full_disks")
+    size = 0.0  # kB that it writes
+    cases = [k for k in range(max(most, len(names))) if names[k % len(names)] == name]
+    for case in [None, *cases]:
+        try:
+            disk = mount(BIG)
+            at = disk if name == "study report" else done
+            if at is disk:
+                shutil.copytree(done / "study", disk / "study")
+            held = written(disk) / 1024.0
+            if case is not None:
+                disk = mount(int(1.1 * held + random.Random(case).uniform(0.02, 1.0) * size) + 8)
+            words = WRITING[name](at, disk / "out")
+            ended = forks.multicell(*words)
+            if case is None:
+                assert ended["code"] == 0, ended["text"]
+                size = written(disk) / 1024.0 - held
+                continue
+            said = [line for line in ended["text"].splitlines() if line.startswith("Error")]
+            assert ended["code"] in (ExitCode.DONE, ExitCode.MACHINE), (case, ended)
+            assert "Traceback" not in ended["text"]
+            assert "HDF5" not in ended["text"]
+            if ended["code"]:
+                assert len(said) == 1, ended["text"]
+                assert "No space left on device" in said[0]
+                mount(BIG)
+                again = forks.multicell(*words)
+                complete = "ends with the frame" in again["text"] or "not empty" in again["text"]
+                assert again["code"] == 0 or (again["code"] == 2 and complete), again["text"]
+        finally:
+            unmount()
