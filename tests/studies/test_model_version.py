@@ -22,27 +22,27 @@ SCENES = {
     "sorting-signal": {"duration": "30 min", "initial.count": 40},
 }
 NUMBERS = {
-    7: {
-        "growth": {"cells": 4, "volume": 1413.2421188721287, "distance": 8.122308148673962},
+    8: {
+        "growth": {"cells": 4, "volume": 1413.2421188721537, "distance": 8.122308148674017},
         "spheroid": {
             "cells": 70,
-            "volume": 25717.140844703117,
-            "distance": 128.2629828820745,
-            "oxygen": 0.027894726614651796,
+            "volume": 25719.406131665884,
+            "distance": 128.25364522634015,
+            "oxygen": 0.027996074766916623,
         },
         "sorting-signal": {
             "cells": 40,
             "volume": 16491.355589038554,
-            "distance": 88.64229876319844,
-            "factor": 2.5350664889414896e-07,
+            "distance": 90.71787367741756,
+            "factor": 2.3729671570960308e-07,
         },
     }
 }
 AVX512 = {
-    7: {
+    8: {
         "sorting-signal": {
-            "distance": 88.64347744143465,
-            "factor": 2.5351537469732767e-07,
+            "distance": 90.71787307514776,
+            "factor": 2.3729671013106746e-07,
         }
     }
 }
