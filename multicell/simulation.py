@@ -367,7 +367,7 @@ class Simulation(RunState):
                 self.cells = change_types(plan, self.cells, exposure)
 
     def _follows(self, begin: float) -> bool:
-        """Return whether more than the ends of a step matters: rates, or a field that has jumped."""
+        """Return whether more than a step's ends matters: rates, or a field that jumped."""
         return bool(self.plan.acting) or self.timeline.plan.changes_at(begin)
 
     def _attempt(
