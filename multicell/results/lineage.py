@@ -50,7 +50,7 @@ class Lineage:
         self._note("births", (cells.id, cells.parent, cells.kind, time))
 
     def died(self, cells: Cells, dead: NDArray[np.bool_], time: float) -> None:
-        """Note which cells have died by a time in s, each at its own, by order of identities."""
+        """Note which cells have died by a time in s, each at its own, by identity."""
         rows = np.flatnonzero(dead)
         rows = rows[np.argsort(cells.id[rows])]
         self._note("deaths", (cells.id[rows], time - cells.age[rows]))
