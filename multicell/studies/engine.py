@@ -425,7 +425,8 @@ def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
             _forward(work, place, found, wanted)
             return Outcome(work.name, "done")
         except OutputError as error:
-            if exit_code_of(error) == ExitCode.MACHINE or not left:
+            # what has gone since it was looked at, another process may have changed
+            if error.exit_code == ExitCode.MACHINE or not left:
                 raise
     raise AssertionError("unreachable")
 
