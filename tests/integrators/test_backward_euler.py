@@ -170,7 +170,6 @@ def test_a_step_in_a_gel_or_with_friction_ends_where_its_equation_holds(part):
     assert outcome.problem == ""
     assert residual(system, position, outcome.position, 40.0) < 1e-5
     assert np.abs(outcome.position - position).max() > 0.01
-    # neither part has an energy to follow: both end in GMRES
 
 
 def test_linear_operators_state_their_type():

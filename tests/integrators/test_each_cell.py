@@ -34,8 +34,9 @@ def accepted_steps(monkeypatch):
             self.solver = solver
 
         def step(self):
-            reached, position, self.error = self.solver.step()
-            return reached, position, self.error
+            taken = self.solver.step()
+            self.error = taken.error
+            return taken
 
     def noted(run, solver):
         before = run.elapsed, run.position.copy()

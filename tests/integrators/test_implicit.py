@@ -12,7 +12,7 @@ from multicell.integrators import auto, cvode_solver
 from multicell.integrators.auto import Auto, largest_rate
 from multicell.integrators.backward_euler import BackwardEuler
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.restarts import Run, StepImpossible
+from multicell.integrators.restarts import Run, StepImpossible, Taken
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.scipy import Scipy
@@ -238,7 +238,7 @@ class Breaking:
         if self.run.elapsed >= 2.0:
             raise StepImpossible("it broke")
         self.taken += 1
-        return float(self.taken), self.run.position.copy(), np.nan
+        return Taken(float(self.taken), self.run.position.copy())
 
 
 def test_a_solver_that_keeps_breaking_ends_with_its_words():
