@@ -10,9 +10,15 @@ from typing import ClassVar, Final, Self, final
 _LONGEST_PATH = 200  # letters of a key that are shown
 
 _SOMETHING_ELSE: Final = {
-    errno.EISDIR, errno.ENOTDIR, errno.ELOOP, errno.EINVAL, errno.EFBIG, errno.ENXIO, errno.EEXIST,
+    errno.EISDIR,
+    errno.ENOTDIR,
+    errno.ELOOP,
+    errno.EINVAL,
+    errno.EFBIG,
+    errno.ENXIO,
+    errno.EEXIST,
     errno.ENAMETOOLONG,
-}  # fmt: skip
+}
 """The system refuses these for what stands in a file's place, such as a folder or a pipe, or for
 its name."""
 

@@ -83,9 +83,13 @@ def thresholds(
 
 
 def uniform(
-    seed: int, purpose: Purpose, step: int | IntArray, ids: NDArray[np.int64], count: int = 1,
+    seed: int,
+    purpose: Purpose,
+    step: int | IntArray,
+    ids: NDArray[np.int64],
+    count: int = 1,
     attempt: int = 0,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Return uniform random numbers in [0, 1) with 53 bits.
 
     - ``seed``: seed of the run, 0 ... 2**64 - 1

@@ -394,9 +394,14 @@ class Simulation(RunState):
             self.cells = self.cells.shared()  # what they were is needed once more
             held = fields.steady if self.timeline.plan.jumps_at(end) else ()
             exposure = Exposure(
-                self.cells, self.signals, end - begin, began=began, before=before,
-                inner=fields.courses, held=held,
-            )  # fmt: skip
+                self.cells,
+                self.signals,
+                end - begin,
+                began=began,
+                before=before,
+                inner=fields.courses,
+                held=held,
+            )
             dead, lost = self._decide(exposure)
         return exposure, dead, lost
 

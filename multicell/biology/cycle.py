@@ -52,9 +52,12 @@ def growing_time(plan: BiologyPlan, lengths: FloatArray, kind: NDArray[np.int16]
 
 
 def volume_in(
-    plan: BiologyPlan, phase: NDArray[np.integer], volume: FloatArray, share: FloatArray,
+    plan: BiologyPlan,
+    phase: NDArray[np.integer],
+    volume: FloatArray,
+    share: FloatArray,
     birth: float = 1.0,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Return volumes after a share of a cycle without limits in a phase, (n,)."""
     assert plan.law is not None
     if plan.target_scale is None:

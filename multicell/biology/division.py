@@ -237,9 +237,11 @@ def mutate_as_found(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> tupl
     returns the rows of those whose type that changes.
     """
     known = tuple(
-        part for name, parts in plan.responses.items() if name.startswith("mutation to ")
+        part
+        for name, parts in plan.responses.items()
+        if name.startswith("mutation to ")
         for part in parts
-    )  # fmt: skip
+    )
     none = np.empty(0, dtype=np.int64)
     if not known or cells.id is exposure.began.id:  # no cell was born
         return cells, none
@@ -250,9 +252,10 @@ def mutate_as_found(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> tupl
     born = exposure[rows]
     born.cells.kind = mothers.kind[row[rows]]
     chances = born.at(
-        1.0 - born.cells.age / exposure.length, known,
+        1.0 - born.cells.age / exposure.length,
+        known,
         lambda found, some: _by_type(plan, "mutation to", found, some),
-    )  # fmt: skip
+    )
     kinds = _kinds_at_birth(plan, born.cells, chances)
     wrong = np.flatnonzero(kinds != cells.kind[rows])
     after = cells.shared()

@@ -82,10 +82,14 @@ class Exposure:
     def __getitem__(self, rows: IntArray) -> Exposure:
         """Return that of some of the cells."""
         part = Exposure(
-            self.cells.take(rows), {name: x[rows] for name, x in self.found.items()}, self.length,
-            began=self.began, before=self.before, held=self.held,
+            self.cells.take(rows),
+            {name: x[rows] for name, x in self.found.items()},
+            self.length,
+            began=self.began,
+            before=self.before,
+            held=self.held,
             inner={name: (at, values[:, rows]) for name, (at, values) in self.inner.items()},
-        )  # fmt: skip
+        )
         part.row = self.row[rows]
         return part
 
@@ -247,9 +251,13 @@ def finite_rate(plan: BiologyPlan, name: str, found: Found, cells: Cells) -> Flo
 
 
 def part_until(
-    plan: BiologyPlan, purpose: Purpose, ids: IntArray, before: FloatArray, gained: FloatArray,
+    plan: BiologyPlan,
+    purpose: Purpose,
+    ids: IntArray,
+    before: FloatArray,
+    gained: FloatArray,
     number: int | IntArray = 0,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Return at which part of what an integral has gained it reaches the cell's threshold, (n,).
 
     Infinite where it does not; ``number`` tells events of the same cell apart.

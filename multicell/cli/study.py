@@ -302,9 +302,14 @@ def _print_outcomes(
             for outcome, run in zip(outcomes, made.runs, strict=True)
         ]
         print_json(
-            {"folder": str(made.folder), "failed": len(failed), "runs": runs,
-             "others": made.others(), **({} if trouble is None else {"error": str(trouble)})}
-        )  # fmt: skip
+            {
+                "folder": str(made.folder),
+                "failed": len(failed),
+                "runs": runs,
+                "others": made.others(),
+                **({} if trouble is None else {"error": str(trouble)}),
+            }
+        )
     elif not quiet:
         reused = sum(outcome.reused for outcome in outcomes)
         say(
@@ -371,9 +376,14 @@ def status(folder: Path, as_json: bool) -> None:
             for state, run in zip(states, made.runs, strict=True)
         ]
         print_json(
-            {"folder": str(folder), "counts": counts, "core_seconds_left": left, "runs": runs,
-             "others": made.others()}
-        )  # fmt: skip
+            {
+                "folder": str(folder),
+                "counts": counts,
+                "core_seconds_left": left,
+                "runs": runs,
+                "others": made.others(),
+            }
+        )
         return
     words = {"partial": "begun"}
     shown = [f"{counts[name]:,} {words.get(name, name)}" for name in STATES if counts[name]]

@@ -73,10 +73,16 @@ def open_measurements(
         yield Measurements()
         return
     folder, names = Path(output), named_only(given)
-    asked = _plain({
-        "model": MODEL_VERSION, "scene": canonical(scene), "versions": versions(), **options,
-        "methods": [m.name for m in methods], "named": names,
-    })  # fmt: skip
+    asked = _plain(
+        {
+            "model": MODEL_VERSION,
+            "scene": canonical(scene),
+            "versions": versions(),
+            **options,
+            "methods": [m.name for m in methods],
+            "named": names,
+        }
+    )
     with file_errors("use the output folder", folder):
         continued = not overwrite and (folder / NAME).is_file()
     if not continued:

@@ -135,10 +135,17 @@ def compare(
     pair = None if references is None else method_pair(references, described, radius)
     _check_ladder(chosen, ladder)
     what = {
-        "ladder": ladder, "stepwise": count, "shift": moved, "clock": clock, "repeats": repeats,
-        "patience": patience, "budget": budget, "threads": threads,
-        "metrics": list(metrics or ()), "references": pair and [(m.name, s) for m, s in pair],
-    }  # fmt: skip
+        "ladder": ladder,
+        "stepwise": count,
+        "shift": moved,
+        "clock": clock,
+        "repeats": repeats,
+        "patience": patience,
+        "budget": budget,
+        "threads": threads,
+        "metrics": list(metrics or ()),
+        "references": pair and [(m.name, s) for m, s in pair],
+    }
     given = [m for m, _ in references or ()]
     own = bool(metrics) or named_only(given) != given  # they may have changed since
     with open_measurements(
@@ -149,9 +156,14 @@ def compare(
             result.save(output)  # what is made of it is all that was lacking
             return result
         exact = reference(
-            described, pair=pair, stepwise=count, shift=moved, norms=norms, threads=threads,
+            described,
+            pair=pair,
+            stepwise=count,
+            shift=moved,
+            norms=norms,
+            threads=threads,
             progress=tell,
-        )  # fmt: skip
+        )
         decay = stiffness(exact.problem, exact.trajectory)
         left = max(60.0, 10.0 * exact.wall) if budget is None else budget
         table: list[Row] = []

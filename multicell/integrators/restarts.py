@@ -232,16 +232,26 @@ class Run:
         return reached - before
 
     def _refuse_missed(
-        self, before: float, reached: float, moved_to: FloatArray, speed: FloatArray | None,
+        self,
+        before: float,
+        reached: float,
+        moved_to: FloatArray,
+        speed: FloatArray | None,
         moved: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Refuse a step that misses a contact which forms in it, where velocities are known."""
         if speed is None or self.speed is None or not self._most_error < math.inf:
             return
         part = self.system.missed_contact(
-            self.clock(before), self.clock(reached), self.position, moved_to, self.speed, speed,
-            moved, self._most_error,
-        )  # fmt: skip
+            self.clock(before),
+            self.clock(reached),
+            self.position,
+            moved_to,
+            self.speed,
+            speed,
+            moved,
+            self._most_error,
+        )
         if part < 1.0:
             step = reached - before
             words = f"a contact forms within a step of {step:.3g} s"

@@ -169,9 +169,20 @@ def _compiled_part(source, pairs, before, after, slope, end_slope, elapsed, step
         if source.missed_at == 0:
             return 1.0
         return _missed_at(
-            source.missed_at, source.cells, pairs, source.law, source.rows, before, after, slope,
-            end_slope, float(elapsed), float(step), float(moved), float(tolerance),
-        )  # fmt: skip
+            source.missed_at,
+            source.cells,
+            pairs,
+            source.law,
+            source.rows,
+            before,
+            after,
+            slope,
+            end_slope,
+            float(elapsed),
+            float(step),
+            float(moved),
+            float(tolerance),
+        )
 
     return run
 
@@ -234,9 +245,13 @@ _evaluate_at = called_at(5, lambda _, source, pairs, *__: types.Tuple((types.int
 
 
 def with_addresses(
-    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool = False,
+    source: Source,
+    pairs: forces.PairData,
+    *,
+    shared: bool,
+    passes: bool = False,
     watched: bool = False,
-) -> Source:  # fmt: skip
+) -> Source:
     """Return a source with the addresses of its kernels, which are compiled if need be.
 
     - ``shared``: whether threads share them
@@ -255,9 +270,21 @@ def with_addresses(
         if watched:
             at = np.empty((0, 3))
             used["missed_at"] = (
-                forces.missed_among_all, 0.0, source.cells, pairs, source.law, source.rows, at, at,
-                at, at, 0.0, 0.0, 0.0, 0.0,
-            )  # fmt: skip
+                forces.missed_among_all,
+                0.0,
+                source.cells,
+                pairs,
+                source.law,
+                source.rows,
+                at,
+                at,
+                at,
+                at,
+                0.0,
+                0.0,
+                0.0,
+                0.0,
+            )
         _PLACES[key] = {name: address_of(*kernel) for name, kernel in used.items()}
     return source._replace(**_PLACES[key])
 

@@ -528,10 +528,17 @@ def _attraction(rows, i, j, pairs, p, law, elapsed, overlap):
     total = rows[i, 3] + rows[j, 3]
     radius = rows[i, 3] * rows[j, 3] / total
     force, _, _ = pair_law(
-        law, overlap, 1.0 / (rows[i, 4] + rows[j, 4]), radius, total,
-        _at(pairs.sticky, p, law.adhesion_constant), _unit_at(pairs.unit, p, elapsed),
-        _at(pairs.onset, p, 0.0), None, None,
-    )  # fmt: skip
+        law,
+        overlap,
+        1.0 / (rows[i, 4] + rows[j, 4]),
+        radius,
+        total,
+        _at(pairs.sticky, p, law.adhesion_constant),
+        _unit_at(pairs.unit, p, elapsed),
+        _at(pairs.onset, p, 0.0),
+        None,
+        None,
+    )
     bonds = _bonds_of(law.bond_strength, rows, i, j)
     return max(_bonded(law.bond_strength, bonds, overlap, radius)[0] - force, 0.0)
 
@@ -617,9 +624,20 @@ def missed_among_all(
     places = np.empty(pairs.first.size, dtype=np.int64)
     count = pairs_about_to_touch(pairs, rows, elapsed, way, places)
     return missed_contact(
-        cells, pairs, law, rows, places[:count], before, after, speed, end_speed, elapsed, step,
-        way, tolerance,
-    )  # fmt: skip
+        cells,
+        pairs,
+        law,
+        rows,
+        places[:count],
+        before,
+        after,
+        speed,
+        end_speed,
+        elapsed,
+        step,
+        way,
+        tolerance,
+    )
 
 
 @njit(**INLINED)

@@ -266,9 +266,16 @@ class Mechanics:
             self.work.friction_iterations += self._pair_friction.divide(out, given)
 
     def missed_contact(
-        self, begin: float, end: float, before: FloatArray, after: FloatArray,
-        speed: FloatArray, end_speed: FloatArray, moved: float, tolerance: float,
-    ) -> float:  # fmt: skip
+        self,
+        begin: float,
+        end: float,
+        before: FloatArray,
+        after: FloatArray,
+        speed: FloatArray,
+        end_speed: FloatArray,
+        moved: float,
+        tolerance: float,
+    ) -> float:
         """Return the part of a step to be taken instead where it misses a contact, else 1.
 
         See :func:`multicell.mechanics.forces.missed_contact`; the last evaluation must have been at
@@ -289,9 +296,7 @@ class Mechanics:
         if pairs is not self._pairs or left < way:
             places = np.empty(len(self._pair_data.first), dtype=np.int64)
             left = max(way, min(_HORIZON * way, _FAR * self._largest))
-            count = forces.pairs_about_to_touch(
-                self._pair_data, self._rows, elapsed, left, places
-            )  # fmt: skip
+            count = forces.pairs_about_to_touch(self._pair_data, self._rows, elapsed, left, places)
             places, left = places[:count].copy(), left - way
         self._watched = self._pairs, left, places
         given = self.prescribed
@@ -301,10 +306,18 @@ class Mechanics:
         given_arrays = (_frozen(x) for x in (before, after, speed, end_speed))
         return float(
             forces.missed_contact(
-                self._cells, self._pair_data, self._law, self._rows, places, *given_arrays,
-                elapsed, end - begin, way, tolerance,
+                self._cells,
+                self._pair_data,
+                self._law,
+                self._rows,
+                places,
+                *given_arrays,
+                elapsed,
+                end - begin,
+                way,
+                tolerance,
             )
-        )  # fmt: skip
+        )
 
     def setup_preconditioner(self, gamma: float, linear: Linearisation) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""

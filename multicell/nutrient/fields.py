@@ -235,9 +235,12 @@ class FieldSystem:
                 self.courses[name] = times, values
 
     def _follow(
-        self, group: FieldGroup, seen: list[tuple[float, list[FloatArray]]], time: float,
+        self,
+        group: FieldGroup,
+        seen: list[tuple[float, list[FloatArray]]],
+        time: float,
         nodes: FloatArray,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Note what cells find of a group's fields on the way, whose values are given."""
         layout, found = group.layout, []
         for values, field in zip(nodes, group.fields.values(), strict=True):

@@ -185,13 +185,18 @@ def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, 
 
 _ENTRIES: Final[Mapping[str, Mapping[str, Any]]] = {
     "open": {
-        "identity": str, "base": str, "frames": int, "rows": int, "scene": str, "nutrients": list,
+        "identity": str,
+        "base": str,
+        "frames": int,
+        "rows": int,
+        "scene": str,
+        "nutrients": list,
     },
     "back": {"scene": str, "frames": int, "rows": int},
     "rows": {"start": int, "columns": list},
     "lineage": {"number": int},
     "frame": {"number": int, "time": float, "step": int},
-}  # fmt: skip
+}
 """Entries of the header of each kind of record; numbers are at least zero, lists are of names."""
 
 _TYPE: Final = re.compile(r"[<|][biuf][1248]")  # of arrays

@@ -125,9 +125,11 @@ class PhaseLength:
     )
     grows: bool = flag(default=True, doc="whether the volume grows in this phase")
     target_scale: float = number(
-        default=1.0, above=0, at_most=1e3,
+        default=1.0,
+        above=0,
+        at_most=1e3,
         doc="volume that relaxation goes to in this phase / that of the law",
-    )  # fmt: skip
+    )
 
 
 def loaded_in(laws: Any) -> Callable[[str], bool]:
@@ -172,15 +174,19 @@ class Growth:
         PhaseLength, names=PHASES, doc="absent: volume triggers division"
     )
     volume_doubling_time: float | None = quantity(
-        "s", default=None, above=0,
+        "s",
+        default=None,
+        above=0,
         doc="with phases: in which growth from birth to the division volume takes place, whatever "
         "phases last; absent: as long as the phases of the cell in which it grows",
-    )  # fmt: skip
+    )
     ki67_decay: float | None = quantity(
-        "s", default=None, at_least=0,
+        "s",
+        default=None,
+        at_least=0,
         doc="with phases: part of G1 after division in which cells are Ki67-positive still, as in "
         "S, G2 and M; absent: no such observable",
-    )  # fmt: skip
+    )
     restriction: bool = flag(
         default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
     )

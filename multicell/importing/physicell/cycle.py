@@ -117,9 +117,10 @@ class Cycle:
     def after_division(self) -> float:
         """Time from division to the first phase, where PhysiCell's cells start, min."""
         return sum(
-            stage.minutes for stage, home in zip(self.stages[1:], self.model.homes[1:], strict=True)
+            stage.minutes
+            for stage, home in zip(self.stages[1:], self.model.homes[1:], strict=True)
             if home == self.model.homes[0]
-        )  # fmt: skip
+        )
 
 
 def _length(parts: list[Stage]) -> dict[str, Any]:
