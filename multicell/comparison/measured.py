@@ -9,7 +9,7 @@ from operator import methodcaller
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.errors import OutputError
+from multicell.errors import OutputError, SceneError
 from multicell.results.documents import Lines
 from multicell.results.folder import file_errors, lock_folder, make_folder, remove, versions
 from multicell.studies.runs import MODEL_VERSION, canonical
@@ -101,7 +101,12 @@ def open_measurements(
                 f"{', '.join(other)} differ. Choose another folder, or allow overwriting "
                 "(--overwrite, overwrite=True)"
             )
-        yield Measurements(lines, names)
+        try:
+            yield Measurements(lines, names)
+        except SceneError:  # of input that shows itself as wrong when the reference is known
+            if len(Lines(folder / NAME).entries) == 1:
+                remove(folder, [NAME])
+            raise
         remove(folder, [NAME])
 
 

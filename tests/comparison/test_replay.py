@@ -127,10 +127,10 @@ MORTAL = GROWING.with_changes(
 @pytest.mark.parametrize(
     ("seed", "counts"),
     [
-        (5, [1, 2, 0]),
-        (13, [1, 2, 1, 2, 1, 2, 1, 2, 0]),
-        (93, [1, 2, 1, 2, 3, 2, 1, 0]),
-        (52, [1, 2, 1, 2, 1, 2, 4, 5, 4, 3, 2, 3]),
+        (7, [1, 2, 0]),
+        (13, [1, 2, 1, 2, 1, 2, 1, 2, 1, 2, 1, 0]),
+        (12, [1, 2, 4, 3, 1, 2, 1, 0]),
+        (52, [1, 2, 1, 2, 1, 2, 4, 3, 4, 5, 4, 3, 2, 3]),
     ],
 )
 def test_a_replay_meets_the_run_however_few_cells_are_left(seed, counts):

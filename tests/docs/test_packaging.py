@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 FILES = [
     ".ci/run",
+    ".ci/lowest",
     ".github/workflows/ci.yml",
     "docs/packaging/Dockerfile",
     "docs/packaging/meta.yaml",
@@ -52,7 +53,7 @@ def test_the_workflow_calls_ci_on_three_systems_and_each_python():
     classified = re.findall(r"Python :: (3\.\d+)'", str(PROJECT["classifiers"]))
     assert matrix["python"] == classified
     commands = [step.get("run", "") for job in jobs.values() for step in job["steps"]]
-    assert {command.split()[0] for command in commands if command} == {".ci/run"}
+    assert {command.split()[0] for command in commands if command} == {".ci/run", ".ci/lowest"}
 
 
 def test_the_changelog_has_the_version_with_its_date():

@@ -123,7 +123,7 @@ LARGE = """boundary diffusion diffusion_medium uptake secretion half_saturation 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("boundary", "1 Mmol/l"),
+        ("boundary", "1e9 mmol/l"),
         ("boundary", 1.1e5),
         ("media", [[60.0, 1e300]]),
         ("sides", {"x-": {"value": 1e300}}),

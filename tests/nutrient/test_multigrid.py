@@ -165,7 +165,7 @@ def test_a_moved_grid_is_interpolated_as_points_are():
 
 
 def test_a_simulation_hands_its_threads_to_its_fields():
-    scene = mc.load_scene("growth").with_changes({"nutrients.oxygen.boundary": "0.07 mM"})
+    scene = mc.load_scene("growth").with_changes({"nutrients": {"oxygen": {"boundary": 0.07}}})
     simulation = mc.Simulation(scene, threads=1)
     assert [field.threads for field in simulation.field_system.fields.values()] == [1]
 

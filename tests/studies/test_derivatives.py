@@ -39,12 +39,12 @@ def test_exponential_growth():
 
 
 STARVED = mc.Scene.from_dict(
-    {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 2000, "spacing": 0.9914},
-     "cells": {"division_radius": "20 um"}, "drag": {"viscosity": 1e6}, "contact": {"law": "hertz"},
+    {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 16000, "spacing": 0.9914},
+     "cells": {"division_radius": "10 um"}, "drag": {"viscosity": 1e6}, "contact": {"law": "hertz"},
      "death": {"lysis_time": "1000 d", "necrosis_rate": "20 1/h"},
      "nutrients": {"oxygen": {
          "diffusion": 2000, "boundary": 0.03, "uptake_per_volume": 0.02, "half_saturation": 1e-5,
-         "quiescent_uptake": 1.0, "necrosis": 5e-4, "geometry": "radial", "spacing": 5,
+         "quiescent_uptake": 1.0, "necrosis": 5e-4, "geometry": "radial", "spacing": 2.5,
          "layer": 1.0}}}
 )  # fmt: skip
 
@@ -63,7 +63,9 @@ def rim(boundary, radius, uptake):
     return radius - optimize.brentq(missing, 0.0, radius)
 
 
+@pytest.mark.slow
 def test_depth_that_oxygen_reaches():
+    """To a twentieth: the layers in which the cells lie show in it."""
     row = mc.gradient(STARVED, "viable_rim", "nutrients.oxygen.boundary", step=0.1, seeds=2).rows[0]
     last = mc.run(STARVED, report=False).history
     radius, uptake = 0.5 * last["diameter"][-1], 0.02 * last["packing_ratio"][-1]

@@ -100,7 +100,11 @@ def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figur
     force, time = history["pull"], history["time"]
     last = int(np.flatnonzero(history["contacts"] > 0).max(initial=-1))  # -1: there never was one
     broken = 0 <= last < len(force) - 1
-    told = f"the last contact broke at {force[last + 1]:.4g} nN" if broken else "not pulled apart"
+    top = float(force[min(last + 1, len(force) - 1)])
+    progress = frames[-1].progress
+    if broken and progress is not None and progress.separation is not None:
+        top = progress.separation["force"]  # of its own time within the step
+    told = f"the last contact broke at {top:.4g} nN" if broken else "not pulled apart"
     end = float(time[-1])
     figure = style.headed(scene, f"After {time_unit(end).text(end)}: {told}")
     axes = figure.add_axes((0.09, 0.12, 0.87, 0.63))
@@ -115,7 +119,6 @@ def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figur
     when = float(time[max(last, 0)])
     if two:
         _draw_law(axes, _pair(frames[0].cells, scene, when), x[kept])
-    top = float(force[min(last + 1, len(force) - 1)])
     if broken:
         label = f"last contact broken at {top:.4g} nN"
         axes.plot(x[last], top, "o", color=style.RED, ms=10, label=label, zorder=4)
