@@ -100,8 +100,9 @@ def _balls(radius: FloatArray, spacing: float, flat: bool) -> tuple[Any, ...]:
     """
     size = radius / spacing
     counts = np.ones(len(size), dtype=np.int64)
-    large = size > _ONE
-    if large.any():
+    largest = size.max(initial=0.0)
+    if largest > _ONE:
+        large = size > _ONE
         counts[large] = np.minimum(np.ceil(_PER_RADIUS * size[large]), _MOST)
         filled, first, sizes = _tables(int(counts.max()), flat)
         widths = sizes[counts] * size
@@ -110,7 +111,7 @@ def _balls(radius: FloatArray, spacing: float, flat: bool) -> tuple[Any, ...]:
     else:
         filled, first, sizes = _tables(1, flat)
         widths = sizes[1] * size
-        single = widths.max(initial=0.0)
+        single = sizes[1] * largest
         nodes = int(single) + 4
     if size.min(initial=1.0) <= _POINT:
         widths[size <= _POINT] = 0.0

@@ -71,7 +71,7 @@ class Contents:
                 except OutputError:
                     if beside.is_file():
                         raise
-            file = hdf5.File(path) if path.is_file() else None
+            file = hdf5.opened(path) if path.is_file() else None
             if file is None and reader is None:
                 break
             if reader is None:
