@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, cast, final
 
 import numpy as np
 
@@ -349,7 +349,7 @@ class Simulation(RunState):
         """
         plan, fields, cells = self.plan, self.field_system, self.cells
         again = fields.marches and self._follows(begin)
-        known, until = fields.snapshot() if again else {}, np.ones(len(cells))
+        known, until = fields.snapshot() if again else {}, cast(Any, 1.0)
         exposure, dead, lost = self._attempt(began, before, begin, end)
         if again and np.count_nonzero(dead):
             until = np.where(dead, 1.0 - self.cells.age / (end - begin), 1.0)

@@ -46,6 +46,8 @@ class StepPlan:
         latest of them: all of them have happened by then.
         """
         regular = self.step * (math.floor((time + self._near(time)) / self.step) + 1)
+        if not self.changes:
+            return regular
         ahead = self.changes[bisect_right(self.changes, time + self._near(time)) :]
         first = min((regular, *ahead[:1]))
         same = [x for x in (regular, *ahead) if x <= first + self._near(first)]
