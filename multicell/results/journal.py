@@ -214,6 +214,10 @@ def _header(text: bytes, length: int, *, first: bool) -> dict[str, Any] | None:
         kind, arrays = header.get("kind"), header.get("arrays", [])
         entries = [(header[key], wanted) for key, wanted in _ENTRIES[kind].items()]
         right = (kind == "open") == first and all(_is_right(*entry) for entry in entries)
+        shapes = {name: shape for name, _, shape in arrays}
+        right = right and len(shapes) == len(arrays)  # a name twice would hide an array
+        if kind == "frame":
+            right = right and shapes["time"] == shapes["step"] == []
         size = sum(_size(*entry) for entry in arrays)
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
         return None

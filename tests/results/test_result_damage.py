@@ -195,3 +195,25 @@ def test_numbers_that_are_packed_into_no_bits_are_refused(journal, tmp_path):
         file.create_dataset("frames/step", data=values, maxshape=(None,), scaleoffset=0)
     with pytest.raises(mc.OutputError, match="larger than it can be"):
         mc.load_result(folder)
+
+
+@pytest.mark.parametrize("change", ["name twice", "time in a row"])
+def test_arrays_of_a_frame_that_hide_each_other_are_damage(change, journal, tmp_path):
+    folder = tmp_path / "out"
+    shutil.copytree(journal, folder)
+    records = Reader(folder / "frames.journal").records
+    last = max(k for k, record in enumerate(records) if record.header["kind"] == "frame")
+
+    def edit(header, body):
+        arrays = header["arrays"]
+        if change == "name twice":
+            arrays[-1][0] = arrays[0][0]
+        else:
+            arrays[0][2] = [1]
+        return header, body
+
+    forged.rewrite(folder / "frames.journal", last, edit)
+    assert "none of a run" in Reader(folder / "frames.journal").damage
+    with pytest.raises(mc.OutputError, match="frames 0 to 1 can be read") as refused:
+        mc.load_result(folder)
+    assert refused.value.damaged
