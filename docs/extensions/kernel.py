@@ -1,14 +1,22 @@
-"""A line ``!command`` of an executed page that fails, fails the build.
+"""What executed pages run in.
 
-IPython goes on after such a line. The kernels of a build get a profile of their own whose start-up
-file makes it raise instead.
+A line ``!command`` of a page that fails, fails the build: IPython goes on after such a line, so the
+kernels of a build get a profile of their own whose start-up file makes it raise instead.
+
+Kernels are reached through sockets that are files in that profile. Jupyter looks for five free
+ports of the machine before a kernel takes them; where many start at once, two get the same one, a
+kernel dies, and Sphinx then ends every page that is being read.
 """
 
+import functools
 import os
 import sys
 import tempfile
+import uuid
 from pathlib import Path
 
+from jupyter_client import AsyncKernelManager
+from myst_nb.core.execute import direct
 from sphinx.application import Sphinx
 
 STARTUP = """
@@ -36,6 +44,18 @@ exec "{python}" -m multicell "$@"
 """
 
 
+class SocketFileManager(AsyncKernelManager):
+    """Start a kernel that is reached through files, which no other kernel can have."""
+
+    def __init__(self, **settings: object) -> None:
+        super().__init__(**settings)
+        # short: a path of a socket has at most 107 bytes
+        name = Path(os.environ["IPYTHONDIR"]) / uuid.uuid4().hex
+        self.connection_file = f"{name}.json"
+        self.transport = "ipc"
+        self.ip = str(name)
+
+
 def profile(app: Sphinx) -> None:
     """Give the kernels that this build starts a profile that lasts as long as the build."""
     folder = tempfile.TemporaryDirectory(prefix="ipython-", ignore_cleanup_errors=True)
@@ -55,4 +75,8 @@ def profile(app: Sphinx) -> None:
 def setup(app: Sphinx) -> dict[str, bool]:
     """Tell Sphinx when to do it."""
     app.connect("builder-inited", profile)
+    if os.name == "posix":  # elsewhere ZeroMQ has no sockets that are files, and Sphinx one process
+        direct.single_nb_execution = functools.partial(
+            direct.single_nb_execution, kernel_manager_class=SocketFileManager
+        )
     return {"parallel_read_safe": True, "parallel_write_safe": True}
