@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.coupling.timeline import Phase
+from multicell.simulation.timeline import Phase
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

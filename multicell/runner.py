@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.compiling.threads import thread_count
-from multicell.coupling.start_check import check_population
 from multicell.errors import ExitCode, OutputError, SceneError
 from multicell.host.interrupts import STEP, UNCUT
 from multicell.host.memory import Returns, peak
@@ -29,6 +28,7 @@ from multicell.results.quantities import units_of
 from multicell.results.summary import scene_mark
 from multicell.scene.scene import Scene, load_scene
 from multicell.simulation import Simulation
+from multicell.simulation.start_check import check_population
 from multicell.units import shown
 
 if TYPE_CHECKING:

@@ -35,8 +35,6 @@ from multicell.biology.step import (
 from multicell.cells import Cells, FloatArray
 from multicell.compiling.threads import thread_count
 from multicell.contact.custom import Compiling
-from multicell.coupling.mover import Mover
-from multicell.coupling.state import RunState, fields_of
 from multicell.errors import NutrientFailed, StepFailed
 from multicell.host.interrupts import STEP
 from multicell.mechanics import neighbours
@@ -47,6 +45,8 @@ from multicell.results.observables import contact_rows
 from multicell.scene import start
 from multicell.scene.domain import check_start
 from multicell.scene.ranges import check_memory
+from multicell.simulation.mover import Mover
+from multicell.simulation.run_state import RunState, fields_of
 
 if TYPE_CHECKING:
     from multicell.cells import Found, IntArray, Mask

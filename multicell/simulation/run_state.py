@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.biology.responding import other_signals, value_of
-from multicell.coupling.timeline import PHASES, Phase, Timeline
 from multicell.errors import SceneError
 from multicell.host.interrupts import UNCUT
 from multicell.integrators.shift import Replays
@@ -21,16 +20,17 @@ from multicell.results.frame import Frame, Progress
 from multicell.results.lineage import Lineage
 from multicell.scene.domain import check_start
 from multicell.scene.steps import step_plan
+from multicell.simulation.timeline import PHASES, Phase, Timeline
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
     from multicell.cells import Cells, FloatArray, IntArray
-    from multicell.coupling.mover import Mover
     from multicell.mechanics.system import Mechanics
     from multicell.nutrient.balance import Ledger
     from multicell.nutrient.reactions.own import OwnReaction
     from multicell.results.frame import Field
     from multicell.scene.scene import Scene
+    from multicell.simulation.mover import Mover
 
 
 _NOTED: Final = (
