@@ -200,6 +200,10 @@ class Cells:
         """Return the same cells in the same arrays, of which some are to be replaced."""
         return _made(vars(self))
 
+    def changed(self, **columns: NDArray[Any]) -> Cells:
+        """Return the same cells with other arrays for some columns."""
+        return _made({**vars(self), **columns})
+
     def rows_of(self, ids: IntArray) -> IntArray:
         """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
         return rows_of(self.id, ids)

@@ -9,7 +9,7 @@ import pytest
 
 import multicell as mc
 import multicell.biology.step as biology
-import multicell.simulation as simulation_module
+import multicell.simulation.simulation as simulation_module
 from multicell.errors import NutrientFailed, StepFailed
 from multicell.mechanics.system import Mechanics
 from multicell.nutrient.field import NutrientField

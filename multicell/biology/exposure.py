@@ -269,20 +269,3 @@ def part_until(
         threshold = random.thresholds(plan.seed, purpose, event, ids[grows])
         part[grows] = (threshold - before[grows]) / gained[grows]
     return np.where(part <= 1.0, part, np.inf)
-
-
-def part_until_death(
-    plan: BiologyPlan, purpose: Purpose, cells: Cells, column: str, gained: FloatArray
-) -> FloatArray:
-    """Return at which part of what an integral has gained living cells die, (n,); it is noted.
-
-    Infinite where they do not; ``column`` is the integral's name, one of
-    :data:`multicell.cells.HAZARDS`.
-    """
-    gained = np.where(cells.dead, 0.0, gained)
-    known = getattr(cells, column)
-    before = np.zeros(len(cells)) if known is None else known
-    part = part_until(plan, purpose, cells.id, before, gained)
-    if known is not None or gained.any():
-        setattr(cells, column, before + gained)
-    return part

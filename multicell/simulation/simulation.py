@@ -132,8 +132,7 @@ class Simulation(RunState):
         """Begin with these cells; states that are not given are found with the fields."""
         check_start(self.scene, cells)
         self.named = driven.named_at_start(self.plan, cells)
-        self.cells = cells
-        bind(self.plan, cells, cells, {}, self.time)
+        self.cells = cells = bind(self.plan, cells, cells, {}, self.time)
         self.next_id = int(cells.id.max(initial=-1)) + 1
         first = cells.take(np.argsort(cells.id))
         first.parent = np.full(len(first), -1)  # nothing is known of mothers before the start
@@ -151,7 +150,7 @@ class Simulation(RunState):
             except NutrientFailed as failure:
                 raise StepFailed(self.time, failure.problem, failure.hint) from failure
             if self.scene.nutrients:
-                bind(self.plan, self.cells, self.cells, self.signals, self.time)
+                self.cells = bind(self.plan, self.cells, self.cells, self.signals, self.time)
         if given_states or not self.scene.nutrients:
             with self.phase("biology"):
                 dead, _ = self._decide()
@@ -373,7 +372,7 @@ class Simulation(RunState):
             if changing(plan.acting):
                 exposure.cells = self.cells
                 self.cells = change_types(plan, self.cells, exposure)
-            bind_changed(plan, typed, self.cells, exposure.found, end)
+            self.cells = bind_changed(plan, typed, self.cells, exposure.found, end)
 
     def _follows(self, begin: float) -> bool:
         """Return whether more than the ends of a step matters: rates, or fields that jumped."""
@@ -391,7 +390,6 @@ class Simulation(RunState):
             followed = plan.exposed if self._follows(begin) else ()
             fields.advance(self.cells, begin, end, before=began, follow=followed, until=until)
         with self.phase("biology"):
-            self.cells = self.cells.shared()  # what they were is needed once more
             held = fields.steady if self.timeline.plan.jumps_at(end) else ()
             exposure = Exposure(
                 self.cells,
@@ -403,6 +401,7 @@ class Simulation(RunState):
                 held=held,
             )
             dead, lost = self._decide(exposure)
+            exposure.cells = self.cells
         return exposure, dead, lost
 
     def _decide(self, exposure: Exposure | None = None) -> tuple[Mask, float]:
@@ -412,7 +411,9 @@ class Simulation(RunState):
         """
         found = self.signals if exposure is None else exposure.found
         ahead = self.timeline.ahead
-        return decide(self.plan, self.cells, found, exposure, ahead=ahead, time=self.time)
+        decided = decide(self.plan, self.cells, found, exposure, ahead=ahead, time=self.time)
+        self.cells = decided.cells
+        return decided.died, decided.released
 
     def _irradiate(self, since: float) -> None:
         """Let cells be hit by what is due since a time in s, and note those that die."""
