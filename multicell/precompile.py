@@ -57,7 +57,7 @@ class Precompilation:
 
     def watch(self, simulation: Simulation) -> None:
         """Share the rest with the process once the first cell has divided, and wait for it."""
-        if self.process is not None and len(simulation.cells) > 1:
+        if self.process is not None and len(simulation.state.cells) > 1:
             with Phase(simulation.wall, "compile"):
                 with suppress(Exception):  # the process meets it as well, and so ends early
                     take_step(self._scene, partial(take, self._taken.name))

@@ -265,7 +265,7 @@ class Recorder:
                 self._store.append_history(row)
             if frame_due(simulation.time, self._next_frame) or simulation.finished:
                 self._frame(simulation)
-            self._memory.now_and_then(len(simulation.cells))
+            self._memory.now_and_then(len(simulation.state.cells))
 
     def skip(self, frame: Frame) -> None:
         """Go on after a frame that is recorded already."""

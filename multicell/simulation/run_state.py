@@ -1,259 +1,193 @@
-"""The state of a run: what a coupling step changes, what a frame saves, and how it is undone."""
+"""The state of a run as a value: what a coupling step makes anew, and what frames are made from.
+
+A state does not change, and neither does an array in it: a step makes the next one, and to undo it
+is to take the one before. Each field of :class:`RunState` says where it is stored, so that a run
+that is resumed from a frame has all of it; what follows from the rest is declared as derived.
+"""
 
 from __future__ import annotations
 
-from abc import ABC
-from collections.abc import Mapping
-from dataclasses import asdict, replace
-from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.biology.responding import other_signals, value_of
-from multicell.errors import SceneError
-from multicell.host.interrupts import UNCUT
+from multicell.cells import Cells
 from multicell.integrators.shift import Replays
 from multicell.integrators.stability import Stability
-from multicell.nutrient.fields import FieldSystem
 from multicell.results.frame import Frame, Progress
-from multicell.results.lineage import Lineage
-from multicell.scene.domain import check_start
-from multicell.scene.steps import step_plan
-from multicell.simulation.timeline import PHASES, Phase, Timeline
+from multicell.results.observables import contact_rows
 
 if TYPE_CHECKING:
-    from multicell.biology.plan import BiologyPlan
-    from multicell.cells import Cells, FloatArray, IntArray
-    from multicell.mechanics.system import Mechanics
-    from multicell.nutrient.balance import Ledger
-    from multicell.nutrient.reactions.own import OwnReaction
-    from multicell.results.frame import Field
-    from multicell.scene.scene import Scene
-    from multicell.simulation.mover import Mover
+    from multicell.cells import FloatArray, IntArray
+    from multicell.nutrient.fields import FieldsState
+    from multicell.results.lineage import Lineage
+    from multicell.simulation.timeline import Timeline
 
 
-_NOTED: Final = (
-    "divisions", "removals", "released", "separation", "next_id", "unsorted", "first_states",
-    "exposures",
-)  # fmt: skip
-"""What a run notes beside its cells; a frame's progress has entries of the same names."""
+_IN_FRAME: Final = {"stored": "frame"}
+"""What :meth:`RunState.frame` and :meth:`RunState.of_frame` know a place for."""
 
-_STATE: Final = (
-    "cells", "timeline", "contacts", "named", "replays", "stability", *_NOTED,
-)  # fmt: skip
-"""What a coupling step changes, beside fields, logs and counts of work."""
-_state_of: Final = attrgetter(*_STATE)
+_IN_LOGS: Final = {"stored": "logs"}
+"""What is stored beside the frames."""
+
+_DERIVED: Final = {"stored": "derived"}
+"""What follows from the rest: without it a run finds it again, with the same bits."""
 
 
-def fields_of(
-    scene: Scene, reactions: Mapping[str, OwnReaction] | None, threads: int, plan: BiologyPlan
-) -> FieldSystem:
-    """Return the fields of a scene, to which its cells respond."""
+def _entry(
+    name: str | None = None,
+    write: Callable[[Any], Any] = lambda value: value,
+    read: Callable[[Any], Any] = lambda value: value,
+) -> dict[str, Any]:
+    """Declare an entry of a frame's :class:`multicell.results.frame.Progress`.
 
-    def respond(behaviour: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray | None:
-        return value_of(plan, behaviour, 1.0, found, cells, early=True)
+    - ``name``: of the entry; absent: that of the field
+    - ``write``, ``read``: make what can be stored as JSON, and make the value of it
+    """
+    return {"stored": "progress", "entry": name, "write": write, "read": read}
 
-    return FieldSystem(scene, reactions, threads, respond)
+
+def _lists(named: Mapping[str, IntArray]) -> dict[str, list[int]]:
+    return {path: ids.tolist() for path, ids in named.items()}
 
 
-class RunState(ABC):
-    """The state of a run, which :class:`multicell.Simulation` advances.
+def _arrays(named: Mapping[str, list[int]]) -> dict[str, IntArray]:
+    return {path: np.array(ids, np.int64) for path, ids in named.items()}
 
-    - ``cells``, Cells: the state at ``time``
-    - ``divisions``, ``removals``, int: events so far
-    - ``next_id``, ``unsorted``, int: first identity that is free, and new cells since all were last
-      sorted in space
-    - ``released``, float, µm³: volume that dead cells have lost, their remains at removal included
+
+def _entries(value: Any) -> dict[str, float]:
+    return {} if value is None else value._asdict()
+
+
+def _replays(entries: Mapping[str, float]) -> Replays:
+    return Replays(**entries)
+
+
+def _stability(entries: Mapping[str, float]) -> Stability:
+    return Stability(**entries)
+
+
+@final
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class RunState:
+    """All that a run holds from step to step.
+
+    - ``cells``: at the time of the state
+    - ``timeline``: where the run is in time
+    - ``fields``: solutions, accounts, and what cells find
     - ``contacts``, (m, 2): identities of the pairs in contact: what exact JKR remembers, and others
       count
-    - ``replays``, Replays or None: what small shifts have done to the ends of steps that were taken
-      twice; None to take none
-    - ``stability``, Stability: how far a fixed step was from its limit, where it has one
+    - ``lineage``: births, deaths and ends so far
+    - ``next_id``: first identity that is free
+    - ``unsorted``: number of new cells since all were last sorted in space
+    - ``divisions``, ``removals``: numbers of events so far
+    - ``released``, µm³: volume that dead cells have lost, their remains at removal included
+    - ``separation``: when and how the last contact broke in a pull
     - ``first_states``, name -> int: cells that rested and were dead at the start, as it found them,
       and whose state does not fit the field
     - ``exposures``: how many events are too many by the length of steps, and what that is estimated
       from (:func:`multicell.biology.exposure.remainders`)
     - ``named``, table of the scene -> (k,) identities: cells that are driven from outside because
       of who or where they were at the start
-    - ``plan``, BiologyPlan: what biology needs of the scene
-    - ``timeline``, Timeline: where the run is in time
-    - ``mover``, Mover: mechanics and the integrator
-    - ``field_system``, FieldSystem: what solves for the fields
-    - ``wall``, phase -> s: wall time of each phase of the loop
+    - ``replays``: what small shifts have done to the ends of steps that were taken twice; None to
+      take none
+    - ``stability``: how far a fixed step was from its limit; None where the method has no limit
+    - ``work``: counts of what the integration has cost
+    - ``cavity``, µm: radius to which cells have widened a gel, where its next one is looked for;
+      None without a gel
+    - ``growth``, (n,) or None: how fast cells would grow where they are, once it is known
     """
 
-    cells: Cells
-    next_id: int
-    unsorted: int
+    cells: Cells = field(metadata=_IN_FRAME)
+    timeline: Timeline = field(metadata=_IN_FRAME)
+    fields: FieldsState = field(metadata=_IN_FRAME)
+    contacts: IntArray = field(metadata=_IN_FRAME)
+    lineage: Lineage = field(metadata=_IN_LOGS)
+    next_id: int = field(metadata=_entry())
+    unsorted: int = field(metadata=_entry())
+    divisions: int = field(metadata=_entry())
+    removals: int = field(metadata=_entry())
+    released: float = field(metadata=_entry())
+    separation: Mapping[str, float] | None = field(metadata=_entry())
+    first_states: Mapping[str, int] = field(metadata=_entry())
+    exposures: Mapping[str, float] = field(metadata=_entry())
+    named: Mapping[str, IntArray] = field(metadata=_entry("driven", _lists, _arrays))
+    replays: Replays | None = field(metadata=_entry(None, _entries, _replays))
+    stability: Stability | None = field(metadata=_entry(None, _entries, _stability))
+    work: Mapping[str, int] = field(metadata=_entry(None, dict, dict))
+    cavity: float | None = field(metadata=_entry())
+    growth: FloatArray | None = field(default=None, metadata=_DERIVED)
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        plan: BiologyPlan,
-        mover: Mover,
-        fields: FieldSystem,
-        lineage: Lineage | None,
-    ) -> None:
-        self.scene, self.mover, self.field_system = scene, mover, fields
-        self.plan = plan
-        self.wall = dict.fromkeys(PHASES, 0.0)
-        self.timeline = Timeline(step_plan(scene))
-        self.divisions = self.removals = 0
-        self.released = 0.0
-        self.replays: Replays | None = Replays()
-        self.stability = Stability()
-        self.first_states: Mapping[str, int] = {}
-        self.exposures: Mapping[str, float] = {}
-        self.contacts = np.empty((0, 2), dtype=np.int64)
-        self.separation: Mapping[str, float] | None = None
-        self.named: dict[str, IntArray] = {}
-        self.lineage = Lineage() if lineage is None else lineage
+    @classmethod
+    def of_frame(
+        cls, frame: Frame, *, timeline: Timeline, fields: FieldsState, lineage: Lineage
+    ) -> RunState:
+        """Return the state that a frame and the logs of its run hold.
 
-    def resume(self, frame: Frame) -> None:
-        """Take the state from a frame."""
+        - ``timeline``, ``fields``: at the frame, which only those can make who know the scene
+        """
         known = frame.progress
-        if known is None:
-            raise ValueError("this frame does not hold what a run needs to go on")
-        if frame.time > self.scene.duration:
-            raise SceneError(
-                "duration",
-                f"is {self.scene.duration:g} s, which ends before the frame at {frame.time:g} s",
-                "Name a later end, or resume from an earlier frame.",
-            )
-        self.timeline = Timeline.at_frame(self.timeline.plan, frame)
-        self.cells = frame.cells.copy()
-        check_start(self.scene, self.cells)
-        self.contacts = np.array(frame.contacts)
-        self.named = {path: np.array(ids, np.int64) for path, ids in known.driven.items()}
-        for name in _NOTED:
-            setattr(self, name, getattr(known, name))
-        self.replays = Replays(**known.replays)
-        self.stability = Stability(**known.stability)
-        self._count(known.work)
-        self.field_system.restore(frame)
+        stored = {name: read(getattr(known, entry)) for name, entry, _, read in _PROGRESS}
+        cells, contacts = frame.cells.copy(), np.array(frame.contacts)
+        return cls(
+            cells=cells, timeline=timeline, fields=fields, contacts=contacts, lineage=lineage,
+            **stored,
+        )  # fmt: skip
 
-    def _progress(self) -> Progress:
-        """Return what a frame needs so that the run can be resumed from it."""
-        return Progress(
-            **{name: getattr(self, name) for name in _NOTED},
-            **self.field_system.progress(),
-            work=asdict(self.mechanics.work),
-            driven={path: ids.tolist() for path, ids in self.named.items()},
-            replays={} if self.replays is None else self.replays._asdict(),
-            stability=self.stability._asdict() if self.mover.limit > 0.0 else {},
-        )
-
-    def _count(self, work: Mapping[str, int]) -> None:
-        """Set what the integration has cost so far."""
-        for name, count in work.items():
-            setattr(self.mechanics.work, name, count)
-
-    @property
-    def mechanics(self) -> Mechanics:
-        """The forces between the cells, and what finds neighbours."""
-        return self.mover.system
-
-    @property
-    def nodes(self) -> int:
-        """Number of nodes of the largest field in a box; zero without any."""
-        return self.field_system.nodes
-
-    @property
-    def concentrations(self) -> dict[str, FloatArray]:
-        """Concentration of each nutrient at the cells, name -> (n,) mM."""
-        return self.field_system.concentrations
-
-    @property
-    def signals(self) -> dict[str, FloatArray]:
-        """All that cells find and do not carry themselves: fields, time, neighbours; name -> (n,).
-
-        Fields are in mM; there are no more than responses need.
-        """
-        return self._signals_at(self.cells) if self.plan.elsewhere else self.concentrations
-
-    def _signals_at(self, cells: Cells) -> dict[str, FloatArray]:
-        if not self.plan.elsewhere:
-            return self.concentrations
-        others = other_signals(self.plan, cells, self.contacts, self.time)
-        return {**self.concentrations, **others}
-
-    @property
-    def ledger(self) -> dict[str, Ledger]:
-        """What has come in, been taken up, secreted, stored ... of each nutrient."""
-        return self.field_system.ledger
-
-    @property
-    def fields(self) -> dict[str, Field]:
-        """The nutrient fields as they were last solved."""
-        return self.field_system.solved()
-
-    @property
-    def time(self) -> float:
-        """Simulated time, s."""
-        return self.timeline.time
-
-    @property
-    def step_index(self) -> int:
-        """Number of coupling steps done."""
-        return self.timeline.step
-
-    @property
-    def steps(self) -> int:
-        """Number of coupling steps to the scene's end."""
-        return self.timeline.steps
-
-    @property
-    def finished(self) -> bool:
-        """Whether the duration or the number of cells is reached, or all are pulled apart."""
-        enough = self.scene.stop_cells
-        grown = enough is not None and len(self.cells) >= enough
-        return self.timeline.is_over or grown or self.separation is not None
-
-    def phase(self, name: str) -> Phase:
-        """Return a context that adds the wall time of its block to one of :data:`PHASES`."""
-        return Phase(self.wall, name)
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return what :meth:`restore` needs to undo a step.
-
-        A step makes new arrays and does not write into those that are there: to keep them is
-        to remember them. Logs and accounts only grow.
-        """
-        return {
-            "lineage": self.lineage.counts(),
-            "work": vars(self.mechanics.work).copy(),
-            "fields": self.field_system.snapshot(),
-            "rest": _state_of(self),
-        }
-
-    def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Make the state of a snapshot the state again."""
-        with UNCUT:
-            self.lineage.cut(snapshot["lineage"])
-            self._count(snapshot["work"])
-            self.field_system.undo(snapshot["fields"])
-            for name, value in zip(_STATE, snapshot["rest"], strict=True):
-                setattr(self, name, value)
+    def progress(self) -> Progress:
+        """Return what a frame needs, beside cells and fields, to be resumed from."""
+        stored = {entry: write(getattr(self, name)) for name, entry, write, _ in _PROGRESS}
+        return Progress(**stored, **self.fields.progress())
 
     def frame(self, *, shared: bool = False) -> Frame:
-        """Return the state as a frame that later steps do not change.
-
-        One that is ``shared`` has the arrays of the state itself: a step makes new ones, but who
-        writes into those of ``cells`` writes into the frame.
-        """
-        cells, found = self.cells, dict(self.concentrations)
+        """Return the state as a frame; one that is ``shared`` has its arrays."""
+        cells, found = self.cells, self.fields.concentrations
         if not shared:
             cells, found = cells.copy(), {name: values.copy() for name, values in found.items()}
-        return replace(self._view(), cells=cells, concentrations=found, fields=self.fields)
-
-    def _view(self, *, whole: bool = True) -> Frame:
-        """Return the state, without fields, as a frame that shares its arrays.
-
-        Where it is not ``whole`` it lacks what only those need who go on from it.
-        """
-        return Frame(
-            self.time, self.step_index, self.cells, self.concentrations,
-            contacts=self.contacts, progress=self._progress() if whole else None,
+        return replace(
+            self.view(), cells=cells, concentrations=found, fields=self.fields.fields(),
+            progress=self.progress(),
         )  # fmt: skip
+
+    def view(self) -> Frame:
+        """Return it as a frame without fields and what only those need who resume from it."""
+        time, step = self.timeline.time, self.timeline.step
+        found = self.fields.concentrations
+        return Frame(time, step, self.cells, found, contacts=self.contacts)
+
+    def with_cells(self, cells: Cells) -> RunState:
+        """Return the state with cells as a user has left them, in arrays of its own.
+
+        Some may be missing, which counts as removal, and their order may be another one.
+
+        Raises ValueError where a column does not fit, or for cells that are not of the run.
+        """
+        after = Cells(**dict(cells.columns())).copy()
+        if np.array_equal(after.id, self.cells.id):
+            return replace(self, cells=after, growth=None)
+        rows = self.cells.rows_of(after.id)
+        if (rows < 0).any() or len(np.unique(rows)) < len(rows):
+            raise ValueError(
+                "cells.id must be identities of the run's own cells, none of them twice: "
+                "start another run with other cells, Simulation(scene, cells=...)"
+            )
+        gone = len(self.cells) - len(after)
+        return replace(
+            self,
+            cells=after,
+            fields=self.fields.at_rows(rows),
+            contacts=after.id[contact_rows(after, self.contacts)],
+            lineage=self.lineage.events(self.cells, after, self.timeline.time),
+            removals=self.removals + gone,
+            growth=None,
+        )
+
+
+_PROGRESS: Final = tuple(
+    (f.name, f.metadata["entry"] or f.name, f.metadata["write"], f.metadata["read"])
+    for f in fields(RunState)
+    if f.metadata["stored"] == "progress"
+)
+"""Name, entry of the progress, and what writes and reads it, of each field that is stored there."""

@@ -1,68 +1,48 @@
-"""A simulation: a scene plus state, which advances in coupling steps.
-
-In each step the data goes one way: growth rates from what the cells find around them, motion
-while the radii grow, then all events (division, removal), then the nutrient field of the new
-configuration, and from it the cells' new states. So a frame taken between two steps is
-consistent: its concentrations are those of its own cells.
-"""
+"""A simulation: a scene and the state of its run, which advances in coupling steps."""
 
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, cast, final
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, final
 
 from multicell.biology import driven
-from multicell.biology.division import change_types, changing, mutate_as_found
-from multicell.biology.exposure import Exposure, remainders
-from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.initial import initial_cells
-from multicell.biology.motion import motion_of
-from multicell.biology.plan import biology_plan
-from multicell.biology.start_states import StartStates
-from multicell.biology.states import irradiate
-from multicell.biology.step import (
-    age_cells,
-    bind,
-    bind_changed,
-    decide,
-    divide_and_remove,
-    grow,
-)
-from multicell.cells import Cells, FloatArray
+from multicell.biology.step import grow
+from multicell.cells import Cells
 from multicell.compiling.threads import thread_count
 from multicell.contact.custom import Compiling
 from multicell.errors import NutrientFailed, StepFailed
-from multicell.host.interrupts import STEP
-from multicell.mechanics import neighbours
+from multicell.host.interrupts import STEP, UNCUT
 from multicell.results import summary
-from multicell.results.frame import Frame
 from multicell.results.lineage import Lineage
-from multicell.results.observables import contact_rows
 from multicell.scene import start
-from multicell.scene.domain import check_start
 from multicell.scene.ranges import check_memory
-from multicell.simulation.mover import Mover
-from multicell.simulation.run_state import RunState, fields_of
+from multicell.simulation.coupling_step import next_state
+from multicell.simulation.first_state import begun, resumed
+from multicell.simulation.machinery import Machinery
+from multicell.simulation.timeline import Phase
 
 if TYPE_CHECKING:
-    from multicell.cells import Found, IntArray, Mask
+    from multicell.biology.plan import BiologyPlan
+    from multicell.cells import FloatArray, Found, IntArray
     from multicell.integrators.base import Integrator
+    from multicell.integrators.shift import Replays
+    from multicell.integrators.stability import Stability
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
+    from multicell.nutrient.balance import Ledger
+    from multicell.nutrient.fields import FieldSystem
     from multicell.nutrient.reactions.own import OwnReaction
+    from multicell.results.frame import Field, Frame
     from multicell.scene.scene import Scene
-
-
-_GRAIN = 1e-3  # of a coupling step, to which the time of a separation is known
-_STALE_ORDER = 0.05  # part of the cells that may be new before all are sorted in space again
+    from multicell.simulation.mover import Mover
+    from multicell.simulation.run_state import RunState
+    from multicell.simulation.timeline import Timeline
 
 
 @final
-class Simulation(RunState):
+class Simulation:
     """Cells of a scene, and what moves, feeds and divides them.
 
     Parameters
@@ -109,70 +89,47 @@ class Simulation(RunState):
             scene, cells = with_cells(scene, cells), None
         if cells is None and frame is None:
             check_memory(scene)
+        self.scene = scene
         self._compiling = Compiling(scene.contact)
-        plan = biology_plan(scene)
+        self._run = run = Machinery(scene, thread_count(threads), integrator, reactions)
+        self._draft: Cells | None = None  # what has been given out to be read or written
+        lineage = Lineage() if lineage is None else lineage
+        if frame is not None:
+            self._state = resumed(run, frame, lineage)
+            return
+        table = scene.initial.cells
+        given = cells is not None or (table is not None and "state" in table.given.columns)
+        first = start.separate(scene, initial_cells(scene) if cells is None else cells)
+        with self._compiling:
+            self._state = begun(run, first, lineage, given_states=given)
 
-        super().__init__(
-            scene,
-            plan=plan,
-            mover=Mover(scene, thread_count(threads), integrator),
-            fields=fields_of(scene, reactions, thread_count(threads), plan),
-            lineage=lineage,
-        )
-        self._known_factor: tuple[tuple[Any, ...], FloatArray] = ((), np.empty(0))
-        if frame is None:
-            table = scene.initial.cells
-            given = cells is not None or (table is not None and "state" in table.given.columns)
-            first = start.separate(scene, initial_cells(scene) if cells is None else cells)
-            self._start(first, given_states=given)
-        else:
-            self.resume(frame)
+    @property
+    def state(self) -> RunState:
+        """The state of the run, a value: to assign an earlier one is to return to it."""
+        draft, state = self._draft, self._state
+        if draft is not None and not draft.equals(state.cells):
+            self._state = state = state.with_cells(draft)
+            self._run.load(state)
+        return state
 
-    def _start(self, cells: Cells, *, given_states: bool) -> None:
-        """Begin with these cells; states that are not given are found with the fields."""
-        check_start(self.scene, cells)
-        self.named = driven.named_at_start(self.plan, cells)
-        self.cells = cells = bind(self.plan, cells, cells, {}, self.time)
-        self.next_id = int(cells.id.max(initial=-1)) + 1
-        first = cells.take(np.argsort(cells.id))
-        first.parent = np.full(len(first), -1)  # nothing is known of mothers before the start
-        self.lineage.born(first, self.time)
-        self.unsorted = len(cells)
-        self._sort()
-        with self.phase("mechanics"), self._compiling:
-            motion = self._motion(self.time, self.time, cells.radius)
-            self._note_contacts(self.mover.contacts(self.cells, motion))
-        with self.phase("nutrient"):
-            try:
-                self.field_system.begin(self.cells, self.time)
-                if self.scene.nutrients and not given_states:
-                    self._find_states()
-            except NutrientFailed as failure:
-                raise StepFailed(self.time, failure.problem, failure.hint) from failure
-            if self.scene.nutrients:
-                self.cells = bind(self.plan, self.cells, self.cells, self.signals, self.time)
-        if given_states or not self.scene.nutrients:
-            with self.phase("biology"):
-                dead, _ = self._decide()
-                self.lineage.died(self.cells, dead, self.time)
-        self._irradiate(-math.inf)
+    @state.setter
+    def state(self, state: RunState) -> None:
+        self._run.load(state)
+        self._state, self._draft = state, None
 
-    def _find_states(self) -> None:
-        """Find states of the cells that fit the fields which they make."""
+    @property
+    def cells(self) -> Cells:
+        """The cells, of which any column can be written, in place or by a new array.
 
-        def field(cells: Cells) -> dict[str, FloatArray]:
-            self.field_system.begin(cells, self.time, again=True)
-            return self._signals_at(cells)
+        What is written counts at once. A step makes new cells, and leaves these as they are.
+        """
+        if self._draft is None:
+            self._draft = self._state.cells.copy()
+        return self._draft
 
-        search = StartStates(
-            self.plan, self.cells, field, tabled=self.scene.initial.cells is not None
-        )
-        self.cells, unfit = search.find(self.signals)
-        resting, dead = int((search.rests & ~search.dead).sum()), int(search.dead.sum())
-        if resting or dead or unfit:
-            self.first_states = {"quiescent": resting, "necrotic": dead, "unfit": unfit}
-        if dead:
-            self.lineage.died(self.cells, search.dead, self.time)
+    @cells.setter
+    def cells(self, cells: Cells) -> None:
+        self._draft = cells
 
     def step(self) -> None:
         """Advance by one coupling step.
@@ -186,238 +143,217 @@ class Simulation(RunState):
             At the end of the step, after Ctrl-C; a second one ends it at once.
         """
         with STEP:
-            before = self.snapshot()
+            before, draft = self.state, self._draft
             try:
                 with self._compiling:
                     self._advance()
-            except NutrientFailed as failure:
-                self.restore(before)
-                raise StepFailed(self.time, failure.problem, failure.hint) from failure
-            except BaseException:
-                self.restore(before)
+            except BaseException as error:
+                with UNCUT:
+                    self.state, self._draft = before, draft
+                if isinstance(error, NutrientFailed):
+                    raise StepFailed(self.time, error.problem, error.hint) from error
                 raise
 
     def _advance(self) -> None:
-        """Do one coupling step; an exception leaves parts of it behind."""
-        plan, begin, end = self.plan, self.time, self.timeline.next_time
-        with self.phase("biology"):
-            factor = self._growth_factor()
-            began, found = self.cells, self.signals
-            grown = grow(plan, began, found, factor, end - begin)
-            found = dict(found)  # the fields will write what they find in place of this
-        with self.phase("mechanics"):
-            position, pressure = self._move(begin, end, grown.radius)
-        with self.phase("events"):
-            self.cells, lost = age_cells(plan, self.cells, grown, self.signals, begin, end)
-            self.cells.position, self.cells.pressure = position, pressure
-            self.released += lost
-            self.timeline = self.timeline.after_step()
-            self._divide_and_remove(end - begin, grown.factor)
-            self._sort()
-        self._expose(began, found, begin, end)
-        with self.phase("biology"):
-            self._irradiate(begin)
-            if plan.growth is not None and not self.timeline.plan.jumps_at(end):
-                # a jump changes nothing of the step that it ends
-                now = self._growth_factor()
-                self.cells.lag = lag_after(plan, began, factor, self.cells, now, end - begin)
-
-    def _growth_factor(self) -> FloatArray:
-        """Return how fast cells would grow where they are now, (n,)."""
-        # that of a step's end is that of the next one's beginning
-        cells = self.cells
-        surroundings = (cells.pressure, cells.kind, *self.concentrations.values())
-        known, factor = self._known_factor
-        if (
-            self.plan.growth_follows_state
-            or len(known) != len(surroundings)
-            or any(map(operator.is_not, known, surroundings))
-        ):
-            factor = growth_factor(self.plan, self.signals, cells.pressure, cells)
-            self._known_factor = surroundings, factor
-        return factor
+        self._state, self._draft = next_state(self._run, self._state), None
 
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""
         # columns for every method: a run may be resumed with another one
-        ratio = self.stability.latest if self.mover.limit > 0.0 else math.nan
-        shift = self.replays.latest if self.replays is not None and self.replays.done else math.nan
+        state, run = self.state, self._run
+        ratio = math.nan if state.stability is None else state.stability.latest
+        replays = state.replays
+        shift = replays.latest if replays is not None and replays.done else math.nan
         extra = {"shift_effect": shift, "stability_ratio": ratio}
-        extra |= self.field_system.columns(self.cells)
-        if self.plan.acting:
-            extra["splitting_events_error"] = abs(self.exposures.get("error", 0.0))
+        extra |= run.field_system.columns(state.cells)
+        if run.plan.acting:
+            extra["splitting_events_error"] = abs(state.exposures.get("error", 0.0))
         if self.scene.motions:
-            now = self._motion(self.time, self.time, self.cells.radius)
-            extra |= driven.columns(self.plan, self.cells, self.named, self.mechanics, now)
-        return summary.history_row(self.scene, self._view(whole=False), **extra)
+            now = self._motion(self.time, self.time, state.cells.radius)
+            extra |= driven.columns(run.plan, state.cells, state.named, self.mechanics, now)
+        return summary.history_row(self.scene, state.view(), **extra)
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
-        self.mechanics.begin(self._motion(self.time, self.time, self.cells.radius))
-        return self.mechanics.energy(self.time, self.cells.position)
+        cells = self.state.cells
+        self.mechanics.begin(self._motion(self.time, self.time, cells.radius))
+        return self.mechanics.energy(self.time, cells.position)
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers that describe the run so far; ``units`` names the units.
 
         A number that does not exist (the viable rim without a core) is None.
         """
-        fields, remarks = self.field_system.fitness(self.cells, self.time)
-        if self.mover.limit > 0.0:
-            remarks = [*remarks, *self.stability.notes(self.scene.integrator.method)]
+        state = self.state
+        fields, remarks = self.field_system.fitness(state.cells, self.time)
+        if state.stability is not None:
+            remarks = [*remarks, *state.stability.notes(self.scene.integrator.method)]
         ledgers = {name: ledger.summary() for name, ledger in self.ledger.items()}
         threads = self.mechanics.threads
         return summary.run_summary(
-            self.scene, self._view(), ledgers, fields, remarks, self.wall, threads
+            self.scene, state.frame(shared=True), ledgers, fields, remarks, self.wall, threads
         )
 
-    def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
-        return motion_of(
-            self.plan, self.cells, radius, begin, end, concentrations=self.signals,
-            gradients=self.field_system.gradients(self.cells), contacts=self.contacts,
-            named=self.named,
-        )  # fmt: skip
+    def frame(self, *, shared: bool = False) -> Frame:
+        """Return the state as a frame that later steps do not change.
+
+        One that is ``shared`` has the arrays of the state itself, which are not to be written to.
+        """
+        return self.state.frame(shared=shared)
 
     def prepared(self) -> Mechanics:
         """Return the mechanics made ready for the next coupling step, which is not taken."""
+        state, run = self.state, self._run
         begin, end = self.time, self.timeline.next_time
-        factor = self._growth_factor()
-        radius = grow(self.plan, self.cells, self.signals, factor, end - begin).radius
+        found = run.signals_of(state)
+        radius = grow(run.plan, state.cells, found, run.growth(state, found), end - begin).radius
         self.mechanics.begin(self._motion(begin, end, radius))
         return self.mechanics
 
-    def _move(self, begin: float, end: float, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Integrate the positions; return them and the pressures at the end."""
-        motion = self._motion(begin, end, radius)
-        moved = self.mover.move(self.cells, motion, self.step_index, self.replays, self.stability)
-        self.replays, self.stability = moved.replays, moved.stability
-        pull, none_left = self.scene.pull, moved.contacts is not None and not len(moved.contacts)
-        if pull is not None and len(self.contacts) and none_left:
-            time = self._parting(begin, end, radius)
-            self.separation = {"time": time, "force": pull.load(time)}
-        self._note_contacts(moved.contacts)
-        return moved.position, moved.pressure
+    def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
+        state = self.state
+        return self._run.motion(state, self._run.signals_of(state), begin, end, radius)
 
-    def _parting(self, begin: float, end: float, radius: FloatArray) -> float:
-        """Return when in a step the last contact breaks, s: halving it until the time is known."""
-        cells, low, high = self.cells, begin, end
-        while high - low > _GRAIN * (end - begin):
-            middle = 0.5 * (low + high)
-            grown = cells.radius + (middle - begin) / (end - begin) * (radius - cells.radius)
-            motion = self._motion(begin, middle, grown)
-            moved = self.mover.move(cells, motion, self.step_index, None, self.stability)
-            joined = moved.contacts is not None and len(moved.contacts) > 0
-            low, high = (middle, high) if joined else (low, middle)
-        return high
+    def phase(self, name: str) -> Phase:
+        """Return a context that adds the wall time of its block to a phase of the loop."""
+        return Phase(self.wall, name)
 
-    def _note_contacts(self, found: IntArray | None) -> None:
-        """Remember contacts by identity."""
-        if found is not None:
-            self.contacts = self.cells.id[found]
+    @property
+    def finished(self) -> bool:
+        """Whether the duration or the number of cells is reached, or all are pulled apart."""
+        state, enough = self.state, self.scene.stop_cells
+        grown = enough is not None and len(state.cells) >= enough
+        return state.timeline.is_over or grown or state.separation is not None
 
-    def _divide_and_remove(self, dt: float, factor: FloatArray) -> None:
-        """Change the number of cells after a step of ``dt`` s, and all that is noted of them.
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self._state.timeline.time
 
-        They have grown in it at ``factor``, (n,), of unlimited growth.
+    @property
+    def step_index(self) -> int:
+        """Number of coupling steps done."""
+        return self._state.timeline.step
+
+    @property
+    def steps(self) -> int:
+        """Number of coupling steps to the scene's end."""
+        return self._state.timeline.steps
+
+    @property
+    def timeline(self) -> Timeline:
+        """Where the run is in time."""
+        return self._state.timeline
+
+    @property
+    def divisions(self) -> int:
+        """Number of divisions so far."""
+        return self._state.divisions
+
+    @property
+    def removals(self) -> int:
+        """Number of cells removed so far."""
+        return self.state.removals
+
+    @property
+    def released(self) -> float:
+        """Volume that dead cells have lost so far, their remains at removal included, µm³."""
+        return self._state.released
+
+    @property
+    def contacts(self) -> IntArray:
+        """Identities of the pairs in contact, where the run counts them, (m, 2)."""
+        return self.state.contacts
+
+    @property
+    def lineage(self) -> Lineage:
+        """Births, deaths and ends of all cells so far."""
+        return self.state.lineage
+
+    @property
+    def separation(self) -> Mapping[str, float] | None:
+        """When and how the last contact broke in a pull."""
+        return self._state.separation
+
+    @property
+    def first_states(self) -> Mapping[str, int]:
+        """How many cells rested and were dead at the start, and do not fit the field."""
+        return self._state.first_states
+
+    @property
+    def named(self) -> Mapping[str, IntArray]:
+        """Identities of the cells that are driven, table of the scene -> (k,)."""
+        return self._state.named
+
+    @property
+    def exposures(self) -> Mapping[str, float]:
+        """How many events are too many by the length of steps, and what that is estimated from."""
+        return self._state.exposures
+
+    @property
+    def next_id(self) -> int:
+        """First identity that is free."""
+        return self._state.next_id
+
+    @property
+    def replays(self) -> Replays | None:
+        """What small shifts have done to the ends of steps that were taken twice."""
+        return self._state.replays
+
+    @property
+    def stability(self) -> Stability | None:
+        """How far a fixed step was from its limit; None where the method has no limit."""
+        return self._state.stability
+
+    @property
+    def ledger(self) -> dict[str, Ledger]:
+        """What has come in, been taken up, secreted, stored ... of each nutrient."""
+        return self._state.fields.ledger
+
+    @property
+    def concentrations(self) -> dict[str, FloatArray]:
+        """Concentration of each nutrient at the cells, name -> (n,) mM."""
+        return self.state.fields.concentrations
+
+    @property
+    def fields(self) -> dict[str, Field]:
+        """The nutrient fields as they were last solved."""
+        return self._state.fields.fields()
+
+    @property
+    def signals(self) -> Found:
+        """All that cells find and do not carry themselves: fields, time, neighbours; name -> (n,).
+
+        Fields are in mM; there are no more than responses need.
         """
-        before, first, found = self.cells, self.next_id, self.signals
-        after = divide_and_remove(self.plan, before, first, self.time, dt, found, factor)
-        born = after.next_id - first
-        self.cells, self.next_id = after.cells, after.next_id
-        self.divisions += born // 2
-        self.removals += after.removals
-        self.released += after.released
-        self.unsorted += born + after.removals
-        if born or after.removals:
-            self.lineage.events(before, self.cells, self.time)
-            self.named = driven.pass_on(self.named, self.cells, first)
-            if len(self.contacts):
-                self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
+        return self._run.signals_of(self.state)
 
-    def _sort(self) -> None:
-        """Sort the cells in space when many are new: neighbours then share memory."""
-        if self.unsorted > _STALE_ORDER * len(self.cells):
-            width = 2.0 * float(self.cells.radius.max(initial=1.0))
-            self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
-            self.unsorted = 0
+    @property
+    def plan(self) -> BiologyPlan:
+        """What biology needs of the scene."""
+        return self._run.plan
 
-    def _expose(self, began: Cells, before: Found, begin: float, end: float) -> None:
-        """Bring the fields through a step, and let cells do what follows from what they find.
+    @property
+    def mover(self) -> Mover:
+        """Mechanics and the integrator."""
+        return self._run.mover
 
-        Where rates have killed cells, transient fields are brought through it once more, now with
-        these cells until they died.
-        """
-        plan, fields, cells = self.plan, self.field_system, self.cells
-        again = fields.marches and self._follows(begin)
-        known, until = fields.snapshot() if again else {}, cast(Any, 1.0)
-        exposure, dead, lost = self._attempt(began, before, begin, end)
-        if again and np.count_nonzero(dead):
-            until = np.where(dead, 1.0 - self.cells.age / (end - begin), 1.0)
-            fields.undo(known)
-            self.cells = cells
-            exposure, dead, lost = self._attempt(began, before, begin, end, until)
-        with self.phase("biology"):
-            if np.count_nonzero(dead):
-                self.released += lost
-                self.lineage.died(self.cells, dead, end)
-            if fields.marches and self.cells.radius is not cells.radius:  # some died, or rest early
-                rests = (self.cells.state != cells.state) & (self.cells.age < end - begin) & ~dead
-                late = np.where((dead & (until == 1.0)) | rests, self.cells.age, 0.0)
-                fields.give_back(cells, self.cells, late)
-            if plan.acting:
-                jumped = self.timeline.plan.changes_at(begin)
-                self.exposures = remainders(plan, exposure, self.exposures, jumped=jumped)
-            typed = self.cells
-            self.cells, rows = mutate_as_found(plan, self.cells, exposure)
-            self.lineage.retype(self.cells.id[rows], self.cells.kind[rows])
-            if changing(plan.acting):
-                exposure.cells = self.cells
-                self.cells = change_types(plan, self.cells, exposure)
-            self.cells = bind_changed(plan, typed, self.cells, exposure.found, end)
+    @property
+    def mechanics(self) -> Mechanics:
+        """The forces between the cells, and what finds neighbours."""
+        return self._run.mover.system
 
-    def _follows(self, begin: float) -> bool:
-        """Return whether more than the ends of a step matters: rates, or fields that jumped."""
-        return bool(self.plan.acting) or self.timeline.plan.changes_at(begin)
+    @property
+    def field_system(self) -> FieldSystem:
+        """What solves for the fields."""
+        return self._run.field_system
 
-    def _attempt(
-        self, began: Cells, before: Found, begin: float, end: float, until: Any = 1.0
-    ) -> tuple[Exposure, Mask, float]:
-        """Bring the fields through a step with cells until a part of it, (n,), and let some die.
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of the largest field in a box; zero without any."""
+        return self._run.field_system.nodes
 
-        Returns what cells were exposed to, which have died, and the volume that these have lost.
-        """
-        plan, fields = self.plan, self.field_system
-        with self.phase("nutrient"):
-            followed = plan.exposed if self._follows(begin) else ()
-            fields.advance(self.cells, begin, end, before=began, follow=followed, until=until)
-        with self.phase("biology"):
-            held = fields.steady if self.timeline.plan.jumps_at(end) else ()
-            exposure = Exposure(
-                self.cells,
-                self.signals,
-                end - begin,
-                began=began,
-                before=before,
-                inner=fields.courses,
-                held=held,
-            )
-            dead, lost = self._decide(exposure)
-            exposure.cells = self.cells
-        return exposure, dead, lost
-
-    def _decide(self, exposure: Exposure | None = None) -> tuple[Mask, float]:
-        """Let cells turn to another state; return which have died, and the volume lost, µm³.
-
-        By what they were exposed to in the step that has ended, or find at the start of the run.
-        """
-        found = self.signals if exposure is None else exposure.found
-        ahead = self.timeline.ahead
-        decided = decide(self.plan, self.cells, found, exposure, ahead=ahead, time=self.time)
-        self.cells = decided.cells
-        return decided.died, decided.released
-
-    def _irradiate(self, since: float) -> None:
-        """Let cells be hit by what is due since a time in s, and note those that die."""
-        if self.plan.radiation:
-            cells, found = self.cells, self.concentrations
-            self.cells, dead = irradiate(self.plan, cells, found, since, self.time)
-            self.lineage.died(self.cells, dead, self.time)
+    @property
+    def wall(self) -> dict[str, float]:
+        """Wall time of each phase of the loop, s."""
+        return self._run.wall

@@ -31,7 +31,7 @@ def check_population(scene: Scene) -> None:
     from multicell.nutrient.balance import beyond
     from multicell.nutrient.tissue import Tissue
     from multicell.scene.domain import check_start
-    from multicell.simulation.run_state import fields_of
+    from multicell.simulation.machinery import fields_of
 
     cells, plan = initial_cells(scene), biology_plan(scene)
     check_start(scene, cells)
