@@ -267,5 +267,6 @@ def part_until(
     if grows.size:
         event = np.broadcast_to(number, len(ids))[grows]
         threshold = random.thresholds(plan.seed, purpose, event, ids[grows])
-        part[grows] = (threshold - before[grows]) / gained[grows]
+        # who is beyond it already, by a rounding or by a user's hand, is so from the beginning on
+        part[grows] = np.maximum((threshold - before[grows]) / gained[grows], 0.0)
     return np.where(part <= 1.0, part, np.inf)
