@@ -385,7 +385,7 @@ def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
         raise SceneError("behaviour", problem, near_miss(of, known))
     growth, name = scene.growth, behaviour.name
     phases = growth is not None and bool(growth.phases)
-    grows = ("growth rate", "rest", "mutation to", "entry into")
+    grows = ("growth rate", "rest", "mutation to", "asymmetric division to", "entry into")
     lacking = {
         "[growth]": name in grows and growth is None,
         "[growth.phases]": name == "entry into" and not phases,
