@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -239,7 +240,7 @@ def _kinds_at_birth(plan: BiologyPlan, daughters: Cells, chances: Chances, first
     Identities are given in pairs, so that a second daughter's differs from a ``first`` one's by an
     odd number. Chances that add up to more than one leave none of the mother's type.
     """
-    kinds: IntArray = daughters.kind
+    kinds = daughters.kind.astype(np.int64)
     of_each, of_one = chances
     if of_each is not None:
         u = random.uniform(plan.seed, Purpose.MUTATION, 0, daughters.id)
@@ -284,7 +285,7 @@ def mutate_as_found(
     born.cells.kind = mothers.kind[row[rows]]
     part = 1.0 - born.cells.age / exposure.length
     chances = [
-        born.at(part, known, lambda found, some, of=behaviour: _by_type(plan, of, found, some))
+        born.at(part, known, partial(_by_type, plan, behaviour))
         if any(name.startswith(f"{behaviour} ") for name in plan.responses)
         else None
         for behaviour in _AT_BIRTH
