@@ -30,7 +30,7 @@ from multicell.cells import FloatArray, IntArray, State
 from multicell.contact.hertz import Hertz
 from multicell.contact.law import PairLaw, effective_modulus
 from multicell.errors import SceneError
-from multicell.integrators.base import Integrator, MethodInfo, Outcome, build
+from multicell.integrators.base import Integrator, MethodInfo, Outcome, build_method
 from multicell.integrators.own import method_info
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -260,9 +260,9 @@ def _fail(name: str, problems: Iterable[str]) -> None:
 def _instantiate(info: MethodInfo, setting: float) -> Integrator:
     """Return the method with a step in s or a tolerance in µm."""
     if info.control == "step":
-        return build(info, step=setting, atol=1e-7, max_displacement=0.5)
+        return build_method(info, step=setting, atol=1e-7, max_displacement=0.5)
     rtol = max(0.01 * setting, 1e-13)
-    return build(info, rtol=rtol, atol=setting, max_steps=1_000_000, max_displacement=0.5)
+    return build_method(info, rtol=rtol, atol=setting, max_steps=1_000_000, max_displacement=0.5)
 
 
 def _usual(info: MethodInfo) -> float:

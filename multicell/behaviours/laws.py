@@ -97,7 +97,7 @@ class Threshold(HalfLaw):
 
 @final
 @dataclass(frozen=True)
-class Linear(ResponseLaw):
+class LinearResponse(ResponseLaw):
     """A straight line between ``begin`` and ``end``, constant outside."""
 
     begin: float
@@ -122,7 +122,7 @@ class Linear(ResponseLaw):
 
 @final
 @dataclass(frozen=True)
-class Table(ResponseLaw):
+class TableResponse(ResponseLaw):
     """Straight lines between points (signal, value), constant outside; the values themselves."""
 
     points: Curve

@@ -66,7 +66,7 @@ def volume_in(
     return np.asarray(scale * plan.law.volume_after(volume / scale, share, birth))
 
 
-def advance(
+def advance_cycle(
     plan: BiologyPlan,
     cells: Cells,
     factor: FloatArray,

@@ -44,7 +44,7 @@ def draw_lengths(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> F
     They depend on seed and identity only; founders of a stable population
     (:func:`multicell.biology.plan.founders`) have longer ones than newborn cells.
     """
-    return _drawn(plan, ids, partial(_phases, plan)) * scale(plan, kind)[:, None]
+    return _drawn(plan, ids, partial(_phases, plan)) * duration_factor(plan, kind)[:, None]
 
 
 def draw_cycle_times(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
@@ -61,7 +61,7 @@ def draw_cycle_times(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) 
         return scatter_about(plan.seed, Purpose.CYCLE, attempt, ids, mean, variation)
 
     drawn = _drawn(plan, ids, draw)
-    return drawn if plan.cycle_scale is None else drawn * scale(plan, kind)
+    return drawn if plan.cycle_scale is None else drawn * duration_factor(plan, kind)
 
 
 def stages(
@@ -79,7 +79,7 @@ def stages(
         return u
     if plan.growth is None or not plan.varies:
         return np.asarray(-np.log2(1.0 - 0.5 * u))
-    cycle = malthusian_rate(plan.growth) * duration / scale(plan, kind)
+    cycle = malthusian_rate(plan.growth) * duration / duration_factor(plan, kind)
     return np.asarray(-np.log1p(u * np.expm1(-cycle)) / cycle)
 
 
@@ -110,7 +110,7 @@ def malthusian_rate(growth: Growth) -> float:
     return float(optimize.brentq(excess, slowest, fastest, rtol=1e-14, xtol=1e-300))
 
 
-def scale(plan: BiologyPlan, kind: NDArray[np.int16]) -> FloatArray:
+def duration_factor(plan: BiologyPlan, kind: NDArray[np.int16]) -> FloatArray:
     """Return the factor of each cell's type on durations, (n,)."""
     return np.ones(len(kind)) if plan.cycle_scale is None else plan.cycle_scale[kind]
 

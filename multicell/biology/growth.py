@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.responding import combine
+from multicell.biology.responding import combine_responses
 from multicell.cells import Cells, FloatArray, Found, Mask, State, rows_before
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def growth_factor(
     known = plan.responses.get("growth rate", ())
     if cells is None:
         known = tuple(part for part in known if part.is_local)
-    return combine(known, 1.0, concentrations, cells, pressure)
+    return combine_responses(known, 1.0, concentrations, cells, pressure)
 
 
 def growing(plan: BiologyPlan, cells: Cells, phase: NDArray[np.int8] | None = None) -> Mask:

@@ -170,13 +170,13 @@ def value_of(
         known = tuple(part for part in known if part.needs <= {*found, *_OF_CELLS, "pressure"})
         if not known:
             return None
-    out = combine(known, own, found, cells, cells.pressure)
+    out = combine_responses(known, own, found, cells, cells.pressure)
     return (
         np.maximum(out, 0.0) if known[-1].effect.combine == "sum" and behaviour != "bias" else out
     )
 
 
-def combine(
+def combine_responses(
     known: Known, own: float, found: Found, cells: Cells | None, pressure: FloatArray
 ) -> FloatArray:
     """Return the value that responses of one behaviour make of its own one, (n,)."""
@@ -266,7 +266,7 @@ def rate_of_harm(
     named = tuple(part for part in known if not part.effect.short)
     if named and named[-1].effect.combine == "physicell":
         pressure = _count(found, None, None) if cells is None else cells.pressure
-        hazard = combine(named, 0.0, found, cells, pressure)
+        hazard = combine_responses(named, 0.0, found, cells, pressure)
         known = known[: -len(named)]
     for part in known:
         value = part.value(found, cells)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 
-from multicell.biology.cycle import Cycling, advance, leave_rest, phase_pace
+from multicell.biology.cycle import Cycling, advance_cycle, leave_rest, phase_pace
 from multicell.biology.division import divide
 from multicell.biology.growth import corrected_factor, volumes_after
 from multicell.biology.motion import bond_levels
@@ -76,7 +76,7 @@ def grow(
     if plan.phased:
         resting = wants_rest(plan, cells, concentrations)
         pace = phase_pace(plan, concentrations, cells)
-        cycling = advance(plan, cells, factor, resting, dt, pace)
+        cycling = advance_cycle(plan, cells, factor, resting, dt, pace)
         volume += cycling.volume - cells.volume
     return Grown(np.asarray(np.cbrt(volume / SPHERE)), factor, lag, cycling)
 

@@ -46,7 +46,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, final
 
-from multicell.calibration.columns import MAX_BYTES, NUMBERS, Column, columns_of, fields_of
+from multicell.calibration.columns import MAX_BYTES, NUMBERS, DataColumn, columns_of, depth_fields
 from multicell.calibration.noise import group
 from multicell.errors import DataError, SceneError
 from multicell.results.observable import represented
@@ -188,7 +188,7 @@ def read_data(
     return rows.measured()
 
 
-def _key(column: Column) -> tuple[str, str]:
+def _key(column: DataColumn) -> tuple[str, str]:
     return column.kind, column.name
 
 
@@ -199,7 +199,7 @@ class _Rows:
     def __init__(
         self,
         table: Table,
-        columns: Sequence[Column],
+        columns: Sequence[DataColumn],
         scene: Scene,
         sd: float,
         *,
@@ -221,7 +221,7 @@ class _Rows:
         condition, numbers = self._condition(row), self._numbers(row)
         time = self._time(row, numbers)
         scene = self._scenes[condition]
-        fields, timed = fields_of(scene), in_history(scene)
+        fields, timed = depth_fields(scene), in_history(scene)
         known = fields | timed | at_the_end(scene)
         depth = numbers.get(("depth", "depth"))
         texts = zip(self._columns, self._table.rows[row], strict=True)
@@ -257,7 +257,7 @@ class _Rows:
         )
         known: dict[str, str] = {}
         for scene in self._scenes:
-            known |= fields_of(scene) | in_history(scene) | at_the_end(scene)
+            known |= depth_fields(scene) | in_history(scene) | at_the_end(scene)
         units = {d.observable: known[d.observable] for d in self._data}
         data = group(self._data, self._table.name)
         return Measured(tuple(data), conditions, units, self._table.name)
@@ -273,7 +273,7 @@ class _Rows:
         }
 
     def _datum(
-        self, row: int, column: Column, numbers: Mapping[tuple[str, str], float], where: str,
+        self, row: int, column: DataColumn, numbers: Mapping[tuple[str, str], float], where: str,
         condition: int, time: float | None,
     ) -> Datum:  # fmt: skip
         """Return a datum with what it is compared in."""

@@ -82,7 +82,7 @@ def sample(names: Sequence[str], size: int) -> FloatArray:
     return np.asarray(morris.sample(_problem(names), size, num_levels=_LEVELS, seed=_SAMPLE))
 
 
-def analyse(names: Sequence[str], shares: FloatArray, values: FloatArray) -> Analysis:
+def sensitivity_indices(names: Sequence[str], shares: FloatArray, values: FloatArray) -> Analysis:
     """Return the indices of one observable.
 
     - ``names``: of the parameters

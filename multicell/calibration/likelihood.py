@@ -40,7 +40,7 @@ from scipy.linalg import eigh
 from multicell.calibration.emulator import FEW, PARTICLES, Emulator, best_of, draws
 from multicell.calibration.noise import Array, Noise, shrink
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import Problem
+from multicell.calibration.problem import FitProblem
 from multicell.calibration.search import Search
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
@@ -232,7 +232,7 @@ class Fresh:
 
 
 def fresh(
-    problem: Problem,
+    problem: FitProblem,
     search: Search,
     pool: Pool,
     count: int = DEFAULT_REPEATS,

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @final
 @dataclass(frozen=True)
-class Problem:
+class FitProblem:
     """Data and how runs are compared with them.
 
     - ``ranges``: the free parameters

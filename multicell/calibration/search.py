@@ -25,7 +25,7 @@ import numpy as np
 from multicell.calibration.emulator import FEW, Emulator, best_of, draws, emulator
 from multicell.calibration.noise import Array
 from multicell.calibration.pool import Call, Pool
-from multicell.calibration.problem import Misfit, Problem
+from multicell.calibration.problem import FitProblem, Misfit
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed, OutputError
 from multicell.host.extras import needs, quiet
@@ -63,7 +63,7 @@ class Search:
     - ``seed``: of the choice of points
     """
 
-    def __init__(self, problem: Problem, path: Path | None, seed: int = 0) -> None:
+    def __init__(self, problem: FitProblem, path: Path | None, seed: int = 0) -> None:
         needs("optuna")
         self._problem = problem
         self._seed = seed

@@ -18,7 +18,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.comparison.base import Row
 from multicell.comparison.norms import Norm, Observed, displacements, errors
-from multicell.comparison.replay import Problem
+from multicell.comparison.replay import ReplayProblem
 from multicell.integrators import shift as online
 
 SHIFT: Final[float] = online.SHIFT
@@ -77,7 +77,7 @@ class Conditioning:
         ]
 
 
-def shift_starts(problem: Problem, shift: float) -> Problem:
+def shift_starts(problem: ReplayProblem, shift: float) -> ReplayProblem:
     """Return a step-wise problem whose steps start from shifted positions.
 
     Each coordinate is moved by ``shift`` µm times a standard normal number, which depends on the
@@ -97,7 +97,7 @@ def shift_starts(problem: Problem, shift: float) -> Problem:
 
 
 def conditioning_of(
-    problem: Problem,
+    problem: ReplayProblem,
     shift: float,
     found: Observed,
     exact: Observed,

@@ -14,7 +14,7 @@ from multicell.comparison.base import DONE, FAILED, SKIPPED, Row
 from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import WORST_CELL, errors, observe
 from multicell.comparison.reference import Reference
-from multicell.comparison.replay import Problem, Trajectory, replay, solve_compiled
+from multicell.comparison.replay import ReplayProblem, Trajectory, replay, solve_compiled
 from multicell.mechanics.motion import Work
 
 _MAX_FAILURES = 3
@@ -109,7 +109,7 @@ def climb(
     return rows, again, clock.perf_counter() - begin + reserved
 
 
-def time_again(points: Sequence[TimedPoint], problem: Problem, repeats: int) -> None:
+def time_again(points: Sequence[TimedPoint], problem: ReplayProblem, repeats: int) -> None:
     """Time points of all methods in turns, and keep minimum, median and maximum of each.
 
     A machine is slower for minutes at a time. In turns all methods meet the same minutes, and

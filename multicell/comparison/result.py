@@ -16,7 +16,7 @@ from multicell.comparison.conditioning import Conditioning
 from multicell.comparison.norms import NORMS, Norm, described
 from multicell.errors import OutputError
 from multicell.host.extras import needs
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 from multicell.results.folder import file_errors
 from multicell.scene.scene import Scene
 
@@ -122,7 +122,7 @@ class WorkPrecision(Comparison):
         KeyError, ValueError
             If it describes something else.
         """
-        table = read_table(Path(path))
+        table = read_document(Path(path))
         if table is None:
             raise OutputError(f"'{path}' is not there")
         return cls.from_dict(table)
@@ -273,9 +273,9 @@ class WorkPrecision(Comparison):
 
     def page(self) -> dict[str, Any]:
         """Return what the template of the page asks for."""
-        from multicell.comparison.page import context
+        from multicell.comparison.page import comparison_context
 
-        return context(self)
+        return comparison_context(self)
 
     def _check(self, norm: str) -> None:
         if norm not in self.uncertainty:

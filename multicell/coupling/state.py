@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.biology.responding import other_signals, value_of
-from multicell.coupling.timeline import PHASES, Phase, Timeline
+from multicell.coupling.timeline import PHASES, PhaseTimer, Timeline
 from multicell.errors import SceneError
 from multicell.host.interrupts import UNCUT
 from multicell.integrators.shift import Replays
@@ -211,9 +211,9 @@ class RunState(ABC):
         grown = enough is not None and len(self.cells) >= enough
         return self.timeline.is_over or grown or self.separation is not None
 
-    def phase(self, name: str) -> Phase:
+    def phase(self, name: str) -> PhaseTimer:
         """Return a context that adds the wall time of its block to one of :data:`PHASES`."""
-        return Phase(self.wall, name)
+        return PhaseTimer(self.wall, name)
 
     def snapshot(self) -> dict[str, Any]:
         """Return what :meth:`restore` needs to undo a step.

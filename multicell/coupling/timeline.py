@@ -60,7 +60,7 @@ PHASES: Final = ("compile", "nutrient", "biology", "mechanics", "events", "recor
 
 
 @final
-class Phase:
+class PhaseTimer:
     """Adds the wall time of a block to that of a phase, and what numba took of it to another."""
 
     def __init__(self, wall: dict[str, float], name: str) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
-from multicell.integrators.base import equal_steps, info_of
+from multicell.integrators.base import count_equal_steps, info_of
 from multicell.integrators.shift import SHARE
 from multicell.mechanics.decay_rate import RECORDED, largest_decay_rate
 from multicell.mechanics.motion import StateRejected
@@ -80,7 +80,7 @@ def limit_of(method: Any) -> float:
 
 def actual_step(method: Any, length: float) -> float:
     """Return how long the equal steps of a coupling step are, s."""
-    return length / equal_steps(length, method.step)
+    return length / count_equal_steps(length, method.step)
 
 
 def is_due(known: Stability, cells: int, product: float) -> bool:

@@ -135,7 +135,7 @@ def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None
     return _box([float(x) for x in low], list(counts), step, height)
 
 
-def overlaps(old: Box, new: Box) -> list[FloatArray]:
+def covered_fractions(old: Box, new: Box) -> list[FloatArray]:
     """Return for each axis the part of every new interval that lies in every old one, (n, m)."""
     found = []
     for axis in range(3):

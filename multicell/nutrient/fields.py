@@ -18,7 +18,7 @@ import numpy as np
 
 from multicell.cells import Cells, FloatArray, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.balance import Exchange, Ledger
+from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
 from multicell.results.observables import viable_volume
 from multicell.scene.checks import circles, followed, solving_order
@@ -94,7 +94,7 @@ class FieldSystem:
         self._changes: dict[str, Mapping[str, float]] = {}  # of geometry, as frames store them
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
-        self.reports: dict[str, Exchange] = {}
+        self.reports: dict[str, FieldExchange] = {}
         self.courses: dict[str, tuple[FloatArray, FloatArray]] = {}
         self._uptake: dict[str, FloatArray] = {}
         self._sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
@@ -105,13 +105,13 @@ class FieldSystem:
     ) -> None:  # fmt: skip
         """Make the fields, and the groups that are solved for together."""
         from multicell.nutrient.field import NutrientField
-        from multicell.nutrient.group import joined, together
+        from multicell.nutrient.group import joined_parameters, together
         from multicell.nutrient.parameters import FieldParameters
 
         self.order = solving_order(scene.nutrients, known, scene.responses)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
-            parameters |= joined(scene, parameters, reactions)
+            parameters |= joined_parameters(scene, parameters, reactions)
         self.fields = {
             name: NutrientField(name, parameters[name], threads) for name in scene.nutrients
         }
@@ -307,10 +307,10 @@ class FieldSystem:
                 self.ledger[name].fill(field.stored())
                 self._sample(name, group, cells, capacity)
 
-    def _none(self, name: str) -> Exchange:
+    def _none(self, name: str) -> FieldExchange:
         """Return the account of a field to which nothing happens."""
         none = 0.0 if self.reacts(name) else None
-        return Exchange(made=none, used=none)
+        return FieldExchange(made=none, used=none)
 
     def snapshot(self) -> dict[str, Any]:
         """Return what :meth:`undo` needs to undo an :meth:`advance`."""
@@ -397,7 +397,7 @@ class FieldSystem:
                 field.restore(frame.fields[name], frame.time)
             self.concentrations[name] = np.array(frame.concentrations[name])
         self.reports = {
-            name: Exchange(**report)  # type: ignore[arg-type]
+            name: FieldExchange(**report)  # type: ignore[arg-type]
             for name, report in frame.progress.rates.items()
         }
 

@@ -29,7 +29,7 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.balance import COLUMNS, SIGNS, Exchange, WellMixed, beyond
+from multicell.nutrient.balance import COLUMNS, SIGNS, FieldExchange, WellMixed, volume_beyond_grid
 
 if TYPE_CHECKING:
     from multicell.nutrient.group import Demand, FieldGroup
@@ -54,9 +54,9 @@ _ROUNDING: Final = 1e-12
 """Part of what a field holds below which what its grid has enclosed anew is rounding."""
 
 
-def advance(
+def advance_finite_fields(
     group: FieldGroup, tissue: Tissue, demand: Demand, begin: float, end: float
-) -> dict[str, Exchange]:
+) -> dict[str, FieldExchange]:
     """Bring fields, one of them with a finite medium, from ``begin`` to ``end`` (s).
 
     Parameters as for :meth:`FieldGroup.advance`; changes of the medium up to and at ``end`` that
@@ -92,7 +92,7 @@ class _Exchange:
         self.relaid = group.masses() - self.before
         medium = self.field.well_mixed
         assert medium is not None
-        volume = beyond(self.field.name, self.nutrient, group.layout.whole)
+        volume = volume_beyond_grid(self.field.name, self.nutrient, group.layout.whole)
         amount = medium.amount - (0.0 if self.steady else float(self.relaid[self.row]))
         if abs(amount) <= _ROUNDING * float(self.before[self.row]):
             amount = max(amount, 0.0)  # of an empty medium rounding of what the grid holds is left
@@ -170,7 +170,7 @@ class _Exchange:
         # what the balance says, but for rounding beside an empty medium
         self.medium = replace(self.medium, amount=max(self.total - self._content(), 0.0))
 
-    def finish(self) -> dict[str, Exchange]:
+    def finish(self) -> dict[str, FieldExchange]:
         """Give the fields what has been found, and return the account of the step."""
         self.field.well_mixed = self.medium
         self.group.finish(self.now)

@@ -199,9 +199,9 @@ class MultigridSolver:
         beta = 0.0
         for _ in range(MAX_CG):
             level.share(kernels.direct, p, z, np.float32(beta))
-            level.share(kernels.apply, p, level.rate, level.along, level.weights, q, parts)
+            level.share(kernels.apply_planes, p, level.rate, level.along, level.weights, q, parts)
             step = rho / float(parts.sum())
-            level.share(kernels.advance, np.float32(step), x, p, r, q, parts)
+            level.share(kernels.update_residual_planes, np.float32(step), x, p, r, q, parts)
             self.cg += 1
             if not float(parts.sum()) > max(goal, FINEST) ** 2:
                 break

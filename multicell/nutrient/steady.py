@@ -225,7 +225,7 @@ class _State:
     def evaluate(self) -> None:
         """Bring all up to date with ``c``."""
         problem, op = self.problem, self.problem.operator
-        squares, self.total, size = stencil.imbalance(
+        squares, self.total, size = stencil.write_imbalance(
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
             op.ghost, op.weights, self.residual, self.rate, problem.team,
         )  # fmt: skip
@@ -245,11 +245,11 @@ class _State:
     def along(self, correction: stencil.Floats) -> float:
         """Return the product of the imbalance and a correction."""
         if self.problem.team is None:
-            return stencil.dot(self.residual.ravel(), correction.ravel())
-        from multicell.nutrient.multigrid_kernels import dot
+            return stencil.flat_dot(self.residual.ravel(), correction.ravel())
+        from multicell.nutrient.multigrid_kernels import dot_planes
 
         parts = np.empty(len(self.c))
-        self.problem.team.share(dot, len(self.c), self.residual, correction, parts)
+        self.problem.team.share(dot_planes, len(self.c), self.residual, correction, parts)
         return float(parts.sum())
 
     def lift(self) -> bool:
@@ -359,7 +359,7 @@ class _Linear:
             )
             if not curvature > 0.0:  # single precision has no smaller numbers
                 break
-            left = stencil.advance(rho / curvature, x, p, r, q, scale, u.ravel())
+            left = stencil.update_residual(rho / curvature, x, p, r, q, scale, u.ravel())
             self.cg += 1
             if not left > goal**2:
                 break

@@ -130,7 +130,7 @@ def apply_operator(
     return product
 
 
-def imbalance(
+def write_imbalance(
     c: FloatArray, sink: FloatArray, source: FloatArray, half: float, stiffness: float,
     linear: float, ghost: FloatArray, weights: Weights, residual: Floats, rate: Floats,
     team: Team | None = None,
@@ -161,7 +161,7 @@ def imbalance_of_planes(
     stiffness: float, linear: float, ghost: FloatArray, weights: Weights, residual: Floats,
     rate: Floats, parts: FloatArray, block: int,
 ) -> None:  # fmt: skip
-    """Do what :func:`imbalance` does for the planes from ``begin`` to ``end``.
+    """Do what :func:`write_imbalance` does for the planes from ``begin`` to ``end``.
 
     ``parts``, (3, planes / block), are the sums over each ``block`` of planes.
     """
@@ -271,7 +271,7 @@ def begin(
 
 
 @_jit
-def advance(
+def update_residual(
     step: float, x: FloatArray, p: FloatArray, r: FloatArray, q: FloatArray, scale: FloatArray,
     y: Float32Array,
 ) -> float:  # fmt: skip
@@ -315,7 +315,7 @@ def divide_spectrum(
 
 
 @_jit
-def dot(a: Floats, b: Floats) -> float:
+def flat_dot(a: Floats, b: Floats) -> float:
     """Return the product of two flat fields (NumPy's may use threads and change its bits)."""
     product = 0.0
     for n in range(a.size):
@@ -355,7 +355,7 @@ def flows(
 def account(c: FloatArray, sink: FloatArray, half: float, residual: Floats) -> tuple[float, float]:
     """Return the sums over all nodes of the sizes of the residual and of uptake, mM/s.
 
-    Arguments as for :func:`imbalance`.
+    Arguments as for :func:`write_imbalance`.
     """
     nx, ny, nz = c.shape
     left, taken = 0.0, 0.0

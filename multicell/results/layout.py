@@ -25,7 +25,7 @@ _SHORT: Final = 256  # ... of what has one row for each frame
 
 
 @final
-class Kind(NamedTuple):
+class DatasetKind(NamedTuple):
     """The kind of a data set: one row for each frame, or ``pool`` rows in all.
 
     The pools ``frames`` and ``ends`` have one row for each frame and one more; any other is the
@@ -39,19 +39,19 @@ class Kind(NamedTuple):
     chunk: int = _SHORT
 
 
-def layout(nutrients: Iterable[str]) -> dict[str, Kind]:
+def layout(nutrients: Iterable[str]) -> dict[str, DatasetKind]:
     """Return all data sets but those of the history, by path; checksums go by their order."""
     sets = {
-        "frames/offset": Kind("<i8", None, "ends"),
-        "frames/time": Kind("<f8", None, "frames", "s"),
-        "frames/step": Kind("<i8", None, "frames"),
-        "frames/digest": Kind("<u4", None, "frames"),
-        "contacts/offset": Kind("<i8", None, "ends"),
-        "contacts/pair": Kind("<i8", 2, "contacts/offset", chunk=_MIDDLE),
-        "progress/offset": Kind("<i8", None, "ends"),
-        "progress/text": Kind("|u1", None, "progress/offset", chunk=_MIDDLE),
+        "frames/offset": DatasetKind("<i8", None, "ends"),
+        "frames/time": DatasetKind("<f8", None, "frames", "s"),
+        "frames/step": DatasetKind("<i8", None, "frames"),
+        "frames/digest": DatasetKind("<u4", None, "frames"),
+        "contacts/offset": DatasetKind("<i8", None, "ends"),
+        "contacts/pair": DatasetKind("<i8", 2, "contacts/offset", chunk=_MIDDLE),
+        "progress/offset": DatasetKind("<i8", None, "ends"),
+        "progress/text": DatasetKind("|u1", None, "progress/offset", chunk=_MIDDLE),
         **{
-            f"cells/{name}": Kind(
+            f"cells/{name}": DatasetKind(
                 np.dtype(spec["dtype"]).str, spec["width"], "frames/offset", spec["unit"], _LONG
             )
             for name, spec in Cells.schema().items()
@@ -59,28 +59,30 @@ def layout(nutrients: Iterable[str]) -> dict[str, Kind]:
     }
     for log, columns in COLUMNS.items():
         offset = f"lineage/{log}/offset"
-        sets[offset] = Kind("<i8", None, "ends")
+        sets[offset] = DatasetKind("<i8", None, "ends")
         for name, dtype in columns.items():
             unit = "s" if name == "time" else ""
-            kind = Kind(np.dtype(dtype).str, None, offset, unit, _MIDDLE)
+            kind = DatasetKind(np.dtype(dtype).str, None, offset, unit, _MIDDLE)
             sets[f"lineage/{log}/{name}"] = kind
     for name in nutrients:
         group = f"fields/{name}"
         sets |= {
-            f"{group}/offset": Kind("<i8", None, "ends"),
-            f"{group}/coded": Kind("<u8", None, f"{group}/offset", chunk=_LONG),
-            f"{group}/shape": Kind("<i8", 3, "frames"),
-            f"{group}/faces": Kind("<f8", 6, "frames", UNIT),
+            f"{group}/offset": DatasetKind("<i8", None, "ends"),
+            f"{group}/coded": DatasetKind("<u8", None, f"{group}/offset", chunk=_LONG),
+            f"{group}/shape": DatasetKind("<i8", 3, "frames"),
+            f"{group}/faces": DatasetKind("<f8", 6, "frames", UNIT),
         }
         for key, entry in FIELD.items():
-            sets[f"{group}/{key}"] = Kind(entry.dtype, entry.width or None, "frames", entry.unit)
-        sets[f"cells/concentration_{name}"] = Kind("<f8", None, "frames/offset", UNIT, _LONG)
+            sets[f"{group}/{key}"] = DatasetKind(
+                entry.dtype, entry.width or None, "frames", entry.unit
+            )
+        sets[f"cells/concentration_{name}"] = DatasetKind("<f8", None, "frames/offset", UNIT, _LONG)
     return sets
 
 
-def of_rows(dtype: str, unit: str = "") -> Kind:
+def of_rows(dtype: str, unit: str = "") -> DatasetKind:
     """Return the kind of a data set of its own length: the scene, the history."""
-    return Kind(dtype, None, "", unit, _MIDDLE)
+    return DatasetKind(dtype, None, "", unit, _MIDDLE)
 
 
 Ends = Mapping[str, NDArray[np.int64]]  # path of a data set of offsets -> its values, (k + 1,)
@@ -116,7 +118,9 @@ def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) ->
     sets |= {"time": sets["frames/time"], "step": sets["frames/step"]}
     count = arrays["cells/id"].shape if "cells/id" in arrays else ()
     for path, array in arrays.items():
-        kind = sets.get(path, Kind("<f8", None, "values" if path.endswith("/values") else ""))
+        kind = sets.get(
+            path, DatasetKind("<f8", None, "values" if path.endswith("/values") else "")
+        )
         axes = {"frames": 0, "values": 3}.get(kind.pool, 1)
         rows = count if path.startswith("cells/") else array.shape[:axes]
         width = () if kind.width is None else (kind.width,)

@@ -8,7 +8,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, IntArray, State, rows_of
+from multicell.cells import Cells, IntArray, State, rows_by_id
 
 COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
     "births": {"id": np.int64, "parent": np.int64, "kind": np.int16, "time": np.float64},
@@ -61,14 +61,14 @@ class Lineage:
         gone = np.flatnonzero(after.rows_of(before.id) < 0)
         parent, ids = after.parent[new], before.id[gone]
         self._note("births", (after.id[new], parent, after.kind[new], time))
-        cause = np.where(rows_of(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
+        cause = np.where(rows_by_id(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
         self._note("ends", (ids, time, cause))
 
     def retype(self, ids: IntArray, kinds: NDArray[np.int16]) -> None:
         """Note another type of cells of which births have been noted."""
         if len(ids):
             births, length = self._logs["births"], self._lengths["births"]
-            births["kind"][rows_of(births["id"][:length], ids)] = kinds
+            births["kind"][rows_by_id(births["id"][:length], ids)] = kinds
 
     def counts(self) -> dict[str, int]:
         """Return the length of each log."""

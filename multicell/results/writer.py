@@ -241,7 +241,7 @@ class Store:
         frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
         held = contents.scene, contents.nutrients, frames, contents.history(), contents.identity
         try:
-            hdf5.write(self.folder / hdf5.NAME, *held)
+            hdf5.write_hdf5(self.folder / hdf5.NAME, *held)
         except OutputError as error:
             raise OutputError(
                 f"{error}. All {len(contents.places)} frames of the run are kept in {JOURNAL} and "

@@ -12,7 +12,13 @@ from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
 from multicell.scene.oxygen import NAME, saturated
 from multicell.scene.reactions import group_of, groups
-from multicell.scene.scales import MAX_NODES, height, level_fixed, spacing, touches_medium
+from multicell.scene.scales import (
+    MAX_NODES,
+    largest_spacing,
+    layer_height,
+    level_fixed,
+    touches_medium,
+)
 from multicell.schema import leaves, near_miss, separated
 
 if TYPE_CHECKING:
@@ -64,7 +70,7 @@ def check_types(scene: Scene) -> None:
         raise SceneError("adhesion", "has no effect: no type carries receptors or ligands", hint)
 
 
-def check_integrator(scene: Scene) -> None:
+def check_method(scene: Scene) -> None:
     """Raise ``SceneError`` for a method that cannot hold the scene."""
     info = METHODS.get(scene.integrator.method)
     refused = info and info.refusal(scene.initial.count, friction=scene.friction is not None)
@@ -276,7 +282,7 @@ def _check_plane(scene: Scene, name: str) -> None:
     nutrient = scene.nutrients[name]
     if not nutrient.takes_up or nutrient.height is not None or nutrient.perfusion > 0.0:
         return
-    exchange = nutrient.diffusion / (height(scene, name) * _DEEP)
+    exchange = nutrient.diffusion / (layer_height(scene, name) * _DEEP)
     problem = (
         f"is missing: in a plane cells take up {name}, and a layer as high as one cell would feed "
         "them from its rim alone"
@@ -297,7 +303,7 @@ def _check_in_domain(scene: Scene, name: str) -> None:
     if nutrient.geometry not in (None, "box"):
         problem = f"is '{nutrient.geometry}' in a scene with a domain, which is a box"
         raise SceneError(f"{path}.geometry", problem, "Take geometry = 'box', or leave domain out.")
-    wanted, lengths = spacing(scene, name), box.sides(domain)
+    wanted, lengths = largest_spacing(scene, name), box.sides(domain)
     if math.prod(max(length / wanted, 2.0) for length in lengths) > MAX_NODES:
         problem = f"is {wanted:g} um: the domain would need more than {MAX_NODES} nodes"
         raise SceneError(f"{path}.spacing", problem, "Take a larger spacing or a smaller domain.")
@@ -435,7 +441,7 @@ def _check_grid(scene: Scene, group: list[str]) -> None:
             key: (getattr(nutrient, key), getattr(scene.nutrients[first], key)) for key in _SHARED
         }
         keys["geometry"] = nutrient.layout, scene.nutrients[first].layout
-        keys["spacing"] = spacing(scene, name), spacing(scene, first)
+        keys["spacing"] = largest_spacing(scene, name), largest_spacing(scene, first)
         for key, (own, other) in keys.items():
             if own != other:
                 shown = [x if isinstance(x, str) or x is None else f"{x:g}" for x in (own, other)]

@@ -14,7 +14,7 @@ from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.plugins.named import OWN_OBJECT, is_recorded_object
 from multicell.schema import (
-    build,
+    build_part,
     choice,
     count,
     course,
@@ -204,7 +204,7 @@ class Growth:
 
     def check(self) -> None:
         """Raise ``SceneError`` for phases that make no cycle, and for a law's parameters."""
-        build(LAWS[self.law], self.parameters or {}, "parameters")
+        build_part(LAWS[self.law], self.parameters or {}, "parameters")
         if not self.phases:
             for name in ("volume_doubling_time", "ki67_decay"):
                 if getattr(self, name) is not None:

@@ -26,10 +26,10 @@ from multicell.behaviours.laws import (
     OWN,
     Constant,
     Hill,
-    Linear,
+    LinearResponse,
     Monod,
     ResponseLaw,
-    Table,
+    TableResponse,
     Threshold,
 )
 from multicell.cells import Phase
@@ -42,7 +42,7 @@ from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
     Tables,
-    build,
+    build_part,
     choice,
     flag,
     measure,
@@ -159,7 +159,7 @@ def effects(scene: Scene) -> tuple[Effect, ...]:
     return (*_short_forms(scene), *named)
 
 
-def read_fields(scene: Scene) -> set[str]:
+def relevant_fields(scene: Scene) -> set[str]:
     """Return the fields that matter to cells, fields and reactions of a scene."""
     read = {*followed(scene), *(part.oxygen for part in scene.radiation.values())}
     read |= {signal for effect in effects(scene) for signal in effect.signals}
@@ -215,7 +215,7 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
         yield from needs(scene.energy, "ATP", "energy")
     if scene.growth is not None and scene.growth.critical_pressure is not None:
         key, critical = "growth.critical_pressure", scene.growth.critical_pressure
-        yield short("growth rate", "pressure", Linear(0.0, critical), key, falls=True)
+        yield short("growth rate", "pressure", LinearResponse(0.0, critical), key, falls=True)
         yield short("rest", "pressure", Threshold(critical), key, falls=False)
 
 
@@ -253,7 +253,7 @@ def _ends(
 def _law(part: Response) -> ResponseLaw:
     if part.law in OWN:
         law = OWN[part.law]
-        made: ResponseLaw = build(law, part.parameters or {}, "parameters")
+        made: ResponseLaw = build_part(law, part.parameters or {}, "parameters")
         if law.signals != len(part.signals):
             problem = f"names {len(part.signals)}, but the law takes {law.signals}"
             raise SceneError("signal", problem)
@@ -263,8 +263,8 @@ def _law(part: Response) -> ResponseLaw:
         "hill": lambda: Hill(given.half, given.power),
         "monod": lambda: Monod(given.half),
         "threshold": lambda: Threshold(given.half),
-        "linear": lambda: Linear(given.begin, given.end),
-        "table": lambda: Table(given.points),
+        "linear": lambda: LinearResponse(given.begin, given.end),
+        "table": lambda: TableResponse(given.points),
         "constant": Constant,
     }
     return laws[part.law]()
@@ -296,7 +296,7 @@ def check_responses(scene: Scene) -> None:
             raise SceneError(f"{effect.key}.combine", problem, hint)
 
 
-def unit_of(scene: Scene, part: Response, key: str) -> str:
+def response_unit(scene: Scene, part: Response, key: str) -> str:
     """Return the base unit of one of a response's numbers."""
     if key in ("base", "largest"):
         return behaviour_named(part.behaviour, "behaviour")[0].unit

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import OutputError
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -99,7 +99,7 @@ def costs_of(plan: Plan, folder: Path) -> list[Cost]:
 def _read_known(path: Path) -> dict[str, Cost]:
     """Return what was found before; nothing where that cannot be read: it is found again."""
     try:
-        entries: Mapping[str, Any] = read_table(path) or {}
+        entries: Mapping[str, Any] = read_document(path) or {}
         return {name: Cost(**{k: float(v) for k, v in e.items()}) for name, e in entries.items()}
     except (OutputError, ValueError, TypeError, AttributeError):
         return {}

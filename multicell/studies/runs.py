@@ -30,7 +30,7 @@ _ORDERED: Final = (
 
 @final
 @dataclass(frozen=True)
-class Run:
+class StudyRun:
     """One run of a study.
 
     - ``name``: digest of what decides the results; the run's folder is ``runs/<name>``
@@ -85,7 +85,7 @@ class PlainScene:
         return Scene.from_dict(self.values)
 
 
-def digest(scene: Scene) -> str:
+def run_digest(scene: Scene) -> str:
     """Return the name of a run: a digest of all that decides its results.
 
     That is the scene in base units without its title, the version of the model, and the

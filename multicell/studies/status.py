@@ -31,11 +31,11 @@ from numpy.typing import NDArray
 from multicell.errors import MulticellError, OutputError, is_machine_failure
 from multicell.report.result import recorded_scene, same_text, scene_of_text
 from multicell.results import hdf5, journal
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 from multicell.results.folder import in_use
 from multicell.results.summary import read_summary, scene_mark
 from multicell.scene.scene import load_scene
-from multicell.studies.runs import digest
+from multicell.studies.runs import run_digest
 
 NOTE: Final = "failure.json"  # file in the folder of a run that failed: ``reason`` and ``kind``
 
@@ -76,7 +76,7 @@ def run_folder(folder: Path, name: str) -> Path:
     return folder / "runs" / name
 
 
-def status(name: str, folder: Path, *, ours: bool = False, whole: bool = False) -> RunStatus:
+def run_status(name: str, folder: Path, *, ours: bool = False, whole: bool = False) -> RunStatus:
     """Return the state of one run.
 
     - ``folder``: of the study
@@ -94,7 +94,7 @@ def status(name: str, folder: Path, *, ours: bool = False, whole: bool = False) 
             if whole:
                 read_finished(name, folder, whole=True)
             return done
-        found, note = _unfinished_status(name, place, "partial"), read_table(place / NOTE)
+        found, note = _unfinished_status(name, place, "partial"), read_document(place / NOTE)
         if note is None:
             return found
         kind = note.get("kind")
@@ -139,13 +139,13 @@ def _finished_status(name: str, place: Path) -> RunStatus | None:
 
 def _read_finished(name: str, place: Path) -> RunStatus | None:
     """Return the state of a run that has come to its end, from its files."""
-    summary = read_table(place / "summary.json")
+    summary = read_document(place / "summary.json")
     if summary is None or summary.get("interrupted"):
         return None
     text, path = hdf5.check_whole(place / hdf5.NAME), place / "scene.toml"
-    if digest(load_scene(path)) != name:
+    if run_digest(load_scene(path)) != name:
         raise OutputError(f"'{path}' is not the scene that the folder is named by")
-    if not same_text(path, text) and digest(scene_of_text(text, path)) != name:
+    if not same_text(path, text) and run_digest(scene_of_text(text, path)) != name:
         raise OutputError(f"'{place / hdf5.NAME}' is of another run than its folder is named by")
     if summary.get("scene_digest", scene_mark(text)) != scene_mark(text):
         raise OutputError(f"'{place / 'summary.json'}' is of another run than the frames beside it")

@@ -47,7 +47,7 @@ from scipy.spatial import cKDTree
 import multicell as mc
 from multicell.comparison.conditioning import shift_starts
 from multicell.comparison.record import record
-from multicell.comparison.replay import advance
+from multicell.comparison.replay import advance_system
 from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.rkc import Rkc2
 from multicell.scene.parts import IntegratorOptions
@@ -344,7 +344,7 @@ def measured(case, viscosity, truth, steps, method, seed=1):
     for k in steps:
         system = problem.system()
         system.begin(problem.steps[k].motion)
-        words, end = advance(system, solver, problem.starts[k])
+        words, end = advance_system(system, solver, problem.starts[k])
         error = math.inf if words else distance(end, truth.end(k))
         rows.append({
             "case": case, "viscosity_kPa_s": viscosity, "seed": seed, "step": k, "method": method,

@@ -11,7 +11,7 @@ from scipy import integrate
 
 import multicell as mc
 from multicell.behaviours.growth_laws.laws import LAWS
-from multicell.biology.cycle import advance
+from multicell.biology.cycle import advance_cycle
 from multicell.biology.division import divide
 from multicell.biology.growth import lag_after, volumes_after
 from multicell.biology.initial import initial_cells
@@ -124,7 +124,7 @@ def test_linear_growth_has_the_bits_of_the_formula(phases):
         )
         return
     within = cells.phase_length - cells.progress > 600.0
-    found = advance(biology_plan(scene), cells, factor, np.zeros(20, bool), 600.0).volume
+    found = advance_cycle(biology_plan(scene), cells, factor, np.zeros(20, bool), 600.0).volume
     exact = cells.volume + birth_volume(scene) / cells.cycle_time * factor * 600.0
     assert within.sum() > 15
     np.testing.assert_array_equal(found[within], exact[within])

@@ -22,7 +22,7 @@ from multicell.comparison.ladders import find_method
 from multicell.comparison.norms import displacements, observe
 from multicell.comparison.page import VERDICT_NORMS
 from multicell.comparison.reference import method_pair, reference
-from multicell.comparison.replay import Problem, Step, replay
+from multicell.comparison.replay import ReplayProblem, Step, replay
 from multicell.comparison.result import FILES, WorkPrecision
 
 # the worst cell
@@ -103,7 +103,7 @@ def held(length):
     push = np.hstack([-system.force(0.0, position), np.zeros_like(position)])
     motion = replace(system.motion, push=push)
     system.begin(motion)
-    problem = Problem(PAIR, system, position, radius, [Step(motion)], [position], 1)
+    problem = ReplayProblem(PAIR, system, position, radius, [Step(motion)], [position], 1)
     return problem, system, position
 
 

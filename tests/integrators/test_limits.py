@@ -12,7 +12,7 @@ from multicell.errors import SceneError
 from multicell.integrators import limits
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.registry import METHODS, from_options
-from multicell.integrators.restarts import Run
+from multicell.integrators.restarts import IntegrationProgress
 from multicell.mechanics import blocks
 from multicell.mechanics import preconditioners as sparse
 from multicell.mechanics.motion import StateRejected
@@ -132,7 +132,7 @@ def test_the_scale_of_stiffness_is_that_of_the_jacobian(law):
 
 def test_an_empty_step_has_no_stiffness():
     assert limits.stiffness_scale(mechanics(np.full(1, 5.0), np.ones(1))) == 0.0
-    assert limits.beyond(mechanics(np.empty(0), np.empty(0)), np.empty((0, 3))) is None
+    assert limits.find_failure(mechanics(np.empty(0), np.empty(0)), np.empty((0, 3))) is None
 
 
 @pytest.mark.parametrize("name", [n for n, info in METHODS.items() if info.control == "tolerance"])
@@ -187,7 +187,9 @@ def test_blocks_are_inverted_at_any_stiffness(stiffness, contacts):
 
 def test_a_solver_that_cannot_be_made_is_a_named_failure():
     system = mechanics(np.full(2, 5.0), np.ones(2))
-    run = Run(Cvode(max_steps=100), system, np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]]))
+    run = IntegrationProgress(
+        Cvode(max_steps=100), system, np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    )
 
     def start(run, ceiling):
         raise StateRejected("a position is not a number")

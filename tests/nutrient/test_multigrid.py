@@ -185,7 +185,7 @@ def test_the_imbalance_by_planes_is_that_of_all_nodes():
     with Team(2) as team:
         for share in (None, team):
             residual, rate = np.empty(op.shape), np.empty(op.shape)
-            sums = stencil.imbalance(
+            sums = stencil.write_imbalance(
                 c, sink, source, 0.1, op.stiffness, 0.2, op.ghost, None, residual, rate, share
             )
             found.append((sums, residual, rate))

@@ -17,7 +17,7 @@ from multicell.report.plots import style as drawing
 from multicell.report.plots.run import Plots
 from multicell.results.frame import Frame
 from multicell.results.observables import heterotypic_fraction
-from multicell.scene.pairs import pair_of, pairs
+from multicell.scene.pairs import pair_of, type_pairs
 from multicell.scene.scene import Scene
 
 TWO_TYPES = BARE.with_changes({"types": {"inner": {}, "outer": {}}})
@@ -215,7 +215,7 @@ def test_bonds_shift_equilibrium_and_pull_off():
             "types": {"a": {"receptor": 0.9, "ligand": 0.5}, "b": {"receptor": 0.2}},
         }
     )
-    found = dict(pairs(scene, 10.0))
+    found = dict(type_pairs(scene, 10.0))
     assert list(found) == ["a-a", "a-b", "b-b"]
     for name, product in (("a-a", 0.9 * 0.5), ("a-b", 0.5 * 0.5 * 0.2)):
         slope = np.pi * 5.0 * 0.05 * product

@@ -14,11 +14,11 @@ from click.testing import CliRunner
 
 import multicell as mc
 from multicell.calibration.data import read_data
-from multicell.calibration.sensitivity import observables_of as asked_of
+from multicell.calibration.sensitivity import chosen_observables as asked_of
 from multicell.calibration.simulator import SceneSimulator
 from multicell.cli.main import main
 from multicell.errors import SceneError
-from multicell.results.measures import OBSERVABLES, observables_of
+from multicell.results.measures import OBSERVABLES, scene_observables
 from multicell.results.observable import OWN
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import parse_range
@@ -177,7 +177,7 @@ def test_what_a_changed_function_gives_is_not_taken_for_the_old_one():
     second = observable(lambda state: 2.0)
     assert first.function != second.function
     with pytest.raises(SceneError, match="has changed since"):
-        list(observables_of(scene))
+        list(scene_observables(scene))
 
 
 def test_a_name_with_two_units_is_labelled_with_none():

@@ -9,7 +9,7 @@ from multicell.cli.main import main
 from multicell.contact.registry import LAWS as CONTACT
 from multicell.report.explain.scene import explain
 from multicell.scene.coarsening import LAWS
-from multicell.scene.pairs import pairs
+from multicell.scene.pairs import type_pairs
 from multicell.scene.scene import Scene
 from multicell.schema import specs
 
@@ -42,7 +42,7 @@ def test_stress_of_a_contact_is_the_same(law, factor):
     scene = BALL.with_changes({"contact": {"law": law}, "initial.count": 1000})
     if "smoothing" in specs(CONTACT[law]):
         scene = scene.with_changes({"contact.smoothing": "0.5 um"})
-    (_, fine), (_, coarse) = (next(pairs(s, s.cells.division_radius)) for s in (
+    (_, fine), (_, coarse) = (next(type_pairs(s, s.cells.division_radius)) for s in (
         scene, mc.coarsen(scene, factor)))  # fmt: skip
     overlap = np.linspace(-0.5, 4.0, 10)
     assert coarse.force(factor * overlap) == pytest.approx(factor**2 * fine.force(overlap))

@@ -97,7 +97,7 @@ def _draw_strips(axes: Axes, strips: Mapping[str, Sequence[Row]], scale: float) 
     axes.tick_params(axis="y", length=0)
 
 
-def context(result: StabilityMap) -> dict[str, Any]:
+def stability_context(result: StabilityMap) -> dict[str, Any]:
     """Return what ``stability.html`` asks for."""
     first = result.table[0]
     failures = sum(row["kind"] != STABLE for row in result.table)

@@ -102,6 +102,6 @@ class StabilityMap(Comparison):
 
     def page(self) -> dict[str, Any]:
         """Return what the template of the page asks for."""
-        from multicell.comparison.stability_limits.charts import context
+        from multicell.comparison.stability_limits.charts import stability_context
 
-        return context(self)
+        return stability_context(self)

@@ -13,7 +13,7 @@ from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.equations.grid import conditions_on
 from multicell.nutrient.equations.substance import Conditions, Schedule, Substance
 from multicell.nutrient.grid import BoxLayout, Layout
-from multicell.nutrient.operators import AnyOperator, imbalance
+from multicell.nutrient.operators import AnyOperator, source_imbalance
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.uptake import uptake_and_slope
@@ -130,7 +130,7 @@ class PlacedSubstance:
         if self._gained is None or self._gained[0] != level:
             self._gained = level, np.ascontiguousarray(op.brought() + self.supply(level))
         half = self.substance.half_saturation
-        return imbalance(op, c, self.sink, self._gained[1], half, self.linear)
+        return source_imbalance(op, c, self.sink, self._gained[1], half, self.linear)
 
     def solve(
         self, start: FloatArray, level: float, *, dt: float = np.inf,

@@ -12,7 +12,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.placed import PlacedSubstance
-from multicell.nutrient.reactions.coupled import Coupled, settle
+from multicell.nutrient.reactions.coupled import Coupled, settle_fields
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
 from multicell.nutrient.reactions.kinetics import Kinetics, kinetics_of
 from multicell.nutrient.steady import SolveReport, StepRefused
@@ -91,7 +91,7 @@ class Reactions:
         coupled = Coupled(self.substances, self.kinetics, self.tissue, t)
         first = self._flat(start)
         if before is None:
-            c = settle(coupled, np.maximum(first, 0.0))
+            c = settle_fields(coupled, np.maximum(first, 0.0))
         else:
             c = coupled.step(self._flat(before), first, dt)
             if float(c.max()) > MOST:

@@ -24,8 +24,8 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.operators import imbalance, lifted, linearised
-from multicell.nutrient.reactions.inverse import apply_blocks, gmres, inverse_of_blocks
+from multicell.nutrient.operators import lifted, linearised, source_imbalance
+from multicell.nutrient.reactions.inverse import apply_node_blocks, gmres, inverse_of_blocks
 from multicell.nutrient.steady import StepRefused
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class Coupled:
         out, sinks = np.empty_like(c), np.empty_like(c)
         for i, op in enumerate(self.operators):
             nodes, sink, source = (x[i].reshape(self.shape) for x in (c, self.sinks, sources))
-            rate, each = imbalance(op, nodes, sink, source, self.half[i], self.linear[i])
+            rate, each = source_imbalance(op, nodes, sink, source, self.half[i], self.linear[i])
             out[i], sinks[i] = rate.ravel() + made[i], each.ravel()
         return out, sinks, made, slope
 
@@ -187,7 +187,7 @@ class _Newton:
 
         def product(x: FloatArray) -> FloatArray:
             v = x.reshape(m, n) * size
-            out = apply_blocks(blocks, v)
+            out = apply_node_blocks(blocks, v)
             for i, op in enumerate(coupled.operators):
                 out[i] += linearised(op, v[i].reshape(coupled.shape), none).ravel()
             return (out / size).ravel()
@@ -221,7 +221,7 @@ class _Newton:
         return out
 
 
-def settle(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArray:
+def settle_fields(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArray:
     """Return the state in which fields rest, reached from ``c`` (m, nodes) in mM.
 
     Steps of implicit Euler that lengthen from one to the next, the last one without end: from where

@@ -148,7 +148,7 @@ def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
 
 
 def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Colouring:
-    values, unit = quantity(frame, name)
+    values, unit = cell_quantity(frame, name)
     finite = np.isfinite(values)
     low, high = limits or limits_of([values], from_zero=name in frame.concentrations)
     rgb = np.tile(np.array(to_rgb(_NO_VALUE)), (len(values), 1))
@@ -158,7 +158,7 @@ def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Co
     return Colouring(title, rgb, values=values, range=(low, high))
 
 
-def quantity(frame: Frame, name: str) -> tuple[FloatArray, str]:
+def cell_quantity(frame: Frame, name: str) -> tuple[FloatArray, str]:
     """Return the values of a quantity of the cells, (n,), and its unit."""
     if name in frame.concentrations:
         return frame.concentrations[name], unit_of(f"cells.concentration_{name}")

@@ -13,7 +13,7 @@ import numpy as np
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
-from multicell.report.plots.colouring import GROUPS, colouring, limits_of, quantity
+from multicell.report.plots.colouring import GROUPS, cell_quantity, colouring, limits_of
 from multicell.report.plots.section import Plane, section, window
 from multicell.report.plots.space import FILM_DPI, View, film_picture, room
 from multicell.results.folder import file_errors, write_bytes
@@ -114,7 +114,7 @@ def _shades(result: Result, numbers: list[int], colour: str | None) -> Callable[
     """Return what colours the cells of a frame by its number, in one range for all frames."""
     limits = None
     if colour is not None and colour not in GROUPS:
-        values = [quantity(result.frames[k], colour)[0] for k in numbers]
+        values = [cell_quantity(result.frames[k], colour)[0] for k in numbers]
         limits = limits_of(values, from_zero=colour in result.frames[numbers[0]].concentrations)
     return lambda k: colouring(result.frames[k], result.scene, colour, result.lineage, limits)
 

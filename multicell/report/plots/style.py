@@ -160,7 +160,7 @@ PICTURES: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 """Formats of pictures by the endings of their files."""
 
 
-def save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, as its file's name ends."""
     format = PICTURES.get(path.suffix.lower())
     if format is None:
