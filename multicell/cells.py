@@ -16,7 +16,7 @@ from multicell.vectors import cubes
 
 IntArray = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Found = Mapping[str, FloatArray]
+Signals = Mapping[str, FloatArray]
 """What cells find: fields in mM, and other signals, by their names: name -> (n,)."""
 
 SPHERE = 4.0 * np.pi / 3.0

@@ -136,7 +136,7 @@ def two_cells(scene: Scene) -> tuple[Mechanics, FloatArray]:
     cells.position[:, 0] += 1.9 * cells.radius * np.array([-0.5, 0.5])
     system = start.mechanics(scene, 1)
     motion = motion_of(
-        biology_plan(scene), cells, cells.radius, 0.0, scene.coupling_step, concentrations={},
+        biology_plan(scene), cells, cells.radius, 0.0, scene.coupling_step, signals={},
         gradients=dict.fromkeys(followed(scene), np.zeros((2, 3))),
         contacts=np.empty((0, 2), dtype=np.int64),
     )  # fmt: skip

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, final
 from multicell.compiling.threads import thread_count
 from multicell.coupling.start_check import check_population
 from multicell.errors import ExitCode, OutputError, SceneError
-from multicell.host.interrupts import STEP, UNCUT
+from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.host.memory import Returns, peak
 from multicell.integrators.base import info_of
 from multicell.integrators.own import own_integrator
@@ -144,7 +144,7 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
     recorder = Recorder(scene, store)
     with ExitStack() as stack:
         stack.enter_context(failing_as_run())
-        interrupt = stack.enter_context(STEP).deliver
+        interrupt = stack.enter_context(WHOLE_STEP).deliver
         stack.callback(recorder.close)
         precompilation = None
         if own is None:
@@ -440,7 +440,7 @@ def record_resumed(
             problem = f"'{folder}' is damaged: its history does not count steps"
             raise OutputError(problem, damaged=True)
         rows = int((steps <= simulation.step_index).sum())
-        interrupt = stack.enter_context(STEP).deliver
+        interrupt = stack.enter_context(WHOLE_STEP).deliver
         if here:
             for k in range(place):
                 contents.frame(k)

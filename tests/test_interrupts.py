@@ -21,7 +21,7 @@ from signals import listening
 
 import multicell as mc
 from multicell.host import interrupts
-from multicell.host.interrupts import STEP, UNCUT
+from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.integrators.restarts import IntegrationProgress
 from multicell.results import folder
 from multicell.results.documents import Lines, read_document
@@ -140,7 +140,7 @@ def test_a_second_ctrl_c_leaves_the_state_of_the_beginning(handled, monkeypatch)
 def test_a_handler_of_the_users_own_is_called_once_at_the_end(handled):
     seen = []
     signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
-    with STEP:
+    with WHOLE_STEP:
         os.kill(os.getpid(), signal.SIGINT)
         assert seen == []
     assert seen == [signal.SIGINT]
@@ -157,7 +157,7 @@ def test_no_signal_cuts_a_compilation(inner, handled):
     signal.signal(signal.SIGALRM, late)
 
     def compiled():
-        with STEP, UNCUT:
+        with WHOLE_STEP, UNCUT:
             for number in (signal.SIGINT, signal.SIGINT, signal.SIGALRM)[: 3 if inner else 2]:
                 os.kill(os.getpid(), number)
             seen.append("whole")
@@ -173,7 +173,7 @@ def test_other_threads_leave_handlers_alone(handled):
     found = []
 
     def block():
-        with STEP, UNCUT:
+        with WHOLE_STEP, UNCUT:
             found.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=block)

@@ -9,11 +9,25 @@ import multicell
 PACKAGE = Path(multicell.__file__).parent
 
 
+# each family of methods hands its own to the registry by this name
+PROTOCOL = {"METHODS"}
+
+
+def names_of(item):
+    """Return the names of what a line of a module makes: functions, classes, constants."""
+    if isinstance(item, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return [item.name]
+    targets = item.targets if isinstance(item, ast.Assign) else [getattr(item, "target", None)]
+    flat = [each for target in targets for each in getattr(target, "elts", [target])]
+    names = [target.id for target in flat if isinstance(target, ast.Name)]
+    # two letters or more: not the variables of types
+    return [name for name in names if name.isupper() and len(name) > 1]
+
+
 def offered(text):
-    """Return the public functions and classes of a module."""
-    kinds = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
-    names = [item.name for item in ast.parse(text).body if isinstance(item, kinds)]
-    return [name for name in names if not name.startswith("_")]
+    """Return the public functions, classes and constants of a module."""
+    names = [name for item in ast.parse(text).body for name in names_of(item)]
+    return [name for name in dict.fromkeys(names) if not name.startswith("_")]
 
 
 def shared(folder):
@@ -22,20 +36,20 @@ def shared(folder):
     for path in sorted(folder.rglob("*.py")):
         # its one function is the installed command's, which names it together with the module
         if path.name != "__main__.py":
-            for name in offered(path.read_text(encoding="utf-8")):
+            for name in {*offered(path.read_text(encoding="utf-8"))} - PROTOCOL:
                 where[name].append(path.relative_to(folder).as_posix())
     return {name: files for name, files in where.items() if len(files) > 1}
 
 
-def test_public_functions_and_classes_have_names_of_their_own():
+def test_public_functions_classes_and_constants_have_names_of_their_own():
     assert shared(PACKAGE) == {}
 
 
 def test_names_in_two_modules_are_seen(tmp_path):
     (tmp_path / "inner").mkdir()
-    (tmp_path / "a.py").write_text("class State: ...\ndef _own(): ...\ndef one(): ...\n")
-    (tmp_path / "inner" / "b.py").write_text("def State(): ...\ndef _own(): ...\n")
-    assert shared(tmp_path) == {"State": ["a.py", "inner/b.py"]}
+    (tmp_path / "a.py").write_text("class State: ...\ndef _own(): ...\nA, BC = 1, 2\n")
+    (tmp_path / "inner" / "b.py").write_text("def State(): ...\ndef _own(): ...\nBC: int = 3\n")
+    assert shared(tmp_path) == {name: ["a.py", "inner/b.py"] for name in ("State", "BC")}
 
 
 def test_what_the_package_offers_comes_from_one_module_each():

@@ -169,5 +169,5 @@ KEYS: Final = {
 }
 """Laws by their names in a scene -> the keys that they need, and those that they may have."""
 
-OWN: Final[Laws[Any]] = Laws({})
+OWN_RESPONSES: Final[Laws[Any]] = Laws({})
 """Laws of the user's own, made by :func:`multicell.response`."""

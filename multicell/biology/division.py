@@ -19,10 +19,10 @@ from multicell.cells import (
     SPHERE,
     Cells,
     FloatArray,
-    Found,
     IntArray,
     Mask,
     Phase,
+    Signals,
     State,
 )
 from multicell.random import Purpose
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 # the coupling times would divide in this step or the next at the whim of the last bit.
 ROUNDING = 1e-12
 
-_NONE: Found = {}
+_NONE: Signals = {}
 _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
 
 
@@ -54,7 +54,7 @@ def divide(
     cells: Cells,
     next_id: int,
     dt: float = 0.0,
-    found: Found = _NONE,
+    signals: Signals = _NONE,
     factor: float | FloatArray = 1.0,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
@@ -92,7 +92,7 @@ def divide(
     if len(order) > 1:
         mothers, waited, volume = mothers.take(order), waited[order], volume[order]
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
-    chances = _by_type(plan, "mutation to", found, cells)
+    chances = _by_type(plan, "mutation to", signals, cells)
     if chances is not None:
         chances = np.repeat(chances[ripe][order], 2, axis=0)
     daughters = _daughters(plan, mothers, ids, chances)
@@ -188,7 +188,7 @@ def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
     exposure, since = exposure[rows], np.zeros(len(rows))
     while rows.size:
         rates = exposure.integral(
-            known, lambda found, some: _by_type(plan, "change to", found, some), since
+            known, lambda signals, some: _by_type(plan, "change to", signals, some), since
         )
         gained = rates.sum(axis=1)
         part = part_until(plan, Purpose.CHANGE, cells.id[rows], integral[rows], gained, count[rows])
@@ -254,7 +254,7 @@ def mutate_as_found(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> tupl
     chances = born.at(
         1.0 - born.cells.age / exposure.length,
         known,
-        lambda found, some: _by_type(plan, "mutation to", found, some),
+        lambda signals, some: _by_type(plan, "mutation to", signals, some),
     )
     kinds = _kinds_at_birth(plan, born.cells, chances)
     wrong = np.flatnonzero(kinds != cells.kind[rows])
@@ -263,11 +263,13 @@ def mutate_as_found(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> tupl
     return after, rows[wrong]
 
 
-def _by_type(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> FloatArray | None:
+def _by_type(
+    plan: BiologyPlan, behaviour: str, signals: Signals, cells: Cells
+) -> FloatArray | None:
     """Return the values of a behaviour for each type, (n, types), zero for the cell's own."""
     out = None
     for number, name in enumerate(plan.types):
-        value = value_of(plan, f"{behaviour} {name}", 0.0, found, cells)
+        value = value_of(plan, f"{behaviour} {name}", 0.0, signals, cells)
         if value is not None:
             out = np.zeros((len(cells), len(plan.types))) if out is None else out
             out[:, number] = np.where(cells.kind == number, 0.0, value)

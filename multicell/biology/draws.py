@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray
 from multicell.random import Purpose
-from multicell.scene.parts import PHASES
+from multicell.scene.parts import CYCLE_PHASES
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -89,7 +89,7 @@ def malthusian_rate(growth: Growth) -> float:
 
     slowest = math.log(2.0) / growth.mean_cycle  # by Jensen's inequality
     if growth.phases:
-        parts = [growth.phases[name] for name in PHASES]
+        parts = [growth.phases[name] for name in CYCLE_PHASES]
         fixed = all(part.distribution == "fixed" for part in parts)
     else:
         parts, fixed = [], growth.cycle_variation == 0.0
@@ -147,8 +147,8 @@ def scatter_about(
 def _phases(plan: BiologyPlan, ids: IntArray, attempt: int) -> FloatArray:
     """Return one draw of the durations of all phases, (n, 4) s."""
     assert plan.growth is not None
-    u = random.uniform(plan.seed, Purpose.PHASES, 0, ids, len(PHASES), attempt)
-    columns = [quantile(plan.growth.phases[name], u[:, k]) for k, name in enumerate(PHASES)]
+    u = random.uniform(plan.seed, Purpose.PHASES, 0, ids, len(CYCLE_PHASES), attempt)
+    columns = [quantile(plan.growth.phases[name], u[:, k]) for k, name in enumerate(CYCLE_PHASES)]
     return np.stack(columns, axis=1)
 
 

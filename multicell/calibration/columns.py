@@ -23,9 +23,9 @@ from multicell.tables.titles import split_title
 from multicell.units import PERCENT, to_base, unit_factor
 
 _ERRORS: Final = ("sd", "sem")
-NUMBERS: Final = ("time", "start", "depth", "value", *_ERRORS, "n")
+NUMBER_KINDS: Final = ("time", "start", "depth", "value", *_ERRORS, "n")
 """Kinds of columns that hold numbers."""
-MAX_BYTES: Final = 10_000_000  # of a file of measured data
+MAX_DATA_BYTES: Final = 10_000_000  # of a file of measured data
 _NO_CONDITIONS: Final = ("title", "seed")
 _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 """Units of times by titles without one."""

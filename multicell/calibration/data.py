@@ -46,7 +46,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, final
 
-from multicell.calibration.columns import MAX_BYTES, NUMBERS, DataColumn, columns_of, depth_fields
+from multicell.calibration.columns import (
+    MAX_DATA_BYTES,
+    NUMBER_KINDS,
+    DataColumn,
+    columns_of,
+    depth_fields,
+)
 from multicell.calibration.noise import group
 from multicell.errors import DataError, SceneError
 from multicell.results.observable import represented
@@ -179,7 +185,7 @@ def read_data(
     """
     if not (isinstance(sd, int | float) and 0.0 < sd < math.inf):
         raise DataError("sd", f"is {sd!r}, must be a relative standard deviation above 0")
-    table = source if isinstance(source, Table) else read_table(source, MAX_BYTES)
+    table = source if isinstance(source, Table) else read_table(source, MAX_DATA_BYTES)
     chosen(specimens, SPECIMENS, "specimens")
     columns = columns_of(table, scene)
     rows = _Rows(table, columns, scene, float(sd), single=specimens == "single")
@@ -269,7 +275,7 @@ class _Rows:
             for place, (column, text) in enumerate(
                 zip(self._columns, self._table.rows[row], strict=True)
             )
-            if text and column.kind in NUMBERS
+            if text and column.kind in NUMBER_KINDS
         }
 
     def _datum(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.columns import MAX_BYTES, finite_entry
+from multicell.calibration.columns import MAX_DATA_BYTES, finite_entry
 from multicell.calibration.dose_curve import DOSES, LEAST, combine_drugs, draw_means, fit_curve
 from multicell.calibration.dose_response_result import DoseResponse, Row
 from multicell.errors import DataError, FitFailed, SceneError
@@ -272,7 +272,7 @@ def of_table(source: Any) -> DoseResponse:
 
     Parameters and errors are those of :func:`dose_response`.
     """
-    table = read_table(source, MAX_BYTES)
+    table = read_table(source, MAX_DATA_BYTES)
     known = [split_title(title) for title in table.titles]
     columns = {name: place for place, (name, _) in enumerate(known)}
     pair = "dose A" in columns or "dose B" in columns

@@ -31,7 +31,7 @@ from multicell.calibration.noise import Array, Noise
 from multicell.calibration.priors import Prior
 
 PARTICLES: Final = 2000  # draws from a posterior
-FEW: Final = 500  # draws that are enough to see where a posterior is, if not where its tails end
+ENOUGH_DRAWS: Final = 500  # to see where a posterior is, if not where its tails end
 _MOVES: Final = 8
 _MAX_POINTS: Final = 100
 """Points that a process is fitted to, the nearest ones: its cost is their number cubed."""

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.calibration.columns import MAX_BYTES
+from multicell.calibration.columns import MAX_DATA_BYTES
 from multicell.calibration.data import ASSUMED, read_data
 from multicell.calibration.fit_plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitted import Fit
@@ -128,7 +128,7 @@ def plan_fit(
     whole_between(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
-    table = read_table(data, MAX_BYTES)
+    table = read_table(data, MAX_DATA_BYTES)
     measured = read_data(table, scene, sd=sd, specimens=specimens)
     ranges, prior = free_of(free, measured)
     check_runs(len(measured.conditions), seeds)

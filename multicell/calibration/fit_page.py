@@ -95,11 +95,8 @@ def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
         }  # fmt: skip
         if interval is not None:
             row["median"] = value_in_words(interval.median, free.unit)
-            low, high = (
-                value_in_words(interval.low, free.unit),
-                value_in_words(interval.high, free.unit),
-            )
-            row["interval"] = f"{low} to {high}"
+            ends = [value_in_words(end, free.unit) for end in (interval.low, interval.high)]
+            row["interval"] = " to ".join(ends)
             row["part"] = f"{100.0 * interval.part:.0f} %"
         rows.append(row)
     return rows

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 FIT: Final = "fit.json"  # what the folder is a fit of
 SEARCH: Final = "search.log"  # points and readings of the search, and of fresh runs
-FILES: Final = (
+FIT_FILES: Final = (
     FIT, "scene.toml", "data.csv", SEARCH, "result.json", "best.toml", "posterior.csv",
     "residuals.csv", "runs.csv", "report.html", "data.png", "parameters.png", "profiles.png",
     *COPIES,
@@ -125,7 +125,7 @@ class FitPlan:
             )
         with lock_folder(folder):
             if overwrite:
-                remove(folder, FILES)
+                remove(folder, FIT_FILES)
             new = _read_fit(folder) is None
             for name, content in self._first(folder).items():
                 if new or not _holds(folder / name, content):  # damaged since, or changed

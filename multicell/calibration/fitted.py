@@ -13,7 +13,7 @@ import numpy as np
 from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.likelihood import Fresh
 from multicell.calibration.noise import Array
-from multicell.calibration.problem import ABSENT, FitProblem, misfit
+from multicell.calibration.problem import ABSENT_DEVIATIONS, FitProblem, misfit
 from multicell.calibration.search import Evaluation, Run
 from multicell.calibration.simulator import Reading
 from multicell.calibration.verdict import (
@@ -300,7 +300,7 @@ class Fit:
         if failed:
             words = failed[0].reasons[0]
             notes.append(f"Runs of {len(failed)} sets of parameters failed, for example: {words}.")
-        absent = int((self.best.residuals == ABSENT).sum())
+        absent = int((self.best.residuals == ABSENT_DEVIATIONS).sum())
         if absent:
             notes.append(f"The best runs have nothing in place of {absent} of the data.")
         return notes

@@ -22,7 +22,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.emulator import FEW, Emulator, best_of, draws, emulator
+from multicell.calibration.emulator import ENOUGH_DRAWS, Emulator, best_of, draws, emulator
 from multicell.calibration.noise import Array
 from multicell.calibration.pool import Call, Pool
 from multicell.calibration.problem import FitProblem, Misfit
@@ -197,7 +197,7 @@ class Search:
         if found is None:
             return []
         wanted = max(1, count - max(1, count // 4))
-        likely = draws(found.loss, found.prior, self._seed + known, FEW)
+        likely = draws(found.loss, found.prior, self._seed + known, ENOUGH_DRAWS)
         best = best_of(found.loss, found.prior, likely)
         return [best.tolist(), *likely[: wanted - 1].tolist()]
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.calibration.indices import (
-    COLUMNS,
+    INDEX_COLUMNS,
     MIN_SIZE,
     RELIABLE,
     Analysis,
@@ -200,7 +200,7 @@ def sample_sensitivity(
             "low": free.low,
             "high": free.high,
             "parameter_unit": free.unit,
-            **{n: float(analysis.columns[n][k]) for n in COLUMNS},
+            **{n: float(analysis.columns[n][k]) for n in INDEX_COLUMNS},
             "verdict": analysis.verdicts[k],
         }
         for name, analysis in found.items()

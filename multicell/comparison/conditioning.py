@@ -19,10 +19,7 @@ from multicell.cells import FloatArray
 from multicell.comparison.base import Row
 from multicell.comparison.norms import Norm, Observed, displacements, errors
 from multicell.comparison.replay import ReplayProblem
-from multicell.integrators import shift as online
-
-SHIFT: Final[float] = online.SHIFT
-"""Root mean square of the shift of each coordinate, µm, unless another one is asked for."""
+from multicell.integrators.shift import shifted_positions
 
 _COLUMNS: Final = {"begin_s": "begin", "rms_um": "rms", "worst_cell_um": "worst_cell"}
 
@@ -88,9 +85,7 @@ def shift_starts(problem: ReplayProblem, shift: float) -> ReplayProblem:
         raise ValueError("only single coupling steps start from positions that can be shifted")
     scene = problem.scene
     starts = [
-        online.shifted_positions(
-            start, shift, scene.seed, k, np.arange(len(start)), scene.dimensions
-        )
+        shifted_positions(start, shift, scene.seed, k, np.arange(len(start)), scene.dimensions)
         for k, start in enumerate(problem.starts)
     ]
     return replace(problem, starts=starts)

@@ -24,7 +24,7 @@ Ladder = Mapping[str, Sequence[float]]
 SMALLEST_TOLERANCE: Final = 1e-13
 """Below, a tolerance is lost in the rounding of coordinates that are some radii large."""
 
-TOLERANCES: Final = tuple(10.0 ** (-0.5 * k) for k in range(2, 15))
+LADDER_TOLERANCES: Final = tuple(10.0 ** (-0.5 * k) for k in range(2, 15))
 """Default ladder of tolerances, 1e-1 to 1e-7 in half decades."""
 
 # a step far beyond the limit of stability to one far below it, in units of that limit
@@ -127,7 +127,7 @@ def settings(
         return [math.nan]
     if given is None:
         if method.control == "tolerance":
-            return list(TOLERANCES)
+            return list(LADDER_TOLERANCES)
         return _steps(problem, 0.0 if method.info.implicit else stiffness)
     path = f"ladder.{method.name if method.name in (ladder or {}) else method.control}"
     if len(given) == 0:

@@ -10,7 +10,7 @@ from functools import partial
 from statistics import median
 from typing import Any, final
 
-from multicell.comparison.base import DONE, FAILED, SKIPPED, Row
+from multicell.comparison.base import FAILED, SKIPPED, SOLVED, Row
 from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import WORST_CELL, errors, observe
 from multicell.comparison.reference import Reference
@@ -141,7 +141,7 @@ def _solve_row(
         replay(problem, solver)
     timed = replay(problem, solver)
     return _row(
-        method, setting, exact, DONE, **_times([(timed.wall, timed.cpu)]), spent=found.wall,
+        method, setting, exact, SOLVED, **_times([(timed.wall, timed.cpu)]), spent=found.wall,
         cost=weighted_cost(found.work), **vars(found.work),
         **_columns(errors(problem, observe(problem, found), exact.observed, exact.norms), exact),
     )  # fmt: skip

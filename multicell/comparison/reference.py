@@ -13,13 +13,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
-from multicell.comparison.conditioning import SHIFT, Conditioning, conditioning_of, shift_starts
+from multicell.comparison.conditioning import Conditioning, conditioning_of, shift_starts
 from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.norms import NORMS, Norm, Observed, errors, observe
 from multicell.comparison.record import record
 from multicell.comparison.replay import ReplayProblem, Trajectory, replay
 from multicell.errors import StepFailed
 from multicell.integrators.runge_kutta import Euler
+from multicell.integrators.shift import SHIFT
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 

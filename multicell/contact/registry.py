@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from multicell.contact.law import PairLaw
 
 
-LAWS: Laws[PairLaw] = Laws(
+CONTACT_LAWS: Laws[PairLaw] = Laws(
     {
         "hertz": Hertz,
         "jkr": JKR,

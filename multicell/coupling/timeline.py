@@ -55,7 +55,7 @@ class Timeline(NamedTuple):
         return self.time >= self.plan.duration
 
 
-PHASES: Final = ("compile", "nutrient", "biology", "mechanics", "events", "record")
+TIMED_PHASES: Final = ("compile", "nutrient", "biology", "mechanics", "events", "record")
 """Phases of the loop whose wall time is measured; no moment belongs to two of them."""
 
 

@@ -30,7 +30,7 @@ _FIRST = 2
 """Coupling steps at the beginning of a run before each of which λ is measured: cells that are
 placed anew hardly press each other in the first."""
 _GLANCE = 5  # evaluations that |J v| / |v| costs
-NEAR = 0.8
+NEAR_LIMIT = 0.8
 """|J v| / |v| over the limit from which on λ is measured; rattling cells have 0.88 to 0.96."""
 _SAFE = 0.9  # part of the limit that is recommended
 

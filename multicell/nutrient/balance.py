@@ -17,7 +17,7 @@ SIGNS: Final = {
 }  # fmt: skip
 """Entries of an account, and what each adds to the content; zero: it is a part of another entry."""
 
-COLUMNS: Final = (*SIGNS, "level")
+BALANCE_COLUMNS: Final = (*SIGNS, "level")
 """What solvers say of a field: its entries, and the concentration of the medium (mM)."""
 
 _MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")

@@ -423,18 +423,18 @@ class FieldSystem:
         - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: what each cell finds of all
           fields, and takes up of those that others are made from; absent: what they do now
         """
-        found = self.concentrations if concentrations is None else concentrations
+        concentrations = self.concentrations if concentrations is None else concentrations
         taken = self._uptake if taken is None else taken
-        nutrient, capacity = self._nutrients[name], self._capacity(name, cells, found)
+        nutrient, capacity = self._nutrients[name], self._capacity(name, cells, concentrations)
         if nutrient.secretion == 0.0 and not nutrient.secretion_from:
             return capacity, None
-        production = nutrient.secretion * self._active("secretion", name, cells, found)
+        production = nutrient.secretion * self._active("secretion", name, cells, concentrations)
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * taken[other]
         return capacity, production
 
     def _active(
-        self, what: str, name: str, cells: Cells, found: Mapping[str, FloatArray]
+        self, what: str, name: str, cells: Cells, concentrations: Mapping[str, FloatArray]
     ) -> FloatArray:
         """Return uptake or secretion of each cell over that of a proliferating one, (n,)."""
         by_state, by_kind = self._factors[what, name]
@@ -443,19 +443,21 @@ class FieldSystem:
             active = active * by_kind[cells.kind]
         if self._respond is None:
             return active
-        response = self._respond(f"{what} of {name}", cells, found)
+        response = self._respond(f"{what} of {name}", cells, concentrations)
         return active if response is None else active * response
 
-    def _capacity(self, name: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray:
+    def _capacity(
+        self, name: str, cells: Cells, concentrations: Mapping[str, FloatArray]
+    ) -> FloatArray:
         """Return each cell's largest uptake, (n,) amol/s."""
         nutrient = self._nutrients[name]
-        active = self._active("uptake", name, cells, found)
+        active = self._active("uptake", name, cells, concentrations)
         volume = 0.0 if nutrient.uptake_per_volume is None else cells.volume
         capacity = nutrient.largest_uptake(volume) * active
         factor: Any = 1.0
         for other, law in nutrient.uptake_on.items():
-            if other in found:  # at the start one of a circle is not there yet
-                factor = factor * law.factor(found[other])
+            if other in concentrations:  # at the start one of a circle is not there yet
+                factor = factor * law.factor(concentrations[other])
         return np.asarray(capacity * factor)
 
     def _sample(self, name: str, group: FieldGroup, cells: Cells, capacity: FloatArray) -> None:

@@ -29,7 +29,13 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.balance import COLUMNS, SIGNS, FieldExchange, WellMixed, volume_beyond_grid
+from multicell.nutrient.balance import (
+    BALANCE_COLUMNS,
+    SIGNS,
+    FieldExchange,
+    WellMixed,
+    volume_beyond_grid,
+)
 
 if TYPE_CHECKING:
     from multicell.nutrient.group import Demand, FieldGroup
@@ -104,7 +110,7 @@ class _Exchange:
         self.medium = replace(medium, volume=volume, amount=amount)
         self.total = float(self.before[self.row]) + medium.amount
         self.guess = self.medium.concentration
-        self.amounts = np.zeros((len(fields), len(COLUMNS)))
+        self.amounts = np.zeros((len(fields), len(BALANCE_COLUMNS)))
 
     def change(self, level: float) -> None:
         """Replace medium by fresh one of a concentration in mM."""
@@ -148,7 +154,7 @@ class _Exchange:
     def _enter(self, info: dict[str, Any]) -> None:
         """Enter what happened to the fields, and what decayed in the medium."""
         self.amounts = self.amounts + info["amounts"]
-        level = float(info["amounts"][self.row][COLUMNS.index("level")])
+        level = float(info["amounts"][self.row][BALANCE_COLUMNS.index("level")])
         decayed = self.nutrient.decay * self.medium.volume * level
         self.medium = replace(self.medium, decayed=self.medium.decayed + decayed)
 
@@ -263,7 +269,7 @@ class WithMedium(_Medium):
             self._placed.follow(trial)
             found, reports = eq.solution(found, t, dt, before)
             rows = dt * eq.exchanges(found, t, reports)
-            taken = float(rows[self.row, COLUMNS.index("inflow")])
+            taken = float(rows[self.row, BALANCE_COLUMNS.index("inflow")])
             return volume * (share * trial - level) + taken, self._content(found)
 
         new = self._root(excess, level, volume * share, dt)
@@ -280,7 +286,7 @@ class WithMedium(_Medium):
 
 
 _OTHERS: Final = np.array([
-    0.0 if name in ("inflow", "decayed") else SIGNS.get(name, 0.0) for name in COLUMNS
+    0.0 if name in ("inflow", "decayed") else SIGNS.get(name, 0.0) for name in BALANCE_COLUMNS
 ])  # fmt: skip
 """What entries of an account add to field and medium together, but for what decays in both."""
 

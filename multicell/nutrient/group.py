@@ -18,7 +18,7 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.nutrient import finite
-from multicell.nutrient.balance import COLUMNS, FADED, FieldExchange
+from multicell.nutrient.balance import BALANCE_COLUMNS, FADED, FieldExchange
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout, relative_diffusion, tissue_share
@@ -156,7 +156,7 @@ class FieldGroup:
 
     def _exchange(self, row: FloatArray, **more: Any) -> FieldExchange:
         """Return what a field exchanged, from a row of what solvers say."""
-        found = dict(zip(COLUMNS[:-1], row.tolist(), strict=False))
+        found = dict(zip(BALANCE_COLUMNS[:-1], row.tolist(), strict=False))
         if self.kinetics is None:
             found |= {"made": None, "used": None}
         return FieldExchange(**found, **more)

@@ -39,15 +39,13 @@ from multicell.cells import FloatArray
 from multicell.compiling.threads import Team
 from multicell.nutrient import multigrid_kernels as kernels
 from multicell.nutrient import stencil
-from multicell.nutrient.stencil import Floats, face_means
+from multicell.nutrient.stencil import MAX_CG, Floats, face_means
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
 
 Float32Array = NDArray[np.float32]
 Triple = tuple[Any, Any, Any]
-
-MAX_CG = 500  # per Newton step; a system not solved by then gives a poorer step, no failure
 
 FINEST = 1e-4
 """Least part of the imbalance that is asked to be left over: single precision allows no less."""

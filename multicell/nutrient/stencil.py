@@ -25,6 +25,10 @@ from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
 
 Weights = tuple[FloatArray, FloatArray, FloatArray] | None
 Float32Array = NDArray[np.float32]
+
+MAX_CG = 500
+"""Iterations per Newton step; a system not solved by then gives a poorer step, no failure."""
+
 Floats = FloatArray | Float32Array
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.

@@ -28,8 +28,15 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.results.folder import Check, file_errors, package_version, replace_file
 from multicell.results.journal import array_digest
-from multicell.results.layout import FORMAT, DatasetKind, frame_rows, layout, of_rows, read_frame
-from multicell.results.lineage import COLUMNS
+from multicell.results.layout import (
+    FRAMES_FORMAT,
+    DatasetKind,
+    frame_rows,
+    layout,
+    of_rows,
+    read_frame,
+)
+from multicell.results.lineage import LINEAGE_COLUMNS
 from multicell.results.quantities import known_unit
 from multicell.results.records import SPARSE, Arrays
 
@@ -112,7 +119,7 @@ class Sink(io.RawIOBase):
                 self._trouble = error
 
 
-NAME: Final = "frames.h5"
+FRAMES_FILE: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
@@ -205,7 +212,7 @@ def _fill(
     frames: Iterable[tuple[Arrays, int, Arrays]],
     history: Mapping[str, NDArray[np.float64]],
 ) -> None:
-    target.attrs.update(format=FORMAT, multicell=package_version())
+    target.attrs.update(format=FRAMES_FORMAT, multicell=package_version())
     target.create_group("fields")
     text = np.frombuffer(scene.encode(), "|u1")
     _create(target, "scene", of_rows("|u1"), text)
@@ -464,8 +471,10 @@ def check_readable(path: Path) -> None:
 
 def _check_format(path: Path, file: Any) -> None:
     written = file.attrs.get("format", 0)
-    if not np.array_equal(written, FORMAT):
-        problem = f"'{path}' has result format {written}; this multicell reads format {FORMAT}"
+    if not np.array_equal(written, FRAMES_FORMAT):
+        problem = (
+            f"'{path}' has result format {written}; this multicell reads format {FRAMES_FORMAT}"
+        )
         raise OutputError(problem)
 
 
@@ -615,10 +624,10 @@ class File:
         self.times, self.steps = shared["frames/time"], shared["frames/step"]
         self.digests = shared["frames/digest"]
         self.scene = shared["scene"].tobytes().decode("utf-8", "replace")
-        self.ends = {log: shared[f"lineage/{log}/offset"] for log in COLUMNS}
+        self.ends = {log: shared[f"lineage/{log}/offset"] for log in LINEAGE_COLUMNS}
         self.logs = {
             f"{log}/{name}": shared[f"lineage/{log}/{name}"]
-            for log, columns in COLUMNS.items()
+            for log, columns in LINEAGE_COLUMNS.items()
             for name in columns
         }
 

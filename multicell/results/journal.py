@@ -35,7 +35,7 @@ from multicell.results.folder import file_errors, new_file, put_in_place
 
 Arrays = Mapping[str, NDArray[Any]]
 
-NAME: Final = "frames.journal"
+JOURNAL_FILE: Final = "frames.journal"
 
 _TAG: Final = b"mcj3"
 PREFIX: Final = struct.Struct("<4sIQIII")  # tag, lengths and checksums of a record: 28 bytes
@@ -91,8 +91,8 @@ class Journal:
     @classmethod
     def create(cls, folder: Path, header: Mapping[str, Any]) -> Journal:
         """Begin a journal; it is in its place only when its first record is on disk."""
-        path = folder / NAME
-        part = path.with_name(f"{NAME}.part")
+        path = folder / JOURNAL_FILE
+        part = path.with_name(f"{JOURNAL_FILE}.part")
         with file_errors("write", path):
             journal = cls(path, new_file(part))
             try:

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, FloatArray, State
 from multicell.errors import OutputError
 from multicell.results.coding import decode, encode
-from multicell.results.lineage import COLUMNS
-from multicell.results.records import FIELD, SPARSE, UNIT, Arrays, without_zeros
+from multicell.results.lineage import LINEAGE_COLUMNS
+from multicell.results.records import FIELD_ARRAYS, SPARSE, UNIT, Arrays, without_zeros
 
-FORMAT: Final = 5  # number of the layout that :mod:`multicell.results.writer` describes
+FRAMES_FORMAT: Final = 5  # number of the layout that :mod:`multicell.results.writer` describes
 _LONG: Final = 8192  # rows in a chunk of what grows with cells and nodes: 64 kB for a number each
 _MIDDLE: Final = 4096  # ... of logs and texts
 _SHORT: Final = 256  # ... of what has one row for each frame
@@ -57,7 +57,7 @@ def layout(nutrients: Iterable[str]) -> dict[str, DatasetKind]:
             for name, spec in Cells.schema().items()
         },
     }
-    for log, columns in COLUMNS.items():
+    for log, columns in LINEAGE_COLUMNS.items():
         offset = f"lineage/{log}/offset"
         sets[offset] = DatasetKind("<i8", None, "ends")
         for name, dtype in columns.items():
@@ -72,7 +72,7 @@ def layout(nutrients: Iterable[str]) -> dict[str, DatasetKind]:
             f"{group}/shape": DatasetKind("<i8", 3, "frames"),
             f"{group}/faces": DatasetKind("<f8", 6, "frames", UNIT),
         }
-        for key, entry in FIELD.items():
+        for key, entry in FIELD_ARRAYS.items():
             sets[f"{group}/{key}"] = DatasetKind(
                 entry.dtype, entry.width or None, "frames", entry.unit
             )
@@ -106,7 +106,7 @@ def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
         f"{group}/shape": np.array(values.shape),
         f"{group}/faces": faces,
     }
-    for key, entry in FIELD.items():
+    for key, entry in FIELD_ARRAYS.items():
         absent = np.full((entry.width,) if entry.width else (), entry.absent)
         found[f"{group}/{key}"] = arrays.get(f"{group}/{key}", absent)
     return found
@@ -152,7 +152,7 @@ def read_frame(file: Any, place: int, nutrients: Iterable[str], ends: Ends) -> A
         if len(coded):
             coded = coded.reshape(row(f"{group}/shape"))
             arrays[f"{group}/values"] = decode(coded, row(f"{group}/faces"))
-            arrays |= {f"{group}/{key}": row(f"{group}/{key}") for key in FIELD}
+            arrays |= {f"{group}/{key}": row(f"{group}/{key}") for key in FIELD_ARRAYS}
     arrays["contacts/pair"] = rows("contacts/pair", "contacts/offset")
     arrays["progress/text"] = rows("progress/text", "progress/offset")
     return arrays

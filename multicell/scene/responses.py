@@ -23,7 +23,7 @@ from multicell.behaviours.catalogue import (
 )
 from multicell.behaviours.laws import (
     KEYS,
-    OWN,
+    OWN_RESPONSES,
     Constant,
     Hill,
     LinearResponse,
@@ -85,7 +85,7 @@ class Response:
     )  # fmt: skip
     cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")
     law: str = choice(
-        KEYS, default="hill", doc="by which it responds", other=loaded_in(OWN),
+        KEYS, default="hill", doc="by which it responds", other=loaded_in(OWN_RESPONSES),
         further=OWN_OBJECT,
     )  # fmt: skip
     falls: bool = flag(default=False, doc="whether the effect falls as the signal rises")
@@ -251,8 +251,8 @@ def _ends(
 
 
 def _law(part: Response) -> ResponseLaw:
-    if part.law in OWN:
-        law = OWN[part.law]
+    if part.law in OWN_RESPONSES:
+        law = OWN_RESPONSES[part.law]
         made: ResponseLaw = build_part(law, part.parameters or {}, "parameters")
         if law.signals != len(part.signals):
             problem = f"names {len(part.signals)}, but the law takes {law.signals}"
@@ -308,7 +308,7 @@ def in_base_units(scene: Scene, part: Response) -> Response:
     behaviour, of = behaviour_named(part.behaviour, "behaviour")
     _check_behaviour(scene, behaviour, of)
     check_kinds(scene, "cells", part.cells)
-    if len(part.signals) > 1 and part.law not in OWN:
+    if len(part.signals) > 1 and part.law not in OWN_RESPONSES:
         hint = "Give each a response of its own."
         raise SceneError("signal", "names several, as only laws of the user's own have", hint)
     for signal in part.signals:

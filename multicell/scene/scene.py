@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.contact.law import PairLaw
-from multicell.contact.registry import LAWS
+from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
 from multicell.host.files import DEEPEST, parse_toml, read_text
 from multicell.plugins.laws import OwnLaw
@@ -126,8 +126,8 @@ class Scene:
     initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")
     cells: CellParameters = table(CellParameters, default_factory=CellParameters, doc="the cells")
     contact: PairLaw = variant(
-        LAWS, key="law", usual="jkr", default_factory=LAWS["jkr"],
-        doc="the law of touching cells", hint=LAWS.hint, further=OWN_OBJECT,
+        CONTACT_LAWS, key="law", usual="jkr", default_factory=CONTACT_LAWS["jkr"],
+        doc="the law of touching cells", hint=CONTACT_LAWS.hint, further=OWN_OBJECT,
     )  # fmt: skip
     drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
     growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")
@@ -411,8 +411,8 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         table = node[last] if key == "initial.cells" else {"file": node[last]}
         stage = {k: v for k, v in entries["initial"].items() if k == "stage"}
         entries["initial"] = {"cells": table, **stage}
-    if key == "contact.law" and isinstance(value, str) and value in LAWS:
-        allowed = {"law", *specs(LAWS[value])}
+    if key == "contact.law" and isinstance(value, str) and value in CONTACT_LAWS:
+        allowed = {"law", *specs(CONTACT_LAWS[value])}
         entries["contact"] = {k: v for k, v in node.items() if k in allowed}
 
 

@@ -19,12 +19,12 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.errors import ClusterError, ExitCode, MulticellError, OutputError, exit_code_of
-from multicell.host.interrupts import STEP
+from multicell.host.interrupts import WHOLE_STEP
 from multicell.plugins.named import own_fault
 from multicell.results.folder import (
-    FILES,
     LOCK,
     PASSING,
+    RUN_FILES,
     file_errors,
     in_use,
     lock_folder,
@@ -133,13 +133,13 @@ def _do_there(
     report: Callable[[RunOutcome], None],
 ) -> None:
     """Have workers do tasks, in their order."""
-    with STEP, workers(cores, scheduler) as client:
+    with WHOLE_STEP, workers(cores, scheduler) as client:
         if scheduler is not None:
             check_folder(client, folder)
         work = _Work(client, deque(tasks), report)
         try:
             while work.left:
-                STEP.deliver()
+                WHOLE_STEP.deliver()
                 work.advance()
         except KeyboardInterrupt:
             work.stop()
@@ -148,11 +148,11 @@ def _do_there(
 
 def _do_here(tasks: Sequence[Task], report: Callable[[RunOutcome], None]) -> None:
     """Do tasks in this process; wait in the end for those that other processes have."""
-    with STEP:
+    with WHOLE_STEP:
         while tasks:
             held = []
             for work in tasks:
-                STEP.deliver()
+                WHOLE_STEP.deliver()
                 outcome = do_run(work)
                 if outcome.state == "held":
                     held.append(work)
@@ -473,7 +473,7 @@ def _empty(work: Task, place: Path) -> None:
         elif now.kind == "unreadable":
             raise OutputError(now.reason, exit_code=ExitCode.MACHINE)
         elif not (now.frames or now.state == "done"):
-            remove(place, (*PASSING, *FILES, NOTE))
+            remove(place, (*PASSING, *RUN_FILES, NOTE))
 
 
 def _set_aside(place: Path) -> None:

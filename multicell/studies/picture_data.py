@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 POINT, SEED, TIME, STATE = "point", "seed", "time", "state"
-DONE: Final = "done"
+RUN_DONE: Final = "done"
 _PLAIN: Final = ("cells", "growth", "nutrients")  # tables whose keys speak for themselves
 _LOG_RATIO: Final = 30.0  # ratio of the ends of an axis from which it is drawn logarithmically
 

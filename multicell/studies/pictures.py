@@ -242,7 +242,7 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 def _draw_map(axes: Axes, mean: FloatArray, states: NDArray[Any], norm: Normalize) -> None:
     """Draw tiles; what has no mean is grey, or red where it failed."""
-    failed = (states == "failed").any(axis=-1) & ~(states == of.DONE).any(axis=-1)
+    failed = (states == "failed").any(axis=-1) & ~(states == of.RUN_DONE).any(axis=-1)
     missing = ListedColormap([_EMPTY, _FAILED])
     axes.pcolormesh(failed, cmap=missing, vmin=0, vmax=1, edgecolors="white")
     shown = np.ma.masked_invalid(mean)
@@ -266,7 +266,7 @@ def _write_tile(
         lines += [f"{len(known)} of {len(values)} seeds"] * few
         colour = style.INK if luminance(_COLOURS(norm(mean))) > 0.18 else "white"
     else:
-        there = (runs == of.DONE).any()
+        there = (runs == of.RUN_DONE).any()
         lines = ["none" if there else "failed" if failed else "not run"]
         colour = style.RED if failed and not there else style.QUIET
     axes.text(place[1] + 0.5, place[0] + 0.5, "\n".join(lines), ha="center", va="center",
@@ -304,7 +304,7 @@ def _draw_curves(
     for k, (courses, runs) in enumerate(zip(values, states, strict=True)) if not sampled else ():
         if not np.isfinite(courses).any():
             lost = "failed" if (runs == "failed").all() else "not run"
-            texts[k] += f" ({'none' if (runs == of.DONE).any() else lost})"
+            texts[k] += f" ({'none' if (runs == of.RUN_DONE).any() else lost})"
     handles = [
         Line2D([], [], color=colours(value), lw=2.2, label=text)
         for value, text in zip(shown.values, texts, strict=True)

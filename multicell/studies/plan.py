@@ -27,7 +27,7 @@ from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.runs import StudyRun, run_digest
 from multicell.units import BASE_UNITS, shown
 
-NAME: Final = "study.toml"
+PLAN_FILE: Final = "study.toml"
 SCENE: Final = "scene.toml"
 _LARGEST: Final = 20_000_000
 """Bytes of study.toml: 1,000 for each of as many points as there may be."""
@@ -226,7 +226,7 @@ def read_plan(folder: str | Path) -> Plan:
     - ``folder``: with ``study.toml``, and the scene that it names
     """
     folder = Path(folder)
-    path = folder / NAME
+    path = folder / PLAN_FILE
     entries, marked = _entries(path)
     for key in entries:
         if key not in _KEYS:
@@ -261,7 +261,9 @@ def _entries(path: Path) -> tuple[dict[str, Any], bool]:
         text = read_regular(path, _LARGEST).decode("utf-8").replace("\r\n", "\n")
     except FileNotFoundError:
         hint = "'multicell study new SCENE -o FOLDER' makes one."
-        raise SceneError("", f"'{path.parent}' holds no study: there is no {NAME}", hint) from None
+        raise SceneError(
+            "", f"'{path.parent}' holds no study: there is no {PLAN_FILE}", hint
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise SceneError("", f"'{path}' cannot be read: {reason}") from error

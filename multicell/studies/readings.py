@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from multicell.errors import SceneError
 from multicell.results.measures import OBSERVABLES, scene_observables
-from multicell.results.observable import OWN
+from multicell.results.observable import OWN_OBSERVABLES
 from multicell.results.quantities import entry, unit_of
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
@@ -97,7 +97,9 @@ def chosen_observables(scene: Scene, names: Sequence[str] | None) -> list[str]:
 
 def may_be_negative(name: str) -> bool:
     """Return whether an observable may be negative."""
-    return any(o.signed and fnmatchcase(name, o.name) for o in (*OBSERVABLES, *OWN.values()))
+    return any(
+        o.signed and fnmatchcase(name, o.name) for o in (*OBSERVABLES, *OWN_OBSERVABLES.values())
+    )
 
 
 def in_history(scene: Scene) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import origin
-from multicell.results.observable import OWN, find_own
+from multicell.results.observable import OWN_OBSERVABLES, find_own
 from multicell.scene.scene import Scene
 from multicell.schema import Tables, specs
 
@@ -78,7 +78,7 @@ class PlainScene:
 
             load_law(law)
         for function, source in self.observables.items():
-            if function not in OWN:
+            if function not in OWN_OBSERVABLES:
                 from multicell.results.own_observable import load_observable
 
                 load_observable(source)

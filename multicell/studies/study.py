@@ -25,7 +25,7 @@ from multicell.results.folder import (
 )
 from multicell.scene.scene import Scene, load_scene
 from multicell.studies.cost import StudyCost, costs_of, total_cost
-from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan, scene_with_end
+from multicell.studies.plan import PLAN_FILE, SCENE, Plan, make_plan, read_plan, scene_with_end
 from multicell.studies.runs import StudyRun, canonical, run_digest
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ class Study:
 
         if self._read is None or self._read[0] != states:
             made = table.dataset(self.plan, self.folder, states)
-            table.save_dataset(made, self.folder / table.NAME)
+            table.save_dataset(made, self.folder / table.TABLE_FILE)
             if table.states_of(made, states) != list(states):
                 return made  # what cannot be read now may be another time
             self._read = states, made
@@ -250,17 +250,21 @@ def load_study(folder: str | Path) -> Study:
 def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
     """Write a plan to a folder, and return the study."""
     folder = Path(folder)
-    there = (folder / NAME).is_file()
+    there = (folder / PLAN_FILE).is_file()
     if there and not overwrite:
         _refuse_other(plan, read_plan(folder), folder)
     elif not there:
         scene, content = copy_of(plan.scene, folder)
-        first: dict[str, bytes | str] = {**content, SCENE: scene_with_end(scene, folder), NAME: ""}
+        first: dict[str, bytes | str] = {
+            **content,
+            SCENE: scene_with_end(scene, folder),
+            PLAN_FILE: "",
+        }
         make_folder(folder, overwrite=overwrite or is_begun(folder, first))
     if plan.scene.initial.cells is not None:
         plan = replace(plan, scene=with_copy(plan.scene, folder))
     write_text(folder / SCENE, scene_with_end(plan.scene, folder))
-    write_text(folder / NAME, plan.to_toml())
+    write_text(folder / PLAN_FILE, plan.to_toml())
     return Study(plan, folder)
 
 

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     from multicell.studies.plan import Plan
 
-NAME: Final = "study.nc"
-FORMAT: Final = 1
+TABLE_FILE: Final = "study.nc"
+TABLE_FORMAT: Final = 1
 _SKIPPED: Final = ("units", "versions", "title", "notes", "seed")
 FloatArray = NDArray[np.float64]
 
@@ -184,7 +184,7 @@ def provenance(plan: Plan, made: Sequence[Mapping[str, str]]) -> dict[str, Any]:
             known[name].append(number)
     several = {name: found if len(found) > 1 else found[0] for name, found in known.items()}
     return {
-        "format": FORMAT,
+        "format": TABLE_FORMAT,
         "model_version": MODEL_VERSION,
         "title": plan.scene.title,
         "scene": plan.scene.to_toml(),

@@ -94,7 +94,7 @@ class Velocity:
 
     def __init__(self, motion, template):
         self.motion, self.template = motion, template
-        laws = {"JKR": self.jkr, "ExactJKR": self.exact, "Cubic": self.cubic}
+        laws = {"JKR": self.jkr, "ExactJKR": self.exact, "CubicSpring": self.cubic}
         self.law = laws[type(template.law).__name__]
         self.margin = 0.6 * float(motion.radius.mean())
         self.soft = 0.75 * (1.0 - motion.poisson**2) / motion.young

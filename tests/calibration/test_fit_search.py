@@ -25,7 +25,7 @@ from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
 from multicell.calibration.priors import Prior
 from multicell.calibration.problem import (
-    ABSENT,
+    ABSENT_DEVIATIONS,
     FitProblem,
     groups_of,
     misfit,
@@ -50,8 +50,8 @@ def test_the_loss_is_the_normal_likelihood_of_the_data_in_closed_form():
 def test_one_run_has_no_scatter_and_absent_readings_cost_more_than_any_other():
     y, sigma = np.array([1.0, 2.0]), np.array([0.5, 0.5])
     found = misfit(y, sigma, np.array([[1.5, math.nan]]))
-    assert found.residuals.tolist() == [1.0, ABSENT]
-    assert found.loss == 1.0 + ABSENT**2
+    assert found.residuals.tolist() == [1.0, ABSENT_DEVIATIONS]
+    assert found.loss == 1.0 + ABSENT_DEVIATIONS**2
 
 
 def test_scatter_of_runs_alone_makes_no_parameters_better():

@@ -10,7 +10,7 @@ from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.physicell import PhysiCell
-from multicell.contact.registry import LAWS as REGISTERED
+from multicell.contact.registry import CONTACT_LAWS as REGISTERED
 from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring, LinearSpring
 
 LAWS = {

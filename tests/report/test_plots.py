@@ -70,7 +70,9 @@ def test_section_draws_the_cut_of_each_cell():
     # the centre of mass lies at z = 0: the cells at ±8 µm are not cut, those at ±3 show 4 µm
     np.testing.assert_allclose(circles.get_widths(), [10.0, 8.0, 8.0, 10.0])
     np.testing.assert_allclose(circles.get_offsets(), np.array(position)[:4, :2])
-    expected = [mpl.colors.to_rgb(drawing.COLOURS[State(s).name.lower()]) for s in (0, 1, 2, 0)]
+    expected = [
+        mpl.colors.to_rgb(drawing.STATE_COLOURS[State(s).name.lower()]) for s in (0, 1, 2, 0)
+    ]
     np.testing.assert_allclose(circles.get_facecolor()[:, :3], expected)
 
 
@@ -120,7 +122,7 @@ BLUE, ORANGE = drawing.type_colours(["a", "b"]).values()
 
 
 @pytest.mark.parametrize(
-    "colours", [drawing.COLOURS.values(), (BLUE, ORANGE, drawing.COLOURS["necrotic"])]
+    "colours", [drawing.STATE_COLOURS.values(), (BLUE, ORANGE, drawing.STATE_COLOURS["necrotic"])]
 )
 def test_states_and_the_first_two_types_differ_in_lightness(colours):
     weights = np.array([0.2126, 0.7152, 0.0722])

@@ -15,7 +15,7 @@ from multicell.cells import Cells
 from multicell.errors import OutputError
 from multicell.report.result import Result, history_columns, load_result
 from multicell.results.documents import write_table
-from multicell.results.folder import FILES, to_json
+from multicell.results.folder import RUN_FILES, to_json
 from multicell.results.frame import Field, Frame
 from multicell.results.reader import Contents, Frames
 from multicell.results.records import SPARSE
@@ -258,7 +258,7 @@ def test_report_writes_only_files_that_overwriting_removes(tmp_path):
     write_table(folder / "summary.json", {"cells": len(frames[-1].cells)})
     load_result(folder).report()
     # one cell type, no pull, one field, no table of cells
-    expected = set(FILES) - {"contacts.png", "pull.png", "fields.png", *COPIES}
+    expected = set(RUN_FILES) - {"contacts.png", "pull.png", "fields.png", *COPIES}
     assert {entry.name for entry in folder.iterdir()} == expected
 
 

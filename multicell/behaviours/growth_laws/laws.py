@@ -130,7 +130,7 @@ class RelaxationGrowth(GrowthLaw):
         return np.asarray(np.log((largest - 1.0) / (largest - ratio)) / self.exponent)
 
 
-LAWS: Final[Laws[GrowthLaw]] = Laws(
+GROWTH_LAWS: Final[Laws[GrowthLaw]] = Laws(
     {"linear": LinearGrowth, "exponential": ExponentialGrowth, "relaxation": RelaxationGrowth}
 )
 """All laws by their names in a scene; :func:`multicell.growth_law` enters those of the user's."""

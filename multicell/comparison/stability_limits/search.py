@@ -12,7 +12,7 @@ from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method, capable_methods, select_methods
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.replay import solve_compiled
-from multicell.comparison.stability_limits.result import FILES, StabilityMap
+from multicell.comparison.stability_limits.result import STABILITY_FILES, StabilityMap
 from multicell.comparison.stability_limits.state import TrialState, settled_state
 from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
 from multicell.integrators.base import Integrator
@@ -49,7 +49,7 @@ def stability(
     fastest, and each method must let them come to rest again: a fixed step for 200 steps, a
     method under error control for 2000 / λ_max. The limit is found by bisection and set beside
     the theory; how a method fails beyond is named
-    (:data:`multicell.comparison.stability_limits.trial.KINDS`).
+    (:data:`multicell.comparison.stability_limits.trial.TRIAL_ENDS`).
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def stability(
     chosen = select_methods(names, described, 0.9 * described.cells.division_radius)
     what = {"patience": patience, "threads": threads}
     with open_measurements(
-        output, FILES, described, what, chosen, names, overwrite=overwrite
+        output, STABILITY_FILES, described, what, chosen, names, overwrite=overwrite
     ) as measured:
         wall, table = _measure(described, chosen, patience, threads, measured, tell)
         facts = {"precision": PRECISION, "wall": wall, "versions": versions()}

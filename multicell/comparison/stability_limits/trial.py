@@ -26,7 +26,7 @@ BLOW_UP: Final = "blow-up"
 WRONG: Final = "wrong state"
 STALL: Final = "stall"
 
-KINDS: Final = {
+TRIAL_ENDS: Final = {
     STABLE: "the energy only falls, and the end is that of the reference",
     BLOW_UP: "positions or energy grow beyond all bounds or are no numbers, or a step is refused "
     "because it would throw a cell away",
@@ -126,7 +126,7 @@ def _energy(state: TrialState, system: Mechanics, time: float, position: FloatAr
 
 
 def judge(state: TrialState, trace: Trace) -> tuple[str, str]:
-    """Return how a trial went, a key of :data:`KINDS`, and what was seen, in words.
+    """Return how a trial went, a key of :data:`TRIAL_ENDS`, and what was seen, in words.
 
     It is compared with the reference.
     """

@@ -8,7 +8,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.balance import COLUMNS
+from multicell.nutrient.balance import BALANCE_COLUMNS
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.equations.grid import conditions_on
 from multicell.nutrient.equations.substance import Conditions, Schedule, Substance
@@ -165,7 +165,7 @@ class PlacedSubstance:
         )
 
     def account(self, c: FloatArray, level: float, flows: SolveReport) -> list[float]:
-        """Return all that happens to a state (mM), amol/s: the columns :data:`COLUMNS`."""
+        """Return all that happens to a state (mM), amol/s: the columns :data:`BALANCE_COLUMNS`."""
         decayed = washed = came = 0.0
         if self.linear > 0.0:
             content, perfusion = float(np.sum(self.layout.volumes * c)), self.substance.perfusion
@@ -176,7 +176,7 @@ class PlacedSubstance:
             "secreted": self._production, "made": flows.made, "used": flows.used, "level": level,
             "decayed": decayed, "washed": washed,
         }  # fmt: skip
-        return [found[name] for name in COLUMNS]
+        return [found[name] for name in BALANCE_COLUMNS]
 
     def inverse(self, r: FloatArray, shift: FloatArray) -> FloatArray:
         """Return about (shift - D L)⁻¹ r with ``shift`` (1/s) at the nodes, exactly on shells."""

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from multicell.nutrient.equations.placed import PlacedSubstance
     from multicell.nutrient.reactions.kinetics import Kinetics
 
-TOLERANCE = 1e-12
+COUPLED_TOLERANCE = 1e-12
 """Bound on the sum of all nodes' imbalances of a field, relative to what happens to it."""
 
 _MAX_NEWTON = 30
@@ -151,7 +151,7 @@ class _Newton:
         gross = np.einsum("ijx,jx->ix", np.abs(self.derivative), np.abs(c))
         rounding = self.quick[:, None] * np.abs(c) + gross + np.abs(self.sources)
         floor = 16.0 * float(np.finfo(float).eps) * np.sum(rounding * v, axis=1)
-        self.exact = TOLERANCE * np.sum(happening * v, axis=1)
+        self.exact = COUPLED_TOLERANCE * np.sum(happening * v, axis=1)
         self.targets = np.maximum(self.exact, floor)
         self.sums = np.abs(np.sum(self.residual * v, axis=1))
 
@@ -175,7 +175,7 @@ class _Newton:
     def _correction(self, c: FloatArray) -> FloatArray:
         """Solve Newton's linear system."""
         coupled, m, n = self.coupled, self.coupled.m, self.coupled.nodes
-        self.scale = np.where(self.targets > 0.0, self.targets, 1.0) / TOLERANCE
+        self.scale = np.where(self.targets > 0.0, self.targets, 1.0) / COUPLED_TOLERANCE
         # each field in a unit of its own, so that none is lost beside the others
         size = np.maximum(np.abs(c).max(axis=1), np.abs(self.residual).max(axis=1) / self.quick)
         size = np.where(size > 0.0, size, float(size.max()) or 1.0)[:, None]

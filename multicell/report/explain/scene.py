@@ -27,7 +27,7 @@ from multicell.report.explain.items import ExplainedPart, Number, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
-from multicell.scene.parts import PHASES
+from multicell.scene.parts import CYCLE_PHASES
 from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
@@ -116,7 +116,9 @@ def _growth_words(scene: Scene) -> str:
     given = ", ".join(f"{name} = {x:g}" for name, x in (growth.parameters or {}).items())
     words += f" ({given})" if given else ""
     if growth.phases:
-        lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
+        lengths = ", ".join(
+            f"{name} {hours(growth.phases[name].duration)}" for name in CYCLE_PHASES
+        )
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
         words += f"; phases {lengths}, rest {rest}"
         words += "" if growth.hypertrophy else "; none grows beyond the volume of division"

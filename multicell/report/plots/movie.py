@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from multicell.report.plots.colouring import Colouring
     from multicell.report.result import Result
 
-KINDS: Final = (".gif", ".webp", ".mp4")
+MOVIE_ENDINGS: Final = (".gif", ".webp", ".mp4")
 TURN: Final = 90.0
 """Degrees between the outermost places of an eye that swings round cells in space."""
 _REST: Final = 1.5  # s for which a film continues after the last frame
@@ -61,8 +61,10 @@ def movie(
       read on light and on dark pages
     """
     path = Path(path)
-    if path.suffix.lower() not in KINDS:
-        raise OutputError(f"'{path}' is no movie: its name must end in {' or '.join(KINDS)}")
+    if path.suffix.lower() not in MOVIE_ENDINGS:
+        raise OutputError(
+            f"'{path}' is no movie: its name must end in {' or '.join(MOVIE_ENDINGS)}"
+        )
     if not 0.0 < rate <= 60.0:
         raise OutputError(f"the rate is {rate:g} frames in a second, must be above 0, at most 60")
     if transparent and not (space and path.suffix.lower() == ".webp"):

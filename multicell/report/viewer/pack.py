@@ -31,7 +31,7 @@ from multicell.cells import FloatArray, IntArray
 from multicell.errors import OutputError
 from multicell.random import Purpose
 from multicell.report.plots.colouring import SCALE, clone_colours, founder, limits_of
-from multicell.report.plots.style import COLOURS, type_colours
+from multicell.report.plots.style import STATE_COLOURS, type_colours
 from multicell.report.wording import TimeUnit, cell_count, time_unit, written
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 MAX_FRAMES: Final = 50  # frames that are shown at most
 MAX_CELLS: Final = 10_000  # cells of a frame that are shown at most
-MAX_BYTES: Final = 5_500_000
+MAX_PAGE_BYTES: Final = 5_500_000
 """Size of the packed columns at most; fewer cells are shown where it would be more."""
 POINTS: Final = 300  # points of a curve, besides those of the frames
 
@@ -101,7 +101,7 @@ class Packed:
 
 
 def pack_frames(
-    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_BYTES
+    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_PAGE_BYTES
 ) -> Packed | None:
     """Return the frames of a run for the view, or None where there is nothing to see.
 
@@ -317,7 +317,7 @@ def _colourings(
 def _palette(column: PackedColumn) -> list[list[float]]:
     colours: Iterable[Any] = type_colours(column.words).values()
     if column.name == "state":
-        colours = [COLOURS[word] for word in column.words]
+        colours = [STATE_COLOURS[word] for word in column.words]
     elif column.name == "clone":
         colours = clone_colours(len(column.words))
     return [[round(float(c), 3) for c in to_rgb(colour)] for colour in colours]
@@ -385,7 +385,7 @@ def _note(result: Result, contents: Sequence[Mapping[str, Any]]) -> str:
 
 
 def pack_view(
-    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_BYTES
+    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_PAGE_BYTES
 ) -> dict[str, Any] | None:
     """Return what ``viewer.html`` shows of a run, or None where there is nothing to see.
 
