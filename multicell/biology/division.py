@@ -20,10 +20,10 @@ from multicell.cells import (
     SPHERE,
     Cells,
     FloatArray,
-    Found,
     IntArray,
     Mask,
     Phase,
+    Signals,
     State,
 )
 from multicell.random import Purpose
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 # the coupling times would divide in this step or the next at the whim of the last bit.
 ROUNDING = 1e-12
 
-_NONE: Found = {}
+_NONE: Signals = {}
 
 _AT_BIRTH = ("mutation to", "asymmetric division to")
 """Behaviours that are chances of each daughter, and of exactly one, to be of another type."""
 
-Chances: TypeAlias = "Sequence[FloatArray | None]"
+BirthChances: TypeAlias = "Sequence[FloatArray | None]"
 """For each behaviour at a division the chances of each type, (n, types), or None."""
 
 _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
@@ -62,7 +62,7 @@ def divide(
     cells: Cells,
     next_id: int,
     dt: float = 0.0,
-    found: Found = _NONE,
+    signals: Signals = _NONE,
     factor: float | FloatArray = 1.0,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
@@ -102,7 +102,7 @@ def divide(
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
     chances = [
         None if of_all is None else np.repeat(of_all[ripe][order], 2, axis=0)
-        for of_all in _chances_at_birth(plan, found, cells)
+        for of_all in _chances_at_birth(plan, signals, cells)
     ]
     daughters = _daughters(plan, mothers, ids, chances)
     daughters.age = np.repeat(age[order], 2)
@@ -135,7 +135,7 @@ def _daughters(
     plan: BiologyPlan,
     mothers: Cells,
     ids: IntArray,
-    chances: Chances,
+    chances: BirthChances,
 ) -> Cells:
     """Return two daughters for each of the ``mothers``, side by side, named ``ids``.
 
@@ -196,7 +196,7 @@ def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
     exposure, since = exposure[rows], np.zeros(len(rows))
     while rows.size:
         rates = exposure.integral(
-            known, lambda found, some: _by_type(plan, "change to", found, some), since
+            known, lambda signals, some: _by_type(plan, "change to", signals, some), since
         )
         gained = rates.sum(axis=1)
         part = part_until(plan, Purpose.CHANGE, cells.id[rows], integral[rows], gained, count[rows])
@@ -220,7 +220,7 @@ def changing(behaviours: Iterable[str]) -> list[str]:
     return [name for name in behaviours if name.startswith("change to ")]
 
 
-def mutate(plan: BiologyPlan, daughters: Cells, chances: Chances, first: int) -> None:
+def mutate(plan: BiologyPlan, daughters: Cells, chances: BirthChances, first: int) -> None:
     """Let daughters be of other types by ``chances``; ``first``: identity of any first daughter."""
     if all(one is None for one in chances):
         return
@@ -229,12 +229,14 @@ def mutate(plan: BiologyPlan, daughters: Cells, chances: Chances, first: int) ->
     _become(plan, daughters, turns, kinds[turns])
 
 
-def _chances_at_birth(plan: BiologyPlan, found: Found, cells: Cells) -> Chances:
+def _chances_at_birth(plan: BiologyPlan, signals: Signals, cells: Cells) -> BirthChances:
     """Return the chances of cells for each behaviour at a division."""
-    return [_by_type(plan, behaviour, found, cells) for behaviour in _AT_BIRTH]
+    return [_by_type(plan, behaviour, signals, cells) for behaviour in _AT_BIRTH]
 
 
-def _kinds_at_birth(plan: BiologyPlan, daughters: Cells, chances: Chances, first: int) -> IntArray:
+def _kinds_at_birth(
+    plan: BiologyPlan, daughters: Cells, chances: BirthChances, first: int
+) -> IntArray:
     """Return the types of daughters that are of their mothers'.
 
     Identities are given in pairs, so that a second daughter's differs from a ``first`` one's by an
@@ -297,11 +299,13 @@ def mutate_as_found(
     return after, rows[wrong]
 
 
-def _by_type(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> FloatArray | None:
+def _by_type(
+    plan: BiologyPlan, behaviour: str, signals: Signals, cells: Cells
+) -> FloatArray | None:
     """Return the values of a behaviour for each type, (n, types), zero for the cell's own."""
     out = None
     for number, name in enumerate(plan.types):
-        value = value_of(plan, f"{behaviour} {name}", 0.0, found, cells)
+        value = value_of(plan, f"{behaviour} {name}", 0.0, signals, cells)
         if value is not None:
             out = np.zeros((len(cells), len(plan.types))) if out is None else out
             out[:, number] = np.where(cells.kind == number, 0.0, value)

@@ -13,9 +13,9 @@ from multicell.importing.imported import Account, Fate, Imported
 from multicell.importing.physicell import run
 from multicell.importing.physicell.cycle import read_cycle
 from multicell.importing.physicell.death import read_death
-from multicell.importing.physicell.fields import name_fields, read_fields, read_secretion
+from multicell.importing.physicell.fields import name_fields, read_microenvironment, read_secretion
 from multicell.importing.physicell.mechanics import read_mechanics
-from multicell.importing.physicell.model import MINUTE, Kind, Model, read_kinds
+from multicell.importing.physicell.model import MINUTE, CellDefinition, Model, read_kinds
 from multicell.importing.physicell.motility import read_motility
 from multicell.importing.physicell.rules import (
     account_for_rules,
@@ -142,7 +142,7 @@ def _says_nothing(leaf: Element) -> bool:
         return False
 
 
-def _chances(kind: Kind, table: str, tag: str) -> dict[str, float]:
+def _chances(kind: CellDefinition, table: str, tag: str) -> dict[str, float]:
     """Return the numbers of a table of a type by the names of other types."""
     found = kind.given(table)
     if found is None or found.is_off():
@@ -237,7 +237,7 @@ def _read(root: Element, source: Path) -> Model:
     name_fields(model)
     read_rules(model, folder)
     read_cycle(model)
-    read_fields(model)
+    read_microenvironment(model)
     read_death(model)
     read_mechanics(model)
     read_motility(model)
