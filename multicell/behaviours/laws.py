@@ -97,7 +97,7 @@ class Threshold(HalfLaw):
 
 @final
 @dataclass(frozen=True)
-class Linear(ResponseLaw):
+class LinearResponse(ResponseLaw):
     """A straight line between ``begin`` and ``end``, constant outside."""
 
     begin: float
@@ -122,7 +122,7 @@ class Linear(ResponseLaw):
 
 @final
 @dataclass(frozen=True)
-class Table(ResponseLaw):
+class TableResponse(ResponseLaw):
     """Straight lines between points (signal, value), constant outside; the values themselves."""
 
     points: Curve
@@ -169,5 +169,5 @@ KEYS: Final = {
 }
 """Laws by their names in a scene -> the keys that they need, and those that they may have."""
 
-OWN: Final[Laws[Any]] = Laws({})
+OWN_RESPONSES: Final[Laws[Any]] = Laws({})
 """Laws of the user's own, made by :func:`multicell.response`."""

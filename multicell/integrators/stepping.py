@@ -266,7 +266,7 @@ def with_addresses(
         len(source.reach) >= neighbours.REPAIRED,
     )
     if key not in _PLACES:
-        used = kernels(source, pairs, shared=shared, passes=passes)
+        used = stepping_kernels(source, pairs, shared=shared, passes=passes)
         if watched:
             at = np.empty((0, 3))
             used["missed_at"] = (
@@ -292,7 +292,7 @@ def with_addresses(
 _PLACES: dict[Any, dict[str, Any]] = {}
 
 
-def kernels(
+def stepping_kernels(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, tuple[Any, ...]]:
     """Return what :func:`address_of` takes of the kernels by their names in :class:`Source`."""
@@ -314,7 +314,7 @@ def kernels(
             source.cells.chunk, *pairs[:5],
         )  # fmt: skip
     if passes:
-        known |= fused.kernels(source.cells.radius, shared=shared)
+        known |= fused.fused_kernels(source.cells.radius, shared=shared)
     return known
 
 
@@ -343,7 +343,7 @@ def displace(position, step, direction, out):
 
 
 @arithmetic
-def combine(position, step, weights, slopes, count, out):
+def combine_slopes(position, step, weights, slopes, count, out):
     """Write position + step Σ_j weights_j slopes_j over the first ``count`` slopes.
 
     In blocks that stay in the nearest cache, while each slope streams through once.
@@ -367,7 +367,7 @@ def error_of(step, weights, slopes, out):
     y = out.reshape(-1)
     for k in range(y.size):
         y[k] = 0.0
-    combine(out, step, weights, slopes, weights.size, out)
+    combine_slopes(out, step, weights, slopes, weights.size, out)
 
 
 @arithmetic

@@ -27,7 +27,7 @@ from multicell.simulation.timeline import Laps
 
 if TYPE_CHECKING:
     from multicell.biology.step import Decided, Grown
-    from multicell.cells import Cells, FloatArray, Found, IntArray
+    from multicell.cells import Cells, FloatArray, IntArray, Signals
     from multicell.results.lineage import Lineage
     from multicell.simulation.machinery import Machinery
     from multicell.simulation.mover import Moved
@@ -94,7 +94,7 @@ def next_state(run: Machinery, state: RunState) -> RunState:
 
 
 def _moved(
-    run: Machinery, state: RunState, found: Found, end: float, radius: FloatArray
+    run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
 ) -> tuple[Moved, Mapping[str, float] | None]:
     """Return what motion makes of the cells, and when a pull has parted them."""
     begin, step = state.timeline.time, state.timeline.step
@@ -108,7 +108,7 @@ def _moved(
 
 
 def _parting(
-    run: Machinery, state: RunState, found: Found, end: float, radius: FloatArray
+    run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
 ) -> float:
     """Return when in a step the last contact breaks, s: halving it until the time is known."""
     cells, begin = state.cells, state.timeline.time
@@ -150,7 +150,7 @@ def _after_events(
 ) -> _People:
     """Return the cells at the end of a step after division and removal, sorted where it is due."""
     plan, begin, end, first = run.plan, state.timeline.time, timeline.time, state.next_id
-    here: Found = {}
+    here: Signals = {}
     if plan.adhesion is not None:
         here = run.signals(state.cells, contacts, begin)
     aged, lost = age_cells(plan, state.cells, grown, here, begin, end)
@@ -196,7 +196,7 @@ def _exposed(
     run: Machinery,
     state: RunState,
     people: _People,
-    found: Found,
+    found: Signals,
     timeline: Timeline,
     lap: Laps,
 ) -> _Lived:
@@ -227,13 +227,13 @@ def _exposed(
         fields.give_back(before, cells, late)
     if plan.acting:
         exposures = remainders(plan, exposure, exposures, jumped=jumped)
-    cells, rows = mutate_as_found(plan, cells, exposure)
+    cells, rows = mutate_as_found(plan, cells, exposure, people.next_id)
     if rows.size:
         lineage = lineage.retyped(cells.id[rows], cells.kind[rows])
     if changing(plan.acting):
         exposure.cells = cells
         cells = change_types(plan, cells, exposure)
-    cells = bind_changed(plan, decided.cells, cells, exposure.found, end)
+    cells = bind_changed(plan, decided.cells, cells, exposure.signals, end)
     return _Lived(cells, lineage, people.released + released, exposures)
 
 
@@ -241,7 +241,7 @@ def _attempt(
     run: Machinery,
     state: RunState,
     people: _People,
-    before: Found,
+    before: Signals,
     timeline: Timeline,
     followed: Any,
     lap: Laps,
@@ -261,7 +261,7 @@ def _attempt(
         inner=fields.courses,
         held=fields.steady if timeline.plan.jumps_at(end) else (),
     )
-    decided = decide(plan, cells, exposure.found, exposure, ahead=timeline.ahead, time=end)
+    decided = decide(plan, cells, exposure.signals, exposure, ahead=timeline.ahead, time=end)
     exposure.cells = decided.cells
     lap("biology")
     return exposure, decided

@@ -15,11 +15,11 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.responding import other_signals, value_of
 from multicell.nutrient.fields import FieldSystem
 from multicell.simulation.mover import Mover
-from multicell.simulation.timeline import PHASES
+from multicell.simulation.timeline import TIMED_PHASES
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
-    from multicell.cells import Cells, FloatArray, Found, IntArray
+    from multicell.cells import Cells, FloatArray, IntArray, Signals
     from multicell.integrators.base import Integrator
     from multicell.mechanics.motion import Motion
     from multicell.nutrient.reactions.own import OwnReaction
@@ -58,7 +58,7 @@ class Machinery:
         self.scene, self.plan = scene, biology_plan(scene)
         self.mover = Mover(scene, threads, integrator)
         self.field_system = fields_of(scene, reactions, threads, self.plan)
-        self.wall = dict.fromkeys(PHASES, 0.0)
+        self.wall = dict.fromkeys(TIMED_PHASES, 0.0)
 
     def load(self, state: RunState) -> None:
         """Let the parts continue from a state."""
@@ -70,7 +70,7 @@ class Machinery:
         """Return what the integration has cost since the start of the run, by name."""
         return vars(self.mover.system.work).copy()
 
-    def signals(self, cells: Cells, contacts: IntArray, time: float) -> Found:
+    def signals(self, cells: Cells, contacts: IntArray, time: float) -> Signals:
         """Return all that cells find and do not carry themselves: fields, time, neighbours.
 
         Fields are in mM; there are no more than responses need.
@@ -80,18 +80,18 @@ class Machinery:
             return found
         return {**found, **other_signals(self.plan, cells, contacts, time)}
 
-    def signals_of(self, state: RunState) -> Found:
+    def signals_of(self, state: RunState) -> Signals:
         """Return what the cells of a state find."""
         return self.signals(state.cells, state.contacts, state.timeline.time)
 
-    def growth(self, state: RunState, found: Found) -> FloatArray:
+    def growth(self, state: RunState, found: Signals) -> FloatArray:
         """Return how fast cells of a state would grow where they find this, (n,)."""
         if state.growth is not None:
             return state.growth
         return growth_factor(self.plan, found, state.cells.pressure, state.cells)
 
     def motion(
-        self, state: RunState, found: Found, begin: float, end: float, radius: FloatArray
+        self, state: RunState, found: Signals, begin: float, end: float, radius: FloatArray
     ) -> Motion:
         """Return how the cells of a state move between two times, s, at whose end they have radii.
 
@@ -99,6 +99,6 @@ class Machinery:
         """
         gradients = self.field_system.gradients(state.cells)
         return motion_of(
-            self.plan, state.cells, radius, begin, end, concentrations=found, gradients=gradients,
+            self.plan, state.cells, radius, begin, end, signals=found, gradients=gradients,
             contacts=state.contacts, named=state.named,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from multicell.cells import Cells
 from multicell.compiling.threads import thread_count
 from multicell.contact.custom import Compiling
 from multicell.errors import NutrientFailed, StepFailed
-from multicell.host.interrupts import STEP, UNCUT
+from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.results import summary
 from multicell.results.lineage import Lineage
 from multicell.scene import start
@@ -21,11 +21,11 @@ from multicell.scene.ranges import check_memory
 from multicell.simulation.coupling_step import next_state
 from multicell.simulation.first_state import begun, resumed
 from multicell.simulation.machinery import Machinery
-from multicell.simulation.timeline import Phase
+from multicell.simulation.timeline import PhaseTimer
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
-    from multicell.cells import FloatArray, Found, IntArray
+    from multicell.cells import FloatArray, IntArray, Signals
     from multicell.integrators.base import Integrator
     from multicell.integrators.shift import Replays
     from multicell.integrators.stability import Stability
@@ -142,7 +142,7 @@ class Simulation:
         KeyboardInterrupt
             At the end of the step, after Ctrl-C; a second one ends it at once.
         """
-        with STEP:
+        with WHOLE_STEP:
             before, draft = self.state, self._draft
             try:
                 with self._compiling:
@@ -214,9 +214,9 @@ class Simulation:
         state = self.state
         return self._run.motion(state, self._run.signals_of(state), begin, end, radius)
 
-    def phase(self, name: str) -> Phase:
+    def phase(self, name: str) -> PhaseTimer:
         """Return a context that adds the wall time of its block to a phase of the loop."""
-        return Phase(self.wall, name)
+        return PhaseTimer(self.wall, name)
 
     @property
     def finished(self) -> bool:
@@ -321,7 +321,7 @@ class Simulation:
         return self._state.fields.fields()
 
     @property
-    def signals(self) -> Found:
+    def signals(self) -> Signals:
         """All that cells find and do not carry themselves: fields, time, neighbours; name -> (n,).
 
         Fields are in mM; there are no more than responses need.

@@ -19,13 +19,14 @@ from multicell.contact.constants import fingerprint
 from multicell.contact.custom import load_law
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.physicell import PhysiCell
-from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
+from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring, LinearSpring
 from multicell.schema import quantity
 from multicell.testing import check_pair_law
 
 OURS = [
     mc.Hertz(), mc.JKR(), mc.JKR(smoothing=0.3), mc.JKR(surface_energy=0.0), ExactJKR(),
-    ExactJKR(surface_energy=0.0), Linear(), Linear(cutoff=1.0), Cubic(), GeneralisedLinear(),
+    ExactJKR(surface_energy=0.0), LinearSpring(), LinearSpring(cutoff=1.0),
+    CubicSpring(), GeneralisedLinearSpring(),
     PhysiCell(), PhysiCell(surface_energy=4.0, cutoff=2.5),
 ]  # fmt: skip
 

@@ -10,18 +10,18 @@ from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.physicell import PhysiCell
-from multicell.contact.registry import LAWS as REGISTERED
-from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
+from multicell.contact.registry import CONTACT_LAWS as REGISTERED
+from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring, LinearSpring
 
 LAWS = {
     "hertz": Hertz(),
     "jkr": JKR(surface_energy=0.07),
     "smooth jkr": JKR(surface_energy=0.07, smoothing=0.6),
     "exact jkr": ExactJKR(surface_energy=0.07),
-    "linear": Linear(stiffness_at_rest=1.7, cutoff=1.4),
-    "repulsive": Linear(stiffness_at_rest=1.7, cutoff=1.0),
-    "cubic": Cubic(stiffness_at_rest=1.7, cutoff=1.3),
-    "generalised linear": GeneralisedLinear(stiffness_at_rest=1.7, cutoff=1.4, decay=4.0),
+    "linear": LinearSpring(stiffness_at_rest=1.7, cutoff=1.4),
+    "repulsive": LinearSpring(stiffness_at_rest=1.7, cutoff=1.0),
+    "cubic": CubicSpring(stiffness_at_rest=1.7, cutoff=1.3),
+    "generalised linear": GeneralisedLinearSpring(stiffness_at_rest=1.7, cutoff=1.4, decay=4.0),
     "physicell": PhysiCell(length=0.8, surface_energy=0.3, cutoff=1.4),
 }
 RI, RJ, EI, EJ = np.array([4.0, 3.1, 8.0]), np.array([6.5, 3.1, 2.0]), 0.8, 2.5

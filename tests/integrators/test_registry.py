@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import multicell
-from multicell.integrators.base import MethodInfo, build, info_of
+from multicell.integrators.base import MethodInfo, build_method, info_of
 from multicell.integrators.registry import METHODS, find, from_options
 from multicell.scene.parts import IntegratorOptions
 
@@ -45,7 +45,7 @@ def test_variants_have_a_number():
     info = find("rkc2-5")
     assert info.control == "step"
     assert info.stable == pytest.approx(0.65 * 25, rel=0.05)
-    made = build(info, step=3.0, max_displacement=0.2)
+    made = build_method(info, step=3.0, max_displacement=0.2)
     assert (made.step, made.stages, made.max_displacement) == (3.0, 5, 0.2)
     for name in ("rkc2-1", "rkc2-201", "rkc2-x", "euler-5", "rkc2-", "5"):
         assert find(name) is None

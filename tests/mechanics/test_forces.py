@@ -13,7 +13,7 @@ from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus
 from multicell.contact.physicell import PhysiCell
-from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
+from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring, LinearSpring
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.neighbours import CHUNK
 from multicell.mechanics.system import Mechanics
@@ -24,10 +24,10 @@ LAWS = {
     "smooth jkr": JKR(surface_energy=0.1, smoothing=0.6),
     "exact jkr": ExactJKR(surface_energy=0.1),
     "exact jkr that does not stick": ExactJKR(surface_energy=0.0),
-    "linear": Linear(stiffness_at_rest=2.0),
-    "repulsive": Linear(stiffness_at_rest=2.0, cutoff=1.0),
-    "cubic": Cubic(stiffness_at_rest=2.0),
-    "generalised linear": GeneralisedLinear(stiffness_at_rest=2.0),
+    "linear": LinearSpring(stiffness_at_rest=2.0),
+    "repulsive": LinearSpring(stiffness_at_rest=2.0, cutoff=1.0),
+    "cubic": CubicSpring(stiffness_at_rest=2.0),
+    "generalised linear": GeneralisedLinearSpring(stiffness_at_rest=2.0),
     "physicell": PhysiCell(length=2.0, surface_energy=0.3),
 }
 

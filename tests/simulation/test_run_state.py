@@ -13,7 +13,7 @@ from multicell.cells import HAZARDS, Cells, Phase, State
 from multicell.nutrient.field import Solution
 from multicell.nutrient.fields import FieldsState, FieldSystem
 from multicell.results.frame import Progress
-from multicell.results.lineage import COLUMNS, Lineage
+from multicell.results.lineage import LINEAGE_COLUMNS, Lineage
 from multicell.results.records import arrays_of, frame_of, log_arrays
 from multicell.simulation import Simulation
 from multicell.simulation.run_state import RunState
@@ -124,7 +124,7 @@ def test_a_file_gives_back_the_whole_state(name):
     """All that is not derived, bit by bit, after frame and logs were written and read."""
     state, frame = after(9, name)
     written = frame_of(arrays_of(frame, SCENES[name].nutrients), SCENES[name].nutrients)
-    logs = log_arrays(state.lineage, dict.fromkeys(COLUMNS, 0))
+    logs = log_arrays(state.lineage, dict.fromkeys(LINEAGE_COLUMNS, 0))
     resumed = Simulation(SCENES[name], threads=1, frame=written, lineage=Lineage.of(logs))
     expected, found = parts(state), parts(resumed.state)
     del expected["growth"], found["growth"], expected["taken"], found["taken"]

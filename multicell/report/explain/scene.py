@@ -9,17 +9,24 @@ from pathlib import Path
 from typing import Any
 
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
-from multicell.behaviours.laws import Constant, Hill, Linear, Monod, Table, Threshold
+from multicell.behaviours.laws import (
+    Constant,
+    Hill,
+    LinearResponse,
+    Monod,
+    TableResponse,
+    Threshold,
+)
 from multicell.biology.draws import malthusian_rate
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
 from multicell.report.explain.cost import cost_notes, cost_numbers, predict
-from multicell.report.explain.items import Number, Part, hours, part
+from multicell.report.explain.items import ExplainedPart, Number, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
-from multicell.scene.parts import PHASES
+from multicell.scene.parts import CYCLE_PHASES
 from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
@@ -48,7 +55,7 @@ def explain(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _parts(scene: Scene) -> list[Part]:
+def _parts(scene: Scene) -> list[ExplainedPart]:
     told = effects(scene) if scene.responses else ()
     method = scene.integrator.method
     info = METHODS.get(method) or MethodInfo(method)
@@ -60,10 +67,10 @@ def _parts(scene: Scene) -> list[Part]:
         *contact_parts(scene),
         part("growth", _growth_words(scene)),
         part("death", _death_words(scene)),
-        *(Part(e.key, True, _sentence(scene, e)) for e in told if not e.short),
+        *(ExplainedPart(e.key, True, _sentence(scene, e)) for e in told if not e.short),
         part("radiation", "; ".join(_radiation_words(scene))),
         *_taxis(scene),
-        Part("domain", scene.domain is not None, _domain_words(scene)),
+        ExplainedPart("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
         part("integrator", integrator),
         part("output", f"a frame every {hours(scene.output.every)}"),
@@ -109,7 +116,9 @@ def _growth_words(scene: Scene) -> str:
     given = ", ".join(f"{name} = {x:g}" for name, x in (growth.parameters or {}).items())
     words += f" ({given})" if given else ""
     if growth.phases:
-        lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
+        lengths = ", ".join(
+            f"{name} {hours(growth.phases[name].duration)}" for name in CYCLE_PHASES
+        )
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
         words += f"; phases {lengths}, rest {rest}"
         words += "" if growth.hypertrophy else "; none grows beyond the volume of division"
@@ -144,7 +153,7 @@ def _sentence(scene: Scene, effect: Effect) -> str:
     behaviour = behaviour_named(effect.behaviour, "")[0]
     whose = f" of {' and '.join(effect.types)} cells" if effect.types else ""
     what = f"the {effect.behaviour}{whose}"
-    if behaviour.is_factor and not isinstance(effect.law, Table):
+    if behaviour.is_factor and not isinstance(effect.law, TableResponse):
         what += ", as a factor,"
 
     def value(number: float) -> str:
@@ -154,7 +163,7 @@ def _sentence(scene: Scene, effect: Effect) -> str:
     law, end = _law_words(scene, effect), f"{value(effect.low)} to {value(effect.high)}"
     if isinstance(effect.law, Constant):
         return f"{what} is {value(effect.high)}"
-    if isinstance(effect.law, Table):
+    if isinstance(effect.law, TableResponse):
         return f"{what} follows a table over {signal}: {law}"
     if effect.falls:
         end = f"{value(effect.high)} to {value(effect.low)}"
@@ -163,7 +172,7 @@ def _sentence(scene: Scene, effect: Effect) -> str:
 
 def _least(effect: Effect) -> float:
     """Return the smallest value that a response gives."""
-    if isinstance(effect.law, Table):
+    if isinstance(effect.law, TableResponse):
         return min(value for _, value in effect.law.points)
     return effect.high if isinstance(effect.law, Constant) else min(effect.low, effect.high)
 
@@ -178,9 +187,9 @@ def _law_words(scene: Scene, effect: Effect) -> str:
         return f"half way at {_amount(law.half, unit)}, Hill's exponent {law.power:g}"
     if isinstance(law, Monod):
         return f"half way at {_amount(law.half, unit)}"
-    if isinstance(law, Linear):
+    if isinstance(law, LinearResponse):
         return f"in a line from {_amount(law.begin, unit)} to {_amount(law.end, unit)}"
-    if isinstance(law, Table):
+    if isinstance(law, TableResponse):
         return ", ".join(f"{y:.4g} at {_amount(x, unit)}" for x, y in law.points)
     return f"by {type(law).__name__}"
 
@@ -207,7 +216,7 @@ def _radiation_words(scene: Scene) -> Iterator[str]:
         yield f"{words}; the others die {when}"
 
 
-def _taxis(scene: Scene) -> list[Part]:
+def _taxis(scene: Scene) -> list[ExplainedPart]:
     """Return the forces along gradients, with the drift of a free cell."""
     resistance = drag(scene, birth_radius(scene))
     parts = []

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
-from multicell.behaviours.laws import Constant, Linear, Table, Threshold
+from multicell.behaviours.laws import Constant, LinearResponse, TableResponse, Threshold
 from multicell.report.plots.style import INK, headed, styled, type_colours
 from multicell.scene.responses import Effect, effects
 
@@ -83,8 +83,8 @@ def _draw(axes: Axes, scene: Scene, behaviour: str, signal: str, parts: list[Eff
 
 
 def _reach(part: Effect) -> float:
-    if isinstance(part.law, Linear):
+    if isinstance(part.law, LinearResponse):
         return 1.3 * part.law.end
-    if isinstance(part.law, Table):
+    if isinstance(part.law, TableResponse):
         return part.law.points[-1][0]
     return _REACH * part.law.middle or 1.0
