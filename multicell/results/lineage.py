@@ -176,7 +176,7 @@ class Lineage:
         return self._grown(log, self._logs[log].extended(begin, end, values), end)
 
     def _grown(self, log: str, rows: _Rows, length: int) -> Lineage:
-        after = Lineage()
+        after = object.__new__(Lineage)
         after._logs = {**self._logs, log: rows}
         after._lengths = {**self._lengths, log: length}
         return after

@@ -8,7 +8,7 @@ are those of its own cells.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple, cast, final
 
@@ -57,13 +57,14 @@ def next_state(run: Machinery, state: RunState) -> RunState:
     lap("mechanics")
     people = _after_events(run, state, grown, moved, contacts, timeline)
     lap("events")
-    lived = _exposed(run, state, people, found, timeline, lap)
+    jumps = timeline.plan.jumps_at(end)
+    lived = _exposed(run, state, people, found, timeline, jumps, lap)
     cells, lineage = lived.cells, lived.lineage
     if plan.radiation:
         cells, dead = irradiate(plan, cells, run.field_system.concentrations, begin, end)
         lineage = lineage.died(cells, dead, end)
     growth = None
-    if plan.growth is not None and not timeline.plan.jumps_at(end):
+    if plan.growth is not None and not jumps:
         # a jump changes nothing of the step that it ends
         here = run.signals(cells, people.contacts, end)
         growth = growth_factor(plan, here, cells.pressure, cells)
@@ -198,20 +199,24 @@ def _exposed(
     people: _People,
     found: Signals,
     timeline: Timeline,
+    jumps: bool,
     lap: Laps,
 ) -> _Lived:
     """Bring the fields through a step, and let cells do what follows from what they find.
 
     Where rates have killed cells, transient fields are brought through it once more, now with
     these cells until they died.
+
+    - ``jumps``: whether a steady field jumps at the end of the step
     """
     plan, fields, before = run.plan, run.field_system, people.cells
     begin, end = state.timeline.time, timeline.time
     jumped = timeline.plan.changes_at(begin)
     # whether more than the ends of the step matters: rates, or fields that jumped
     followed = plan.exposed if plan.acting or jumped else ()
-    again, until = fields.marches and bool(plan.acting or jumped), cast(Any, 1.0)
-    attempt = run, state, people, found, timeline, followed, lap
+    marches, until = fields.marches, cast(Any, 1.0)
+    again = marches and (plan.acting or jumped)
+    attempt = run, state, people, found, timeline, fields.steady if jumps else (), followed, lap
     exposure, decided = _attempt(*attempt, until)
     if again and np.count_nonzero(decided.died):
         until = np.where(decided.died, 1.0 - decided.cells.age / (end - begin), 1.0)
@@ -221,7 +226,7 @@ def _exposed(
     lineage, exposures = people.lineage, state.exposures
     if np.count_nonzero(dead):
         lineage = lineage.died(cells, dead, end)
-    if fields.marches and cells.radius is not before.radius:  # some died, or rest early
+    if marches and cells.radius is not before.radius:  # some died, or rest early
         rests = (cells.state != before.state) & (cells.age < end - begin) & ~dead
         late = np.where((dead & (until == 1.0)) | rests, cells.age, 0.0)
         fields.give_back(before, cells, late)
@@ -243,7 +248,8 @@ def _attempt(
     people: _People,
     before: Signals,
     timeline: Timeline,
-    followed: Any,
+    held: Collection[str],
+    followed: Collection[str],
     lap: Laps,
     until: Any,
 ) -> tuple[Exposure, Decided]:
@@ -259,7 +265,7 @@ def _attempt(
         began=state.cells,
         before=before,
         inner=fields.courses,
-        held=fields.steady if timeline.plan.jumps_at(end) else (),
+        held=held,
     )
     decided = decide(plan, cells, exposure.signals, exposure, ahead=timeline.ahead, time=end)
     exposure.cells = decided.cells

@@ -64,7 +64,8 @@ class Machinery:
         """Let the parts continue from a state."""
         self.field_system.state = state.fields
         vars(self.mover.system.work).update(state.work)
-        self.mover.cavity = state.cavity
+        if state.cavity is not None:
+            self.mover.cavity = state.cavity
 
     def work(self) -> dict[str, int]:
         """Return what the integration has cost since the start of the run, by name."""

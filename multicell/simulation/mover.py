@@ -62,9 +62,9 @@ class Mover:
         return None if self._gel is None else self._gel.radius
 
     @cavity.setter
-    def cavity(self, radius: float | None) -> None:
+    def cavity(self, radius: float) -> None:
         if self._gel is not None:
-            self._gel.radius = self._gel.rest if radius is None else radius
+            self._gel.radius = radius
 
     def move(
         self,
