@@ -1,4 +1,4 @@
-"""What mechanics must know of a scene's cells between two times."""
+"""Input of mechanics from biology: radii, receptors and forces between two times."""
 
 from __future__ import annotations
 

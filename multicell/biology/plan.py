@@ -1,4 +1,4 @@
-"""What biology needs of a scene, resolved once: constants, arrays and plain parts."""
+"""The biology of a scene, resolved once: constants, arrays and plain parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What cells do about what they find: the values of behaviours that respond to signals.
+"""Responses of cells to signals: the values of behaviours.
 
 Several responses of one behaviour combine by a rule. With v the value without any, v_k that of
 response k alone, all of them of the same cell:

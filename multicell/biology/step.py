@@ -1,4 +1,4 @@
-"""What biology does to the cells in a coupling step: growth, events, and decisions.
+"""The biology of a coupling step: growth, events, and decisions.
 
 Each function returns a new population, or what is needed to make one, and changes none.
 """

@@ -1,4 +1,4 @@
-"""What each column of measured data holds, by its title ``NAME / UNIT``."""
+"""Columns of measured data, by their titles ``NAME / UNIT``."""
 
 from __future__ import annotations
 

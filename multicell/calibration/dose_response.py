@@ -1,4 +1,4 @@
-"""What doses do to a population: viability, half-maximal doses, two drugs together."""
+"""Dose response of a population: viability, half-maximal doses, two drugs together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the runs of a fit are made: in this process, or by the workers of a Dask cluster."""
+"""Pools that make the runs of a fit: in this process, or on the workers of a Dask cluster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fit predicts of its data: checks by replicated data, and how well it would have predicted.
+"""Predictive checks of a fit: replicated data, and the accuracy of prediction left out.
 
 Given parameters θ, data minus mean m(θ) of runs are taken to be normal with the covariance C of
 :mod:`multicell.calibration.likelihood` at the best point: errors of measurement, scatter of tissues

@@ -1,4 +1,4 @@
-"""What is known of the parameters before the data: ranges and distributions.
+"""Priors of the parameters: ranges and distributions.
 
 A parameter has a range in which all values are equally likely (on a logarithmic one: all ratios),
 or a normal or log-normal distribution with units::

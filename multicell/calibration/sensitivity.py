@@ -1,4 +1,4 @@
-"""Which parameters of a scene decide its observables: Morris' screening."""
+"""Sensitivity of a scene's observables to its parameters: Morris' screening."""
 
 from __future__ import annotations
 

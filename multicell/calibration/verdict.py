@@ -1,4 +1,4 @@
-"""What data say of the parameters: intervals, and what they cannot determine."""
+"""Intervals of the parameters from data, and combinations that the data leave undetermined."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``multicell play`` serves: one page, the run for its sliders, and the view of that run.
+"""Server of ``multicell play``: one page, the run for its sliders, and the view of that run.
 
 The server listens on the loopback device. Each request needs the secret of the address, and the
 name of this machine as its host and, where the browser states one, its origin, so that no page of

@@ -1,4 +1,4 @@
-"""What a comparison has measured: on disk method by method, before anything is made of it."""
+"""Log of a comparison's measurements, on disk method by method, before anything is made of it."""
 
 from __future__ import annotations
 

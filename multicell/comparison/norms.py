@@ -1,4 +1,4 @@
-"""How far a trajectory is from the reference, in several norms.
+"""Norms of the distance of a trajectory from the reference.
 
 Positions of single cells are the sharpest measure, but in a cluster where contacts form and
 break single cells diverge below any tolerance. Energy and size still show whether the population

@@ -1,4 +1,4 @@
-"""What is compared: the same cells, events and radii for every method.
+"""Replay of recorded coupling steps: the same cells, events and radii for every method.
 
 A scene is simulated once (:mod:`multicell.comparison.record`). A method then *replays* the record:
 it integrates over the same coupling steps and undergoes the same events at the same times, so

@@ -1,4 +1,4 @@
-"""How fast the stiffest motion of a state decays: an eigenvalue of the Jacobian.
+"""Largest decay rate of a state: an eigenvalue of the Jacobian.
 
 The Jacobian is J = -Γ⁻¹K with a symmetric stiffness K and, without friction between cells, a
 diagonal drag Γ. So Γ^{1/2} J Γ^{-1/2} is symmetric and has the same, real eigenvalues.

@@ -1,4 +1,4 @@
-"""What is known of the cells during one coupling step, and what its integration has cost."""
+"""The cells' motion during one coupling step as integrators see it, and its cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where every molecule of a field and its medium came from and went to, over a whole run."""
+"""Balance of every molecule of a field and its medium over a whole run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much of a cell lies at each node: one operator spreads amounts of cells and reads fields.
+"""Shares of a cell at each node: one operator spreads amounts of cells and reads fields.
 
 A cell is a ball of uniform density to its fields, a disc in a plane, and a point where its radius
 is zero. Its weight at a node is the mean of the node's hat function over it: cells read the mean of

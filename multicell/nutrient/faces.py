@@ -1,4 +1,4 @@
-"""What a field is near the faces of its grid, where the last nodes lie half a spacing inside.
+"""Values of a field near the faces of its grid, whose last nodes lie half a spacing inside.
 
 Beyond each face nodes are added. By the condition on the face they are ``const + factor c`` with
 the c of the node that mirrors them: the line between the two has the value or the slope that the

@@ -1,4 +1,4 @@
-"""What a field is made from, out of a scene."""
+"""Parameters of a field, out of a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which cells carry the unstirred layer of medium: the tissue, and not cells that have left it."""
+"""The cells that carry the unstirred layer of medium: the tissue, without cells that left it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run hands back, and what its folder can be opened as later."""
+"""The result of a run, and of a run's folder that is opened later."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an observable is: a number of the state of a run, with its name, unit and title."""
+"""Observables: numbers of the state of a run, with their names, units and titles."""
 
 from __future__ import annotations
 

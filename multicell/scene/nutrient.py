@@ -1,4 +1,4 @@
-"""What a scene says of a dissolved substance: transport, boundary, kinetics, effects."""
+"""Nutrients of a scene: transport, boundary, kinetics and effects of a dissolved substance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a study is expected to take, before any of it runs."""
+"""The expected cost of a study, before any of it runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a reaction promises, tried at points over its range of concentrations."""
+"""Checks of a reaction's promises at points over its range of concentrations."""
 
 from __future__ import annotations
 

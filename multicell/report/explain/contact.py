@@ -1,4 +1,4 @@
-"""What a scene's cells do to each other, for :mod:`multicell.report.explain.scene`."""
+"""Explanation of the contacts of a scene's cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run is expected to take: time, memory, and room on the disk.
+"""The expected cost of a run: time, memory, and room on the disk.
 
 The population is that of :mod:`multicell.report.explain.course`; what a cell, a node and a step
 cost was measured on one core of a 2.5 GHz Xeon, with everything compiled. ``python

@@ -1,4 +1,4 @@
-"""What the nutrient fields of a scene amount to: scales, regime, geometry, and why."""
+"""Explanation of the nutrient fields of a scene: scales, regime, geometry, and why."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a scene uses and why, with the numbers that follow from it before anything is run."""
+"""Explanation of a scene: its parts, and the numbers that follow from it before a run."""
 
 from __future__ import annotations
 
