@@ -99,7 +99,7 @@ class Exposure:
         return np.asarray(first + part * (last - first))
 
     def _course(self, name: str) -> Course:
-        """Return what is known of a signal in time, or of a column that signals are made of."""
+        """Return a signal in time, or a column that signals are made of."""
         if name not in self._known:
             if name in _CARRIED:
                 ends = self._ends(name)

@@ -223,7 +223,7 @@ def _doses(axis: Axis) -> tuple[FloatArray, str]:
 
 
 def _setting(scene: Scene, key: str) -> Callable[[Any], Any]:
-    """Return what makes the value of a key from a dose."""
+    """Return a function from a dose to the value of a key."""
     found = key_of(scene, key)
     if found.spec.kind != "schedule":
         return lambda dose: dose

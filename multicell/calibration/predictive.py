@@ -152,7 +152,7 @@ def _smoothed(ratios: Array) -> Array:
 
 
 def predictive_of(fit: Fit) -> Predictive:
-    """Return what a fit predicts; raises FitFailed where it has no posterior."""
+    """Return the predictions of a fit; raises FitFailed where it has no posterior."""
     shares = fit.some_sample()
     problem = fit.problem
     logs = np.array([math.log(d.value) if d.log else 0.0 for d in problem.measured.data])

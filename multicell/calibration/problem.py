@@ -90,7 +90,7 @@ class FitProblem:
 
     @cached_property
     def prior(self) -> Prior:
-        """What is known of the parameters beforehand."""
+        """Prior of the parameters."""
         return Prior(len(self.ranges)) if self.known is None else self.known
 
     @property

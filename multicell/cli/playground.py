@@ -85,7 +85,7 @@ class Playground:
         return page
 
     def sliders(self) -> list[dict[str, Any]]:
-        """Return what the page needs of each slider; places are from 0 to 1000."""
+        """Return the data of each slider for the page; places are from 0 to 1000."""
         given = {".".join(path): value for path, value, _ in leaves(self.scene)}
         found = []
         for item in self.ranges:

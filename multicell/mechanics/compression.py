@@ -171,7 +171,7 @@ _SOFTEN, _PRODUCTS = two_drivers(_soften), two_drivers(_products)
 
 
 class Coupling(NamedTuple):
-    """What the change of pressures needs at one state.
+    """Derivatives that the change of pressures needs at one state.
 
     - ``slope``, (m,) µm²: dv/dh of each place of the list, v half the lens of a pair
     - ``weight``, (n,) kPa/µm³: f''(s_i)/V_i

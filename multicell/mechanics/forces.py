@@ -42,7 +42,7 @@ _RECEPTOR, _LIGAND, _RECEPTOR_RATE, _LIGAND_RATE = range(4)  # columns of the ce
 
 
 class CellData(NamedTuple):
-    """What is known of the cells over a coupling step; times count from its beginning.
+    """Data of the cells over a coupling step; times count from its beginning.
 
     ``reference`` are the positions that the list was built at, ``margin`` how far each cell may
     drift from there, µm. ``bonds`` is (n, 4) with receptor, ligand and their rates, ``push`` (n, 6)

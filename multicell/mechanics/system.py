@@ -553,7 +553,7 @@ class Mechanics:
         return between_types or self.law.remembers
 
     def kernel_data(self) -> tuple[Kernels, forces.PairData, bool]:
-        """Return what the kernels take, for a loop that rebuilds the neighbour list itself.
+        """Return the arguments of the kernels, for a loop that rebuilds the neighbour list itself.
 
         The last says whether threads share them. The list is a copy; :meth:`take_list` takes the
         one that the loop has built last.
@@ -572,7 +572,7 @@ class Mechanics:
         return (self._cell_data(reference), law, reach, margin, self._rows), pairs, shared
 
     def _cell_data(self, reference: FloatArray) -> forces.CellData:
-        """Return what is known of the cells, with the positions that a list was built at."""
+        """Return the data of the cells, with the positions that a list was built at."""
         motion = self.motion
         return forces.CellData(
             self.chunk, self._margin, reference, motion.radius, motion.radius_rate, motion.bonds,

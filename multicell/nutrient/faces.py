@@ -62,7 +62,7 @@ def by_parabola(values: FloatArray, axes: int) -> FloatArray:
 
 
 def extrapolate_face(v: FloatArray) -> FloatArray:
-    """Return what comes before the first entry along the first axis, by the parabola there."""
+    """Return the value before the first entry of the first axis, by the parabola there."""
     if len(v) >= 3:
         return np.asarray(3.0 * v[0] - 3.0 * v[1] + v[2])
     return np.asarray(2.0 * v[0] - v[1] if len(v) == 2 else v[0])

@@ -263,7 +263,7 @@ class Nutrient:
 
     @property
     def layout(self) -> str:
-        """What its grid may be: ``"box"``, ``"radial"``, or ``"auto"`` for either."""
+        """Kind of its grid: ``"box"``, ``"radial"``, or ``"auto"`` for either."""
         return self.geometry or "box"
 
     def medium(self, time: float) -> float:

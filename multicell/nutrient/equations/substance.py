@@ -87,7 +87,7 @@ class Schedule:
 @final
 @dataclass(frozen=True, eq=False)
 class Substance:
-    """What diffuses, decays, and is taken up and secreted by cells.
+    """A substance that diffuses, decays, and is taken up and secreted by cells.
 
     Parameters
     ----------

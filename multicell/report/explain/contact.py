@@ -65,7 +65,7 @@ def _motility_words(law: Motility) -> str:
 
 
 def contact_numbers(scene: Scene) -> list[Number]:
-    """Return what two cells of typical size do, for every two types."""
+    """Return the numbers of a contact of two typical cells, for every two types."""
     radius = typical_radius(scene)
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
     fixed = birth_radius(scene) == radius

@@ -17,7 +17,7 @@ from multicell.scene.sizes import typical_radius
 
 
 def nutrient_parts(scene: Scene) -> list[ExplainedPart]:
-    """Return what each field is solved as, and why, in the order in which they are solved."""
+    """Return the regime of each field, and why, in the order in which they are solved."""
     if not scene.nutrients:
         return [part("nutrients", "")]
     order = checks.solving_order(scene.nutrients, scene.reactions)

@@ -36,7 +36,7 @@ from multicell.scene.steps import step_plan
 
 
 def explain(scene: Scene) -> dict[str, Any]:
-    """Return what a scene uses and the numbers that follow from it.
+    """Return the parts of a scene that are used and the numbers that follow from it.
 
     Returns dict: ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
     ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that do not
