@@ -53,7 +53,7 @@ _BLOCK = 1024  # numbers of an array that are worked on at a time
 
 
 class Source(NamedTuple):
-    """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
+    """Arguments of the kernels besides the pairs; ``cells.reference``, ``.margin`` are written.
 
     ``forces_at``, ``rebuild_at`` and ``repair_at`` (0: lists are not repaired) are the addresses of
     the kernels, for one thread or for all, ``evaluation_at`` that of the function that calls them.
@@ -295,7 +295,7 @@ _PLACES: dict[Any, dict[str, Any]] = {}
 def stepping_kernels(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, tuple[Any, ...]]:
-    """Return what :func:`address_of` takes of the kernels by their names in :class:`Source`."""
+    """Return the kernels for :func:`address_of` by their names in :class:`Source`."""
     place, found = np.empty((0, 3)), (True, *pairs[:5])
     run, build, repair = forces.forces, neighbours.rebuild, neighbours.repair
     if shared:

@@ -1,4 +1,4 @@
-"""Which cells are close: cells in bins, and a Verlet list in chunks.
+"""Neighbours of cells: cells in bins, and a Verlet list in chunks.
 
 A :class:`PairList` holds every pair closer than ``r_i + r_j + skin``. The cells are cut, in
 the order of their indices, into chunks (:data:`CHUNK` cells). A chunk owns its cells: pairs with

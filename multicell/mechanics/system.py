@@ -20,6 +20,7 @@ from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
 from multicell.mechanics import blocks, forces, neighbours
 from multicell.mechanics.motion import Motion, StateRejected, Work
+from multicell.mechanics.rows import COMPLIANCE, RADIUS
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ class Mechanics:
             medium_drag=self.drag,
         )
         self._rows = np.zeros((n, width))
-        self._rows[:, 4] = compliance(motion.young, motion.poisson)
+        self._rows[:, COMPLIANCE] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)
         self._list_radius = self._reaching(largest)
         self._least_margin = 0.5 * self.skin * float(largest.sum() / n) if n else 0.0
@@ -325,7 +326,7 @@ class Mechanics:
         self._fill_blocks(linear)
         if self._pair_friction is not None:
             # the drag that the blocks are divided by is that of Γ's diagonal
-            stokes = self.drag * self._rows[:, 3]
+            stokes = self.drag * self._rows[:, RADIUS]
             self._blocks *= (stokes / self._pair_friction.diagonal())[:, None]
         if len(self._inverse) < len(self):
             self._inverse = np.empty((len(self), 6))
@@ -384,7 +385,7 @@ class Mechanics:
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
         self._resist(pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
-        return np.asarray(virials / (3.0 * SPHERE * cubes(self._rows[:, 3])))
+        return np.asarray(virials / (3.0 * SPHERE * cubes(self._rows[:, RADIUS])))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
         """Return an upper bound on the decay rates of the linearised motion, 1/s.
@@ -399,7 +400,7 @@ class Mechanics:
         xx, yy, zz, xy, xz, yz = self._blocks.T
         full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
         largest = np.linalg.eigvalsh(full)[:, -1]
-        return float((2.0 * largest / (self.drag * self._rows[:, 3])).max())
+        return float((2.0 * largest / (self.drag * self._rows[:, RADIUS])).max())
 
     def _fill_blocks(self, linear: Linearisation) -> None:
         linear = linear.stiffened()
@@ -537,7 +538,7 @@ class Mechanics:
             return radius
         if isinstance(self.law, Spring):
             return np.asarray(self.law.cutoff * radius)
-        softest = 0.5 / float(self._rows[:, 4].max())
+        softest = 0.5 / float(self._rows[:, COMPLIANCE].max())
         largest = float(radius.max())
         law = self.law
         if self.surface_energies is not None and hasattr(law, "surface_energy"):
@@ -552,7 +553,7 @@ class Mechanics:
         return between_types or self.law.remembers
 
     def kernel_data(self) -> tuple[Kernels, forces.PairData, bool]:
-        """Return what the kernels take, for a loop that rebuilds the neighbour list itself.
+        """Return the arguments of the kernels, for a loop that rebuilds the neighbour list itself.
 
         The last says whether threads share them. The list is a copy; :meth:`take_list` takes the
         one that the loop has built last.
@@ -571,7 +572,7 @@ class Mechanics:
         return (self._cell_data(reference), law, reach, margin, self._rows), pairs, shared
 
     def _cell_data(self, reference: FloatArray) -> forces.CellData:
-        """Return what is known of the cells, with the positions that a list was built at."""
+        """Return the data of the cells, with the positions that a list was built at."""
         motion = self.motion
         return forces.CellData(
             self.chunk, self._margin, reference, motion.radius, motion.radius_rate, motion.bonds,
@@ -606,7 +607,7 @@ class Mechanics:
         if not self.law.remembers:
             return sticky, None, None
         adhesion = self.law.adhesion if sticky is None else sticky
-        modulus = 1.0 / (self._rows[first, 4] + self._rows[second, 4])
+        modulus = 1.0 / (self._rows[first, COMPLIANCE] + self._rows[second, COMPLIANCE])
         touching = neighbours.are_listed(self.motion.touching, first, second, len(self))
         (begin, onset), (end, _) = (
             self.law.pair_memory(
