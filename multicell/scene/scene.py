@@ -184,11 +184,7 @@ class Scene:
         check_towards(self)
         if self.responses:
             check_responses(self)
-        smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
-        smoothing = getattr(self.contact, "smoothing", 0.0)
-        if smoothing > smallest:
-            problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
-            raise SceneError("contact.smoothing", problem, "0 turns it off.")
+        self.contact.check_scene(self)
         check_domain(self)
         check_driven(self)
         check_nutrients(self)
