@@ -156,7 +156,7 @@ class Threshold(HalfLaw):
 
 @final
 @dataclass(frozen=True)
-class Linear(ResponseLaw):
+class LinearResponse(ResponseLaw):
     """A straight line between ``begin`` and ``end``, constant outside."""
 
     begin: float
@@ -193,7 +193,7 @@ class Linear(ResponseLaw):
 
 @final
 @dataclass(frozen=True)
-class Table(ResponseLaw):
+class TableResponse(ResponseLaw):
     """Straight lines between points (signal, value), constant outside; the values themselves."""
 
     points: Curve
@@ -259,11 +259,11 @@ RESPONSE_LAWS: Final[Mapping[str, type[ResponseLaw]]] = {
     "hill": Hill,
     "monod": Monod,
     "threshold": Threshold,
-    "linear": Linear,
-    "table": Table,
+    "linear": LinearResponse,
+    "table": TableResponse,
     "constant": Constant,
 }
 """Laws by their names in a scene."""
 
-OWN: Final[Laws[Any]] = Laws({})
+OWN_RESPONSES: Final[Laws[Any]] = Laws({})
 """Laws of the user's own, made by :func:`multicell.response`."""

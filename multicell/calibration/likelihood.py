@@ -37,10 +37,10 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg import eigh
 
-from multicell.calibration.emulator import FEW, PARTICLES, Emulator, best_of, draws
+from multicell.calibration.emulator import ENOUGH_DRAWS, PARTICLES, Emulator, best_of, draws
 from multicell.calibration.noise import Array, Noise, shrink
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import Problem
+from multicell.calibration.problem import FitProblem
 from multicell.calibration.search import Search
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
@@ -155,7 +155,7 @@ def likelihood(
 
 def _student(working: Likelihood, noise: Noise, known: Array, away: Array) -> Likelihood:
     """Return a likelihood whose covariance counts as estimated where the parameters move data."""
-    shares, count = working.draws(FEW), len(away)
+    shares, count = working.draws(ENOUGH_DRAWS), len(away)
     white = working.predict(shares)[0] @ working.whitening.T
     _, sizes, vectors = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)
     most = min(shares.shape[1], count - 3)
@@ -232,7 +232,7 @@ class Fresh:
 
 
 def fresh(
-    problem: Problem,
+    problem: FitProblem,
     search: Search,
     pool: Pool,
     count: int = DEFAULT_REPEATS,
@@ -249,7 +249,7 @@ def fresh(
     if emulator is None:
         best = min(search.evaluations(), key=lambda e: e.loss).shares
     else:  # no single lucky run decides it
-        likely = draws(emulator.loss, problem.prior, seed=0, count=FEW)
+        likely = draws(emulator.loss, problem.prior, seed=0, count=ENOUGH_DRAWS)
         best = best_of(emulator.loss, problem.prior, likely)
     first = max(problem.seeds) + 1
     here = best.tolist()
@@ -265,7 +265,7 @@ def fresh(
     if emulator is None:
         return Fresh(best, runs, tuple(reasons), scatter, None, None)
     found = likelihood(emulator, problem.noise, best, scatter)
-    likely = found.draws(FEW)
+    likely = found.draws(ENOUGH_DRAWS)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
     points = [(x.tolist(), first + MAX_REPEATS + k) for k, x in enumerate(chosen)]
     runs_there, more = search.extra(pool, points, progress)

@@ -58,7 +58,7 @@ class Pool:
         ended = as_completed(list(pending), loop=self._client.loop)
         try:
             for future in ended:
-                call, found = pending.pop(future), result_of(future)
+                call, found = pending.pop(future), future_result(future)
                 if isinstance(found, Refusal):
                     client.note(found)
                     again = submit(call)
@@ -73,7 +73,7 @@ class Pool:
             raise
 
 
-def result_of(future: Any) -> Any:
+def future_result(future: Any) -> Any:
     """Return what a call came to; raises ClusterError or FitFailed where it came to nothing."""
     try:
         return future.result()

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from multicell.calibration.emulator import FEW, best_of, draws
+from multicell.calibration.emulator import ENOUGH_DRAWS, best_of, draws
 from multicell.calibration.noise import Array
 from multicell.calibration.priors import Prior
 from multicell.calibration.verdict import quantiles
@@ -173,7 +173,7 @@ def least_residuals(fit: Fit, predictive: Predictive) -> Array:
         return np.asarray(np.einsum("si,ij,sj->s", r, predictive.precision, r))
 
     flat = Prior(len(fit.problem.ranges))
-    best = best_of(loss, flat, draws(loss, flat, seed=0, count=FEW))
+    best = best_of(loss, flat, draws(loss, flat, seed=0, count=ENOUGH_DRAWS))
     return np.asarray(known.predict(best[None])[0][0])
 
 

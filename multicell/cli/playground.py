@@ -206,10 +206,10 @@ class Playground:
 
     def view(self) -> str:
         """Return the view of the newest run."""
-        from multicell.report.viewer.pack import view
+        from multicell.report.viewer.pack import pack_view
 
         result = self.result()
-        viewer = None if result is None else view(result)
+        viewer = None if result is None else pack_view(result)
         if viewer is None:
             raise OutputError("there is no frame yet")
         return rendered("view.html", title="", subtitle="", tiles={}, scene="", viewer=viewer)

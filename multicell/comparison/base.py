@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]  # one row of a table: column -> value
 
-DONE: str = "done"  # how a solve went
+SOLVED: str = "done"  # how a solve went
 FAILED, SKIPPED = "failed", "skipped"
 
 CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}

@@ -16,7 +16,7 @@ from typing import Final, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.comparison.replay import Problem, Trajectory
+from multicell.comparison.replay import ReplayProblem, Trajectory
 from multicell.errors import SceneError
 
 Metric = Callable[[FloatArray], float]
@@ -71,7 +71,7 @@ class Norm:
         return f"{where} / {self.scale}" if self.scale else where
 
 
-def observe(problem: Problem, trajectory: Trajectory) -> Observed:
+def observe(problem: ReplayProblem, trajectory: Trajectory) -> Observed:
     """Return what is compared of a trajectory that reached the end."""
     positions = trajectory.positions
     sizes = np.array([gyration(position) for position in positions])
@@ -79,7 +79,10 @@ def observe(problem: Problem, trajectory: Trajectory) -> Observed:
 
 
 def errors(
-    problem: Problem, found: Observed, exact: Observed, norms: Mapping[str, Norm] | None = None
+    problem: ReplayProblem,
+    found: Observed,
+    exact: Observed,
+    norms: Mapping[str, Norm] | None = None,
 ) -> dict[str, float]:
     """Return the error of ``found`` in every norm, by default in all of :data:`NORMS`."""
     radius = problem.mean_radius
@@ -116,7 +119,7 @@ def gyration(position: FloatArray) -> float:
     return float(_rms(position, position.mean(axis=0)))
 
 
-def _energies(problem: Problem, positions: list[FloatArray]) -> FloatArray:
+def _energies(problem: ReplayProblem, positions: list[FloatArray]) -> FloatArray:
     """Return the contact energy at evenly chosen common times, (k,) fJ."""
     system = problem.system()
     count = len(positions)

@@ -36,7 +36,7 @@ CAPTIONS: Final = {
 }
 
 
-def context(result: WorkPrecision) -> dict[str, Any]:
+def comparison_context(result: WorkPrecision) -> dict[str, Any]:
     """Return what ``compare.html`` asks for."""
     return {
         "title": f"{result.title}: work and precision",

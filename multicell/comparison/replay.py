@@ -30,7 +30,7 @@ T = TypeVar("T")
 
 @final
 @dataclass(frozen=True, eq=False)
-class Events:
+class RecordedEvents:
     """What happened to the cells between two coupling steps.
 
     - ``source``, (n,) int64: for each cell after the events the index of the cell before them that
@@ -53,12 +53,12 @@ class Step:
     """One coupling step: its motion, and the events before it (None if there were none)."""
 
     motion: Motion
-    before: Events | None = None
+    before: RecordedEvents | None = None
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Problem:
+class ReplayProblem:
     """Coupling steps and events that every method goes through.
 
     - ``scene``, Scene: the scene that was recorded
@@ -148,7 +148,7 @@ class Trajectory:
         return not self.problem
 
 
-def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> Trajectory:
+def replay(problem: ReplayProblem, integrator: Integrator, limit: float = np.inf) -> Trajectory:
     """Carry the cells of a problem through all its coupling steps and events.
 
     - ``limit``: wall time in s after which the replay ends, at the next coupling step or at the
@@ -167,7 +167,7 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     for k, step in enumerate(problem.steps):
         position = problem.beginning(k, position)
         system.begin(step.motion)
-        words, position = advance(system, integrator, position)
+        words, position = advance_system(system, integrator, position)
         last = k + 1 == len(problem.steps)
         if not words and not last and clock.perf_counter() - begin > limit:
             words = f"{timeout_words(limit)} (t = {step.motion.end:.6g} s)"
@@ -214,7 +214,7 @@ def set_deadline(system: Mechanics, deadline: float, words: str) -> None:
     system.velocity = velocity  # type: ignore[method-assign]
 
 
-def advance(
+def advance_system(
     system: Mechanics, integrator: Integrator, position: FloatArray
 ) -> tuple[str, FloatArray]:
     """Integrate over the coupling step of ``system``, whatever happens.

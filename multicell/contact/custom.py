@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from multicell.contact.constants import constants_of, fingerprint, further_arguments, helpers_of
 from multicell.contact.derived import Scalar, force_alone, whole_law, with_arguments, without_energy
 from multicell.contact.law import PairLaw
-from multicell.contact.registry import LAWS
+from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
 from multicell.plugins.laws import Laws, OwnLaw
 from multicell.plugins.named import load_object, own_code
@@ -205,7 +205,7 @@ def pair_law(
             "_parts": {name: part for name, part in parts.items() if part is not None},
             "_asks_rest": reach is not None or "rest" in further_arguments(force),
         }
-        return law_of(UserLaw, force, parameters, LAWS, [whole], own)
+        return law_of(UserLaw, force, parameters, CONTACT_LAWS, [whole], own)
 
     return make
 

@@ -122,7 +122,7 @@ class Mover:
         was_beyond, suspect = known.rate > product, False
         if not was_beyond and stability.may_glance(known, n):
             known = stability.add_glance(known, n)
-            suspect = stability.glance(system, end, position) > stability.NEAR * product
+            suspect = stability.glance(system, end, position) > stability.NEAR_LIMIT * product
         if not was_beyond and not suspect:
             return known
         rate = stability.rate_at(system, end, position, self._dimensions)

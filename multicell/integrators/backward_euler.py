@@ -24,7 +24,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from multicell.integrators.base import EqualSteps, MethodInfo, Outcome, equal_steps, move_words
+from multicell.integrators.base import (
+    EqualSteps,
+    MethodInfo,
+    Outcome,
+    count_equal_steps,
+    move_words,
+)
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -72,17 +78,17 @@ class BackwardEuler(EqualSteps):
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        from multicell.integrators.limits import beyond
+        from multicell.integrators.limits import find_failure
         from multicell.integrators.stepping import furthest_move
         from multicell.mechanics.motion import StateRejected
 
         if len(system) == 0:
             return Outcome(system.motion.end, np.array(position))
-        refused = beyond(system, position, self.tolerance)
+        refused = find_failure(system, position, self.tolerance)
         if refused is not None:
             return refused
         motion = system.motion
-        count = equal_steps(motion.end - motion.begin, self.step)
+        count = count_equal_steps(motion.end - motion.begin, self.step)
         step = (motion.end - motion.begin) / count
         position = np.array(position)
         for k in range(count):

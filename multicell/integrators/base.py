@@ -123,7 +123,7 @@ def move_words(step: float, moved: float, allowed: float) -> str:
     )
 
 
-def equal_steps(length: float, longest: float) -> int:
+def count_equal_steps(length: float, longest: float) -> int:
     """Return how many equal steps no longer than ``longest`` make up an interval; both in s."""
     return max(1, math.ceil(length / longest * (1.0 - 1e-12)))
 
@@ -268,7 +268,7 @@ def info_of(method: Any) -> MethodInfo:
     return replace(info, control="step" if "step" in info.settings else "tolerance")
 
 
-def build(info: MethodInfo, **options: Any) -> Integrator:
+def build_method(info: MethodInfo, **options: Any) -> Integrator:
     """Return the integrator with those of the options that it takes.
 
     Raises SceneError if it cannot be made with them.

@@ -74,7 +74,7 @@ def _assess(a, new, b, now, c, old, position, trial, rtol, atol, found):
 _FORESEE, _ASSESS = two_drivers(_foresee), two_drivers(_assess)
 
 
-def kernels(radius: FloatArray, *, shared: bool) -> dict[str, tuple[Any, ...]]:
+def fused_kernels(radius: FloatArray, *, shared: bool) -> dict[str, tuple[Any, ...]]:
     """Return the passes, for one thread or for all, as ``compiling.address_of`` takes them."""
     place, found = np.empty((0, 3)), np.empty((0, 2))
     return {

@@ -57,7 +57,7 @@ def stiffness_scale(system: Mechanics) -> float:
     return system.stiffness_scale
 
 
-def beyond(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcome | None:
+def find_failure(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcome | None:
     """Return how a coupling step ends that cannot be followed, or None if it can.
 
     - ``system``: made ready for the coupling step

@@ -18,7 +18,7 @@ from multicell.integrators import (
     runge_kutta,
     scipy,
 )
-from multicell.integrators.base import MethodInfo, build, info_of
+from multicell.integrators.base import MethodInfo, build_method, info_of
 
 if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
@@ -59,7 +59,7 @@ def from_options(options: IntegratorOptions) -> Integrator:
 def instantiate(info: MethodInfo, options: IntegratorOptions) -> Integrator:
     """Return the integrator of a method with a scene's options."""
     step = {"step": options.step} if info.control == "step" else {}
-    return build(
+    return build_method(
         info,
         rtol=options.rtol,
         atol=info.atol if options.atol is None else options.atol,

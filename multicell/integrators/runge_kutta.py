@@ -82,7 +82,7 @@ class _Fixed(EqualSteps):
         from multicell.integrators import driver
         from multicell.integrators.loops.runge_kutta import fixed_runge_kutta
 
-        return driver.equal_steps(system, position, fixed_runge_kutta, self, self.tableau)
+        return driver.run_equal_steps(system, position, fixed_runge_kutta, self, self.tableau)
 
 
 class _Adaptive(ErrorControl):

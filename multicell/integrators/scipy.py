@@ -19,7 +19,7 @@ from multicell.integrators.base import ErrorControl, MethodInfo, Outcome, hold
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.integrators.restarts import Run, Taken
+    from multicell.integrators.restarts import IntegrationProgress, Taken
     from multicell.mechanics.system import Mechanics
 
 _LEAST_RTOL = 100.0 * sys.float_info.epsilon
@@ -82,10 +82,10 @@ class Scipy(ErrorControl):
 
         Raises SceneError if the method cannot hold the scene.
         """
-        from multicell.integrators.restarts import Run
+        from multicell.integrators.restarts import IntegrationProgress
 
         hold(self.info, system)
-        run = Run(self, system, position)
+        run = IntegrationProgress(self, system, position)
         return run.integrate(lambda run, ceiling: _Stepped(self, run, ceiling))
 
 
@@ -93,7 +93,7 @@ class Scipy(ErrorControl):
 class _Stepped:
     """A session of one of SciPy's solvers between two restarts."""
 
-    def __init__(self, method: Scipy, run: Run, ceiling: float) -> None:
+    def __init__(self, method: Scipy, run: IntegrationProgress, ceiling: float) -> None:
         from scipy import integrate
 
         self.run, self.system = run, run.system

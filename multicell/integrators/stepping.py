@@ -210,7 +210,7 @@ def _evaluation(source, pairs, elapsed, position, out):
             pairs.first, pairs.second,
         )  # fmt: skip
         source.counts[LIST_REPAIRS if found == updating.REPAIRED else LIST_BUILDS] += 1
-        if found == updating.CROWDED:
+        if found == updating.TOO_CROWDED:
             return REJECTED, pairs
         pairs = forces.PairData(*listed, pairs.sticky, pairs.unit, pairs.onset)
     return DONE, pairs
@@ -244,7 +244,7 @@ def with_addresses(
         len(source.reach) >= updating.REPAIR_FROM,
     )
     if key not in _PLACES:
-        used = kernels(source, pairs, shared=shared, passes=passes)
+        used = stepping_kernels(source, pairs, shared=shared, passes=passes)
         if watched:
             at = np.empty((0, 3))
             used["missed_at"] = (
@@ -270,7 +270,7 @@ def with_addresses(
 _PLACES: dict[Any, dict[str, Any]] = {}
 
 
-def kernels(
+def stepping_kernels(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, tuple[Any, ...]]:
     """Return what :func:`address_of` takes of the kernels by their names in :class:`Source`."""
@@ -286,7 +286,7 @@ def kernels(
         place, source.reach, source.cells.chunk, pairs[:5], shared=shared
     )
     if passes:
-        known |= fused.kernels(source.cells.radius, shared=shared)
+        known |= fused.fused_kernels(source.cells.radius, shared=shared)
     return known
 
 
@@ -315,7 +315,7 @@ def displace(position, step, direction, out):
 
 
 @arithmetic
-def combine(position, step, weights, slopes, count, out):
+def combine_slopes(position, step, weights, slopes, count, out):
     """Write position + step Σ_j weights_j slopes_j over the first ``count`` slopes.
 
     In blocks that stay in the nearest cache, while each slope streams through once.
@@ -339,7 +339,7 @@ def error_of(step, weights, slopes, out):
     y = out.reshape(-1)
     for k in range(y.size):
         y[k] = 0.0
-    combine(out, step, weights, slopes, weights.size, out)
+    combine_slopes(out, step, weights, slopes, weights.size, out)
 
 
 @arithmetic

@@ -193,7 +193,7 @@ class Pressed(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Compression:
+class TissueCompression:
     """Resistance of tissue to compression; see the module's text.
 
     Cells come as ``rows`` (n, 5 or more), pairs as :class:`multicell.mechanics.forces.PairData`.

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from multicell.compiling import ADDRESSED, INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
-from multicell.mechanics.pairs import pair_law
+from multicell.mechanics.pairs import evaluate_pair
 
 BLOCK = 256  # pairs that are gathered before the law is evaluated on them
 
@@ -325,7 +325,7 @@ def _evaluate(pairs, law, elapsed, begin, count, block, slope):
         h = block[_TOTAL, p] - d
         modulus = w * block[_TOTAL, p] * d
         radius = block[_PRODUCT, p] * (w * block[_SOFT, p] * d)
-        force, stiffness, _ = pair_law(
+        force, stiffness, _ = evaluate_pair(
             law, h, modulus, radius, block[_TOTAL, p],
             _at(pairs.sticky, begin + p, law.adhesion_constant),
             _unit_at(pairs.unit, begin + p, elapsed), _at(pairs.onset, begin + p, 0.0),
@@ -440,7 +440,7 @@ def _energy_between(rows, i, j, pairs, p, law, elapsed):
     d = _vector(rows, i, j)[3]
     total = rows[i, 3] + rows[j, 3]
     h, radius = total - d, rows[i, 3] * rows[j, 3] / total
-    _, _, energy = pair_law(
+    _, _, energy = evaluate_pair(
         law, h, 1.0 / (rows[i, 4] + rows[j, 4]), radius, total,
         _at(pairs.sticky, p, law.adhesion_constant), _unit_at(pairs.unit, p, elapsed),
         _at(pairs.onset, p, 0.0), True, True,
@@ -496,7 +496,7 @@ half_virials, half_virials_parallel = two_drivers(_half_virials)
 
 
 @njit(**KERNEL)
-def overlaps(rows, pairs, elapsed, out):
+def mark_contacts(rows, pairs, elapsed, out):
     """Mark the pairs in contact: an overlap above zero, or above the onset.
 
     Of an outer pair, which stands in two chunks, only the one with the smaller first cell. A law
@@ -527,7 +527,7 @@ def _attraction(rows, i, j, pairs, p, law, elapsed, overlap):
     """Return with how much force two cells attract each other at an overlap, nN, or zero."""
     total = rows[i, 3] + rows[j, 3]
     radius = rows[i, 3] * rows[j, 3] / total
-    force, _, _ = pair_law(
+    force, _, _ = evaluate_pair(
         law,
         overlap,
         1.0 / (rows[i, 4] + rows[j, 4]),

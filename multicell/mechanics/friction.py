@@ -290,7 +290,7 @@ conjugate_gradients, conjugate_gradients_parallel = two_drivers(_conjugate_gradi
 
 
 @njit(**KERNEL)
-def apply(gamma, v, out):
+def apply_friction(gamma, v, out):
     """Write Γ v, nN."""
     for c in range(gamma.start.size):
         _apply_chunk(c, gamma, v, out)
@@ -349,7 +349,7 @@ class FrictionMatrix:
 
     def apply(self, vector: FloatArray, out: FloatArray) -> None:
         """Write Γ v, nN, for ``vector`` in µm/s."""
-        apply(self.gamma, vector, out)
+        apply_friction(self.gamma, vector, out)
 
     def solve(
         self,

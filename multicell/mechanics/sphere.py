@@ -29,7 +29,7 @@ from multicell.vectors import lengths
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.mechanics.compression import Compression
+    from multicell.mechanics.compression import TissueCompression
 
 _ITERATIONS = 200  # bisection alone needs 60
 _TINY = 1e-300
@@ -56,7 +56,7 @@ class Sphere:
         return 4.0 / 3.0 * math.pi * self.radius**3
 
     def settle(
-        self, rows: FloatArray, compression: Compression | None, taken: FloatArray | None
+        self, rows: FloatArray, compression: TissueCompression | None, taken: FloatArray | None
     ) -> None:
         """Find R for cells at a state; ``taken`` is half of their lenses, µm³."""
         if self.shear is None:
@@ -84,7 +84,7 @@ class Sphere:
 
     def _excess(
         self, wall: float, reach: FloatArray, radius: FloatArray, soft: FloatArray,
-        compression: Compression | None, lenses: FloatArray | None,
+        compression: TissueCompression | None, lenses: FloatArray | None,
     ) -> tuple[float, float]:  # fmt: skip
         """Return N - 4π R² p of a radius R, nN, and minus its derivative, b."""
         h = np.maximum(reach - wall, 0.0)

@@ -23,7 +23,7 @@ from multicell.mechanics.neighbours import NeighbourList, PairList
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
-    from multicell.mechanics.compression import Compression, Coupling, Pressed
+    from multicell.mechanics.compression import Coupling, Pressed, TissueCompression
     from multicell.mechanics.friction import PairFriction
     from multicell.mechanics.prescribed import Prescribed
     from multicell.mechanics.sphere import Sphere
@@ -111,7 +111,7 @@ class Mechanics:
     friction: tuple[float, float] = (0.0, 0.0)
     surface_energies: FloatArray | None = None
     walls: Walls | Sphere | None = None
-    compression: Compression | None = None
+    compression: TissueCompression | None = None
     work: Work = field(default_factory=Work)
 
     def __post_init__(self) -> None:
@@ -360,7 +360,7 @@ class Mechanics:
         pairs = self._settle(time, position)
         marked = np.empty(len(pairs.first), dtype=np.bool_)
         elapsed = time - self.motion.begin
-        forces.overlaps(self._rows, self._pair_data, elapsed, marked)
+        forces.mark_contacts(self._rows, self._pair_data, elapsed, marked)
         found = np.stack([pairs.first[marked], pairs.second[marked]], axis=1).astype(np.int64)
         found.sort(axis=1)
         return found[np.lexsort((found[:, 1], found[:, 0]))]

@@ -26,7 +26,7 @@ from multicell.cells import FloatArray, IntArray
 from multicell.compiling import KERNEL
 
 if TYPE_CHECKING:
-    from multicell.mechanics.compression import Compression
+    from multicell.mechanics.compression import TissueCompression
 
 
 @njit(**KERNEL)
@@ -165,7 +165,7 @@ class Walls:
         return np.asarray(force * lengths / lengths.prod())
 
     def settle(
-        self, rows: FloatArray, compression: Compression | None, taken: FloatArray | None
+        self, rows: FloatArray, compression: TissueCompression | None, taken: FloatArray | None
     ) -> None:
         """Do nothing: the sides do not yield."""
 

@@ -17,7 +17,7 @@ SIGNS: Final = {
 }  # fmt: skip
 """Entries of an account, and what each adds to the content; zero: it is a part of another entry."""
 
-COLUMNS: Final = (*SIGNS, "level")
+BALANCE_COLUMNS: Final = (*SIGNS, "level")
 """What solvers say of a field: its entries, and the concentration of the medium (mM)."""
 
 _MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
@@ -34,7 +34,7 @@ more with an error relative to itself: steps would stay as short as ever down to
 
 
 @final
-class Exchange(NamedTuple):
+class FieldExchange(NamedTuple):
     """What a field exchanged, and what it took to find that out.
 
     Rates (amol/s) of a field at rest, amounts (amol) of one that was brought through some time.
@@ -129,7 +129,7 @@ class Ledger:
         self.fresh, self.discarded = medium.fresh, medium.discarded
         self.spoiled, self.changes = medium.decayed, medium.changes
 
-    def add(self, found: Exchange, dt: float = 1.0, *, stored: float = 0.0) -> None:
+    def add(self, found: FieldExchange, dt: float = 1.0, *, stored: float = 0.0) -> None:
         """Enter rates that held for a time ``dt`` (s), or amounts where it is left out.
 
         ``relaid`` and ``stored`` are amounts (amol) always.
@@ -228,7 +228,7 @@ class WellMixed:
         )  # fmt: skip
 
 
-def beyond(name: str, nutrient: Nutrient, covered: float) -> float:
+def volume_beyond_grid(name: str, nutrient: Nutrient, covered: float) -> float:
     """Return the volume of the medium beyond the grid, µm³."""
     assert nutrient.finite_medium is not None
     volume = nutrient.finite_medium.volume

@@ -160,7 +160,7 @@ def _sides(
     ghost, const = np.array((*factors, *[1.0] * walls)), np.array((*constants, *[0.0] * walls))
     kinds = [(bool(low < 0.0), bool(high < 0.0)) for low, high in ghost.reshape(3, 2)]
     halves = []
-    if max(shape) <= dense.MOST and all(low == high for low, high in kinds):
+    if max(shape) <= dense.MAX_DENSE_NODES and all(low == high for low, high in kinds):
         halves = [dense.halves(n, low) for n, (low, _) in zip(shape, kinds, strict=True)]
     return _Sides(ghost, const, kinds, halves, _brought(shape, const) if halves else None)
 

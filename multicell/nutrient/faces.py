@@ -55,11 +55,13 @@ def by_parabola(values: FloatArray, axes: int) -> FloatArray:
     """
     for axis in range(axes):
         v = np.moveaxis(values, axis, 0)
-        values = np.moveaxis(np.concatenate([beyond(v)[None], v, beyond(v[::-1])[None]]), 0, axis)
+        values = np.moveaxis(
+            np.concatenate([extrapolate_face(v)[None], v, extrapolate_face(v[::-1])[None]]), 0, axis
+        )
     return np.ascontiguousarray(values)
 
 
-def beyond(v: FloatArray) -> FloatArray:
+def extrapolate_face(v: FloatArray) -> FloatArray:
     """Return what comes before the first entry along the first axis, by the parabola there."""
     if len(v) >= 3:
         return np.asarray(3.0 * v[0] - 3.0 * v[1] + v[2])

@@ -14,7 +14,7 @@ from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball, reaching
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
-    from multicell.nutrient.balance import Exchange, WellMixed
+    from multicell.nutrient.balance import FieldExchange, WellMixed
     from multicell.nutrient.equations.substance import Schedule
     from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.parameters import FieldParameters
@@ -68,7 +68,7 @@ class NutrientField:
         production: FloatArray | None = None,
         radius: FloatArray | None = None,
         time: float = 0.0,
-    ) -> Exchange:
+    ) -> FieldExchange:
         """Solve for the steady field that the cells' uptake and secretion leave.
 
         Cell i takes up ``capacity_i * sum_g w_ig c_g / (K + c_g)``, with the weights w_ig of its
@@ -93,10 +93,13 @@ class NutrientField:
 
     def attach_medium(self) -> None:
         """Let a finite medium lie round the grid, as it is at the start."""
-        from multicell.nutrient.balance import WellMixed, beyond
+        from multicell.nutrient.balance import WellMixed, volume_beyond_grid
 
         nutrient = self.parameters.nutrient
-        volume, level = beyond(self.name, nutrient, self.layout.whole), nutrient.medium(0.0)
+        volume, level = (
+            volume_beyond_grid(self.name, nutrient, self.layout.whole),
+            nutrient.medium(0.0),
+        )
         done = sum(time <= 0.0 for time, _ in nutrient.media or ())
         self.well_mixed = WellMixed(level * volume, volume, level * volume, changes=done)
 

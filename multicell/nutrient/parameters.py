@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, final
 
-from multicell.scene.scales import _faces, _side, height, regime, spacing
+from multicell.scene.scales import _faces, _side, largest_spacing, layer_height, regime
 
 if TYPE_CHECKING:
     from multicell.nutrient.equations.substance import Schedule
@@ -41,7 +41,7 @@ class FieldParameters:
         """Return the parameters of a field of a scene."""
         nutrient = scene.nutrients[name]
         return cls(
-            nutrient, spacing(scene, name), height(scene, name), regime(scene, name),
+            nutrient, largest_spacing(scene, name), layer_height(scene, name), regime(scene, name),
             scene.dimensions, scene.box,
         )  # fmt: skip
 

@@ -16,7 +16,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient.faces import ghost_terms
-from multicell.nutrient.steady import TOLERANCE, SolveReport
+from multicell.nutrient.steady import BALANCE_TOLERANCE, SolveReport
 from multicell.nutrient.uptake import rate, uptake, uptake_and_slope
 
 _MAX_NEWTON = 60  # and as many more as there are shells: the edge of a starved core may move by one
@@ -107,7 +107,7 @@ class Shells:
         left, total = problem.residual(c)
         for newton in range(_MAX_NEWTON + self.count):
             size = float(np.abs(left).sum())
-            if size <= max(TOLERANCE * total, problem.rounding(c)):
+            if size <= max(BALANCE_TOLERANCE * total, problem.rounding(c)):
                 if c.min() < 0.0:
                     c = problem.lifted(c)
                     size = float(np.abs(problem.residual(c)[0]).sum())

@@ -17,7 +17,7 @@ Progress = Callable[["Simulation"], None]
 
 
 @contextmanager
-def shown(scene: Scene, progress: Progress | bool | None) -> Iterator[Progress | None]:
+def progress_callback(scene: Scene, progress: Progress | bool | None) -> Iterator[Progress | None]:
     """Yield what is called after every coupling step: what was given, or for True a bar's."""
     if not isinstance(progress, bool):
         yield progress

@@ -181,9 +181,9 @@ class Result:
         MissingPackage
             If xarray is not installed.
         """
-        from multicell.results.tables import history_arrays
+        from multicell.results.tables import history_dataset
 
-        return history_arrays(self.history, self.scene.to_toml())
+        return history_dataset(self.history, self.scene.to_toml())
 
     def to_pandas(self, table: str = "history") -> DataFrame:
         """Return a table of the run, its columns titled with their units as in CSV files.
@@ -222,7 +222,7 @@ class Result:
         return write_report(self, folder)
 
 
-def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
+def history_columns(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
     """Return rows of a history as one array per column."""
     rows = list(rows)
     if any(set(row) != set(rows[0]) for row in rows):

@@ -22,7 +22,7 @@ from multicell.host.interrupts import UNCUT
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
 
-FILES: Final = (
+RUN_FILES: Final = (
     "scene.toml",
     *COPIES,
     "frames.h5",

@@ -193,20 +193,20 @@ def represented(scene: Scene, count: int) -> int:
     return count if each is None else round(count * each)
 
 
-OWN: Final[dict[str, Observable]] = {}
+OWN_OBSERVABLES: Final[dict[str, Observable]] = {}
 """Observables of the user's own by ``function``, as :func:`multicell.observable` enters them."""
 
 
 def find_own(name: str, stated: OwnObservable) -> Observable:
     """Return the observable that a scene names."""
     path, function = f"output.observables.{name}", stated.function
-    found = OWN.get(function)
+    found = OWN_OBSERVABLES.get(function)
     if found is not None and found.name == name:
         if found.unit != stated.unit:
             raise SceneError(f"{path}.unit", f"is '{stated.unit}', must be '{found.unit}'")
         return found
     source = function.partition("@")[0]
-    newer = [known for known in OWN if known.startswith(f"{source}@")]
+    newer = [known for known in OWN_OBSERVABLES if known.startswith(f"{source}@")]
     hint = f"No scene runs a file by itself: name it with --observable {source}, or import it."
     if newer:
         hint = f"'{source}' has changed since: as it is now it is '{newer[-1]}'."

@@ -3,7 +3,7 @@
 Lengths of cells grow by a factor f, lengths of the tissue stay. A continuum does not notice if
 stress, friction per volume, uptake per volume and all times stay: with r the radius of a cell and
 r⁻³ cells in a volume, a force between cells must grow as r² (stress F r / r³), a force or an uptake
-of a cell as r³. From this follow the powers of f in :data:`LAWS`.
+of a cell as r³. From this follow the powers of f in :data:`SCALING_EXPONENTS`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _SAME: Final[Mapping[str, str]] = {
 }
 """Keys with lengths of the tissue and of its fields, which stay."""
 
-LAWS: Final[Mapping[str, int | str]] = {
+SCALING_EXPONENTS: Final[Mapping[str, int | str]] = {
     # sizes and numbers of cells
     "cells.division_radius": 1,
     "cells.represents": 3,
@@ -152,7 +152,7 @@ def _scaled(part: Any, where: str, factor: float) -> dict[str, Any]:
         value, key = getattr(part, name), f"{where}.{name}" if where else name
         if value is None or (isinstance(value, Tables) and not value):
             continue
-        law = LAWS.get(key, 0)
+        law = SCALING_EXPONENTS.get(key, 0)
         if isinstance(law, str):
             raise SceneError(key, f"cannot be made coarse: it {law}")
         plain = spec.plain(value)

@@ -22,9 +22,9 @@ from multicell.behaviours.catalogue import (
     signal_unit,
 )
 from multicell.behaviours.laws import (
-    OWN,
+    OWN_RESPONSES,
     RESPONSE_LAWS,
-    Linear,
+    LinearResponse,
     Monod,
     ResponseLaw,
     Threshold,
@@ -39,7 +39,7 @@ from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
     Tables,
-    build,
+    build_part,
     choice,
     flag,
     measure,
@@ -82,7 +82,7 @@ class Response:
     )  # fmt: skip
     cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")
     law: str = choice(
-        RESPONSE_LAWS, default="hill", doc="by which it responds", other=loaded_in(OWN),
+        RESPONSE_LAWS, default="hill", doc="by which it responds", other=loaded_in(OWN_RESPONSES),
         further=OWN_OBJECT,
     )  # fmt: skip
     falls: bool = flag(default=False, doc="whether the effect falls as the signal rises")
@@ -156,7 +156,7 @@ def effects(scene: Scene) -> tuple[Effect, ...]:
     return (*_short_forms(scene), *named)
 
 
-def read_fields(scene: Scene) -> set[str]:
+def relevant_fields(scene: Scene) -> set[str]:
     """Return the fields that matter to cells, fields and reactions of a scene."""
     read = {*followed(scene), *(part.oxygen for part in scene.radiation.values())}
     read |= {signal for effect in effects(scene) for signal in effect.signals}
@@ -212,7 +212,7 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
         yield from needs(scene.energy, "ATP", "energy")
     if scene.growth is not None and scene.growth.critical_pressure is not None:
         key, critical = "growth.critical_pressure", scene.growth.critical_pressure
-        yield short("growth rate", "pressure", Linear(0.0, critical), key, falls=True)
+        yield short("growth rate", "pressure", LinearResponse(0.0, critical), key, falls=True)
         yield short("rest", "pressure", Threshold(critical), key, falls=False)
 
 
@@ -249,9 +249,9 @@ def _ends(
 
 
 def _law(part: Response) -> ResponseLaw:
-    if part.law in OWN:
-        law = OWN[part.law]
-        made: ResponseLaw = build(law, part.parameters or {}, "parameters")
+    if part.law in OWN_RESPONSES:
+        law = OWN_RESPONSES[part.law]
+        made: ResponseLaw = build_part(law, part.parameters or {}, "parameters")
         if law.signals != len(part.signals):
             problem = f"names {len(part.signals)}, but the law takes {law.signals}"
             raise SceneError("signal", problem)
@@ -285,7 +285,7 @@ def check_responses(scene: Scene) -> None:
             raise SceneError(f"{effect.key}.combine", problem, hint)
 
 
-def unit_of(scene: Scene, part: Response, key: str) -> str:
+def response_unit(scene: Scene, part: Response, key: str) -> str:
     """Return the base unit of one of a response's numbers."""
     if key in ("base", "largest"):
         return behaviour_named(part.behaviour, "behaviour")[0].unit
@@ -297,7 +297,7 @@ def in_base_units(scene: Scene, part: Response) -> Response:
     behaviour, of = behaviour_named(part.behaviour, "behaviour")
     _check_behaviour(scene, behaviour, of)
     check_kinds(scene, "cells", part.cells)
-    if len(part.signals) > 1 and part.law not in OWN:
+    if len(part.signals) > 1 and part.law not in OWN_RESPONSES:
         hint = "Give each a response of its own."
         raise SceneError("signal", "names several, as only laws of the user's own have", hint)
     for signal in part.signals:
@@ -374,7 +374,7 @@ def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
         raise SceneError("behaviour", problem, near_miss(of, known))
     growth, name = scene.growth, behaviour.name
     phases = growth is not None and bool(growth.phases)
-    grows = ("growth rate", "rest", "mutation to", "entry into")
+    grows = ("growth rate", "rest", "mutation to", "asymmetric division to", "entry into")
     lacking = {
         "[growth]": name in grows and growth is None,
         "[growth.phases]": name == "entry into" and not phases,

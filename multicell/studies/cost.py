@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import OutputError
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.studies.plan import Plan
 
-NAME: Final = "expected.json"
+EXPECTED_FILE: Final = "expected.json"
 """File in the folder of a study: what its runs are expected to take, by their names."""
 _MAX_PREDICTED: Final = 300  # points of a study; a prediction takes 15 to 400 ms
 
@@ -82,7 +82,7 @@ def costs_of(plan: Plan, folder: Path) -> list[Cost]:
 
     - ``folder``: of the study; what is found is kept there for the next time
     """
-    known = _read_known(folder / NAME)
+    known = _read_known(folder / EXPECTED_FILE)
     names = plan.names[:: plan.seeds]
     costs = [known.get(name) for name in names]
     step = -(-len(costs) // _MAX_PREDICTED)
@@ -92,14 +92,14 @@ def costs_of(plan: Plan, folder: Path) -> list[Cost]:
             cost = found[-1] if number % step else cost_of(scene)
         found.append(cost)
     if None in costs and folder.is_dir():
-        _store(folder / NAME, names, found)
+        _store(folder / EXPECTED_FILE, names, found)
     return found
 
 
 def _read_known(path: Path) -> dict[str, Cost]:
     """Return what was found before; nothing where that cannot be read: it is found again."""
     try:
-        entries: Mapping[str, Any] = read_table(path) or {}
+        entries: Mapping[str, Any] = read_document(path) or {}
         return {name: Cost(**{k: float(v) for k, v in e.items()}) for name, e in entries.items()}
     except (OutputError, ValueError, TypeError, AttributeError):
         return {}

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast, final
 
 from multicell.errors import ClusterError, ExitCode
 from multicell.host.extras import needs, quiet
-from multicell.host.interrupts import STEP
+from multicell.host.interrupts import WHOLE_STEP
 from multicell.results.folder import file_errors, versions
 from multicell.studies.limits import check_cores
 from multicell.studies.runs import MODEL_VERSION
@@ -116,7 +116,7 @@ def bounded(call: Callable[[], Result], seconds: float = _SILENCE) -> Result:
     Thread(target=ask, daemon=True).start()
     end = clock.monotonic() + seconds
     while True:
-        STEP.deliver()
+        WHOLE_STEP.deliver()
         try:
             found, error = answers.get(timeout=0.1)
         except Empty:

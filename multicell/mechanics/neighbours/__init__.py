@@ -20,13 +20,13 @@ from multicell.mechanics.neighbours.pair_list import (
     are_listed,
     listed,
 )
-from multicell.mechanics.neighbours.updating import BUILT, CROWDED, REPAIRED
+from multicell.mechanics.neighbours.updating import BUILT, REPAIRED, TOO_CROWDED
 
 __all__ = [
     "BUILT",
     "CHUNK",
-    "CROWDED",
     "REPAIRED",
+    "TOO_CROWDED",
     "IndexArray",
     "NeighbourList",
     "OffsetArray",

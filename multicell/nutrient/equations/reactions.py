@@ -12,11 +12,11 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.placed import PlacedSubstance
-from multicell.nutrient.reactions.coupled import Coupled, settle
+from multicell.nutrient.reactions.coupled import Coupled, settle_fields
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
 from multicell.nutrient.reactions.kinetics import Kinetics, kinetics_of
 from multicell.nutrient.steady import SolveReport, StepRefused
-from multicell.scene.nutrient import MOST
+from multicell.scene.nutrient import MAX_CONCENTRATION
 
 Nodes = Mapping[str, FloatArray]
 
@@ -91,10 +91,10 @@ class Reactions:
         coupled = Coupled(self.substances, self.kinetics, self.tissue, t)
         first = self._flat(start)
         if before is None:
-            c = settle(coupled, np.maximum(first, 0.0))
+            c = settle_fields(coupled, np.maximum(first, 0.0))
         else:
             c = coupled.step(self._flat(before), first, dt)
-            if float(c.max()) > MOST:
+            if float(c.max()) > MAX_CONCENTRATION:
                 names = ", ".join(each.name for each in self.substances)
                 problem = f"one of {names} became denser than water"
                 raise NutrientFailed(problem, "Look at what is secreted and made of it")

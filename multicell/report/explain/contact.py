@@ -7,15 +7,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from multicell.contact.pair import Pair
-from multicell.report.explain.items import Number, Part, hours, pair_label, part
+from multicell.report.explain.items import ExplainedPart, Number, hours, pair_label, part
 from multicell.scene.packing import collapse_notes, strongest_attraction
-from multicell.scene.pairs import daughters_stiffness, drag, pairs
+from multicell.scene.pairs import daughters_stiffness, drag, type_pairs
 from multicell.scene.parts import Motility
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
 
 
-def contact_parts(scene: Scene) -> list[Part]:
+def contact_parts(scene: Scene) -> list[ExplainedPart]:
     """Return contact law and what else acts between and on cells, used or absent."""
     active, load = scene.motility, scene.pull
     given = any(kind.surface_energy is not None for kind in scene.types.values())
@@ -74,7 +74,7 @@ def contact_numbers(scene: Scene) -> list[Number]:
         Number("typical radius", radius, "um", meaning),
         Number("drag", drag(scene, radius), "nN s/um", "6 pi eta r of a typical cell"),
     ]
-    for label, pair in pairs(scene, radius):
+    for label, pair in type_pairs(scene, radius):
         numbers += _pair_numbers(scene, label, pair)
     meaning = "for two fresh daughters alone; several times less in tissue"
     numbers.append(Number("explicit step limit", limit, "s", meaning))
@@ -84,7 +84,7 @@ def contact_numbers(scene: Scene) -> list[Number]:
 def contact_notes(scene: Scene) -> Iterator[str]:
     """Yield remarks on contact and motion that are allowed but may not be meant."""
     yield from collapse_notes(scene)
-    own = list(pairs(scene, typical_radius(scene)))
+    own = list(type_pairs(scene, typical_radius(scene)))
     if scene.contact.without_adhesion and all(pair.deepest()[0] == 0.0 for _, pair in own):
         yield scene.contact.without_adhesion
     active = scene.motility
@@ -170,5 +170,5 @@ def _pull(scene: Scene) -> list[Number]:
     meaning = "that separates two cells as they are at the start"
     return [
         Number(pair_label("critical load", label), pair.deepest()[0], "nN", meaning)
-        for label, pair in pairs(scene, radius)
+        for label, pair in type_pairs(scene, radius)
     ]

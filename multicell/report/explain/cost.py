@@ -17,7 +17,7 @@ from multicell.cells import FloatArray
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.runge_kutta import Euler, Heun, RungeKutta4
 from multicell.nutrient.parameters import FieldParameters
-from multicell.report.explain.course import Course, course
+from multicell.report.explain.course import Course, expected_course
 from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
 from multicell.scene.pairs import daughters_stiffness, drag
@@ -64,7 +64,7 @@ class Prediction:
 
 def predict(scene: Scene) -> Prediction:
     """Return what a run of a scene with an output folder is expected to take."""
-    found = course(scene)
+    found = expected_course(scene)
     end = float(found.times[-1])
     steps = max(1.0, end / scene.coupling_step)
     frames = min(math.ceil(end / scene.output.every), steps) + 1.0

@@ -15,11 +15,11 @@ from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
 from multicell.report.explain.cost import cost_notes, cost_numbers, predict
-from multicell.report.explain.items import Number, Part, hours, part
+from multicell.report.explain.items import ExplainedPart, Number, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
-from multicell.scene.parts import PHASES
+from multicell.scene.parts import CYCLE_PHASES
 from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
@@ -47,7 +47,7 @@ def explain(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _parts(scene: Scene) -> list[Part]:
+def _parts(scene: Scene) -> list[ExplainedPart]:
     told = effects(scene) if scene.responses else ()
     method = scene.integrator.method
     info = METHODS.get(method) or MethodInfo(method)
@@ -59,10 +59,10 @@ def _parts(scene: Scene) -> list[Part]:
         *contact_parts(scene),
         part("growth", _growth_words(scene)),
         part("death", _death_words(scene)),
-        *(Part(e.key, True, _sentence(scene, e)) for e in told if not e.short),
+        *(ExplainedPart(e.key, True, _sentence(scene, e)) for e in told if not e.short),
         part("radiation", "; ".join(_radiation_words(scene))),
         *_taxis(scene),
-        Part("domain", scene.domain is not None, _domain_words(scene)),
+        ExplainedPart("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
         part("integrator", integrator),
         part("output", f"a frame every {hours(scene.output.every)}"),
@@ -108,7 +108,9 @@ def _growth_words(scene: Scene) -> str:
     given = ", ".join(f"{name} = {x:g}" for name, x in (growth.parameters or {}).items())
     words += f" ({given})" if given else ""
     if growth.phases:
-        lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
+        lengths = ", ".join(
+            f"{name} {hours(growth.phases[name].duration)}" for name in CYCLE_PHASES
+        )
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
         words += f"; phases {lengths}, rest {rest}"
         words += "" if growth.hypertrophy else "; none grows beyond the volume of division"
@@ -188,7 +190,7 @@ def _radiation_words(scene: Scene) -> Iterator[str]:
         yield f"{words}; the others die {when}"
 
 
-def _taxis(scene: Scene) -> list[Part]:
+def _taxis(scene: Scene) -> list[ExplainedPart]:
     """Return the forces along gradients, with the drift of a free cell."""
     resistance = drag(scene, birth_radius(scene))
     parts = []
