@@ -89,7 +89,6 @@ RESPONSE_LAWS'''
 OBSERVABLE = """OBSERVABLES: Final = (
     Observable("largest_cell", lambda s: s.cells.radius.max(initial=0.0), unit="um", doc="its r"),
 """
-STEADY = "@final\nclass SteadyFieldSolver"
 DRAG = '"""Stokes drag 6πηr of the medium on every cell."""\n'
 KEY = '\n    crowding: float = number(default=1.0, at_least=1.0, doc="more viscous by it")\n'
 VISCOSITY = "        scene.drag.viscosity"
@@ -107,7 +106,9 @@ RECIPES = {
         ],
     },
     "method": {"integrators/runge_kutta.py": [("METHODS = (Euler", METHOD)]},
-    "field solver": {"nutrient/equations/solvers.py": [(STEADY, SOLVER)]},
+    "field solver": {
+        "nutrient/equations/solvers.py": [("@final\nclass SteadyFieldSolver", SOLVER)]
+    },
     "response": {"behaviours/laws.py": [
         ("RESPONSE_LAWS", RESPONSE), (HILL, HILL + '    "exponential": Exponential,\n')]},
     "observable": {"results/measures.py": [("OBSERVABLES: Final = (\n", OBSERVABLE)]},

@@ -1,4 +1,4 @@
-"""What cells do about what they find: the values of behaviours that respond to signals.
+"""Responses of cells to signals: the values of behaviours.
 
 Several responses of one behaviour combine by a rule. With v the value without any, v_k that of
 response k alone, all of them of the same cell:
@@ -119,7 +119,7 @@ def bind_responses(scene: Scene) -> dict[str, tuple[BoundResponse, ...]]:
 
 
 def _level(scene: Scene, signals: tuple[str, ...]) -> tuple[Level, set[str]]:
-    """Return what finds signals, and the names of all that they are made from."""
+    """Return a function that reads signals, and the names of all that they are made from."""
     if not signals:
         return _count, set()
     levels, names = zip(*(_one_level(scene, name) for name in signals), strict=True)

@@ -135,7 +135,7 @@ class RunState(ABC):
         self.field_system.restore(frame)
 
     def _progress(self) -> Progress:
-        """Return what a frame needs so that the run can be resumed from it."""
+        """Return the part of a frame from which the run can be resumed."""
         return Progress(
             **{name: getattr(self, name) for name in _NOTED},
             **self.field_system.progress(),
@@ -181,7 +181,7 @@ class RunState(ABC):
 
     @property
     def ledger(self) -> dict[str, Ledger]:
-        """What has come in, been taken up, secreted, stored ... of each nutrient."""
+        """Totals of each nutrient: inflow, uptake, secretion, storage ..."""
         return self.field_system.ledger
 
     @property
@@ -216,7 +216,7 @@ class RunState(ABC):
         return PhaseTimer(self.wall, name)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return what :meth:`restore` needs to undo a step.
+        """Return the state for :meth:`restore`, which undoes a step.
 
         A step makes new arrays and does not write into those that are there: to keep them is
         to remember them. Logs and accounts only grow.

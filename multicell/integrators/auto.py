@@ -121,7 +121,7 @@ class Auto(ErrorControl):
         return outcome
 
     def choose(self, system: Mechanics, position: FloatArray) -> Choice:
-        """Return what to do in the coupling step of ``system``, as at its beginning.
+        """Choose a method for the coupling step of ``system``, as at its beginning.
 
         λ is not measured in one that is surely mild.
         """

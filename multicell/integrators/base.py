@@ -245,7 +245,7 @@ def hold(info: MethodInfo, system: Mechanics) -> None:
 
 
 def info_of(method: Any) -> MethodInfo:
-    """Return what is known of a method: a class, an integrator, or what is known already.
+    """Return the information on a method: a class, an integrator, or the information itself.
 
     A class without ``info`` is known by its name and the first line of its docstring. What an
     integrator is made with again is what it was made with.

@@ -170,7 +170,7 @@ def _failure(
 def source_of(
     system: Mechanics, counts: Any, *, passes: bool = False, watched: bool = False
 ) -> tuple[stepping.Source, forces.PairData]:
-    """Return what a loop needs, with a neighbour list of its own."""
+    """Return the arguments of a loop, with a neighbour list of its own."""
     known, pairs, shared = system.kernel_data()
     source = stepping.Source(*known, counts)
     watched = watched and stepping.meets_driven(system)

@@ -65,7 +65,7 @@ class Scipy(ErrorControl):
 
     @property
     def info(self) -> MethodInfo:
-        """What is known of the method."""
+        """Information on the method."""
         return _INFOS[self.name]
 
     def __post_init__(self) -> None:

@@ -54,7 +54,7 @@ _BLOCK = 1024  # numbers of an array that are worked on at a time
 
 
 class Source(NamedTuple):
-    """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
+    """Arguments of the kernels besides the pairs; ``cells.reference``, ``.margin`` are written.
 
     ``forces_at``, ``rebuild_at`` and ``repair_at`` (0: lists are not repaired) are the addresses of
     the kernels, for one thread or for all, ``evaluation_at`` that of the function that calls them.

@@ -1,4 +1,4 @@
-"""What is known of the cells during one coupling step, and what its integration has cost."""
+"""The cells' motion during one coupling step as integrators see it, and its cost."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Work:
 @final
 @dataclass
 class Motion:
-    """What is known of the cells during one coupling step, from ``begin`` to ``end``.
+    """Motion of the cells during one coupling step, from ``begin`` to ``end``.
 
     - ``radius``, ``radius_rate``, (n,): radius at ``begin``, µm, and its constant rate, µm/s
     - ``young``, ``poisson``, (n,): elastic constants, kPa and dimensionless

@@ -20,6 +20,7 @@ from multicell.contact.law import PairLaw, compliance
 from multicell.mechanics import blocks, forces, neighbours, pair_values
 from multicell.mechanics.motion import Motion, StateRejected, Work
 from multicell.mechanics.neighbours import NeighbourList, PairList
+from multicell.mechanics.rows import COMPLIANCE, RADIUS
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ class Mechanics:
             medium_drag=self.drag,
         )
         self._rows = np.zeros((n, width))
-        self._rows[:, 4] = compliance(motion.young, motion.poisson)
+        self._rows[:, COMPLIANCE] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)
         self.neighbours = NeighbourList(
             self._list_radius(largest),
@@ -334,7 +335,7 @@ class Mechanics:
         self._fill_blocks(linear)
         if self._pair_friction is not None:
             # the drag that the blocks are divided by is that of Γ's diagonal
-            stokes = self.drag * self._rows[:, 3]
+            stokes = self.drag * self._rows[:, RADIUS]
             self._blocks *= (stokes / self._pair_friction.diagonal())[:, None]
         if len(self._inverse) < len(self):
             self._inverse = np.empty((len(self), 6))
@@ -393,7 +394,7 @@ class Mechanics:
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
         self._resist(pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
-        return np.asarray(virials / (3.0 * SPHERE * cubes(self._rows[:, 3])))
+        return np.asarray(virials / (3.0 * SPHERE * cubes(self._rows[:, RADIUS])))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
         """Return an upper bound on the decay rates of the linearised motion, 1/s.
@@ -408,7 +409,7 @@ class Mechanics:
         xx, yy, zz, xy, xz, yz = self._blocks.T
         full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
         largest = np.linalg.eigvalsh(full)[:, -1]
-        return float((2.0 * largest / (self.drag * self._rows[:, 3])).max())
+        return float((2.0 * largest / (self.drag * self._rows[:, RADIUS])).max())
 
     def _fill_blocks(self, linear: Linearisation) -> None:
         linear = linear.stiffened()
@@ -503,7 +504,7 @@ class Mechanics:
             problem = neighbours.too_many_pairs(len(self))
             raise StateRejected(f"cells lie on top of each other ({problem})")
         self._pair_data = pair_values.pair_data(
-            pairs, self.law, self.motion, self.surface_energies, self._rows[:, 4]
+            pairs, self.law, self.motion, self.surface_energies, self._rows[:, COMPLIANCE]
         )
         return pairs
 

@@ -313,7 +313,7 @@ class FieldSystem:
         return FieldExchange(made=none, used=none)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return what :meth:`undo` needs to undo an :meth:`advance`."""
+        """Return the state for :meth:`undo`, which undoes an :meth:`advance`."""
         return {
             "fields": {name: field.snapshot() for name, field in self.fields.items()},
             "ledger": {name: vars(account).copy() for name, account in self.ledger.items()},
@@ -370,7 +370,7 @@ class FieldSystem:
         return found
 
     def progress(self) -> dict[str, Any]:
-        """Return what a frame needs so that the fields can be resumed from it."""
+        """Return the part of a frame from which the fields can be resumed."""
         return {
             "ledger": {name: account.entries() for name, account in self.ledger.items()},
             "rates": {name: report.entries() for name, report in self.reports.items()},
@@ -468,7 +468,7 @@ class FieldSystem:
             self._uptake[name] = field.uptake(cells.position, capacity, cells.radius)
 
     def _uptake_rate(self, name: str, cells: Cells) -> float:
-        """Return what all cells take up of a field now, amol/s."""
+        """Return the uptake of a field by all cells now, amol/s."""
         capacity = self._capacity(name, cells, self.concentrations)
         return float(self.fields[name].uptake(cells.position, capacity, cells.radius).sum())
 

@@ -193,7 +193,7 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
         return Effect(what, (signal,), law, falls, 0.0, high, (), combine, key, short=True)
 
     def needs(part: Any, signal: str, path: str) -> Iterator[Effect]:
-        """Yield what cells need of a field or of ATP."""
+        """Yield the needs of cells of a field or of ATP."""
         laws: dict[str, tuple[str, Any, bool, float]] = {
             "growth_half_saturation": ("growth rate", Monod, False, 1.0),
             "growth_inhibition": ("growth rate", Monod, True, 1.0),
@@ -217,7 +217,7 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
 
 
 def _effect(scene: Scene, name: str, part: Response) -> Effect:
-    """Return what a response says; it has been checked."""
+    """Return the effect of a response; it has been checked."""
     behaviour, _ = behaviour_named(part.behaviour, "behaviour")
     full = part.behaviour if behaviour.of else behaviour.name
     low, high = _ends(scene, behaviour, part, falls=part.falls)
@@ -353,7 +353,7 @@ def check_signal(scene: Scene, name: str, path: str) -> None:
 
 
 def _signal_reader(scene: Scene, name: str) -> Any:
-    """Return what reads a value of a signal; of oxygen also as a pressure or a percentage."""
+    """Return a reader of a signal's values; of oxygen also as a pressure or a percentage."""
     read = reader(signal_unit(name, scene.nutrients, "signal"), Bounds())
 
     def oxygen(value: Any, path: str) -> float:

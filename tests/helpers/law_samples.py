@@ -7,9 +7,7 @@ from multicell.contact.registry import CONTACT_LAWS
 from multicell.contact.springs import LinearSpring
 from multicell.schema import specs
 
-NAMES = [
-    name for name in CONTACT_LAWS if ":" not in name
-]  # without those that other tests have made
+NAMES = [name for name in CONTACT_LAWS if ":" not in name]  # not those that other tests have made
 
 
 def unusual(kind):

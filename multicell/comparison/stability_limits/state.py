@@ -1,4 +1,4 @@
-"""Where stability is measured: a state of the cells, its largest decay rate, its true course.
+"""The state at which stability is measured: its largest decay rate, its true course.
 
 Nothing but contacts (and walls) acts, and radii are constant, so that the energy can only fall: a
 method under which it rises is wrong.

@@ -1,4 +1,4 @@
-"""What a scene's cells do to each other, for :mod:`multicell.report.explain.scene`."""
+"""Explanation of the contacts of a scene's cells."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _motility_words(law: Motility) -> str:
 
 
 def contact_numbers(scene: Scene) -> list[Number]:
-    """Return what two cells of typical size do, for every two types."""
+    """Return the numbers of a contact of two typical cells, for every two types."""
     radius = typical_radius(scene)
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
     fixed = birth_radius(scene) == radius

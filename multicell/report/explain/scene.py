@@ -1,4 +1,4 @@
-"""What a scene uses and why, with the numbers that follow from it before anything is run."""
+"""Explanation of a scene: its parts, and the numbers that follow from it before a run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from multicell.scene.steps import step_plan
 
 
 def explain(scene: Scene) -> dict[str, Any]:
-    """Return what a scene uses and the numbers that follow from it.
+    """Return the parts of a scene that are used and the numbers that follow from it.
 
     Returns dict: ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
     ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that do not

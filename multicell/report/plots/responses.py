@@ -1,4 +1,4 @@
-"""What cells do about what they find: each behaviour over its signals."""
+"""Plots of responses: each behaviour over its signals."""
 
 from __future__ import annotations
 
