@@ -273,7 +273,7 @@ _PLACES: dict[Any, dict[str, Any]] = {}
 def stepping_kernels(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, tuple[Any, ...]]:
-    """Return what :func:`address_of` takes of the kernels by their names in :class:`Source`."""
+    """Return the kernels as :func:`address_of` takes them, by their names in :class:`Source`."""
     place = np.empty((0, 3))
     run = forces.forces_parallel if shared else forces.forces
     known: dict[str, tuple[Any, ...]] = {

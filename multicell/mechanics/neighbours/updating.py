@@ -91,7 +91,7 @@ def kernel_calls(
 
 
 def kernels(n: int, *, shared: bool) -> tuple[Any, Any]:
-    """Return what builds lists of ``n`` cells, and what repairs them; 0 where they are not.
+    """Return the kernels that build lists of ``n`` cells and repair them; 0 where they are not.
 
     - ``shared``: for all threads, not for one
     """
