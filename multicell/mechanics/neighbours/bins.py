@@ -19,7 +19,7 @@ from multicell.mechanics.neighbours.pair_list import IndexArray, OffsetArray
 _BINS_PER_CELL = 24
 _SPARE_BINS = 4096
 SLICES = 4  # bins along x for each along y and z
-BLOCK = 512  # candidates that are tested in one go
+SEARCHED = 512  # candidates that are tested in one go
 
 
 class Bins(NamedTuple):
