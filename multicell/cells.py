@@ -46,7 +46,7 @@ class Phase(IntEnum):
 
 @final
 class State(IntEnum):
-    """What a cell does; the values are those stored in :attr:`Cells.state`."""
+    """State of a cell; the values are those stored in :attr:`Cells.state`."""
 
     PROLIFERATING = 0
     QUIESCENT = 1

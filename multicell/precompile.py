@@ -154,7 +154,7 @@ def first_method(scene: Scene) -> Integrator:
 
 
 def parts(system: Mechanics, position: FloatArray, method: AdaptiveAdams) -> dict[str, list[Any]]:
-    """Return what takes longest first, each as :func:`multicell.compiling.address_of` takes it.
+    """Return the parts for :func:`multicell.compiling.address_of`, the slowest to compile first.
 
     Nothing is run, so that no part needs the code of another one. Those that share functions, which
     are compiled once in a process, are one part.

@@ -487,7 +487,7 @@ def _taken(frame: Frame, index: IntArray) -> Frame:
 
 
 def _observed(observable: Observable, state: TissueState, key: str) -> Iterator[str]:
-    """Yield what is wrong with an observable in a state."""
+    """Yield the faults of an observable in a state."""
     order = np.random.default_rng(7).permutation(len(state.cells))
     turned = TissueState(_taken(state.frame, order), state.scene)
     states = (state, state, turned)

@@ -69,3 +69,32 @@ def test_what_the_package_offers_comes_from_one_module_each():
 
 def _source(module):
     return PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py")
+
+
+QUESTIONS = ("What", "How", "Where", "Whether", "Which", "Who", "Return what", "Yield what")
+
+
+def titles_like_questions(folder):
+    """Return the docstrings that begin with a question where a noun could be searched for.
+
+    A function may begin with 'Whether': it says that a value is a bool.
+    """
+    found = []
+    for path in sorted(folder.rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        kinds = ast.Module | ast.FunctionDef | ast.ClassDef
+        for item in (item for item in ast.walk(tree) if isinstance(item, kinds)):
+            title = (ast.get_docstring(item) or "").split("\n")[0]
+            asked = QUESTIONS if isinstance(item, ast.Module) else ("What", *QUESTIONS[-2:])
+            if title.startswith(tuple(f"{word} " for word in asked)):
+                found.append(f"{path.relative_to(folder).as_posix()}: {title}")
+    return found
+
+
+def test_titles_name_their_subject():
+    assert titles_like_questions(PACKAGE) == []
+
+
+def test_titles_that_ask_are_seen(tmp_path):
+    (tmp_path / "a.py").write_text('"""How it goes."""\ndef f():\n    """Return what is."""\n')
+    assert titles_like_questions(tmp_path) == ["a.py: How it goes.", "a.py: Return what is."]

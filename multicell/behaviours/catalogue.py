@@ -14,7 +14,7 @@ from multicell.schema import near_miss
 @final
 @dataclass(frozen=True)
 class Behaviour:
-    """What responses may change.
+    """A behaviour of cells, which responses may change.
 
     Attributes
     ----------

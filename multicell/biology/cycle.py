@@ -273,7 +273,7 @@ def place_by_volume(plan: BiologyPlan, cells: Cells, volume: FloatArray) -> None
 
 
 def time_before_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
-    """Return what cells have behind them before their phase, (n, 2) s: all time, time of growth.
+    """Return the time of cells before their phase, (n, 2) s: all time, time of growth.
 
     Those in G0 have G1 behind them.
     """

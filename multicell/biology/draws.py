@@ -1,4 +1,4 @@
-"""What each cell draws: its durations, type and modulus, and where in its cycle it starts.
+"""Random draws of each cell: durations, type, modulus, and place in the cycle at the start.
 
 A newborn cell draws its durations from the distributions of the scene. The living cells of a
 population that has grown for long are no sample of newborn ones. Where nothing limits growth, and

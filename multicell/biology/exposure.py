@@ -1,4 +1,4 @@
-"""What a coupling step knows of signals in time, and the integrals of rates over it.
+"""Exposure of cells over a coupling step: signals in time, and integrals of rates over them.
 
 A rate acts through its integral over the step, from signals that are linear in time between the
 moments at which they are known: the step's two ends, and for transient fields the times of their
@@ -99,7 +99,7 @@ class Exposure:
         return np.asarray(first + part * (last - first))
 
     def _course(self, name: str) -> Course:
-        """Return what is known of a signal in time, or of a column that signals are made of."""
+        """Return a signal in time, or a column that signals are made of."""
         if name not in self._known:
             if name in _CARRIED:
                 ends = self._ends(name)

@@ -1,4 +1,4 @@
-"""What mechanics must know of a scene's cells between two times."""
+"""Input of mechanics from biology: radii, receptors and forces between two times."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def motion_of(
     contacts: IntArray,
     named: Named | None = None,
 ) -> Motion:
-    """Return what mechanics must know of the cells between two times.
+    """Return the motion of cells between two times as mechanics needs it.
 
     - ``cells``: at ``begin``, n of them
     - ``radius``, (n,), µm: at ``end``

@@ -1,4 +1,4 @@
-"""What cells do about what they find: the values of behaviours that respond to signals.
+"""Responses of cells to signals: the values of behaviours.
 
 Several responses of one behaviour combine by a rule. With v the value without any, v_k that of
 response k alone, all of them of the same cell:
@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.behaviours.catalogue import CONTACTS, CROWDED, needs_contacts
-from multicell.behaviours.laws import Constant, Threshold
 from multicell.random import Purpose
 from multicell.results.observables import contact_rows
 from multicell.scene.responses import Effect, effects
@@ -72,7 +71,7 @@ class BoundResponse:
     def yes_or_no(self) -> bool:
         """Whether its value is zero or one, as booleans."""
         ends = self.effect.low, self.effect.high
-        return isinstance(self.effect.law, Threshold) and ends == (0.0, 1.0)
+        return self.effect.law.jumps and ends == (0.0, 1.0)
 
     @property
     def is_local(self) -> bool:
@@ -120,7 +119,7 @@ def bind_responses(scene: Scene) -> dict[str, tuple[BoundResponse, ...]]:
 
 
 def _level(scene: Scene, signals: tuple[str, ...]) -> tuple[Level, set[str]]:
-    """Return what finds signals, and the names of all that they are made from."""
+    """Return a function that reads signals, and the names of all that they are made from."""
     if not signals:
         return _count, set()
     levels, names = zip(*(_one_level(scene, name) for name in signals), strict=True)
@@ -215,7 +214,7 @@ def _physicell(
     base, graded = np.full(len(pressure), own), []
     for part in known:
         here = True if part.mask is None else part.mask[_kind(cells)]
-        if isinstance(part.effect.law, Constant):
+        if not part.effect.law.has_signal:
             base = np.where(here, part.effect.high, base)
         else:
             graded.append((part, here))

@@ -184,7 +184,7 @@ def _rest_for_long(plan: BiologyPlan, cells: Cells) -> Cells:
 
 
 def _plenty(plan: BiologyPlan, cells: Cells, signals: Signals, resting: bool) -> FloatArray:
-    """Return what cells find over their thresholds, the smallest ratio of each cell, (n,).
+    """Return the smallest ratio of signals over thresholds of each cell, (n,).
 
     Those that rest because of pressure have less than none.
     """

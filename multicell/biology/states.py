@@ -1,4 +1,4 @@
-"""Which cells proliferate, rest or die, from what they find around them, and removal of the dead.
+"""States of cells: proliferation, rest and death by their signals, and removal of the dead.
 
 **Why cells do not all react at once.** A resting cell takes up less nutrient. If all cells compared
 the field with the threshold at every coupling step, those near it would rest together, the field

@@ -1,4 +1,4 @@
-"""What biology does to the cells in a coupling step: growth, events, and decisions.
+"""The biology of a coupling step: growth, events, and decisions.
 
 Each function returns a new population, or what is needed to make one, and changes none.
 """
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @final
 class Grown(NamedTuple):
-    """What growth makes of cells by the end of a step.
+    """Grown cells at the end of a step.
 
     - ``radius``, (n,) µm
     - ``factor``, (n,): part of unlimited growth at which they have grown if they could
@@ -71,7 +71,7 @@ class Events(NamedTuple):
 
 
 def grow(plan: BiologyPlan, cells: Cells, signals: Signals, factor: FloatArray, dt: float) -> Grown:
-    """Return what growth makes of cells in a time ``dt`` (s).
+    """Let cells grow for a time ``dt`` (s).
 
     ``factor`` is how fast they grow where they are, (n,); see
     :func:`multicell.biology.growth.growth_factor`. What earlier steps have left out is made good.

@@ -1,4 +1,4 @@
-"""What each column of measured data holds, by its title ``NAME / UNIT``."""
+"""Columns of measured data, by their titles ``NAME / UNIT``."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def finite_entry(text: str, place: str) -> float:
 
 
 def columns_of(table: Table, scene: Scene) -> list[DataColumn]:
-    """Return what the columns of a table hold."""
+    """Return the columns of a table by their titles."""
     columns: list[DataColumn] = []
     for title in table.titles:
         try:
@@ -131,7 +131,7 @@ def columns_of(table: Table, scene: Scene) -> list[DataColumn]:
 
 
 def _column(title: str, scene: Scene, table: str, before: Sequence[DataColumn]) -> DataColumn:
-    """Return what one column holds; ``before``: those to its left."""
+    """Return the column of one title; ``before``: those to its left."""
     place = f"{table}, '{title}'"
     name, unit = split_title(title)
     if not name:

@@ -125,7 +125,7 @@ class Datum:
 @final
 @dataclass(frozen=True)
 class Condition:
-    """What some of the data were measured under.
+    """Conditions under which some of the data were measured.
 
     - ``label``: for pictures and tables
     - ``changes``: dotted keys of the scene with their values, as :meth:`Scene.with_changes` takes
@@ -256,7 +256,7 @@ class _Rows:
             raise DataError(self._where(row), "has no measured value")
 
     def measured(self) -> Measured:
-        """Return what was read."""
+        """Return the data that were read."""
         conditions = tuple(
             Condition(label or f"condition {k + 1}", dict(key), self._lasting(k))
             for k, (key, label) in enumerate(zip(self._keys, self._labels, strict=True))

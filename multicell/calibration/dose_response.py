@@ -1,4 +1,4 @@
-"""What doses do to a population: viability, half-maximal doses, two drugs together."""
+"""Dose response of a population: viability, half-maximal doses, two drugs together."""
 
 from __future__ import annotations
 
@@ -223,7 +223,7 @@ def _doses(axis: Axis) -> tuple[FloatArray, str]:
 
 
 def _setting(scene: Scene, key: str) -> Callable[[Any], Any]:
-    """Return what makes the value of a key from a dose."""
+    """Return a function from a dose to the value of a key."""
     found = key_of(scene, key)
     if found.spec.kind != "schedule":
         return lambda dose: dose

@@ -1,4 +1,4 @@
-"""What doses do: responses, curves with their intervals, combinations."""
+"""Results of a dose response: responses, curves with their intervals, combinations."""
 
 from __future__ import annotations
 

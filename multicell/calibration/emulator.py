@@ -1,4 +1,4 @@
-"""What runs would give between the parameters that were tried: Gaussian processes.
+"""Emulator of runs between the parameters that were tried: Gaussian processes.
 
 The mean over runs of each datum is a polynomial of second degree in the parameters (places in
 their ranges) and what is beyond that: a Gaussian process with a Matern covariance of degree 5/2.

@@ -52,7 +52,7 @@ def write_fit_report(fit: Fit, folder: str | Path | None = None) -> Path:
 
 
 def _checked(fit: Fit) -> str:
-    """Return what posterior predictive checks say in words."""
+    """Return the outcome of posterior predictive checks in words."""
     if fit.sample is None:
         return ""
     found = fit.predictive_check()

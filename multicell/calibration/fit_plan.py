@@ -75,7 +75,7 @@ class FitPlan:
         return searched + (self.repeats + CHECKS) * len(self.problem.measured.conditions)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides all numbers of the fit; a fit of anything else is another one."""
+        """Return all that decides the numbers of the fit; a fit of anything else is another one."""
         problem, table = self.problem, self.table
         return {
             "model": MODEL_VERSION,
@@ -194,7 +194,7 @@ def write_result(fit: Fit, folder: Path) -> None:
 
 
 def _read_fit(folder: Path) -> dict[str, Any] | None:
-    """Return what a folder is a fit of, None where there is none."""
+    """Return the description of the fit in a folder, None where there is none."""
     try:
         return read_document(folder / FIT)
     except OutputError as error:

@@ -1,4 +1,4 @@
-"""What a fit has found."""
+"""The result of a fit."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class Fit:
 
     @cached_property
     def undetermined(self) -> list[Undetermined]:
-        """What the data do not determine; empty if they determine all."""
+        """Combinations of parameters that the data leave undetermined; empty if there are none."""
         if self.sample is None:
             return []
         return undetermined(self.problem.ranges, self.sample, self.problem.prior)
@@ -273,7 +273,7 @@ class Fit:
 
     @property
     def notes(self) -> list[str]:
-        """What whoever reads the result must know of how it was found."""
+        """Notes for readers of the result on how it was found."""
         notes = []
         data = self.problem.measured.data
         assumed = sum(datum.assumed for datum in data)
@@ -375,7 +375,7 @@ class Fit:
 
 
 def _emulator_notes(checks: Checks, data: Sequence[Datum]) -> list[str]:
-    """Return what is known of intervals that an emulator gives."""
+    """Return notes on the intervals that an emulator gives."""
     notes = ["Intervals are those of Gaussian processes through the runs of the search."]
     off = np.flatnonzero(checks.off)
     if len(off):

@@ -155,7 +155,7 @@ def _noise(shares: FloatArray, blocks: FloatArray, whole: Mask) -> FloatArray:
 
 
 def _verdict(lower: float, floor: float) -> str:
-    """Return what can be said of an index by its lower end and the noise."""
+    """Return the verdict on an index by its lower end and the noise."""
     if not math.isfinite(lower):
         return UNKNOWN
     if not math.isfinite(floor):

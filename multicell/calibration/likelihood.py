@@ -52,7 +52,7 @@ _EXACT: Final = 1e6  # degrees of freedom that stand for a variance that is know
 @final
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """What fresh runs at one point show, in σ of the data.
+    """Residuals of fresh runs at one point, in σ of the data.
 
     - ``mean``, (n,): of (reading - datum) / σ
     - ``variance``, (n,): of one run
@@ -198,7 +198,7 @@ _CHANCE: Final = 0.01  # chance at which a check finds an error at a datum that 
 @final
 @dataclass(frozen=True, eq=False)
 class Checks:
-    """What runs at draws from the intervals say of the emulator, in σ of the data, (n,) each.
+    """Checks of the emulator by runs at draws from the intervals, in σ of the data, (n,) each.
 
     - ``found``: root mean square of run less emulator
     - ``expected``: what scatter of runs and the emulator's own error explain of it
@@ -213,7 +213,7 @@ class Checks:
 @final
 @dataclass(frozen=True, eq=False)
 class Fresh:
-    """What fresh runs have shown.
+    """Fresh runs at the best point, summarised.
 
     - ``shares``, (d,): the best point
     - ``runs``, (R, n): readings there, on the scales of the data; NaN where a run has nothing
@@ -277,7 +277,7 @@ def fresh(
 
 
 def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:
-    """Return what runs say of an emulator, and the variance that is missing in its error."""
+    """Check an emulator by runs; return the checks, and the variance missing in its error."""
     from scipy import stats
 
     known = np.isfinite(away).sum(axis=0)

@@ -1,4 +1,4 @@
-"""What a fit predicts of its data: checks by replicated data, and how well it would have predicted.
+"""Predictive checks of a fit: replicated data, and the accuracy of prediction left out.
 
 Given parameters θ, data minus mean m(θ) of runs are taken to be normal with the covariance C of
 :mod:`multicell.calibration.likelihood` at the best point: errors of measurement, scatter of tissues
@@ -152,7 +152,7 @@ def _smoothed(ratios: Array) -> Array:
 
 
 def predictive_of(fit: Fit) -> Predictive:
-    """Return what a fit predicts; raises FitFailed where it has no posterior."""
+    """Return the predictions of a fit; raises FitFailed where it has no posterior."""
     shares = fit.some_sample()
     problem = fit.problem
     logs = np.array([math.log(d.value) if d.log else 0.0 for d in problem.measured.data])

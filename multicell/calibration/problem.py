@@ -1,4 +1,4 @@
-"""What a fit has to solve: data, free parameters, what simulates, and runs compared with data.
+"""The problem of a fit: data, free parameters, a simulator, and the comparison of runs with data.
 
 A datum y with standard deviation σ (both on the scale of its comparison, see
 :class:`multicell.calibration.data.Datum`) is taken to be what one tissue shows, measured with a
@@ -90,7 +90,7 @@ class FitProblem:
 
     @cached_property
     def prior(self) -> Prior:
-        """What is known of the parameters beforehand."""
+        """Prior of the parameters."""
         return Prior(len(self.ranges)) if self.known is None else self.known
 
     @property

@@ -41,7 +41,7 @@ BATCH: Final = 5  # points that are tried together, at least
 @final
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What was found for one set of parameters.
+    """Evaluation of one set of parameters.
 
     - ``shares``, (d,): places in the ranges
     - ``misfit``: of its runs
@@ -256,7 +256,7 @@ class Search:
         self._readings[run] = Reading(values, str(entry["reason"]))
 
     def _evaluation(self, shares: Point) -> Evaluation:
-        """Return what a point has come to."""
+        """Return the evaluation of a point."""
         tasks = self._problem.tasks()
         readings = {(k, seed): self._readings[shares, k, seed] for k, seed in tasks}
         known = {(k, seed): self._problem.on_scales(k, r) for (k, seed), r in readings.items()}

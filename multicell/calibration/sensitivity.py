@@ -1,4 +1,4 @@
-"""Which parameters of a scene decide its observables: Morris' screening."""
+"""Sensitivity of a scene's observables to its parameters: Morris' screening."""
 
 from __future__ import annotations
 
@@ -213,7 +213,7 @@ def sample_sensitivity(
 def _notes(
     size: int, seeds: Sequence[int], found: Mapping[str, Analysis], failures: Mapping[str, str]
 ) -> list[str]:
-    """Return what the reader must know of the result."""
+    """Return notes for readers of the result."""
     notes = []
     if failures:
         reason = next(iter(failures.values()))

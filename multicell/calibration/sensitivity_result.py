@@ -1,4 +1,4 @@
-"""What an analysis of sensitivity has found: indices, intervals, what noise hides."""
+"""Results of an analysis of sensitivity: indices, intervals, what noise hides."""
 
 from __future__ import annotations
 

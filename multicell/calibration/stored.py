@@ -55,7 +55,7 @@ def load_fit(folder: str | Path) -> Fit:
 
 
 def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
-    """Return what a folder holds a fit of."""
+    """Return the plan of the fit that a folder holds."""
     entry = read_document(folder / FIT)
     if entry is None:
         raise OutputError(f"'{folder}' holds no fit")

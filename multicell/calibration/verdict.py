@@ -1,4 +1,4 @@
-"""What data say of the parameters: intervals, and what they cannot determine."""
+"""Intervals of the parameters from data, and combinations that the data leave undetermined."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def quantiles(values: Array, levels: Sequence[float]) -> Array:
 def undetermined(
     ranges: Sequence[Range], shares: Array, prior: Prior | None = None
 ) -> list[Undetermined]:
-    """Return what the data do not determine: open intervals, ridges, ends of ranges."""
+    """Return open intervals, ridges, and ends of ranges that the data leave undetermined."""
     found = []
     known = intervals(ranges, shares)
     prior = Prior(len(ranges)) if prior is None else prior

@@ -110,7 +110,7 @@ def fit_command(
 
 
 def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
-    """Return what is left of a fit, and what it is expected to take at most."""
+    """Return the rest of a fit, and its expected cost at most."""
     from multicell.studies.cost import StudyCost, cost_of
 
     runs, core_seconds = plan.left(folder)

@@ -1,4 +1,4 @@
-"""What commands share: options and how they are read, the console, and tables on it."""
+"""Options that commands share and how they are read, the console, and tables on it."""
 
 from __future__ import annotations
 

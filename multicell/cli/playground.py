@@ -1,4 +1,4 @@
-"""What ``multicell play`` serves: one page, the run for its sliders, and the view of that run.
+"""Server of ``multicell play``: one page, the run for its sliders, and the view of that run.
 
 The server listens on the loopback device. Each request needs the secret of the address, and the
 name of this machine as its host and, where the browser states one, its origin, so that no page of
@@ -85,7 +85,7 @@ class Playground:
         return page
 
     def sliders(self) -> list[dict[str, Any]]:
-        """Return what the page needs of each slider; places are from 0 to 1000."""
+        """Return the data of each slider for the page; places are from 0 to 1000."""
         given = {".".join(path): value for path, value, _ in leaves(self.scene)}
         found = []
         for item in self.ranges:

@@ -45,7 +45,7 @@ def display(
     lines: int = 20,
     show: bool = True,
 ) -> Iterator[Callable[..., None] | None]:
-    """Yield what is called with whatever ``share`` takes, or None if nothing shall be shown.
+    """Yield a callback with the arguments of ``share``, or None if nothing shall be shown.
 
     - ``words``: returns what stands beside the bar, or in a line: what matters most comes first,
       and what finds no room in a line of the terminal is cut off

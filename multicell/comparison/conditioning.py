@@ -51,7 +51,7 @@ class Conditioning:
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any] | None) -> Conditioning | None:
-        """Return what :meth:`to_dict` has given; None for None.
+        """Read the output of :meth:`to_dict`; None for None.
 
         Raises KeyError if something is missing.
         """

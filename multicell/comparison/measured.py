@@ -1,4 +1,4 @@
-"""What a comparison has measured: on disk method by method, before anything is made of it."""
+"""Log of a comparison's measurements, on disk method by method, before anything is made of it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOG_FILE: Final = "measured.log"
 
 @final
 class Measurements:
-    """What was measured of each method in a folder, also by processes that were ended.
+    """Measurements of each method in a folder, also by processes that were ended.
 
     - ``lines``: its file; None where nothing is written
     - ``names``: methods whose entries are taken from it
@@ -36,7 +36,7 @@ class Measurements:
         self._known = {entry["method"]: entry for entry in entries if entry["method"] in names}
 
     def find(self, method: Method) -> dict[str, Any] | None:
-        """Return what was measured of a method; None where nothing was."""
+        """Return the measurements of a method; None where there are none."""
         return self._known.get(method.name)
 
     def has(self, methods: Sequence[Method]) -> bool:

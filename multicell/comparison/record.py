@@ -168,7 +168,7 @@ def record(
 def compose_events(
     first: RecordedEvents | None, second: RecordedEvents | None
 ) -> RecordedEvents | None:
-    """Return what two events do to the cells one after the other, None for nothing."""
+    """Return two events of the cells as one, None for nothing."""
     if first is None or second is None:
         return second if first is None else first
     offset = first.offset[second.source] + second.offset

@@ -1,4 +1,4 @@
-"""What is compared: the same cells, events and radii for every method.
+"""Replay of recorded coupling steps: the same cells, events and radii for every method.
 
 A scene is simulated once (:mod:`multicell.comparison.record`). A method then *replays* the record:
 it integrates over the same coupling steps and undergoes the same events at the same times, so
@@ -19,6 +19,7 @@ import numpy as np
 
 from multicell.cells import FloatArray, IntArray
 from multicell.compiling.numba_068 import install_recorder
+from multicell.integrators.auto import ChosenWork
 from multicell.integrators.base import Integrator
 from multicell.mechanics.motion import Motion, Work
 from multicell.mechanics.system import Mechanics
@@ -30,7 +31,7 @@ T = TypeVar("T")
 @final
 @dataclass(frozen=True, eq=False)
 class RecordedEvents:
-    """What happened to the cells between two coupling steps.
+    """Divisions and removals of cells between two coupling steps.
 
     - ``source``, (n,) int64: for each cell after the events the index of the cell before them that
       it was, or that was its mother
@@ -100,7 +101,7 @@ class ReplayProblem:
 
     @property
     def mode(self) -> str:
-        """What is compared, in words: the whole run, or a number of its steps."""
+        """The kind of comparison, in words: the whole run, or a number of its steps."""
         if self.stepwise:
             return f"step-wise, {len(self.steps)} of {self.total} coupling steps"
         return "whole run"
@@ -118,7 +119,7 @@ class ReplayProblem:
 
     def system(self) -> Mechanics:
         """Return mechanics of its own, with all counts at zero."""
-        return replace(self.template, work=Work())
+        return replace(self.template, work=ChosenWork())
 
 
 @final
@@ -136,7 +137,7 @@ class Trajectory:
     """
 
     positions: list[FloatArray]
-    work: Work = field(default_factory=Work)
+    work: Work = field(default_factory=ChosenWork)
     wall: float = 0.0
     cpu: float = 0.0
     problem: str = ""

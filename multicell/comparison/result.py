@@ -42,7 +42,7 @@ COMPARISON_FILES: Final = (
 @final
 @dataclass(frozen=True, eq=False)
 class WorkPrecision(Comparison):
-    """What each method reached, and at what cost.
+    """Error and cost of each method.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class WorkPrecision(Comparison):
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Self:
-        """Return what :meth:`to_dict` has described, with NaN where JSON has null.
+        """Read the output of :meth:`to_dict`, with NaN where JSON has null.
 
         Raises
         ------
@@ -272,7 +272,7 @@ class WorkPrecision(Comparison):
         return {name: (drawn, CAPTIONS[name]) for name, drawn in draw.items()}
 
     def page(self) -> dict[str, Any]:
-        """Return what the template of the page asks for."""
+        """Return the fields of the page's template."""
         from multicell.comparison.page import comparison_context
 
         return comparison_context(self)

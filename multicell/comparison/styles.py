@@ -1,4 +1,4 @@
-"""Which methods a chart shows in colour, at most eight, and in which style each is drawn."""
+"""Styles of methods in a chart, of which at most eight are in colour."""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ def _measure(
     measured: Measurements,
     tell: Callable[[str], None],
 ) -> tuple[list[Row], list[TimedPoint], float]:
-    """Return what :func:`climb` does, from the folder where it was measured before."""
+    """Do as :func:`climb`, from the folder where it was measured before."""
     known = measured.find(method)
     if known is not None:
         tell(f"{method.name}: was measured before")
@@ -215,7 +215,7 @@ def _measure(
 
 
 def _facts(exact: Reference, decay: float) -> dict[str, Any]:
-    """Return what a reader of the chart must know of the problem."""
+    """Return facts about the problem for readers of the chart."""
     problem = exact.problem
     return {
         "cells": [len(problem.start), int(problem.counts[-1])],

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 _POINTS = 401
-_HIDDEN = ("force", "stiffness", "energy")
+_HIDDEN = ("force", "stiffness", "energy", "surface_energy")
 
 
 class UserLaw(OwnLaw, PairLaw):
@@ -51,6 +51,7 @@ class UserLaw(OwnLaw, PairLaw):
     _reach: ClassVar[Scalar | None]
     _asks_rest: ClassVar[bool]
     _parts: ClassVar[Mapping[str, Scalar]]
+    scales: ClassVar[bool] = False
 
     def describe(self, energy: str) -> str:
         """Return the law in words: its name and its parameters."""
@@ -221,7 +222,7 @@ class Compiling:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         failed = kind is not None and kind.__module__.startswith("numba.")
-        if failed and isinstance(self._law, UserLaw):
+        if failed:
             self._law.refuse_uncompilable()
 
 

@@ -164,7 +164,7 @@ class Imported:
         return head + with_units(self.scene, tomli_w.dumps(ordered))
 
     def account(self) -> str:
-        """Return what became of all as a page of Markdown."""
+        """Return the account of all elements as a page of Markdown."""
         parts = [f"# {self.scene.title}"]
         for fate in Fate:
             entries, lines = self.of(fate), [*_HEAD]

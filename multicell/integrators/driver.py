@@ -125,7 +125,7 @@ def _run(
     else:
         source, pairs = source_of(system, counts, passes=passes, watched=watched)
         report, pairs = loop(source, pairs, *common, *settings)
-        system.take_list(source.cells, pairs)
+        system.take_list(pairs)
     work = system.work
     work.evaluations += int(counts[stepping.EVALUATIONS])
     work.list_builds += int(counts[stepping.LIST_BUILDS])
@@ -170,7 +170,7 @@ def _failure(
 def source_of(
     system: Mechanics, counts: Any, *, passes: bool = False, watched: bool = False
 ) -> tuple[stepping.Source, forces.PairData]:
-    """Return what a loop needs, with a neighbour list of its own."""
+    """Return the arguments of a loop, with a neighbour list of its own."""
     known, pairs, shared = system.kernel_data()
     source = stepping.Source(*known, counts)
     watched = watched and stepping.meets_driven(system)

@@ -33,7 +33,7 @@ METHODS: dict[str, MethodInfo] = {
 
 
 def find(name: str) -> MethodInfo | None:
-    """Return what is known of a method, or of a variant such as ``"rkc2-5"``."""
+    """Return the information on a method, or on a variant such as ``"rkc2-5"``."""
     whole, _, number = name.rpartition("-")
     if name in METHODS or whole not in METHODS or not number.isdecimal():
         return METHODS.get(name)

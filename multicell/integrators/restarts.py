@@ -126,7 +126,7 @@ class IntegrationProgress:
 
     @property
     def left(self) -> float:
-        """What was left of the interval when the present solver was started, s."""
+        """Rest of the interval when the present solver was started, s."""
         return self.length - self.offset
 
     def clock(self, t: float) -> float:
@@ -259,7 +259,7 @@ class IntegrationProgress:
 
 
 def one_step(solver: Any, left: float) -> Any:
-    """Return what one internal step of a solver of SUNDIALS, up to ``left``, says of itself."""
+    """Return the report of SUNDIALS on one internal step, up to ``left``."""
     result = solver.step(left, method="onestep", tstop=left)
     if not result.success:
         raise StepImpossible(f"SUNDIALS: {result.message}")
@@ -294,7 +294,7 @@ class Predictor:
             self._run.speed = self._speed.copy()
 
     def taken(self, t: float, y: FloatArray, order: int = 1) -> Taken:
-        """Return what is known of a step that ended at ``t``.
+        """Return the progress after a step that ended at ``t``.
 
         The velocity there is that of the last iterate, which differs from the solution by less than
         the tolerance of Newton's method.

@@ -62,7 +62,7 @@ class Rkc2(ErrorControl):
 
 
 def _of_stages(stages: int) -> MethodInfo | None:
-    """Return what is known of the method with a fixed step and number of stages."""
+    """Return the information on the method with a fixed step and number of stages."""
     if not 2 <= stages <= _MAX_STAGES:
         return None
     from multicell.integrators.loops.chebyshev import stable_length

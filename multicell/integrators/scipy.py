@@ -60,11 +60,12 @@ class Scipy(ErrorControl):
     Raises SceneError for a relative tolerance below what SciPy carries.
     """
 
+    atol: float = 0.01
     name: str = field(kw_only=True)
 
     @property
     def info(self) -> MethodInfo:
-        """What is known of the method."""
+        """Information on the method."""
         return _INFOS[self.name]
 
     def __post_init__(self) -> None:
@@ -144,6 +145,8 @@ class _Stepped:
 
 
 METHODS = tuple(
-    replace(info, control="tolerance", outside=True, atol=0.01, make=partial(Scipy, name=name))
+    replace(
+        info, control="tolerance", outside=True, atol=Scipy.atol, make=partial(Scipy, name=name)
+    )
     for name, info in _INFOS.items()
 )

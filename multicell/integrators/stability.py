@@ -98,12 +98,12 @@ def may_glance(known: Stability, cells: int) -> bool:
 
 
 def add_glance(known: Stability, cells: int) -> Stability:
-    """Return what is known after an evaluation of |J v| / |v|, with its cost."""
+    """Add an evaluation of |J v| / |v|, with its cost."""
     return known._replace(looked=known.looked + _cost(cells, _GLANCE))
 
 
 def add_measurement(known: Stability, rate: float, product: float, cells: int) -> Stability:
-    """Return what is known after a measurement of λ; see :func:`is_due`."""
+    """Add a measurement of λ; see :func:`is_due`."""
     ratio = rate / product
     return known._replace(
         rate=rate, latest=ratio, largest=max(ratio, known.largest), measured=known.measured + 1.0,

@@ -1,4 +1,4 @@
-"""Where every molecule of a field and its medium came from and went to, over a whole run."""
+"""Balance of every molecule of a field and its medium over a whole run."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ more with an error relative to itself: steps would stay as short as ever down to
 
 @final
 class FieldExchange(NamedTuple):
-    """What a field exchanged, and what it took to find that out.
+    """Exchange of a field, and the cost of finding it.
 
     Rates (amol/s) of a field at rest, amounts (amol) of one that was brought through some time.
 
@@ -59,7 +59,7 @@ class FieldExchange(NamedTuple):
     residual: float = 0.0
 
     def entries(self) -> dict[str, float]:
-        """Return what another one can be made from."""
+        """Return the numbers that another one can be made from."""
         found = self._asdict().items()
         return {name: x for name, x in found if x or (x is not None and name in _WHERE_ANY)}
 
@@ -119,7 +119,7 @@ class Ledger:
         return made
 
     def entries(self) -> dict[str, float]:
-        """Return what another ledger can be made from; without a medium that is not finite."""
+        """Return the numbers that another ledger can be made from; no medium that is not finite."""
         return {
             name: value
             for name, value in asdict(self).items()
@@ -153,13 +153,13 @@ class Ledger:
         self.content = max(self.content, content)
 
     def _changes(self) -> list[float]:
-        """Return what each entry has added to the content, amol."""
+        """Return the change of the content by each entry, amol."""
         signed = [sign * (getattr(self, name) or 0.0) for name, sign in SIGNS.items()]
         return [*signed, self.relaid]
 
     @property
     def remainder(self) -> float:
-        """What came in and was secreted but neither left nor is there, amol."""
+        """Remainder of the balance: inflow and secretion that neither left nor is there, amol."""
         return sum(self._changes()) - self.stored
 
     @property
@@ -180,7 +180,7 @@ class Ledger:
 
     @property
     def medium_remainder(self) -> float:
-        """What fresh medium brought that went nowhere and is not there, amol."""
+        """Remainder of fresh medium that went nowhere and is not there, amol."""
         gone = self.discarded + self.spoiled + self.inflow + self.relaid
         return self.fresh - gone - (self.held or 0.0)
 

@@ -1,4 +1,4 @@
-"""Where the nutrient grid lies: round the cells at every moment."""
+"""Boxes of the nutrient grid, which lie round the cells at every moment."""
 
 from __future__ import annotations
 

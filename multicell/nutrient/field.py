@@ -167,7 +167,7 @@ class NutrientField:
     def uptake(
         self, position: FloatArray, capacity: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
-        """Return what each cell takes up, (n,) amol/s; see :meth:`solve`."""
+        """Return the uptake of each cell, (n,) amol/s; see :meth:`solve`."""
         rate = uptake(1.0, self.values, self.parameters.nutrient.half_saturation)
         reached, extent = self._reached(position, radius)
         return np.asarray(capacity * self.layout.gather(reached, rate, extent))
@@ -180,7 +180,7 @@ class NutrientField:
         return self.stored() - before
 
     def stored(self) -> float:
-        """Return what the field holds, amol."""
+        """Return the content of the field, amol."""
         return float((self.layout.volumes * self.values).sum())
 
     def field(self) -> Field:

@@ -505,7 +505,7 @@ class FieldSystem:
             self._uptake[name] = field.uptake(cells.position, capacity, cells.radius)
 
     def _uptake_rate(self, name: str, cells: Cells) -> float:
-        """Return what all cells take up of a field now, amol/s."""
+        """Return the uptake of a field by all cells now, amol/s."""
         capacity = self._capacity(name, cells, self.concentrations)
         return float(self.fields[name].uptake(cells.position, capacity, cells.radius).sum())
 

@@ -207,7 +207,7 @@ class _Medium:
         self._slope = 0.0  # of what the field takes over the concentration, µm³/s
 
     def _content(self, nodes: FloatArray) -> float:
-        """Return what the field that has the medium holds, amol."""
+        """Return the content of the field that has the medium, amol."""
         layout = self.equation.layout
         return float(np.sum(layout.volumes * nodes.reshape(-1, *layout.shape)[self.row]))
 
@@ -338,5 +338,5 @@ class AtRestWithMedium(_Medium):
         self.level = self._root(excess, self.level, volume + self.equation.layout.whole, 0.0)
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
-        """Return what errors of the total are small beside, (1,) amol."""
+        """Return the scale for errors of the total, (1,) amol."""
         return np.array([max(self.level, float(self._faded[self.row])) * self._volume])

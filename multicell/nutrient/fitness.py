@@ -1,4 +1,4 @@
-"""How well the grids of all fields fit the cells as they are, and what they cost in accuracy."""
+"""Fit of all grids to the cells as they are, and its cost in accuracy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a field lives: a box of cubes, a plane of squares, or a ball of shells.
+"""Layouts of a field: a box of cubes, a plane of squares, or a ball of shells.
 
 Each layout spreads amounts of the cells over its nodes, interpolates at the cells, takes over the
 values of the layout before it, and makes the operator that solves on it.

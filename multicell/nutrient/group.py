@@ -135,7 +135,7 @@ class FieldGroup:
         return found if found is field.values else np.maximum(found, 0.0)
 
     def masses(self) -> FloatArray:
-        """Return what each field holds, (m,) amol."""
+        """Return the content of each field, (m,) amol."""
         return np.array([float(np.sum(self.layout.volumes * c)) for c in self.state.data])
 
     def _run(self, name: str, begin: float, end: float, **options: Any) -> None:
@@ -155,14 +155,14 @@ class FieldGroup:
             field.take(self.layout, values.copy(), conditions)
 
     def _exchange(self, row: FloatArray, **more: Any) -> FieldExchange:
-        """Return what a field exchanged, from a row of what solvers say."""
+        """Return the exchange of a field from a row of solvers' reports."""
         found = dict(zip(BALANCE_COLUMNS[:-1], row.tolist(), strict=False))
         if self.kinetics is None:
             found |= {"made": None, "used": None}
         return FieldExchange(**found, **more)
 
     def exchanges(self, amounts: FloatArray, relaid: FloatArray) -> dict[str, FieldExchange]:
-        """Return what the fields exchanged by a march; ``relaid`` (amol) what the grid gained."""
+        """Return the exchange of the fields by a march; ``relaid`` (amol) the gain by the grid."""
         rows = zip(self.names, amounts, relaid.tolist(), strict=True)
         return {name: self._exchange(row, relaid=more) for name, row, more in rows}
 
@@ -205,7 +205,7 @@ def substance(
     demand: tuple[FloatArray, FloatArray | None],
     medium: float | Schedule,
 ) -> Substance:
-    """Return what a field of a scene is made of on a grid, with cells of these radii in µm."""
+    """Return a field of a scene as a substance on a grid, with cells of these radii in µm."""
     nutrient = parameters.nutrient
 
     def conditions(level: float) -> dict[str, Any]:

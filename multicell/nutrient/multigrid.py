@@ -231,7 +231,7 @@ class MultigridSolver:
 
 @lru_cache(maxsize=64)
 def _axis(n: int, low: bool, high: bool) -> tuple[_Axis, ...]:
-    """Return what all levels have along an axis, from ``n`` nodes of width one down to one node.
+    """Return the data of all levels along an axis, from ``n`` nodes of width one to one node.
 
     That is its :func:`_along`, the nodes' widths over those of the ones of the next level that they
     lie in, (n,), and :func:`_between`.

@@ -1,4 +1,4 @@
-"""What boxes and shells have in common for those who evaluate balances instead of solving them."""
+"""Operators of boxes and shells alike, for balances that are evaluated and not solved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a field is made from, out of a scene."""
+"""Parameters of a field, out of a scene."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True)
 class FieldParameters:
-    """What :class:`multicell.nutrient.field.NutrientField` is made from.
+    """Parameters of :class:`multicell.nutrient.field.NutrientField`.
 
     - ``nutrient``: the substance as the scene has it
     - ``spacing``, float, µm: largest spacing of the grid

@@ -81,7 +81,7 @@ class StepRefused(Exception):  # noqa: N818 - a shorter step may do
 
 @final
 class SolveReport(NamedTuple):
-    """What a solve took and how well it balances.
+    """Report of a solve: its work and its imbalance.
 
     - ``newton``, ``cg``, int: Newton steps and, over all of them, conjugate-gradient steps
     - ``residual``, float, amol/s: sum of all nodes' absolute imbalances. It bounds the difference
@@ -196,7 +196,7 @@ def _descend(
 @final
 @dataclass
 class _Problem:
-    """What is solved for: see the module's text."""
+    """The equations that are solved; see the module's text."""
 
     operator: Diffusion
     sink: FloatArray

@@ -331,7 +331,7 @@ def flat_dot(a: Floats, b: Floats) -> float:
 def flows(
     c: FloatArray, ghost: FloatArray, const: FloatArray, weights: Weights
 ) -> tuple[float, float]:
-    """Return what flows in and out through the faces, over D/h² and a node's volume, mM.
+    """Return the flows in and out through the faces, over D/h² and a node's volume, mM.
 
     ``const``, (6,), is what the conditions add to the ghost values of each face, mM.
     """

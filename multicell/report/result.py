@@ -1,4 +1,4 @@
-"""What a run hands back, and what its folder can be opened as later."""
+"""The result of a run, and of a run's folder that is opened later."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class Result:
         return f"<Result {', '.join(words)}, {place}>"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: key figures, a section, and the view in space and time."""
+        """Return a notebook's display: key figures, a section, and the view in space and time."""
         from multicell.report.html import rendered
         from multicell.report.plots.style import inline_picture
 

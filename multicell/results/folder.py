@@ -291,7 +291,7 @@ def with_copy(scene: Scene, folder: Path) -> Scene:
 
 
 def copy_of(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
-    """Return what :func:`with_copy` does, and the content of the copy by its name."""
+    """Do as :func:`with_copy`, and return the content of the copy by its name."""
     table = scene.initial.cells
     if table is None:
         return scene, {}

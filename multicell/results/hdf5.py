@@ -432,7 +432,7 @@ def _is_locked(path: Path) -> bool:
 
 
 def _in_words(path: Path, error: Exception) -> OutputError:
-    """Return what HDF5 says of a file: of damage, or of a machine that cannot read it."""
+    """Return HDF5's error about a file in words: damage, or a machine that cannot read it."""
     if isinstance(error, MemoryError):
         return OutputError(f"cannot read '{path}': there is not enough memory")
     number = getattr(error, "errno", None)  # of the system; HDF5 has none of its own

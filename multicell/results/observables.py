@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 
 
 def sizes(cells: Cells, dimensions: int) -> FloatArray:
-    """Return what each cell fills of its space, (n,): volume in µm³, in a plane its area in µm²."""
+    """Return the size of each cell, (n,): volume in µm³, in a plane its area in µm²."""
     return cells.volume if dimensions == 3 else np.asarray(np.pi * cells.radius**2)
 
 

@@ -125,7 +125,7 @@ def run_summary(
 
 
 def _checks(progress: Progress) -> dict[str, float]:
-    """Return what replays from shifted positions and checks of stability have found, if any."""
+    """Return the findings of replays from shifted positions and checks of stability, if any."""
     found: dict[str, float] = {}
     replays, known = progress.replays, progress.stability
     if replays.get("done"):
@@ -194,7 +194,7 @@ def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
 
 
 def scene_mark(text: str) -> str:
-    """Return what a summary names its scene by: a digest of the text that the frames hold too."""
+    """Return the mark of a scene in a summary: a digest of the text that the frames hold too."""
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 

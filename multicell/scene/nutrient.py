@@ -1,4 +1,4 @@
-"""What a scene says of a dissolved substance: transport, boundary, kinetics, effects."""
+"""Nutrients of a scene: transport, boundary, kinetics and effects of a dissolved substance."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ class Nutrient:
 
     @property
     def layout(self) -> str:
-        """What its grid may be: ``"box"``, ``"radial"``, or ``"auto"`` for either."""
+        """Kind of its grid: ``"box"``, ``"radial"``, or ``"auto"`` for either."""
         return self.geometry or "box"
 
     def medium(self, time: float) -> float:

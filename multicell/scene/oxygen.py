@@ -82,7 +82,7 @@ def concentration(text: str, field: str, path: str, nutrients: Any) -> Any:
 
 
 def saturated(temperature: float) -> float:
-    """Return what water dissolves under pure, moist oxygen, mM; ``temperature`` in °C."""
+    """Return the solubility of pure, moist oxygen in water, mM; ``temperature`` in °C."""
     return (_ATMOSPHERE - vapour_pressure(temperature)) * oxygen_solubility(temperature)
 
 

@@ -29,7 +29,7 @@ def surface_energies(scene: Scene) -> FloatArray | None:
 
 
 def compression(scene: Scene) -> TissueCompression | None:
-    """Return what resists compression beside contacts; where nothing does, nothing is loaded."""
+    """Return the resistance to compression beside contacts; nothing is loaded where it is zero."""
     part = scene.compression
     if part is None:
         return None

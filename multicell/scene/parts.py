@@ -133,7 +133,7 @@ class PhaseLength:
 
 
 def loaded_in(laws: Any) -> Callable[[str], bool]:
-    """Return what tells names of loaded laws of the user's own, and refuses those not loaded."""
+    """Return a reader for names of loaded laws of the user's own; it refuses those not loaded."""
 
     def known(name: str) -> bool:
         if ":" in name and name not in laws:
@@ -358,7 +358,7 @@ def own_names() -> list[str]:
 @final
 @parameters
 class OutputOptions:
-    """What is recorded."""
+    """Options of the output."""
 
     every: float = quantity("s", default=21600.0, above=0, doc="simulated time between frames")
     observables: Mapping[str, OwnObservable] = tables(

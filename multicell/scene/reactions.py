@@ -1,4 +1,4 @@
-"""What a scene says of reactions between its fields, by the law of mass action."""
+"""Reactions between the fields of a scene, by the law of mass action."""
 
 from __future__ import annotations
 

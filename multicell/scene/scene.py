@@ -184,11 +184,7 @@ class Scene:
         check_towards(self)
         if self.responses:
             check_responses(self)
-        smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
-        smoothing = getattr(self.contact, "smoothing", 0.0)
-        if smoothing > smallest:
-            problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
-            raise SceneError("contact.smoothing", problem, "0 turns it off.")
+        self.contact.check_scene(self)
         check_domain(self)
         check_driven(self)
         check_nutrients(self)
@@ -222,7 +218,7 @@ class Scene:
         return f"<Scene {self.title!r}, {facts}>"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: key facts, and all keys where one opens them."""
+        """Return the display of a notebook: key facts, and all keys where one opens them."""
         rows = "".join(
             f"<tr><th style='text-align:left'>{name}</th><td style='text-align:left'>"
             f"{escape(text)}</td></tr>"
@@ -482,7 +478,7 @@ def _keys(entries: Any) -> tuple[str, ...]:
 
 
 def key_facts(scene: Scene) -> dict[str, str]:
-    """Return what one would ask first of a scene, in words."""
+    """Return the key facts of a scene, in words."""
     hours = scene.duration / 3600.0
     facts = {
         "cells at the start": f"{scene.initial.count:,}",

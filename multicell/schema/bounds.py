@@ -49,7 +49,7 @@ Read = Callable[[Any, str], float]
 
 
 def reader(unit: str, bounds: Bounds, wanted: str = "a number", hint: str = "") -> Read:
-    """Return what reads a quantity, or a number without dimension where ``unit`` is empty.
+    """Return a reader of a quantity, or of a number without dimension where ``unit`` is empty.
 
     Besides the bounds its size is checked (:data:`multicell.units.RANGES`): these ranges are orders
     of magnitude beyond any use and keep out what would hang, overflow or end in nonsense.

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @final
 class Moved(NamedTuple):
-    """What motion makes of cells by the end of a step.
+    """Moved cells at the end of a step.
 
     - ``position``, ``pressure``, (n, 3) µm and (n,) kPa
     - ``contacts``, (m, 2) or None: indices of the pairs in contact; None where nobody counts them,

@@ -1,4 +1,4 @@
-"""Whether a scene can hold the cells that it starts with, found before anything is run."""
+"""Checks of the cells at the start, before anything is run."""
 
 from __future__ import annotations
 

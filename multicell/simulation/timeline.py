@@ -1,4 +1,4 @@
-"""Where a run is in time, which coupling step comes next, and the wall time of its phases."""
+"""Time of a run, its next coupling step, and the wall time of its phases."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a study varies: values of keys along axes, ranges of free parameters.
+"""Axes of a study: values of keys, and ranges of free parameters.
 
 A text is read as it is typed behind ``--vary`` or ``--free``: ``"0.07,0.14,0.28 mM"`` (a unit at
 the end holds for all that have none), ``"0.05:0.30:6 mM"`` (six values, evenly spaced),

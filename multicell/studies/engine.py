@@ -262,7 +262,7 @@ class _Work:
             self.report(outcome)
 
     def _result(self, entry: _UnderWay) -> RunOutcome | None:
-        """Return what a worker has answered; None if it died with its answer, or refused."""
+        """Return the answer of a worker; None if it died with its answer, or refused."""
         try:
             outcome: RunOutcome | Refusal = entry.future.result(timeout=_RECOUNT)
         except Exception:

@@ -1,4 +1,4 @@
-"""Where a dotted key of a scene leads: its declaration, its unit, and what a value becomes.
+"""Keys of a scene by their dotted paths: declaration, unit, and conversion of values.
 
 To vary a key without effect would be to run the same thing again. The rules for that are of keys
 that studies usually vary; a study of any other one runs, and shows that nothing depends on it.

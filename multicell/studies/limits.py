@@ -1,4 +1,4 @@
-"""How many points, seeds and runs a study, a fit or an analysis may have: one limit for all."""
+"""Limits to the points, seeds and runs of a study, a fit or an analysis: one for all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pictures of a study read from its table: axes, final values, scatter, labels.
+"""Data of a study's pictures from its table: axes, final values, scatter, labels.
 
 The table is an ``xarray.Dataset`` with the dimensions of the axes, ``seed`` and ``time``; of a
 list of points ``point``, ``seed`` and ``time``, with the value of each axis as a coordinate along

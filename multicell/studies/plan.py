@@ -256,7 +256,7 @@ def _has_end(text: str) -> bool:
 
 
 def _entries(path: Path) -> tuple[dict[str, Any], bool]:
-    """Return what is in ``study.toml``, and whether it has its last line."""
+    """Return the entries of ``study.toml``, and whether it has its last line."""
     try:
         text = read_regular(path, _LARGEST).decode("utf-8").replace("\r\n", "\n")
     except FileNotFoundError:
@@ -295,7 +295,7 @@ def _lines(plan: Plan) -> Iterator[str]:
 
 
 def axis_line(axis: Axis) -> str:
-    """Return what stands for an axis in ``study.toml``."""
+    """Return the line of an axis in ``study.toml``."""
     unit = f"  # {axis.unit}" if axis.unit else ""
     return f"{_dotted(axis.key)} = [{', '.join(map(_toml, axis.values))}]{unit}"
 

@@ -1,4 +1,4 @@
-"""What can be measured of a scene's runs, known from the scene alone; and what runs have."""
+"""Readings of a scene's runs: what can be measured, from the scene alone, and what runs have."""
 
 from __future__ import annotations
 

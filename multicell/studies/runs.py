@@ -100,7 +100,7 @@ def run_digest(scene: Scene) -> str:
 
 
 def canonical(scene: Scene) -> dict[str, Any]:
-    """Return what decides the results of a scene as plain values of which keys have no order."""
+    """Return all that decides the results of a scene as plain values, its keys without order."""
     entries = scene.to_dict()
     entries.pop("title", None)
     if "cells" in entries["initial"]:

@@ -50,7 +50,7 @@ cannot be read now, of which nobody knows what they hold."""
 @final
 @dataclass(frozen=True)
 class RunStatus:
-    """What is known of a run.
+    """Status of a run.
 
     - ``state``: ``"done"``, ``"running"``, ``"partial"``, ``"waiting"`` or ``"failed"``
     - ``reason``: why it failed, or an empty string

@@ -63,7 +63,7 @@ class Study:
         return self.plan.runs([cost.seconds for cost in costs_of(self.plan, self.folder)])
 
     def expected(self, cores: int = 1) -> StudyCost:
-        """Return what the runs are expected to take that are not done and have not failed.
+        """Return the expected cost of the runs that are not done and have not failed.
 
         Parameters
         ----------

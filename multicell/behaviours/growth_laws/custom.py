@@ -88,7 +88,7 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
         return np.asarray(half * (_WEIGHTS / self._shape(points)).sum(axis=-1))
 
     def _shape(self, ratio: FloatArray) -> FloatArray:
-        """Return what the user's function returns, as an array of the argument's shape."""
+        """Call the user's function and return its values as an array of the argument's shape."""
         with own_code("growth.law"):
             found = type(self)._function(ratio, self)
             return np.broadcast_to(np.asarray(found, dtype=float), ratio.shape)

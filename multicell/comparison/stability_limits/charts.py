@@ -98,7 +98,7 @@ def _draw_strips(axes: Axes, strips: Mapping[str, Sequence[Row]], scale: float) 
 
 
 def stability_context(result: StabilityMap) -> dict[str, Any]:
-    """Return what ``stability.html`` asks for."""
+    """Return the fields of ``stability.html``."""
     first = result.table[0]
     failures = sum(row["kind"] != STABLE for row in result.table)
     return {

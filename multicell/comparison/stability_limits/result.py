@@ -101,7 +101,7 @@ class StabilityMap(Comparison):
         return {"stability.png": (self.figure, CAPTION)}
 
     def page(self) -> dict[str, Any]:
-        """Return what the template of the page asks for."""
+        """Return the fields of the page's template."""
         from multicell.comparison.stability_limits.charts import stability_context
 
         return stability_context(self)

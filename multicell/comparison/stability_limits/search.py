@@ -1,4 +1,4 @@
-"""Where integration methods lose stability, and how: the limit of each by bisection."""
+"""Search for the limit of stability of each method by bisection, and the kind of failure."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ _RISE_NOTICED = (MIN_NOTICED / PUSH) ** 2
 @final
 @dataclass
 class Trace:
-    """What was seen of a trial.
+    """Trace of a trial.
 
     - ``times``, list of float, s
     - ``positions``, list of (n, 3) float64, µm: at every time, the start included
@@ -157,7 +157,7 @@ def pair_deviation(state: TrialState, position: FloatArray, true: FloatArray, ti
 def _wrong(
     state: TrialState, trace: Trace, climb: float, excess: float, deviation: float
 ) -> Iterator[str]:
-    """Yield what is wrong with a trial that reached its end, the foremost first.
+    """Yield the faults of a trial that reached its end, the foremost first.
 
     ``climb`` and ``excess``, of the energy at the end over that of the reference, are in units of
     what is noticed.

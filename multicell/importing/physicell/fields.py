@@ -156,7 +156,7 @@ class SubstanceExchange:
         return replace(self, **{what.removeprefix("secretion "): max(rule.end, 0.0)})
 
     def given_off(self, volume: float) -> float:
-        """Return what it gives off whatever there is, unit µm³ / min."""
+        """Return its secretion that does not depend on the concentration, unit µm³ / min."""
         return self.secretion * self.target * volume + max(self.export, 0.0)
 
     @property

@@ -296,7 +296,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     def exchanges(
         self, data: FloatArray, t: float, reports: Mapping[str, SolveReport] | None = None
     ) -> FloatArray:
-        """Return what happens to each substance at a time in s, (m, columns) amol/s.
+        """Return the exchange of each substance at a time in s, (m, columns) amol/s.
 
         The columns are those of :data:`multicell.nutrient.balance.BALANCE_COLUMNS`. ``reports`` are
         what solvers know of this state; absent: it is found here.
@@ -312,7 +312,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         return np.array(rows)
 
     def balance(self, state: State, t: float = 0.0) -> dict[str, dict[str, float]]:
-        """Return what happens to each substance in all, amol/s.
+        """Return the total exchange of each substance, amol/s.
 
         The entries of :class:`multicell.nutrient.balance.Ledger`, and ``stored``, which is what the
         content gains by all of them.

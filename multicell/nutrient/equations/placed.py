@@ -119,7 +119,7 @@ class PlacedSubstance:
         return self.operator
 
     def supply(self, level: float) -> FloatArray:
-        """Return what nodes gain but over the sides, mM/s."""
+        """Return the gain of nodes but over the sides, mM/s."""
         gain = self.substance.perfusion * level
         return self.secreted if gain == 0.0 else gain + self.secreted
 
@@ -147,7 +147,7 @@ class PlacedSubstance:
         return self.at(level).solve(self.sink, half, start, linear=linear, supply=supply)
 
     def flows(self, c: FloatArray, level: float, made: FloatArray | None = None) -> SolveReport:
-        """Return what a state (mM) exchanges with sides, cells and reactions (``made``, mM/s)."""
+        """Return the exchange of a state (mM) with sides, cells, reactions (``made``, mM/s)."""
         volumes, operator = self.layout.volumes, self.at(level)
         if isinstance(operator, Diffusion):
             inward, outward = operator.flows(c)

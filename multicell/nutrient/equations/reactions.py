@@ -23,7 +23,7 @@ Nodes = Mapping[str, FloatArray]
 
 @final
 class Reactions:
-    """What makes and uses the substances of an equation besides cells.
+    """Reactions that make and use the substances of an equation besides cells.
 
     - ``substances``: the substances on the grid
     - ``reactions``: see :class:`multicell.FieldEquation`
@@ -57,7 +57,7 @@ class Reactions:
             self.tissue = filled.ravel()
 
     def made(self, nodes: Nodes) -> FloatArray:
-        """Return what reactions make of all substances, (m, ...) mM/s."""
+        """Return the production of all substances by reactions, (m, ...) mM/s."""
         found, _ = self.kinetics.evaluate(self._flat(nodes), self.tissue)
         return found.reshape(len(self.substances), *self.substances[0].shape)
 

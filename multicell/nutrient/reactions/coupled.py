@@ -77,7 +77,7 @@ class Coupled:
         self.newton = self.linear_steps = 0
 
     def sources(self) -> FloatArray:
-        """Return what nodes gain by supply and over the sides, (m, nodes) mM/s."""
+        """Return the gain of nodes by supply and over the sides, (m, nodes) mM/s."""
         faces = np.array([op.brought().ravel() for op in self.operators])
         return np.asarray(faces + self.supplies)
 

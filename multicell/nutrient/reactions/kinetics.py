@@ -86,7 +86,7 @@ class Kinetics:
     def evaluate(
         self, c: FloatArray, tissue: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what reactions make of each field and the derivative of that.
+        """Return the production of each field by reactions and its derivative.
 
         - ``c``, (m, nodes), mM
         - ``tissue``, (nodes,): part of each place that is tissue, 0 to 1; needed where

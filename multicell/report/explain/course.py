@@ -1,4 +1,4 @@
-"""How a population will grow, from a ball of tissue with one radius: a forecast of its size.
+"""Forecast of a population's size, from a ball of tissue with one radius.
 
 Cells fill a ball (in a plane a disc). Every field that holds back growth or kills is
 solved along the radius, steady, with the uptake of living cells; living cells grow where they are

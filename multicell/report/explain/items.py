@@ -1,4 +1,4 @@
-"""What ``multicell explain`` tells: the parts of a scene, and numbers that follow from it."""
+"""Items of ``multicell explain``: the parts of a scene, and numbers that follow from it."""
 
 from __future__ import annotations
 

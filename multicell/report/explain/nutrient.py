@@ -1,4 +1,4 @@
-"""What the nutrient fields of a scene amount to: scales, regime, geometry, and why."""
+"""Explanation of the nutrient fields of a scene: scales, regime, geometry, and why."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from multicell.scene.sizes import typical_radius
 
 
 def nutrient_parts(scene: Scene) -> list[ExplainedPart]:
-    """Return what each field is solved as, and why, in the order in which they are solved."""
+    """Return the regime of each field, and why, in the order in which they are solved."""
     if not scene.nutrients:
         return [part("nutrients", "")]
     order = checks.solving_order(scene.nutrients, scene.reactions)

@@ -1,4 +1,4 @@
-"""What the colour of a cell says: its state or another group, or the value of a quantity."""
+"""Colouring of cells: by state or another group, or by the value of a quantity."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def movie(
 
 
 def _shades(result: Result, numbers: list[int], colour: str | None) -> Callable[[int], Colouring]:
-    """Return what colours the cells of a frame by its number, in one range for all frames."""
+    """Return a function that colours the cells of a frame by its number, in one range for all."""
     limits = None
     if colour is not None and colour not in GROUPS:
         values = [cell_quantity(result.frames[k], colour)[0] for k in numbers]

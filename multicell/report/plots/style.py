@@ -1,4 +1,4 @@
-"""What the pictures have in common: style, colours, headings."""
+"""Style of all pictures: layout, colours, headings."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ _PAGE_BYTES: Final = 17_500_000
 @final
 @dataclass(frozen=True)
 class PackedColumn:
-    """What is packed of each cell."""
+    """A column that is packed of each cell."""
 
     name: str
     unit: str
@@ -214,7 +214,7 @@ def _field(name: str, frame: Frame) -> FloatArray:
 def _clone_numbers(
     frames: Sequence[Frame], lineage: Mapping[str, NDArray[Any]]
 ) -> tuple[Callable[[Frame], NDArray[Any]], int] | None:
-    """Return what numbers the clones of a frame's cells, and how many there are, if several."""
+    """Return a function that numbers the clones of a frame's cells, and their count, if several."""
     if "id" not in lineage:
         return None
     founders = np.unique(np.concatenate([founder(f.cells.id, lineage) for f in frames]))
@@ -298,7 +298,7 @@ def _describe(column: PackedColumn) -> dict[str, Any]:
 def _colourings(
     columns: Sequence[PackedColumn], frames: Sequence[Frame], result: Result
 ) -> Iterator[dict[str, Any]]:
-    """Yield what cells can be coloured by: types first where there are several."""
+    """Yield the colourings of cells: types first where there are several."""
     several = len(result.scene.types) > 1
     order = sorted(columns, key=lambda column: column.name != ("type" if several else "state"))
     for column in order:
@@ -387,7 +387,7 @@ def _note(result: Result, contents: Sequence[Mapping[str, Any]]) -> str:
 def pack_view(
     result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_PAGE_BYTES
 ) -> dict[str, Any] | None:
-    """Return what ``viewer.html`` shows of a run, or None where there is nothing to see.
+    """Return the data of ``viewer.html`` for a run, or None where there is nothing to see.
 
     ``about`` is the table of contents as JSON, ``data`` the columns of all frames as text,
     ``scripts`` are texts, ``policy`` their hashes as sources for the page's
