@@ -133,7 +133,7 @@ def _one_level(scene: Scene, name: str) -> tuple[Level, set[str]]:
     if name == "ATP":
         energy, fields = scene.energy, scene.nutrients
         assert energy is not None
-        return lambda signals, *_: energy.supply(fields, signals), set(energy.yields or ())
+        return lambda signals, *_: energy.supply(fields, signals), energy.fields(fields)
     if name == "pressure":
         return _pressure, {name}
     if name in _OF_CELLS:

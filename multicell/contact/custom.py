@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 
-_POINTS = 401
+_POINTS = 401  # overlaps at which a law is tried for a place of rest; steps of 1/400 of the range
 _HIDDEN = ("force", "stiffness", "energy")
 
 

@@ -32,9 +32,9 @@ OffsetArray = NDArray[np.int64]
 
 CHUNK = 2048  # cells in a chunk. Larger ones share fewer pairs, smaller ones feed more threads.
 
-_BINS_PER_CELL = 24
-_SPARE_BINS = 4096
-_SPARE_PAIRS = 4_000_000
+_BINS_PER_CELL = 24  # most bins for each cell, and for few cells: scattered cells get wider ones
+_SPARE_BINS = 4096  # 32 kB of counts
+_SPARE_PAIRS = 4_000_000  # beyond 500 for each cell: more is no tissue, and fills the memory
 _BLOCK = 512  # candidates that are tested in one go
 _SLICES = 4  # bins along x for each along y and z
 

@@ -17,6 +17,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
+from multicell.cells import HALF
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
@@ -184,7 +185,7 @@ class Scene:
         check_towards(self)
         if self.responses:
             check_responses(self)
-        smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
+        smallest = HALF * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)
         if smoothing > smallest:
             problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     Rate = Callable[[FloatArray, Any], Any]
 
+# Gauss-Legendre nodes of a time to a volume: exact for polynomials of degree 39
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
 _PLACES: Final = 65  # volumes from birth to division at which the sign of a rate is looked at
 _SUBSTEPS: Final = 8  # Runge–Kutta steps that find a first guess of a volume
