@@ -21,7 +21,7 @@ from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
 from multicell.results.observables import viable_volume
-from multicell.scene.checks import circles, followed, solving_order
+from multicell.scene.dependences import circles, followed, solving_order
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -15,11 +15,11 @@ from scipy.integrate import quad
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.contact.constants import fingerprint
-from multicell.contact.custom import load_law
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.physicell import PhysiCell
 from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring, LinearSpring
+from multicell.plugins.fingerprints import fingerprint
+from multicell.plugins.user_laws import load_law
 from multicell.schema import quantity
 from multicell.testing import check_pair_law
 

@@ -21,25 +21,45 @@ CYCLES = {
         "law": "relaxation",
         "parameters": {"target": 1.5},
         "phases": {
-            "G1": {"duration": "60 min", "distribution": "shifted-gamma", "variation": 0.3},
+            "G1": {
+                "duration": "60 min",
+                "distribution": "shifted-gamma",
+                "variation": 0.3,
+                "shift": 0.4,
+            },
             "S": {"duration": "40 min", "distribution": "gamma", "variation": 0.3},
             "G2": {"duration": "30 min", "distribution": "gamma", "target_scale": 1.1},
             "M": {"duration": "20 min", "distribution": "gamma", "grows": False},
         },
         "ki67_decay": "20 min",
+        "restriction": True,
+        "hypertrophy": True,
         "volume_doubling_time": "2 h",
     },
 }
 REGIMES = {
     "steady": {"regime": "steady", "margin": "40 um"},
-    "transient": {"regime": "transient", "margin": "40 um", "media": [["15 min", 0.0595]]},
+    "transient": {
+        "regime": "transient",
+        "margin": "40 um",
+        "time_tolerance": 0.02,
+        "initial": "medium",
+        "media": [["15 min", 0.0595]],
+        "media_change": "steps",
+    },
     "finite medium": {
         "regime": "transient",
         "margin": "40 um",
+        "time_tolerance": 0.02,
         "finite_medium": {"volume": "8e6 um^3", "replaced": 0.5},
         "media": [["15 min", 0.0595]],
     },
-    "shells": {"regime": "transient", "geometry": "radial", "layer": "60 um"},
+    "shells": {
+        "regime": "transient",
+        "time_tolerance": 0.02,
+        "geometry": "radial",
+        "layer": "60 um",
+    },
 }
 METHODS = {
     "euler": {"step": "30 s"},
@@ -48,12 +68,15 @@ METHODS = {
 }
 
 
+KEPT = ("regime", "margin", "time_tolerance", "geometry", "layer", "spacing", "height")
+
+
 def fields(regime, dimensions):
     """Return four fields with all that a field can have in a regime."""
-    shared = {**REGIMES[regime], "spacing": "15 um"}
+    shared = {**REGIMES[regime], "spacing": "20 um"}
     if dimensions == 2:
         shared["height"] = "20 um"
-    own = {name: value for name, value in shared.items() if name not in ("media", "finite_medium")}
+    own = {name: value for name, value in shared.items() if name in KEPT}
     return {
         "oxygen": {
             **shared, "diffusion": "900 um^2/s", "diffusion_medium": "1500 um^2/s",
@@ -93,7 +116,7 @@ def tissue(dimensions, cycle, regime):
         "death": {
             "necrosis_rate": "5e-4 1/s", "swelling": 1.5, "swelling_time": "10 min",
             "lysis_time": "10 min", "apoptosis_rate": "1e-4 1/s", "apoptosis_time": "8 min",
-            "removal_fraction": 0.5,
+            "removal_fraction": 0.5, "inflow": False,
         },
         "types": {
             "a": {

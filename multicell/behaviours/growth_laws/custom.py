@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 
 from multicell.behaviours.growth_laws.laws import GROWTH_LAWS, GrowthLaw
-from multicell.contact.custom import law_of, refuse_names
 from multicell.errors import SceneError
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import own_code
+from multicell.plugins.user_laws import law_of, refuse_names
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

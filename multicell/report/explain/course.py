@@ -24,7 +24,7 @@ from multicell.biology.growth import growth_factor
 from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm
 from multicell.cells import SPHERE, FloatArray
-from multicell.scene.checks import circles, solving_order
+from multicell.scene.dependences import circles, solving_order
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
 from multicell.scene.scales import layer_height
