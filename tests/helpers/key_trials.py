@@ -103,7 +103,7 @@ def tissue(dimensions, cycle, regime):
     """Return a scene in which cells grow, divide, rest, change type and die within 40 min."""
     return {
         "title": "trial", "seed": 3, "duration": 4 * STEP, "coupling_step": STEP,
-        "stop_cells": 25, **({"dimensions": 2} if dimensions == 2 else {}),
+        **({"dimensions": 2} if dimensions == 2 else {}),
         "initial": {"count": 24, "stage": "asynchronous", "spacing": 0.9, "jitter": 0.02},
         "cells": {
             "division_radius": "8 um", "young": "1 kPa", "young_variation": 0.1, "poisson": 0.4,
@@ -198,10 +198,12 @@ def settling(dimensions, contact, method):
         },
         "pull": {"force": "0.05 nN", "rate": "1e-4 nN/s"},
         "motions": {
-            "held": {"cells": [0], "begin": 30.0, "end": 200.0, "velocity": [0, 0, 0]},
+            "held": {"cells": [0], "begin": 30.0, "end": 100.0, "velocity": [0, 0, 0]},
             "driven": {
-                "x": [2.0, 30.0], "y": [-3.0, 3.0],
-                "velocity": [0.002, 0.0, 0.0], **({} if flat else {"z": [-5.0, 5.0]}),
+                "x": [0.9, 8.7] if flat else [-3.2, 1.9],
+                "y": [-9.9, 6.3] if flat else [-2.2, 7.8],
+                **({} if flat else {"z": [-5.5, 2.5]}),
+                "velocity": [0.002, 0.0, 0.0], "begin": 120.0,
             },
         },
         "domain": {**box, "young": "3 kPa", "poisson": 0.3},
@@ -227,16 +229,24 @@ def special():
     del scene["death"]["necrosis_rate"]
     scene["death"] |= {"damage_time": "15 min", "damage_variation": 0.5}
     yield "damage", scene
+    growing = {name: scene[name] for name in ("duration", "coupling_step", "initial", "growth")}
+    yield "stop", {**growing, "contact": {"law": "hertz"}, "stop_cells": 31}
+    loose = {"contact": {"law": "hertz"}, "initial": {"count": 6, "spacing": 0.8}}
+    yield "plane", {"duration": 120.0, "coupling_step": 60.0, "dimensions": 2, **loose}
     scene = settling(3, {"law": "jkr"}, "euler")
     for name in ("domain", "friction", "pull", "motions"):
         del scene[name]
     scene["initial"] |= {"shape": "ball", "jitter": 0.02}
+    scene["integrator"] = {"method": "rk4-adaptive"}
     scene["surface"] = {"tension": "0.5 nN/um"}
     yield "surface", scene
     squeezed = {**scene, "compression": {"bulk_modulus": "20 kPa", "onset": 0.9}}
     del squeezed["surface"]
     squeezed["initial"] = {"count": 40, "spacing": 0.7}
     yield "compression", squeezed
+    kinds = {"a": {"fraction": 0.5}, "b": {"fraction": 0.5, "young": "2 kPa"}}
+    driven = {"m": {"type": "a", "velocity": [0.002, 0.0, 0.0]}}
+    yield "driven types", {**scene, "surface": {"tension": 0.1}, "types": kinds, "motions": driven}
     gel = {"shape": "sphere", "radius": "14 um", "stiffness": "20 kPa", "poisson": 0.3}
     yield "gel", {**scene, "surface": {"tension": 0.1}, "domain": gel}
     sides = {
@@ -315,8 +325,25 @@ def declared(part=Scene, pattern=""):
             yield here
 
 
-def others(value, spec):
+TEXTS = {
+    "motility.towards": ["glucose"],
+    "motions.*.type": ["b"],
+    "radiation.*.cells": ["b"],
+    "radiation.*.oxygen": ["waste"],
+    "responses.*.behaviour": ["rest", "speed", "growth rate"],
+    "responses.*.cells": ["b"],
+    "responses.*.signal": ["waste", "glucose", "oxygen"],
+}
+"""Other values of keys that name something."""
+
+
+def others(pattern, value, spec):
     """Yield values within the range of a key that are not its own."""
+    yield from (text for text in TEXTS.get(pattern, ()) if text != value)
+    yield from _others(value, spec)
+
+
+def _others(value, spec):
     if spec.kind == "flag":
         yield not value
     elif spec.kind in ("choice", "variant"):
@@ -334,7 +361,7 @@ def others(value, spec):
             yield {**value, name: number * 1.3 if number else 0.1}
     elif isinstance(value, tuple):
         for place, entry in enumerate(value):
-            for other in others(entry, spec):
+            for other in _others(entry, spec):
                 yield [*value[:place], other, *value[place + 1 :]]
 
 
