@@ -52,6 +52,7 @@ class Purpose(IntEnum):
     RADIATION = 19
     DRIFT = 20
     TOLERANCE = 21
+    ASYMMETRY = 22
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:

@@ -368,7 +368,7 @@ class Simulation(RunState):
                 jumped = self.timeline.plan.changes_at(begin)
                 self.exposures = remainders(plan, exposure, self.exposures, jumped=jumped)
             typed = self.cells
-            self.cells, rows = mutate_as_found(plan, self.cells, exposure)
+            self.cells, rows = mutate_as_found(plan, self.cells, exposure, self.next_id)
             self.lineage.retype(self.cells.id[rows], self.cells.kind[rows])
             if changing(plan.acting):
                 exposure.cells = self.cells

@@ -31,8 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.behaviours.catalogue import CONTACTS, CROWDED, needs_contacts
-from multicell.behaviours.laws import Constant, Threshold
+from multicell.behaviours.catalogue import CONTACTS, FULL_CROWDING, needs_contacts
 from multicell.random import Purpose
 from multicell.results.observables import contact_rows
 from multicell.scene.responses import Effect, effects
@@ -72,7 +71,7 @@ class BoundResponse:
     def yes_or_no(self) -> bool:
         """Whether its value is zero or one, as booleans."""
         ends = self.effect.low, self.effect.high
-        return isinstance(self.effect.law, Threshold) and ends == (0.0, 1.0)
+        return self.effect.law.jumps and ends == (0.0, 1.0)
 
     @property
     def is_local(self) -> bool:
@@ -215,7 +214,7 @@ def _physicell(
     base, graded = np.full(len(pressure), own), []
     for part in known:
         here = True if part.mask is None else part.mask[_kind(cells)]
-        if isinstance(part.effect.law, Constant):
+        if not part.effect.law.has_signal:
             base = np.where(here, part.effect.high, base)
         else:
             graded.append((part, here))
@@ -337,7 +336,7 @@ def other_signals(
     for name in sorted(counted):
         who, weight = np.ones(len(first), dtype=bool), None
         if name == "crowding":
-            weight = _overlap(cells, first, second) ** 2 / CROWDED
+            weight = _overlap(cells, first, second) ** 2 / FULL_CROWDING
         elif name == "dead neighbours":
             who = cells.dead[second]
         elif name == "neighbours":

@@ -15,7 +15,7 @@ from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import WORST_CELL, errors, observe
 from multicell.comparison.reference import Reference
 from multicell.comparison.replay import ReplayProblem, Trajectory, replay, solve_compiled
-from multicell.mechanics.motion import Work
+from multicell.integrators.auto import ChosenWork
 
 _MAX_FAILURES = 3
 """Tolerances at which a method may fail before it counts as too slow for finer ones."""
@@ -150,7 +150,7 @@ def _solve_row(
 def _row(method: Method, setting: float, exact: Reference, status: str, **known: Any) -> Row:
     """Return one row of the table; what is not known is NaN."""
     unmeasured = _columns(dict.fromkeys(exact.norms, math.nan), exact)
-    unknown = (*_times([(0.0, 0.0)]), "spent", *unmeasured, "cost", *vars(Work()))
+    unknown = (*_times([(0.0, 0.0)]), "spent", *unmeasured, "cost", *vars(ChosenWork()))
     first = {"method": method.name, "control": method.control, "setting": setting}
     known = {"status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
     return {**first, **known, "mode": exact.problem.mode}

@@ -19,6 +19,7 @@ import numpy as np
 
 from multicell.cells import FloatArray, IntArray
 from multicell.compiling.numba_068 import install_recorder
+from multicell.integrators.auto import ChosenWork
 from multicell.integrators.base import Integrator
 from multicell.mechanics.motion import Motion, Work
 from multicell.mechanics.system import Mechanics
@@ -118,7 +119,7 @@ class ReplayProblem:
 
     def system(self) -> Mechanics:
         """Return mechanics of its own, with all counts at zero."""
-        return replace(self.template, work=Work())
+        return replace(self.template, work=ChosenWork())
 
 
 @final
@@ -136,7 +137,7 @@ class Trajectory:
     """
 
     positions: list[FloatArray]
-    work: Work = field(default_factory=Work)
+    work: Work = field(default_factory=ChosenWork)
     wall: float = 0.0
     cpu: float = 0.0
     problem: str = ""

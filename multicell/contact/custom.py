@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 _POINTS = 401  # overlaps at which a law is tried for a place of rest; steps of 1/400 of the range
-_HIDDEN = ("force", "stiffness", "energy")
+_HIDDEN = ("force", "stiffness", "energy", "surface_energy")
 
 
 class UserLaw(OwnLaw, PairLaw):
@@ -49,6 +49,7 @@ class UserLaw(OwnLaw, PairLaw):
     _reach: ClassVar[Scalar | None]
     _asks_rest: ClassVar[bool]
     _parts: ClassVar[Mapping[str, Scalar]]
+    scales: ClassVar[bool] = False
 
     def describe(self, energy: str) -> str:
         """Return the law in words: its name and its parameters."""
@@ -219,5 +220,5 @@ class Compiling:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         failed = kind is not None and kind.__module__.startswith("numba.")
-        if failed and isinstance(self._law, UserLaw):
+        if failed:
             self._law.refuse_uncompilable()

@@ -117,6 +117,10 @@ class Spring(PairLaw):
         """Return zero: the pair rests at s (µm)."""
         return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))
 
+    def list_radius(self, radius: FloatArray, modulus: float) -> FloatArray:
+        """Return the radii times the cutoff, (n,) µm."""
+        return np.asarray(self.cutoff * radius)
+
     def reach(
         self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None
     ) -> FloatArray:

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.preconditioners import Sweeps
     from multicell.mechanics.system import Mechanics
 
+_EXACT = 1e-2  # tolerance of Newton's method over that of the method
 _HALVINGS = 30  # of a line search: below 10^-9 of a Newton step nothing is left to gain
 _MAX_ITERATIONS = 200  # of conjugate gradients in a Newton step
 _RESIDUAL = 100.0
@@ -68,11 +69,11 @@ class BackwardEuler(EqualSteps):
         "backward-euler", "implicit Euler with a fixed step, Newton's method along the energy",
         "step", order=1, implicit=True, stable=math.inf, colour="#0d4a3a", marker="v",
         make=lambda step, atol, max_displacement: BackwardEuler(
-            step, max_displacement, tolerance=0.01 * atol
+            step, max_displacement, tolerance=_EXACT * atol
         ),
     )  # fmt: skip
 
-    tolerance: float = 1e-4
+    tolerance: float = _EXACT * info.atol
     newton: int = 100
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:

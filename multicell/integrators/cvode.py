@@ -37,6 +37,7 @@ class Cvode(ErrorControl):
         stable=math.inf, colour="#1f7f54", marker="o", atol=0.01,
     )  # fmt: skip
 
+    atol: float = info.atol
     formula: str = "BDF"
     light: bool = True
     each_cell: bool = True
@@ -81,6 +82,8 @@ class CvodeAdams(ErrorControl):
         "cvode-adams", "implicit: SUNDIALS CVODE, Adams formulas, solved by the same Newton-Krylov",
         "tolerance", implicit=True, stable=math.inf, colour="#a3c644", marker="D", atol=0.01,
     )  # fmt: skip
+
+    atol: float = info.atol
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""

@@ -125,7 +125,7 @@ def _run(
     else:
         source, pairs = source_of(system, counts, passes=passes, watched=watched)
         report, pairs = loop(source, pairs, *common, *settings)
-        system.take_list(source.cells, pairs)
+        system.take_list(pairs)
     work = system.work
     work.evaluations += int(counts[stepping.EVALUATIONS])
     work.list_builds += int(counts[stepping.LIST_BUILDS])

@@ -66,6 +66,7 @@ class Rosenbrock(ErrorControl):
         friction=False, atol=0.01,
     )  # fmt: skip
 
+    atol: float = info.atol
     worst: float = 25.0
     sharp: float = 0.5
     growth: float = 0.5

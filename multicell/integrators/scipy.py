@@ -60,6 +60,7 @@ class Scipy(ErrorControl):
     Raises SceneError for a relative tolerance below what SciPy carries.
     """
 
+    atol: float = 0.01
     name: str = field(kw_only=True)
 
     @property
@@ -144,6 +145,8 @@ class _Stepped:
 
 
 METHODS = tuple(
-    replace(info, control="tolerance", outside=True, atol=0.01, make=partial(Scipy, name=name))
+    replace(
+        info, control="tolerance", outside=True, atol=Scipy.atol, make=partial(Scipy, name=name)
+    )
     for name, info in _INFOS.items()
 )

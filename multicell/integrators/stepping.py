@@ -33,8 +33,9 @@ from multicell.compiling import (
     kind_of,
 )
 from multicell.integrators import fused
-from multicell.mechanics import forces, neighbours
+from multicell.mechanics import forces
 from multicell.mechanics.motion import StateRejected
+from multicell.mechanics.neighbours import updating
 from multicell.mechanics.system import Mechanics
 
 DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
@@ -202,43 +203,20 @@ def _evaluation(source, pairs, elapsed, position, out):
     ):  # fmt: skip
         if not _is_finite(position):
             return NOT_FINITE, pairs
-        if source.repair_at != 0:
-            repaired, inner_end, outer_end = _repair_at(
-                source.repair_at, position, cells.reference, source.reach, cells.margin,
-                source.least_margin, cells.chunk, pairs.first, pairs.second, pairs.start,
-                pairs.inner_end, pairs.outer_end,
-            )  # fmt: skip
-            if repaired:
-                source.counts[LIST_REPAIRS] += 1
-                pairs = forces.PairData(
-                    pairs.first, pairs.second, pairs.start, inner_end, outer_end, pairs.sticky,
-                    pairs.unit, pairs.onset,
-                )  # fmt: skip
-                continue
-        source.counts[LIST_BUILDS] += 1
-        reach = neighbours.widened(
-            position, cells.reference, source.reach, source.least_margin, cells.margin
-        )
-        crowded, first, second, start, inner_end, outer_end = _rebuild_at(
-            source.rebuild_at, position, reach, 0.0, cells.chunk, pairs.first, pairs.second
-        )
-        if crowded:
-            # the old list is overwritten, and does not fit the new margins: the next state builds
-            cells.reference[:] = np.nan
+        found, listed = updating.update_list(
+            source.rebuild_at, source.repair_at, position, cells.reference, source.reach,
+            cells.margin, source.least_margin, cells.chunk,
+            (pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end),
+            pairs.first, pairs.second,
+        )  # fmt: skip
+        source.counts[LIST_REPAIRS if found == updating.REPAIRED else LIST_BUILDS] += 1
+        if found == updating.CROWDED:
             return REJECTED, pairs
-        copy(position, cells.reference)
-        pairs = forces.PairData(
-            first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
-        )
+        pairs = forces.PairData(*listed, pairs.sticky, pairs.unit, pairs.onset)
     return DONE, pairs
 
 
-_INDEX, _ENDS = types.int32[::1], types.int64[::1]
-_LISTED = types.Tuple((types.boolean, _INDEX, _INDEX, _ENDS, _ENDS, _ENDS))
-_REPAIRED = types.Tuple((types.boolean, _ENDS, _ENDS))
 _forces_at = called_at(8, lambda *_: types.boolean)
-_rebuild_at = called_at(6, lambda *_: _LISTED)
-_repair_at = called_at(11, lambda *_: _REPAIRED)
 _missed_at = called_at(12, lambda *_: types.float64)
 # the evaluation would be compiled into a loop at every call
 _evaluate_at = called_at(5, lambda _, source, pairs, *__: types.Tuple((types.intp, pairs)))
@@ -263,7 +241,7 @@ def with_addresses(
         shared,
         passes,
         watched,
-        len(source.reach) >= neighbours.REPAIRED,
+        len(source.reach) >= updating.REPAIR_FROM,
     )
     if key not in _PLACES:
         used = stepping_kernels(source, pairs, shared=shared, passes=passes)
@@ -296,23 +274,17 @@ def stepping_kernels(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, tuple[Any, ...]]:
     """Return the kernels for :func:`address_of` by their names in :class:`Source`."""
-    place, found = np.empty((0, 3)), (True, *pairs[:5])
-    run, build, repair = forces.forces, neighbours.rebuild, neighbours.repair
-    if shared:
-        run, build = forces.forces_parallel, neighbours.rebuild_parallel
-        repair = neighbours.repair_parallel
+    place = np.empty((0, 3))
+    run = forces.forces_parallel if shared else forces.forces
     known: dict[str, tuple[Any, ...]] = {
         "forces_at": (
             run, True, source.cells, pairs, source.law, place, 0.0, True, source.rows, place
         ),
-        "rebuild_at": (build, found, place, source.reach, 0.0, source.cells.chunk, *pairs[:2]),
         "evaluation_at": (_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }  # fmt: skip
-    if len(source.reach) >= neighbours.REPAIRED:
-        known["repair_at"] = (
-            repair, (True, *pairs[3:5]), place, place, source.reach, source.cells.margin, 0.0,
-            source.cells.chunk, *pairs[:5],
-        )  # fmt: skip
+    known |= updating.kernel_calls(
+        place, source.reach, source.cells.chunk, pairs[:5], shared=shared
+    )
     if passes:
         known |= fused.fused_kernels(source.cells.radius, shared=shared)
     return known

@@ -115,7 +115,7 @@ def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
     """Check one row of the matrix of surface energies: names, completeness, symmetry."""
     assert kind.surface_energy is not None
     own = path.split(".")[1]
-    if not hasattr(scene.contact, "surface_energy"):
+    if not scene.contact.is_sticky:
         raise SceneError(path, "needs a contact law with a surface energy", "Such as law = 'jkr'.")
     check_names(kind.surface_energy, scene.types, path, "a type of this scene")
     for other, partner in scene.types.items():

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.errors import SceneError
-from multicell.plugins.laws import OwnLaw
 from multicell.schema import Tables, specs
 from multicell.units import finite
 
@@ -126,7 +125,7 @@ def _refuse(scene: Scene) -> None:
         raise SceneError("dimensions", problem, "Only scenes in space can be made coarse.")
     if scene.initial.shape == "row":
         raise SceneError("initial.shape", "is 'row', which fewer cells would make shorter")
-    if isinstance(scene.contact, OwnLaw):
+    if not scene.contact.scales:
         problem = "is a law of your own, of which nobody knows how it scales"
         raise SceneError("contact.law", problem, "Scale its parameters so that F(f h, f r) = f² F.")
     for name, part in scene.responses.items():

@@ -8,7 +8,7 @@ responses; both become :class:`Effect` here, and nothing else is evaluated in a 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, final
@@ -22,14 +22,11 @@ from multicell.behaviours.catalogue import (
     signal_unit,
 )
 from multicell.behaviours.laws import (
-    KEYS,
     OWN_RESPONSES,
-    Constant,
-    Hill,
+    RESPONSE_LAWS,
     LinearResponse,
     Monod,
     ResponseLaw,
-    TableResponse,
     Threshold,
 )
 from multicell.cells import Phase
@@ -86,7 +83,7 @@ class Response:
     )  # fmt: skip
     cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")
     law: str = choice(
-        KEYS, default="hill", doc="by which it responds", other=loaded_in(OWN_RESPONSES),
+        RESPONSE_LAWS, default="hill", doc="by which it responds", other=loaded_in(OWN_RESPONSES),
         further=OWN_OBJECT,
     )  # fmt: skip
     falls: bool = flag(default=False, doc="whether the effect falls as the signal rises")
@@ -107,12 +104,12 @@ class Response:
 
     def check(self) -> None:
         """Raise ``SceneError`` for a law without its keys, or with those of another one."""
-        needed, also = KEYS.get(self.law, (("signal",), ("parameters", "falls", "base", "largest")))
+        law = RESPONSE_LAWS.get(self.law, ResponseLaw)
         for name, absent in _ABSENT.items():
             given = getattr(self, name) not in (absent, "")
-            if name in needed and not given:
+            if name in law.needs and not given:
                 raise SceneError(name, f"is missing: the law is {self.law!r}")
-            if given and name not in (*needed, *also):
+            if given and name not in (*law.needs, *law.may_have):
                 raise SceneError(name, f"has no effect: the law is {self.law!r}")
 
     @property
@@ -234,18 +231,19 @@ def _ends(
     scene: Scene, behaviour: Behaviour, part: Response, *, falls: bool
 ) -> tuple[float, float]:
     """Return the values of a behaviour at no effect and at the full one."""
-    if part.law == "table":
+    law = RESPONSE_LAWS.get(part.law, ResponseLaw)
+    if law.gives_values:
         return 0.0, 1.0
     own, base, largest = own_value(scene, behaviour), part.base, part.largest
     assert not isinstance(base, str)
     assert not isinstance(largest, str)
-    if largest is None and behaviour.name == "necrosis rate" and part.law == "threshold":
+    if largest is None and behaviour.name == "necrosis rate" and law.jumps:
         return 0.0, math.inf
     # a response that rises from nothing to what the scene gives, such as Monod's
     at_rest = 0.0 if falls or largest is None else own
     low = at_rest if base is None else base
     high = own if largest is None else largest
-    if low == high and part.law != "constant":
+    if low == high and law.has_signal:
         hint = f"Without responses the {behaviour.name} is {own:g}: give another one."
         raise SceneError("largest", f"is missing, or the same as base ({low:g})", hint)
     return low, high
@@ -259,16 +257,7 @@ def _law(part: Response) -> ResponseLaw:
             problem = f"names {len(part.signals)}, but the law takes {law.signals}"
             raise SceneError("signal", problem)
         return made
-    given: Any = part
-    laws: dict[str, Callable[[], ResponseLaw]] = {
-        "hill": lambda: Hill(given.half, given.power),
-        "monod": lambda: Monod(given.half),
-        "threshold": lambda: Threshold(given.half),
-        "linear": lambda: LinearResponse(given.begin, given.end),
-        "table": lambda: TableResponse(given.points),
-        "constant": Constant,
-    }
-    return laws[part.law]()
+    return RESPONSE_LAWS[part.law].from_keys(part)
 
 
 def check_responses(scene: Scene) -> None:
@@ -386,7 +375,7 @@ def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
         raise SceneError("behaviour", problem, near_miss(of, known))
     growth, name = scene.growth, behaviour.name
     phases = growth is not None and bool(growth.phases)
-    grows = ("growth rate", "rest", "mutation to", "entry into")
+    grows = ("growth rate", "rest", "mutation to", "asymmetric division to", "entry into")
     lacking = {
         "[growth]": name in grows and growth is None,
         "[growth.phases]": name == "entry into" and not phases,

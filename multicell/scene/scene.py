@@ -17,7 +17,6 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
-from multicell.cells import HALF
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
@@ -185,11 +184,7 @@ class Scene:
         check_towards(self)
         if self.responses:
             check_responses(self)
-        smallest = HALF * self.cells.division_radius
-        smoothing = getattr(self.contact, "smoothing", 0.0)
-        if smoothing > smallest:
-            problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
-            raise SceneError("contact.smoothing", problem, "0 turns it off.")
+        self.contact.check_scene(self)
         check_domain(self)
         check_driven(self)
         check_nutrients(self)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from law_samples import SAMPLES
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from strategies import energies, moduli, poissons, radii
@@ -20,7 +21,6 @@ from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import rest_overlap
 from multicell.contact.physicell import PhysiCell
-from multicell.contact.registry import CONTACT_LAWS
 from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring, LinearSpring
 from multicell.errors import SceneError
 
@@ -305,9 +305,7 @@ def test_parameters_out_of_their_range_are_refused(law, given):
 
 
 @pytest.mark.parametrize(
-    "law",
-    [*(law() for law in CONTACT_LAWS.values()), PhysiCell(surface_energy=4.0, cutoff=2.5)],
-    ids=repr,
+    "law", [*SAMPLES.values(), PhysiCell(surface_energy=4.0, cutoff=2.5)], ids=repr
 )
 def test_bonded_pairs_rest_where_the_forces_cancel(law):
     modulus, radius, rest = 5.0, 2.5, 10.0

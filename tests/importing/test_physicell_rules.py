@@ -7,7 +7,7 @@ import pytest
 from physicell_project import MM_HG, ON
 
 import multicell as mc
-from multicell.behaviours.catalogue import CROWDED
+from multicell.behaviours.catalogue import FULL_CROWDING
 from multicell.biology.plan import biology_plan
 from multicell.biology.responding import other_signals, rate_of_harm, value_of
 from multicell.importing.imported import Fate
@@ -203,9 +203,8 @@ def test_chances_of_daughters(project):
     )
     rule = "tumour cell,time,increases,asymmetric division to hunter,0.9,60,2,0"
     made = imported(project, rule, changes=[(cycle, division + cycle)])
-    found = values(made, "mutation to hunter", 0.0, time=np.full(4, 7200.0))
-    # here both daughters may change, so that each has half of the chance
-    expected = 0.5 * hill(0.3, up=[(0.9, 60.0, 2, 120.0)])
+    found = values(made, "asymmetric division to hunter", 0.0, time=np.full(4, 7200.0))
+    expected = hill(0.3, up=[(0.9, 60.0, 2, 120.0)])
     np.testing.assert_allclose(found, [*[expected] * 3, 0.0])
 
 
@@ -217,7 +216,7 @@ def test_repulsion(project):
 
 
 def test_crowding_is_the_simple_pressure_of_physicell(project):
-    assert pytest.approx(12.0 * (1.0 - (np.pi / (2.0 * 3.0**0.5)) ** 0.5) ** 2) == CROWDED
+    assert pytest.approx(12.0 * (1.0 - (np.pi / (2.0 * 3.0**0.5)) ** 0.5) ** 2) == FULL_CROWDING
     cells = "".join(f"{x},{y},0,0\n" for x, y in itertools.product((0, 13), (0, 14)))
     made = mc.import_physicell(
         project(ON, rules="tumour cell,pressure,decreases,cycle entry,0,1,4,0\n", cells=cells)

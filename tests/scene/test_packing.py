@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from law_samples import NAMES
 from scipy import integrate, special
 
 import multicell as mc
@@ -18,7 +19,7 @@ from multicell.scene.pairs import type_pairs
 from multicell.scene.sizes import birth_radius
 from multicell.simulation import Simulation
 
-LAWS = ("hertz", "jkr", "exact-jkr", "linear", "cubic", "generalised-linear", "physicell")
+LAWS = NAMES
 
 
 def scene(**changes) -> mc.Scene:

@@ -15,9 +15,10 @@ from scipy.sparse.linalg import LinearOperator, eigs, eigsh
 
 from multicell.cells import FloatArray, IntArray
 from multicell.errors import SceneError, StepFailed
+from multicell.integrators.auto import ChosenWork
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics.decay_rate import symmetric_product
-from multicell.mechanics.motion import Motion, Work
+from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
@@ -74,7 +75,7 @@ class TrialState:
 
     def system(self, begin: float, end: float) -> Mechanics:
         """Return mechanics of its own, ready for the time between two moments."""
-        system = replace(self.template, work=Work())
+        system = replace(self.template, work=ChosenWork())
         self.ready(system, begin, end)
         return system
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
 from multicell.report.explain.items import ExplainedPart, Number, hours, pair_label, part
 from multicell.scene.packing import collapse_notes, strongest_attraction
@@ -20,7 +19,7 @@ def contact_parts(scene: Scene) -> list[ExplainedPart]:
     """Return contact law and what else acts between and on cells, used or absent."""
     active, load = scene.motility, scene.pull
     given = any(kind.surface_energy is not None for kind in scene.types.values())
-    energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
+    energy = f"{scene.contact.surface_energy:g} nN/um"
     total = sum(kind.fraction for kind in scene.types.values())
     shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
     motions = [
@@ -86,8 +85,8 @@ def contact_notes(scene: Scene) -> Iterator[str]:
     """Yield remarks on contact and motion that are allowed but may not be meant."""
     yield from collapse_notes(scene)
     own = list(type_pairs(scene, typical_radius(scene)))
-    if isinstance(scene.contact, JKR) and all(pair.deepest()[0] == 0.0 for _, pair in own):
-        yield "A surface energy of zero makes JKR the same as Hertz."
+    if scene.contact.without_adhesion and all(pair.deepest()[0] == 0.0 for _, pair in own):
+        yield scene.contact.without_adhesion
     active = scene.motility
     if active is not None:
         weakest = min(pair.deepest()[0] for _, pair in own)

@@ -9,14 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
-from multicell.behaviours.laws import (
-    Constant,
-    Hill,
-    LinearResponse,
-    Monod,
-    TableResponse,
-    Threshold,
-)
 from multicell.biology.draws import malthusian_rate
 from multicell.coupling.start_check import check_population
 from multicell.integrators.base import MethodInfo
@@ -153,7 +145,7 @@ def _sentence(scene: Scene, effect: Effect) -> str:
     behaviour = behaviour_named(effect.behaviour, "")[0]
     whose = f" of {' and '.join(effect.types)} cells" if effect.types else ""
     what = f"the {effect.behaviour}{whose}"
-    if behaviour.is_factor and not isinstance(effect.law, TableResponse):
+    if behaviour.is_factor and not effect.law.gives_values:
         what += ", as a factor,"
 
     def value(number: float) -> str:
@@ -161,37 +153,19 @@ def _sentence(scene: Scene, effect: Effect) -> str:
 
     signal = " and ".join(effect.signals)
     law, end = _law_words(scene, effect), f"{value(effect.low)} to {value(effect.high)}"
-    if isinstance(effect.law, Constant):
+    if not effect.law.has_signal:
         return f"{what} is {value(effect.high)}"
-    if isinstance(effect.law, TableResponse):
+    if effect.law.gives_values:
         return f"{what} follows a table over {signal}: {law}"
     if effect.falls:
         end = f"{value(effect.high)} to {value(effect.low)}"
     return f"as {signal} rises, {what} goes from {end} ({law})"
 
 
-def _least(effect: Effect) -> float:
-    """Return the smallest value that a response gives."""
-    if isinstance(effect.law, TableResponse):
-        return min(value for _, value in effect.law.points)
-    return effect.high if isinstance(effect.law, Constant) else min(effect.low, effect.high)
-
-
 def _law_words(scene: Scene, effect: Effect) -> str:
-    law = effect.law
     known = len(effect.signals) == 1
     unit = signal_unit(effect.signals[0], scene.nutrients, "") if known else ""
-    if isinstance(law, Threshold):
-        return f"at once at {_amount(law.half, unit)}"
-    if isinstance(law, Hill):
-        return f"half way at {_amount(law.half, unit)}, Hill's exponent {law.power:g}"
-    if isinstance(law, Monod):
-        return f"half way at {_amount(law.half, unit)}"
-    if isinstance(law, LinearResponse):
-        return f"in a line from {_amount(law.begin, unit)} to {_amount(law.end, unit)}"
-    if isinstance(law, TableResponse):
-        return ", ".join(f"{y:.4g} at {_amount(x, unit)}" for x, y in law.points)
-    return f"by {type(law).__name__}"
+    return effect.law.words(lambda signal: _amount(signal, unit))
 
 
 def _amount(number: float, unit: str) -> str:
@@ -292,7 +266,7 @@ def _notes(scene: Scene) -> list[str]:
         )
     notes += contact_notes(scene)
     entries = [e for e in effects(scene) if e.behaviour.startswith("entry into")]
-    slowed = [e.behaviour for e in entries if _least(e) < 1.0]
+    slowed = [e.behaviour for e in entries if e.law.least(e.low, e.high) < 1.0]
     if slowed and scene.growth is not None and scene.growth.hypertrophy:
         notes.append(
             f"Cells that wait for their {slowed[0]} keep growing, beyond the volume of division "
