@@ -93,7 +93,8 @@ SIGNALS: Final = {
 """Signals besides fields -> base unit.
 
 ``crowding`` is the sum over the neighbours of (1 - d/s)², d the distance and s the sum of the
-radii, over that of :data:`FULL_CROWDING`: 1 for a cell among twelve at the distance of close packing.
+radii, over that of :data:`FULL_CROWDING`: 1 for a cell among twelve at the distance
+of close packing.
 """
 
 FULL_CROWDING: Final = 12.0 * (1.0 - math.sqrt(math.pi / (2.0 * math.sqrt(3.0)))) ** 2
