@@ -210,7 +210,7 @@ def _evaluation(source, pairs, elapsed, position, out):
             pairs.first, pairs.second,
         )  # fmt: skip
         source.counts[LIST_REPAIRS if found == updating.REPAIRED else LIST_BUILDS] += 1
-        if found == updating.CROWDED:
+        if found == updating.TOO_CROWDED:
             return REJECTED, pairs
         pairs = forces.PairData(*listed, pairs.sticky, pairs.unit, pairs.onset)
     return DONE, pairs
@@ -273,7 +273,7 @@ _PLACES: dict[Any, dict[str, Any]] = {}
 def stepping_kernels(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, tuple[Any, ...]]:
-    """Return the kernels for :func:`address_of` by their names in :class:`Source`."""
+    """Return the kernels as :func:`address_of` takes them, by their names in :class:`Source`."""
     place = np.empty((0, 3))
     run = forces.forces_parallel if shared else forces.forces
     known: dict[str, tuple[Any, ...]] = {

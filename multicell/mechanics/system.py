@@ -514,7 +514,7 @@ class Mechanics:
         return pair_values.has_pair_values(self.law, self.motion, self.surface_energies)
 
     def kernel_data(self) -> tuple[Kernels, forces.PairData, bool]:
-        """Return the arguments of the kernels, for a loop that updates the neighbour list itself.
+        """Return the data of the kernels, for a loop that updates the neighbour list itself.
 
         The last says whether threads share them. :meth:`take_list` takes the list that the loop
         leaves.

@@ -24,7 +24,7 @@ def test_every_method_is_fully_described(name):
     assert "\n" not in info.words
     assert info.control in ("step", "tolerance")
     assert re.fullmatch("#[0-9a-f]{6}", info.colour)
-    assert info.order is None or info.order > 0
+    assert info.order != 0
     if info.control == "step":
         assert info.stable > 0.0
         assert info.order is not None

@@ -93,7 +93,7 @@ def test_a_compiled_loop_makes_the_same_lists(n):
 def test_after_too_many_pairs_there_is_no_list_until_the_next_state():
     position, near = tissue(20_000)
     near.update(position)
-    assert near.update(np.zeros_like(position)) == updating.CROWDED
+    assert near.update(np.zeros_like(position)) == updating.TOO_CROWDED
     assert near.pairs is None
     assert near.update(position) == updating.BUILT
     assert np.isin(

@@ -1,4 +1,4 @@
-"""Neighbours of cells: bins, the list of pairs, its repair, and the order of cells.
+"""Neighbours: cells in bins, the list of pairs that are close, its repair, the order of cells.
 
 :class:`NeighbourList` is the list that follows the cells of a coupling step, :func:`build` makes
 one of cells as they are.
@@ -20,13 +20,13 @@ from multicell.mechanics.neighbours.pair_list import (
     are_listed,
     listed,
 )
-from multicell.mechanics.neighbours.updating import BUILT, CROWDED, REPAIRED
+from multicell.mechanics.neighbours.updating import BUILT, REPAIRED, TOO_CROWDED
 
 __all__ = [
     "BUILT",
     "CHUNK",
-    "CROWDED",
     "REPAIRED",
+    "TOO_CROWDED",
     "IndexArray",
     "NeighbourList",
     "OffsetArray",

@@ -19,7 +19,7 @@ from multicell.mechanics.neighbours.pair_list import IndexArray, OffsetArray
 _BINS_PER_CELL = 24  # most bins for each cell: scattered cells get wider ones
 _SPARE_BINS = 4096  # and for few cells: 32 kB of counts
 SLICES = 4  # bins along x for each along y and z
-CANDIDATE_BLOCK = 512  # candidates that are tested in one go
+SEARCHED = 512  # candidates that are tested in one go
 
 
 class Bins(NamedTuple):

@@ -11,7 +11,7 @@ from multicell.cells import FloatArray
 from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
-    CANDIDATE_BLOCK,
+    SEARCHED,
     SLICES,
     Bins,
     collect,
@@ -113,7 +113,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     at, stop = np.empty(2, np.int64), np.empty(2, np.int64)
     at[0], stop[0] = base[c], base[c] + room[c, 0]
     at[1], stop[1] = stop[0], stop[0] + room[c, 1]
-    hits = np.empty(2 * CANDIDATE_BLOCK, np.int32)
+    hits = np.empty(2 * SEARCHED, np.int32)
     cells, start, shape, low = bins.cells, bins.start, bins.shape, bins.low
     width, scale, dense = 2.0 * bins.largest, 0.5 * SLICES / bins.largest, shape[0] > 0
     for i in range(np.uint64(own[0]), np.uint64(own[1])):
@@ -140,11 +140,11 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
                 )  # fmt: skip
             else:
                 begin, end = bins.ranges[i, neighbour, 0], bins.ranges[i, neighbour, 1]
-            for block in range(begin, end, CANDIDATE_BLOCK):
-                if count > CANDIDATE_BLOCK:
+            for block in range(begin, end, SEARCHED):
+                if count > SEARCHED:
                     _note(i, own, bins.order, hits, count, at, stop, first, second)
                     count = np.int64(0)
-                count = collect(cells, block, min(block + CANDIDATE_BLOCK, end), a, hits, count)
+                count = collect(cells, block, min(block + SEARCHED, end), a, hits, count)
         _note(i, own, bins.order, hits, count, at, stop, first, second)
         if at[0] - base[c] + at[1] - stop[0] > limit:
             break

@@ -75,8 +75,8 @@ class NeighbourList:
     def update(self, position: FloatArray) -> int:
         """Bring the list up to date where cells have drifted: at ``position``, (n, 3) µm, finite.
 
-        Returns ``REPAIRED``, ``BUILT`` or ``CROWDED`` of :mod:`.updating`. Lists that stood here
-        before are left as they are: whoever has linearised with one still needs it.
+        Returns ``REPAIRED``, ``BUILT`` or ``TOO_CROWDED`` of :mod:`.updating`. Lists that stood
+        here before are left as they are: whoever has linearised with one still needs it.
         """
         n, last = len(self), self.pairs
         if n < 2:

@@ -10,7 +10,7 @@ from numba import njit, prange
 from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
-    CANDIDATE_BLOCK,
+    SEARCHED,
     SLICES,
     collect,
     dense_bins,
@@ -19,7 +19,6 @@ from multicell.mechanics.neighbours.bins import (
 )
 from multicell.mechanics.neighbours.margins import next_margin
 
-MIN_REPAIRED = 1000  # cells from which on lists are repaired, which takes seconds to compile
 _USED = (0.25, 0.5)  # of the square of a margin: a repair gives new ones to cells beyond
 FEW = 8  # a list is repaired where one cell in so many has drifted, or fewer
 _FOUND = 64  # pairs of a cell that a repair has room for
@@ -119,7 +118,7 @@ def _pairs_of(part, cell, moved, bins, first, second):
     """
     cells, shape, low = bins.cells, bins.shape, bins.low
     begin, end = part * _PART, min((part + 1) * _PART, cell.size)
-    at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * CANDIDATE_BLOCK, np.int32)
+    at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * SEARCHED, np.int32)
     width, scale = 2.0 * bins.largest, 0.5 * SLICES / bins.largest
     for k in range(begin, end):
         i = np.int64(cell[k])
@@ -141,9 +140,9 @@ def _pairs_of(part, cell, moved, bins, first, second):
                 1, (w * shape[1] + v) * shape[0], bins.start, shape[0],
                 cells[a, 0] - low[0], math.sqrt(rest), scale, a,
             )  # fmt: skip
-            for block in range(from_, to, CANDIDATE_BLOCK):
-                count = collect(cells, block, min(block + CANDIDATE_BLOCK, to), a, hits, count)
-                if count > _FOUND + CANDIDATE_BLOCK:
+            for block in range(from_, to, SEARCHED):
+                count = collect(cells, block, min(block + SEARCHED, to), a, hits, count)
+                if count > _FOUND + SEARCHED:
                     return -1
         if at + count > _FOUND * end:
             return -1

@@ -18,8 +18,8 @@ from multicell.compiling import called_at
 from multicell.mechanics.neighbours import building, repairing
 from multicell.mechanics.neighbours.margins import widened
 
-REPAIRED, BUILT, CROWDED = range(3)
-"""What became of a list; after :data:`CROWDED` there is none, since too many pairs are close."""
+REPAIRED, BUILT, TOO_CROWDED = range(3)
+"""What became of a list; after :data:`TOO_CROWDED` there is none: too many pairs are close."""
 REPAIR_FROM = 1000  # cells from which on lists are repaired, which takes seconds to compile
 
 
@@ -67,7 +67,7 @@ def update_list(
     if crowded:
         # the old list is overwritten, and does not fit the new margins: the next state builds
         reference[:] = np.nan
-        return CROWDED, pairs
+        return TOO_CROWDED, pairs
     return BUILT, (first, second, start, inner_end, outer_end)
 
 
@@ -91,7 +91,7 @@ def kernel_calls(
 
 
 def kernels(n: int, *, shared: bool) -> tuple[Any, Any]:
-    """Return the kernels that build and repair lists of ``n`` cells; 0 where they are not repaired.
+    """Return the kernels that build lists of ``n`` cells and repair them; 0 where they are not.
 
     - ``shared``: for all threads, not for one
     """
