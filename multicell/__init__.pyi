@@ -17,7 +17,6 @@ from multicell.comparison.result import WorkPrecision as WorkPrecision
 from multicell.comparison.stability_limits.result import StabilityMap as StabilityMap
 from multicell.comparison.stability_limits.search import stability as stability
 from multicell.comparison.work_precision import compare as compare
-from multicell.contact.custom import load_law as load_law
 from multicell.contact.custom import pair_law as pair_law
 from multicell.contact.hertz import Hertz as Hertz
 from multicell.contact.jkr import JKR as JKR
@@ -42,6 +41,7 @@ from multicell.nutrient.reactions.own import OwnReaction as OwnReaction
 from multicell.nutrient.reactions.own import reaction as reaction
 from multicell.ode import OdeProblem as OdeProblem
 from multicell.ode import ode_problem as ode_problem
+from multicell.plugins.user_laws import load_law as load_law
 from multicell.report.exports.files import export as export
 from multicell.report.result import Result as Result
 from multicell.report.result import load_result as load_result

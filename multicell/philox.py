@@ -13,8 +13,8 @@ from numba import njit
 
 _OPTIONS: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}
 _INNER: dict[str, Any] = {"no_cpython_wrapper": True}
-_ROUNDS = 10
-_LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+_ROUNDS = 10  # ten rounds: Philox4x64-10 of the paper
+_LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)  # half a word, and its bits
 # the multipliers and the key increments of the paper (golden ratio, sqrt(3) - 1)
 _FIRST, _SECOND = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)

@@ -129,7 +129,7 @@ def two_cells(scene: Scene) -> tuple[Mechanics, FloatArray]:
     from multicell.biology.motion import motion_of
     from multicell.biology.plan import biology_plan
     from multicell.scene import start
-    from multicell.scene.checks import followed
+    from multicell.scene.dependences import followed
 
     cells = initial_cells(scene).take(np.zeros(2, dtype=np.int64))
     cells.id = np.arange(2, dtype=cells.id.dtype)

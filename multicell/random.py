@@ -23,7 +23,8 @@ from multicell.errors import SceneError
 
 UIntArray = NDArray[np.uint64]
 
-_WORD = 2**64
+_WORD = 2**64  # values of a random word
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # golden section: its multiples spread evenly over 0 ... 1
 
 
 @final

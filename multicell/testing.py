@@ -528,8 +528,8 @@ def check_pair_law(law: PairLaw) -> None:
     _carry_out((_check_slopes, _check_reach, _check_rest, _check_compiled), law, type(law).__name__)
 
 
-_SIZES = (2.0, 5.0, 8.0)
-_MODULI = (0.2, 1.0, 5.0)
+_SIZES = (2.0, 5.0, 8.0)  # radii r_ij at which laws are tried, µm: small to large cells
+_MODULI = (0.2, 1.0, 5.0)  # moduli E_ij at which laws are tried, kPa
 _PAIRS = [(e, 0.5 * r, 2.0 * r) for e in _MODULI for r in _SIZES]
 """E_ij, r_ij and the sum of the radii of some pairs of equal cells."""
 _SLOPE = 1e-5

@@ -35,6 +35,7 @@ def pytest_addoption(parser):
     group.addoption("--full-disks", type=int, default=2, help="runs on a disk that gets full")
     group.addoption("--damages", type=int, default=6, help="folders of each kind that are damaged")
     group.addoption("--interrupts", type=int, default=3, help="processes that are interrupted")
+    group.addoption("--keys", type=int, default=0, help="keys of each scene that are changed")
     group.addoption("--calibrations", type=int, default=0, help="repeats of fits on known data")
     group.addoption(
         "--coupling-steps", type=int, default=500, help="of each run that must not leak"

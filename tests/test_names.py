@@ -98,3 +98,47 @@ def test_titles_name_their_subject():
 def test_titles_that_ask_are_seen(tmp_path):
     (tmp_path / "a.py").write_text('"""How it goes."""\ndef f():\n    """Return what is."""\n')
     assert titles_like_questions(tmp_path) == ["a.py: How it goes.", "a.py: Return what is."]
+
+
+def numbers_without_reason(folder):
+    """Return the numbers of modules that have neither a comment nor a text below them.
+
+    Those that count something, up to two, explain themselves.
+    """
+    found = []
+    for path in sorted(folder.rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        lines, body = text.splitlines(), ast.parse(text).body
+        for item, after in zip(body, [*body[1:], None], strict=True):
+            if not isinstance(item, ast.Assign | ast.AnnAssign) or not _is_number(item.value):
+                continue
+            above = lines[max(item.lineno - 2, 0)].lstrip()
+            own = " ".join(lines[item.lineno - 1 : item.end_lineno])
+            below = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            if "#" not in own and not above.startswith("#") and not below:
+                found.append(f"{path.relative_to(folder).as_posix()}: {ast.unparse(item)}")
+    return found
+
+
+def _is_number(value):
+    """Return whether an expression consists of numbers alone, of which one is above two."""
+    allowed = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.Tuple, ast.operator, ast.unaryop, ast.Load)
+    parts = list(ast.walk(value)) if value is not None else []
+    known = [part.value for part in parts if isinstance(part, ast.Constant)]
+    numbers = [x for x in known if isinstance(x, int | float) and not isinstance(x, bool)]
+    plain = all(isinstance(part, allowed) for part in parts) and len(numbers) == len(known)
+    return plain and any(x not in (0, 1, 2) for x in numbers)
+
+
+def test_numbers_have_reasons():
+    assert numbers_without_reason(PACKAGE) == []
+
+
+def test_numbers_without_reasons_are_seen(tmp_path):
+    (tmp_path / "a.py").write_text(
+        "_ONE = 1\n_FAR = 8.0\n_NEAR: float = 3  # µm\n_BOTH = (0.5, 2)\n"
+        "# of cells\n_MANY = 10**7\n_LAST = -1e-3\n"
+    )
+    assert numbers_without_reason(tmp_path) == [
+        "a.py: _FAR = 8.0", "a.py: _BOTH = (0.5, 2)", "a.py: _LAST = -0.001",
+    ]  # fmt: skip

@@ -77,6 +77,29 @@ def test_names_of_test_files_are_given_once():
     assert len(names) == len(set(names))
 
 
+def imported(path):
+    """Return the files of tests that a file imports: what they share belongs into helpers."""
+    tests = {path.stem for path in FILES if path.name.startswith("test_")}
+    lines = [item for item in ast.walk(tree(path)) if isinstance(item, ast.Import | ast.ImportFrom)]
+    names = [
+        name
+        for line in lines
+        for name in ([line.module or ""] if isinstance(line, ast.ImportFrom)
+                     else [alias.name for alias in line.names])
+    ]  # fmt: skip
+    return [name for name in names if name.rpartition(".")[2] in tests]
+
+
+def test_no_test_file_imports_another():
+    assert broken(imported) == {}
+
+
+def test_imports_of_test_files_are_seen(tmp_path):
+    path = tmp_path / "test_more.py"
+    path.write_text("import os\nfrom test_rules import tree\nimport test_names as names\n")
+    assert imported(path) == ["test_rules", "test_names"]
+
+
 def test_the_rules_see_what_breaks_them(tmp_path):
     file = tmp_path / "test_bad.py"
     bad = ["def help(x): assert x", "def test_a(): help(1)", "def test_b(): print(1)"]

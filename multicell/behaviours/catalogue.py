@@ -93,10 +93,11 @@ SIGNALS: Final = {
 """Signals besides fields -> base unit.
 
 ``crowding`` is the sum over the neighbours of (1 - d/s)², d the distance and s the sum of the
-radii, over that of :data:`CROWDED`: 1 for a cell among twelve at the distance of close packing.
+radii, over that of :data:`FULL_CROWDING`: 1 for a cell among twelve at the distance
+of close packing.
 """
 
-CROWDED: Final = 12.0 * (1.0 - math.sqrt(math.pi / (2.0 * math.sqrt(3.0)))) ** 2
+FULL_CROWDING: Final = 12.0 * (1.0 - math.sqrt(math.pi / (2.0 * math.sqrt(3.0)))) ** 2
 """Twelve neighbours in a plane's closest packing of one density: PhysiCell's unit of pressure.
 
 A. Ghaffarizadeh et al., PLoS Comput. Biol. 14 (2018) e1005991.

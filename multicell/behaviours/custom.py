@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from multicell.behaviours.laws import OWN_RESPONSES, ResponseLaw
-from multicell.contact.custom import law_of, refuse_names
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import own_code
+from multicell.plugins.user_laws import law_of, refuse_names
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

@@ -9,7 +9,7 @@ import numpy as np
 from multicell import random
 from multicell.biology.responding import value_of
 from multicell.cells import Cells, FloatArray, IntArray, Mask, Signals
-from multicell.random import Purpose
+from multicell.random import GOLDEN, Purpose
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 
 _NONE: Signals = {}
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _MOMENTS: Final = 20
 """Moments in a window: the chance of more is below the resolution of a random number."""
 _EARLIER: Final = 1 << 20
@@ -57,7 +56,7 @@ def active_force(
 
 def _regular(plan: BiologyPlan, law: Motility, cells: Cells, time: float) -> FloatArray:
     """Return the random directions of cells that change them after equal times, (n, 3)."""
-    shift = (cells.id + 1) * _GOLDEN % 1.0
+    shift = (cells.id + 1) * GOLDEN % 1.0
     interval = np.floor(time / law.persistence + shift).astype(np.int64)
     force = np.zeros((len(cells), 3))
     for number in np.unique(interval):

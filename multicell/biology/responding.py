@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.behaviours.catalogue import CONTACTS, CROWDED, needs_contacts
+from multicell.behaviours.catalogue import CONTACTS, FULL_CROWDING, needs_contacts
 from multicell.random import Purpose
 from multicell.results.observables import contact_rows
 from multicell.scene.responses import Effect, effects
@@ -132,7 +132,7 @@ def _one_level(scene: Scene, name: str) -> tuple[Level, set[str]]:
     if name == "ATP":
         energy, fields = scene.energy, scene.nutrients
         assert energy is not None
-        return lambda signals, *_: energy.supply(fields, signals), set(energy.yields or ())
+        return lambda signals, *_: energy.supply(fields, signals), energy.fields(fields)
     if name == "pressure":
         return _pressure, {name}
     if name in _OF_CELLS:
@@ -336,7 +336,7 @@ def other_signals(
     for name in sorted(counted):
         who, weight = np.ones(len(first), dtype=bool), None
         if name == "crowding":
-            weight = _overlap(cells, first, second) ** 2 / CROWDED
+            weight = _overlap(cells, first, second) ** 2 / FULL_CROWDING
         elif name == "dead neighbours":
             who = cells.dead[second]
         elif name == "neighbours":

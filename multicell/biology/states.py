@@ -25,7 +25,7 @@ from multicell.biology.exposure import finite_rate, part_until
 from multicell.biology.growth import shrunk
 from multicell.biology.responding import rate_of, rate_of_harm, wants_rest
 from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Signals, State
-from multicell.random import Purpose
+from multicell.random import GOLDEN, Purpose
 
 if TYPE_CHECKING:
     from multicell.biology.exposure import Exposure
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from multicell.scene.radiation import Radiation
 
 
-_GOLDEN = float(0.5 * (np.sqrt(5.0) - 1.0))
 # arrays compare with numbers of their own type faster than with names
 _GROWING, _RESTING, _NECROTIC, _APOPTOTIC = (np.int8(state) for state in State)
 
@@ -197,7 +196,7 @@ def deciding(cells: Cells, dt: float, reaction_time: float, ahead: float | None 
 
     ``ahead`` is the length of the next step, s; absent: as that of this one.
     """
-    shift = (cells.id + 1) * _GOLDEN % 1.0
+    shift = (cells.id + 1) * GOLDEN % 1.0
     now = np.floor((cells.age + 0.5 * (dt if ahead is None else ahead)) / reaction_time + shift)
     before = np.floor((cells.age - 0.5 * dt) / reaction_time + shift)
     return np.asarray((now > before) | (cells.age < dt))

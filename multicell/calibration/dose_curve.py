@@ -37,8 +37,9 @@ DOSES: Final[Mapping[int, tuple[str, ...]]] = {1: ("dose",), 2: ("dose A", "dose
 """Titles of the columns of doses, by the number of drugs."""
 
 TOTALS: Final = {"bliss_excess": "mean Bliss excess", "loewe_index": "mean Loewe index"}
+# steepness of Hill curves that is fitted: data say nothing of a flatter or steeper one
 _SLOPES: Final = (0.1, 20.0)
-_TAILS: Final = (0.025, 0.975)
+_TAILS: Final = (0.025, 0.975)  # ends of central intervals of 95 %
 
 
 @final

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 LIVING: Final = "proliferating+quiescent"
 """The living cells: columns of the history, added up."""
-RESAMPLES: Final = 1000
+RESAMPLES: Final = 1000  # some 25 lie beyond each end of an interval of 95 %
 _WRITTEN: Final = ("viability", "run", "reason")
 """Further columns of the table that an analysis writes."""
 

@@ -32,7 +32,7 @@ from multicell.calibration.priors import Prior
 
 PARTICLES: Final = 2000  # draws from a posterior
 ENOUGH_DRAWS: Final = 500  # to see where a posterior is, if not where its tails end
-_MOVES: Final = 8
+_MOVES: Final = 8  # Metropolis steps of all particles at each power
 _MAX_POINTS: Final = 100
 """Points that a process is fitted to, the nearest ones: its cost is their number cubed."""
 _ABOVE: Final = 3  # readings above zero without which nothing is known of what is behind them

@@ -30,7 +30,7 @@ _COLOURS: Final = (
 _MAX_PAIRED: Final = 6  # parameters that are drawn pairwise; of more the first ones
 _UPRIGHT: Final = 9  # single data whose labels stand beside each other
 _ZOOMED: Final = 0.35  # part of a range below which only that is drawn
-_BAND: Final = (0.025, 0.5, 0.975)
+_BAND: Final = (0.025, 0.5, 0.975)  # central interval of 95 % and median
 
 
 @final

@@ -45,6 +45,11 @@ Array = NDArray[np.float64]
 SPECIMEN_PRIOR: Final = 1.0
 """Degrees of freedom that the usual scatter of specimens counts for beside that of one datum."""
 _SHRINKAGE: Final = 0.1
+"""Least share by which estimated correlations are drawn towards none; a choice.
+
+Estimates from few runs or specimens are singular, and Ledoit and Wolf's share of them may be zero
+by chance. With a tenth no combination of data has less than a tenth of the variance that it would
+have without correlations, so that none decides a fit alone."""
 
 
 @final

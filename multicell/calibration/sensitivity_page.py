@@ -72,8 +72,8 @@ def _tiles(result: Sensitivity) -> dict[str, str]:
     return tiles
 
 
-_MAX_LINES: Final = 7
-_NEAR_ORIGIN: Final = 0.02
+_MAX_LINES: Final = 7  # labels in the chart: more overlap
+_NEAR_ORIGIN: Final = 0.02  # part of the chart's range within which labels would lie on each other
 
 
 @styled

@@ -187,7 +187,7 @@ def name_law(spec: str) -> dict[str, str]:
     """Load a law of the user's own; return the key that takes it and the name in scenes."""
     from multicell.behaviours.growth_laws.laws import GrowthLaw
     from multicell.behaviours.laws import ResponseLaw
-    from multicell.contact.custom import load_law
+    from multicell.plugins.user_laws import load_law
 
     law = load_law(spec)
     if issubclass(law, ResponseLaw):

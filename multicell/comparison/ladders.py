@@ -29,8 +29,8 @@ LADDER_TOLERANCES: Final = tuple(10.0 ** (-0.5 * k) for k in range(2, 15))
 
 # a step far beyond the limit of stability to one far below it, in units of that limit
 _COARSEST, _HALVINGS = 4.0, 11
-_MAX_STEPS = 1_000_000
-_SOLVED = 1e-6
+_MAX_STEPS = 1_000_000  # of a solve: time ends it before its count of steps does
+_SOLVED = 1e-6  # tolerance of implicit equations, in radii: below the error of any step
 
 
 @final

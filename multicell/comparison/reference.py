@@ -28,6 +28,7 @@ Pair = tuple[tuple[Method, float], tuple[Method, float]]
 """Method and setting of the reference, and of the one that it is checked against."""
 
 _FEW, _FEW_AT_REST = 500, 2000  # cells up to which CVODE is fast at the tightest tolerance
+# relative tolerances of references, and of one for coupling steps: near rounding, yet reached
 _TIGHT, _LESS_TIGHT, _TIGHT_STEP = 1e-12, 1e-9, 1e-11
 _RECORDED: Final = ("cvode", 1e-2)  # method and tolerance that lead through a sampled run
 

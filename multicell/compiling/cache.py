@@ -4,7 +4,7 @@ Numba's own stamp is a digest of the file in which a kernel stands. Kernels take
 constants of other files, so theirs is a digest of all files from which kernels are made: those of
 the rooms with kernels, and those at the top of the package. A change in any of them compiles all
 kernels anew. Whoever edits a command or a picture keeps the compiled code. Functions of users are
-known by what they read (:func:`multicell.contact.constants.fingerprint`).
+known by what they read (:func:`multicell.plugins.fingerprints.fingerprint`).
 """
 
 from __future__ import annotations

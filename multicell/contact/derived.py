@@ -20,6 +20,7 @@ _AGREED = 1e-13  # difference of two integrals of a panel over that of |F| over 
 _TRIED = 500  # panels after which a force is taken to be no smoother than its rounding
 _NARROWEST = 1e-12
 """Panel over the whole, or over where that begins: its points differ by more than rounding."""
+# Gauss-Legendre nodes of an interval: exact for polynomials of degree 15
 _NODES, _WEIGHTS = (tuple(map(float, part)) for part in np.polynomial.legendre.leggauss(8))
 
 

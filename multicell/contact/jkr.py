@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from multicell.cells import HALF
 from multicell.contact.constants import TINY, constants_of
 from multicell.contact.law import PairLaw
 from multicell.errors import SceneError
@@ -89,7 +90,7 @@ class JKR(PairLaw):
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ``SceneError`` where the smoothing is longer than the least radius of a cell."""
-        smallest = 0.5 ** (1.0 / 3.0) * scene.cells.division_radius
+        smallest = HALF * scene.cells.division_radius
         if self.smoothing > smallest:
             problem = f"is {self.smoothing:g} um, must be at most the birth radius {smallest:g} um"
             raise SceneError("contact.smoothing", problem, "0 turns it off.")

@@ -19,7 +19,7 @@ from multicell.errors import SceneError
 from multicell.host import files
 from multicell.schema import Bounds
 
-_MAX_BYTES = 100_000_000
+_MAX_BYTES = 100_000_000  # of a file: it bounds memory and time of reading
 
 
 def read_imported_text(path: Path) -> str:
@@ -48,7 +48,7 @@ def read_rows(path: Path) -> list[tuple[int, list[str]]]:
     return rows
 
 
-_MAX_DEPTH = 50
+_MAX_DEPTH = 50  # levels of elements; settings of PhysiCell have eight
 _MAX_ELEMENTS = 200_000  # the largest models of PhysiCell have some thousand
 _MAX_NAME = 80  # characters of a tag or a name that places in messages and accounts show
 _YES = ("1", "t", "T", "y", "Y")

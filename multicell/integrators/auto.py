@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-_ITERATIONS = 6
+_ITERATIONS = 6  # power iterations: λ may be read a fifth too low
 PATIENCE = 300  # evaluations that Adams-Bashforth may expect to take, by many cells
 _CHOICE = 2.0e3  # evaluations times cells that calls of Python cost when λ is measured
 _SUSPECT, _MOVES = 25.0, 60.0

@@ -31,6 +31,7 @@ from multicell.integrators.base import (
     count_equal_steps,
     move_words,
 )
+from multicell.mechanics.jacobian import SOFTENING
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
     from multicell.mechanics.system import Mechanics
 
 _EXACT = 1e-2  # tolerance of Newton's method over that of the method
-_HALVINGS = 30
-_MAX_ITERATIONS = 200
+_HALVINGS = 30  # of a line search: below 10^-9 of a Newton step nothing is left to gain
+_MAX_ITERATIONS = 200  # of conjugate gradients in a Newton step
 _RESIDUAL = 100.0
 """Largest residual at the end of Newton's method, in tolerances of its last correction.
 
@@ -49,7 +50,6 @@ motion of the cluster as a whole.
 """
 _FORCING = 1e-2  # relative residual to which each linear system is solved
 _FINER = 1e-2  # what that is multiplied by where ``_RESIDUAL`` is exceeded
-_SOFTENING = 0.5  # bound of softening, in E_ij r_ij, where no energy is followed
 _DECREASE = 1e-4
 """Least part of the promised decrease, of the residual or of the energy (Armijo's rule)."""
 _ROUNDING = 1e-14  # of the energy, below which a difference of two energies is rounding
@@ -143,7 +143,7 @@ class _Step:
             system.linearise(self.end, self.trial)
             self.linear = system.linearisation
             if not self.descends:
-                self.linear, _ = limited(system, _SOFTENING)
+                self.linear, _ = limited(system, SOFTENING)
             approximate.setup_preconditioner(self.step, self.linear)
             correction = self._correction(residual, approximate)
             found = self._search(residual, correction)

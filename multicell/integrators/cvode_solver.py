@@ -13,6 +13,7 @@ from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL, typed
+from multicell.integrators.limits import PACKED_CONTACTS
 from multicell.integrators.restarts import (
     IntegrationProgress,
     Predictor,
@@ -21,7 +22,7 @@ from multicell.integrators.restarts import (
     Taken,
     one_step,
 )
-from multicell.mechanics.jacobian import limited
+from multicell.mechanics.jacobian import SOFTENING, limited
 from multicell.mechanics.motion import StateRejected
 
 if TYPE_CHECKING:
@@ -34,15 +35,11 @@ _NEWTON, _KRYLOV = 3, 8  # most Newton iterations in a step, dimension of the Kr
 _FAR = 0.003
 """Change of a coordinate from which on J is taken anew, in mean radii (further where the step is
 mild): SUNDIALS itself asks for it much too seldom (docs/theory/integrators.md)."""
-_SOFTENING = 0.5
-"""Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope tends to -∞ at first
-contact). It leaves the solution as it is."""
-_CONTACTS = 8.0  # largest decay rate of packed cells, in stiffness of the stiffest pair over drag
 _SLOW_START = 5e-4
 """Share of the interval below which the first two steps of a mild start say that it is stiff."""
 _BUSY, _WINDOW = 6, 3
 """Evaluations a step, over how many last steps, above which a mild start has become stiff."""
-_LIGHT_KRYLOV = 5
+_LIGHT_KRYLOV = 5  # SUNDIALS' own dimension of Krylov spaces
 _FIRST = 1e-6
 """First step of a mild start over the interval. CVODE's own is about as long, and it takes two
 evaluations to find it; the second one may be ten thousand times longer."""
@@ -207,10 +204,10 @@ class Krylov(_Session):
 
     def _take_jacobian(self, t: float, y: FloatArray) -> None:
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
-        self._linear, stiffest = limited(self.system, _SOFTENING)
+        self._linear, stiffest = limited(self.system, SOFTENING)
         self._reference = np.array(y)
         drag = self.system.drag * float(self.system.motion.radius.mean())
-        self._rate = _CONTACTS * stiffest / drag
+        self._rate = PACKED_CONTACTS * stiffest / drag
 
     def _moved(self, y: FloatArray) -> bool:
         """Return whether some cell has moved too far for the last Jacobian.

@@ -24,7 +24,7 @@ from multicell.mechanics.system import Mechanics
 
 LARGEST_STIFFNESS = 1e-3 / float(np.finfo(float).eps)
 """Largest λΔt, 4.5·10¹², that is tried; tissue in water has 10⁷."""
-_CONTACTS = 8.0
+PACKED_CONTACTS = 8.0
 """Largest decay rate of packed cells, in stiffness of a pair over the drag of a cell."""
 
 _SHARE = 0.03
@@ -54,7 +54,7 @@ def stiffness_scale(system: Mechanics) -> float:
     radius, least = float(motion.radius.mean()), float(system.rows[:, COMPLIANCE].min())
     modulus = 0.5 / least  # of two cells with the least compliance
     _, slope, _ = system.law.evaluate(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
-    system.stiffness_scale = _CONTACTS * abs(float(slope)) / (system.drag * radius)
+    system.stiffness_scale = PACKED_CONTACTS * abs(float(slope)) / (system.drag * radius)
     return system.stiffness_scale
 
 

@@ -29,8 +29,8 @@ from multicell.integrators.stepping import LEAST_PART, furthest_move, largest_le
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
-_MAX_REFUSALS = 30
-_STEPS_BEFORE_LIFT = 8
+_MAX_REFUSALS = 30  # restarts with shorter steps in one interval; then it is given up
+_STEPS_BEFORE_LIFT = 8  # steps without a refusal after which a ceiling rises again
 _SHORTER = 0.25  # ceiling of steps after a refusal, over the refused one
 _SMALLER = 0.25  # by how much the share is made smaller then
 

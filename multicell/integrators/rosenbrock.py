@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-_MAX_GROWTH = 3.0
+_MAX_GROWTH = 3.0  # most that a step may grow over the one before
 
 
 @final

@@ -40,7 +40,7 @@ _D = 1.0 / (2.0 + math.sqrt(2.0))
 _E = 6.0 + math.sqrt(2.0)  # coefficients of Shampine & Reichelt (1997)
 _ORDER = 3.0  # exponent of the step in the estimated error
 _SHORTEST = 1e-13  # steps below this fraction of the interval are lost in rounding
-_MOST_ITERATIONS = 200
+_MOST_ITERATIONS = 200  # of conjugate gradients in a stage
 _PROBE = 5  # iterations of the search for an eigenvalue above the bound
 _AGE, _LONGER = 10, 1.5
 """The search is repeated after so many steps, or once steps are so much longer."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from multicell.integrators.restarts import IntegrationProgress, Taken
     from multicell.mechanics.system import Mechanics
 
-_LEAST_RTOL = 100.0 * sys.float_info.epsilon
+_LEAST_RTOL = 100.0 * sys.float_info.epsilon  # SciPy raises smaller ones to this, with a warning
 
 _INFOS = {
     "RK45": MethodInfo(

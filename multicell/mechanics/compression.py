@@ -39,7 +39,7 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics import forces, neighbours
-from multicell.mechanics.rows import RADIUS
+from multicell.mechanics.rows import RADIUS, SHORTEST
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
@@ -51,7 +51,6 @@ CLOSE_PACKED = math.pi / math.sqrt(18.0)
 """Volume fraction of the closest packing of spheres that touch."""
 
 _BLEND = 0.02  # b: the threshold is rounded over this compression, 3 % of volume
-_TINY = 1e-300
 
 
 @njit(**INLINED)
@@ -62,7 +61,7 @@ def _overlap(rows, pairs, p):
     total, square = rows[i, RADIUS] + rows[j, RADIUS], dx * dx + dy * dy + dz * dz
     if square >= total * total:
         return 0.0, 0.0, dx, dy, dz, 1.0
-    d = math.sqrt(square + _TINY)
+    d = math.sqrt(square + SHORTEST)
     h = total - d
     return math.pi * rows[i, RADIUS] * rows[j, RADIUS] / total, max(h, 0.0), dx, dy, dz, d
 

@@ -31,11 +31,9 @@ from numpy.typing import NDArray
 from multicell.compiling import ADDRESSED, INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.pairs import evaluate_pair
-from multicell.mechanics.rows import COMPLIANCE, LIGAND, RADIUS, RECEPTOR
+from multicell.mechanics.rows import COMPLIANCE, LIGAND, RADIUS, RECEPTOR, SHORTEST
 
 BLOCK = 256  # pairs that are gathered before the law is evaluated on them
-
-_TINY = 1e-300  # keeps coincident centres finite: their direction, and so their force, is zero
 
 
 _RECEPTOR, _LIGAND, _RECEPTOR_RATE, _LIGAND_RATE = range(4)  # columns of the cells' bonds
@@ -323,7 +321,7 @@ def _keep(slope, block, p, value):
 def _evaluate(pairs, law, elapsed, begin, count, block, slope):
     """Write F / d and dF/dh + F / d of a block of pairs; what is not read is not computed."""
     for p in range(count):
-        d = math.sqrt(block[_DX, p] ** 2 + block[_DY, p] ** 2 + block[_DZ, p] ** 2 + _TINY)
+        d = math.sqrt(block[_DX, p] ** 2 + block[_DY, p] ** 2 + block[_DZ, p] ** 2 + SHORTEST)
         # one division serves r_ij, E_ij and 1 / d
         w = 1.0 / (block[_TOTAL, p] * block[_SOFT, p] * d)
         h = block[_TOTAL, p] - d
@@ -435,7 +433,7 @@ forces, forces_parallel = two_drivers(_forces)
 def _vector(rows, i, j):
     """Return the vector from cell i to cell j and its length, µm."""
     dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
-    return dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
+    return dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz + SHORTEST)
 
 
 @njit(**INLINED)
@@ -703,7 +701,7 @@ def _linearise_chunk(c, rows, pairs, law, elapsed, normal, along, across):
         _evaluate(pairs, law, elapsed, begin, count, block, True)
         for p in range(count):
             square = block[_DX, p] ** 2 + block[_DY, p] ** 2 + block[_DZ, p] ** 2
-            inverse = 1.0 / math.sqrt(square + _TINY)
+            inverse = 1.0 / math.sqrt(square + SHORTEST)
             normal[begin + p, 0] = block[_DX, p] * inverse
             normal[begin + p, 1] = block[_DY, p] * inverse
             normal[begin + p, 2] = block[_DZ, p] * inverse

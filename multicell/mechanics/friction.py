@@ -33,14 +33,13 @@ from multicell.compiling import KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.neighbours import PairList
-from multicell.mechanics.rows import RADIUS
+from multicell.mechanics.rows import RADIUS, SHORTEST
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.neighbours import IndexArray, OffsetArray
     from multicell.mechanics.prescribed import Prescribed
 
-_TINY = 1e-300
 _OWN, _OTHER = range(2)  # columns of ``near``
 _ACROSS, _X, _Y, _Z = range(4)  # columns of ``link``
 _MOST = 2000  # iterations after which a solution is given up
@@ -96,7 +95,7 @@ def _touching(begin, end, at, rows, first, second, normal, tangential, near, lin
         dy = rows[j, 1] - rows[i, 1]
         dz = rows[j, 2] - rows[i, 2]
         gap = rows[i, RADIUS] + rows[j, RADIUS]
-        d = math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
+        d = math.sqrt(dx * dx + dy * dy + dz * dz + SHORTEST)
         w = 1.0 / (d * gap)
         h = gap - d
         area = math.pi * (rows[i, RADIUS] * rows[j, RADIUS]) * (w * d) * max(h, 0.0)

@@ -13,7 +13,8 @@ from typing import Any
 from numba import types
 from numba.extending import overload, register_jitable
 
-from multicell.contact.constants import function_of, helpers_of
+from multicell.contact.constants import function_of
+from multicell.plugins.fingerprints import helpers_of
 
 
 def evaluate_pair(p, overlap, modulus, radius, rest, adhesion, unit, onset, slope, energy):

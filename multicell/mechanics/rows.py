@@ -8,4 +8,8 @@ from typing import Final
 RADIUS: Final = 3  # µm
 COMPLIANCE: Final = 4  # 1/kPa, of multicell.contact.law.compliance
 RECEPTOR: Final = 5  # adhesion molecules of a cell, where cells have any
-LIGAND: Final = 6
+LIGAND: Final = 6  # the same
+
+SHORTEST: Final = 1e-300
+"""Square that is added to that of a distance, µm²: coincident centres keep a finite distance, and
+their direction, and so their force, is zero."""

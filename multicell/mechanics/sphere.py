@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from multicell.mechanics.rows import COMPLIANCE, RADIUS
+from multicell.mechanics.rows import COMPLIANCE, RADIUS, SHORTEST
 from multicell.mechanics.walls import Contacts
 from multicell.vectors import lengths
 
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from multicell.mechanics.compression import TissueCompression
 
 _ITERATIONS = 200  # bisection alone needs 60
-_TINY = 1e-300
 
 
 @final
@@ -105,7 +104,7 @@ class Sphere:
         """Return the contacts of cells at the last radius."""
         distance = lengths(rows[:, :3])
         cell = np.flatnonzero(distance + rows[:, RADIUS] > self.radius)
-        inverse = 1.0 / (distance[cell] + _TINY)
+        inverse = 1.0 / (distance[cell] + SHORTEST)
         gap = self.radius - distance[cell]
         return Contacts(
             cell, rows[cell, :3] * inverse[:, None], rows[cell, RADIUS] - gap, gap, inverse

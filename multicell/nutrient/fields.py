@@ -21,7 +21,7 @@ from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
 from multicell.results.observables import viable_volume
-from multicell.scene.checks import circles, followed, solving_order
+from multicell.scene.dependences import circles, followed, solving_order
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -68,7 +68,7 @@ class FieldsState(NamedTuple):
         return {name: solution.field(name) for name, solution in self.solutions.items()}
 
     def progress(self) -> dict[str, Any]:
-        """Return what a frame needs, beside fields and concentrations, to be resumed from."""
+        """Return the part of a frame to resume from, beside fields and concentrations."""
         return {
             "ledger": {name: account.entries() for name, account in self.ledger.items()},
             "rates": {name: report.entries() for name, report in self.reports.items()},

@@ -54,7 +54,7 @@ _EXACT: Final = (1e-9, 1e-7)
 accepted: the boundary value of the field is so near to it. The second after ``_PATIENCE``
 evaluations: what the field's solver leaves over may be as much."""
 
-_PATIENCE: Final = 15
+_PATIENCE: Final = 15  # iterations after which a looser accuracy is accepted, see above
 
 _ROUNDING: Final = 1e-12
 """Part of what a field holds below which what its grid has enclosed anew is rounding."""

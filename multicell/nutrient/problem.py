@@ -15,7 +15,7 @@ from multicell.nutrient.grid import restored, tissue_share
 from multicell.nutrient.group import substance
 from multicell.nutrient.parameters import FieldParameters
 from multicell.nutrient.tissue import reaching
-from multicell.scene.checks import solving_order
+from multicell.scene.dependences import solving_order
 
 if TYPE_CHECKING:
     from pde.fields.collection import FieldCollection

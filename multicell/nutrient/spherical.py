@@ -16,11 +16,10 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient.faces import ghost_terms
-from multicell.nutrient.steady import BALANCE_TOLERANCE, SolveReport
+from multicell.nutrient.steady import BALANCE_TOLERANCE, MAX_BACKTRACKS, SolveReport
 from multicell.nutrient.uptake import rate, uptake, uptake_and_slope
 
 _MAX_NEWTON = 60  # and as many more as there are shells: the edge of a starved core may move by one
-_MAX_BACKTRACKS = 30
 
 
 @final
@@ -161,7 +160,7 @@ class _Balance:
         """Return the state after a Newton step that lowers the energy, and its imbalance."""
         correction = self.shells.solve_linear(self._slope, left)
         slope, share = float(left @ correction), 1.0
-        for _ in range(_MAX_BACKTRACKS):
+        for _ in range(MAX_BACKTRACKS):
             trial = c + share * correction
             there, total = self.residual(trial)
             now = float(there @ correction)

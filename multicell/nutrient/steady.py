@@ -64,7 +64,7 @@ NEAR_FORCING = 1e-3
 """The same for the first step from the last solution: there the law is nearly linear, and a good
 solution saves a Newton step."""
 
-MAX_BACKTRACKS = 30
+MAX_BACKTRACKS = 30  # halvings of a Newton step: below 10^-9 of it nothing is left to gain
 
 MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 

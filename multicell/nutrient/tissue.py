@@ -13,7 +13,7 @@ from multicell.vectors import FloatArray, cubes, lengths, weighted_mean
 _GAP = 1.5
 """Width of a gap, in diameters of the largest cell, up to which the tissue continues beyond it."""
 
-_FEW = 16.0
+_FEW = 16.0  # cells that are tissue, however many there are in all
 _PART = 0.1
 """Up to so many cells beyond a gap, and up to this part of all, are strays; twice as many are not.
 So few are no wider than a few cells, and deplete their surroundings by little."""

@@ -20,8 +20,8 @@ from multicell.results.folder import file_errors, to_json, write_text
 from multicell.results.records import parse_table
 
 _CHECKSUM: Final = "checksum"
-_MAX_BYTES: Final = 1 << 26
-_MAX_LINES_BYTES: Final = 1 << 30
+_MAX_BYTES: Final = 1 << 26  # 64 MiB of a document, far above what is written
+_MAX_LINES_BYTES: Final = 1 << 30  # 1 GiB of a log, far above what is written
 
 
 def _checksum(table: Mapping[str, Any]) -> str:

@@ -200,7 +200,7 @@ _ENTRIES: Final[Mapping[str, Mapping[str, Any]]] = {
 """Entries of the header of each kind of record; numbers are at least zero, lists are of names."""
 
 _TYPE: Final = re.compile(r"[<|][biuf][1248]")  # of arrays
-_MOST_AXES: Final = 3
+_MOST_AXES: Final = 3  # fields have three, all other arrays fewer
 _WIDEST: Final = 8  # axis of an array without entries, beside the one of length zero
 
 

@@ -19,8 +19,8 @@ from functools import partial
 from numbers import Real
 from typing import Any
 
-from multicell.contact.constants import fingerprint
 from multicell.errors import SceneError
+from multicell.plugins.fingerprints import fingerprint
 from multicell.plugins.named import load_object, origin, own_code
 from multicell.results.observable import OWN_OBSERVABLES, Observable, TissueState
 from multicell.results.quantities import is_taken

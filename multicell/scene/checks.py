@@ -10,8 +10,9 @@ from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
+from multicell.scene.dependences import solving_order
 from multicell.scene.oxygen import OXYGEN, saturated
-from multicell.scene.reactions import group_of, groups
+from multicell.scene.reactions import groups
 from multicell.scene.scales import (
     MAX_NODES,
     largest_spacing,
@@ -24,7 +25,6 @@ from multicell.schema import leaves, near_miss, separated
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import CellType
-    from multicell.scene.responses import Response
     from multicell.scene.scene import Scene
 
 
@@ -109,12 +109,6 @@ def check_flat(scene: Scene) -> None:
             raise SceneError(where, f"points out of the plane of {scene_of}")
         if (path[-1], value) == ("geometry", "radial"):
             raise SceneError(where, f"is {value!r} in {scene_of}")
-
-
-def followed(scene: Scene) -> tuple[str, ...]:
-    """Return the fields whose gradients cells follow, in the order of the scene."""
-    biased = "" if scene.motility is None else scene.motility.towards
-    return tuple(name for name in scene.nutrients if name in scene.chemotaxis or name == biased)
 
 
 def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
@@ -325,75 +319,6 @@ def _check_in_domain(scene: Scene, name: str) -> None:
         problem = f"makes a grid of {math.prod(found)} nodes, more than the {MAX_NODES} allowed"
         hint = "Take lengths that are multiples of one larger spacing."
         raise SceneError("domain", problem, hint)
-
-
-def solving_order(
-    nutrients: Mapping[str, Nutrient],
-    reactions: Mapping[str, Any] | None = None,
-    responses: Mapping[str, Response] | None = None,
-) -> list[str]:
-    """Return the names of the fields so that each comes after those that it depends on.
-
-    Fields that react with each other come one after another, and so do those whose uptakes depend
-    on each other.
-    """
-    from graphlib import CycleError, TopologicalSorter
-
-    needs = _needs(nutrients, responses)
-    known = circles(nutrients, reactions, responses)
-    if reactions:
-        for name in needs:
-            group = [x for x in group_of(name, reactions) if x in needs]
-            known[name] = group or known[name]
-    first = {name: group[0] for name, group in known.items()}
-    graph: dict[str, list[str]] = {head: [] for head in first.values()}
-    for name, others in needs.items():
-        outside = [x for x in others if x == name or first[x] != first[name]]
-        graph[first[name]] += [first[x] for x in outside]
-    try:
-        return [name for head in TopologicalSorter(graph).static_order() for name in known[head]]
-    except CycleError as error:
-        circle = list(reversed(error.args[1]))
-        problem = f"depends on itself: {' needs '.join(circle)}"
-        hint = "Only uptakes may depend on each other; leave out the weakest dependence."
-        raise SceneError(f"nutrients.{circle[0]}", problem, hint) from None
-
-
-def circles(
-    nutrients: Mapping[str, Nutrient],
-    reactions: Mapping[str, Any] | None = None,
-    responses: Mapping[str, Response] | None = None,
-) -> dict[str, list[str]]:
-    """Return for each field those with which its uptake depends on each other, itself included.
-
-    Fields that react, or are secreted from each other, are in no circle that can be solved for.
-    """
-    needs = _needs(nutrients, responses)
-    reached = {name: set(others) for name, others in needs.items()}
-    for middle in needs:
-        for found in reached.values():
-            found |= reached[middle] if middle in found else set()
-    joined = {x for reaction in (reactions or {}).values() for x in reaction.fields}
-    known = {}
-    for name in needs:
-        circle = [x for x in needs if x == name or (x in reached[name] and name in reached[x])]
-        inside = {x for y in circle for x in nutrients[y].secretion_from or ()} & set(circle)
-        known[name] = [name] if inside or joined & set(circle) else circle
-    return known
-
-
-def _needs(
-    nutrients: Mapping[str, Nutrient], responses: Mapping[str, Response] | None
-) -> dict[str, list[str]]:
-    needs = {
-        name: [*nutrient.uptake_on, *(nutrient.secretion_from or ())]
-        for name, nutrient in nutrients.items()
-    }
-    for part in (responses or {}).values():
-        what, _, name = part.behaviour.partition(" of ")
-        if what in ("uptake", "secretion") and name in needs:
-            needs[name] += [signal for signal in part.signals if signal in nutrients]
-    return needs
 
 
 _SHARED = (

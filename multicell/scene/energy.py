@@ -39,6 +39,14 @@ class Energy:
     quiescence: float | None = _rate(doc="ATP made, below: quiescent; absent: never")
     necrosis: float | None = _rate(doc="ATP made, below: necrotic; absent: never")
 
+    def fields(self, nutrients: Mapping[str, Nutrient]) -> set[str]:
+        """Return the names of the fields that ATP depends on, out of those of the scene.
+
+        They are those of ``yields``, and those that the uptake of these depends on.
+        """
+        used = self.yields or {}
+        return {*used, *(other for name in used for other in nutrients[name].uptake_on)}
+
     def supply(
         self,
         nutrients: Mapping[str, Nutrient],

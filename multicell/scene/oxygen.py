@@ -17,7 +17,7 @@ OXYGEN: Final = "oxygen"
 
 _BODY: Final = next(f.default for f in fields(Nutrient) if f.name == "temperature")
 _LEVELS: Final = [name for name, spec in specs(Nutrient).items() if spec.unit == "mM"]
-_DEEPEST: Final = 6
+_DEEPEST: Final = 6  # levels of tables: no concentration of a scene lies deeper
 _PERCENT: Final = re.compile(
     rf"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:{'|'.join(PERCENT)})\s*"
 )

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-_NODES = 200
+_NODES = 200  # Gauss-Legendre nodes: laws have kinks at first contact and at their cutoff
 _ROUNDING = 0.005  # a single cell fills its own ball, and three digits are shown
 _REMEDY = (
     "Take stiffer cells, a smaller surface energy, weaker adhesion, a smaller contact.cutoff, or "

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from multicell.cells import HALF
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.host.memory import physical_memory
@@ -84,7 +85,7 @@ def _check_overlap(scene: Scene) -> None:
     if energies:
         law = law.with_surface_energy(max(energies))
     modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
-    for radius in (0.5 ** (1.0 / 3.0) * scene.cells.division_radius, scene.cells.division_radius):
+    for radius in (HALF * scene.cells.division_radius, scene.cells.division_radius):
         pair, deep = effective_radius(radius, radius), 1.99 * radius
         force = float(law.evaluate(deep, modulus, pair, rest=2.0 * radius, touching=True)[0])
         if force > math.pi * float(pair) * bonds * deep:

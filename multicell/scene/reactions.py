@@ -18,7 +18,7 @@ from multicell.units import to_base
 RATE_UNITS = ("mM/s", "1/s", "1/mM/s", "1/mM^2/s", "1/mM^3/s")
 """Units of a rate constant by the order of its reaction, mM^(1 - n)/s."""
 
-_LEAST, _LARGEST = 1e-15, 1e12
+_LEAST, _LARGEST = 1e-15, 1e12  # of a rate constant: beyond, no field can be computed
 _ORDER = len(RATE_UNITS) - 1
 
 

@@ -32,7 +32,8 @@ from multicell.behaviours.laws import (
 from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.plugins.named import OWN_OBJECT
-from multicell.scene.checks import check_kinds, followed
+from multicell.scene.checks import check_kinds
+from multicell.scene.dependences import followed
 from multicell.scene.oxygen import concentration
 from multicell.scene.parts import loaded_in
 from multicell.scene.reactions import group_of

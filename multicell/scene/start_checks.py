@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.scene.start_table import Given
 
-_ROUNDING: Final = 1e-6
+_ROUNDING: Final = 1e-6  # relative: tables may be written with seven digits
 _BEYOND: Final = 2.0 ** (1.0 / 3.0)
 """Radius that a cell with phases may have over the division radius: it divides by its clock.
 

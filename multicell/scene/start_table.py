@@ -51,8 +51,8 @@ IGNORED_COLUMNS: Final[Mapping[str, str]] = {
     "parent": "", "receptor": "", "ligand": "", "frame": "", "time": "s",
 }  # fmt: skip
 """Columns of an exported frame that are ignored, as are concentrations."""
-_COINCIDING: Final = 0.01
 _CROWDED: Final = 50  # pairs of deep overlaps for each cell; packed tissue has a few
+_COINCIDING: Final = 0.01
 """Distance of two centres over the sum of the radii below which they are at one place."""
 CONCENTRATION_PREFIX: Final = "concentration_"
 """Beginning of the names of columns with what cells found of a field."""

@@ -97,7 +97,7 @@ def next_state(run: Machinery, state: RunState) -> RunState:
 def _moved(
     run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
 ) -> tuple[Moved, Mapping[str, float] | None]:
-    """Return what motion makes of the cells, and when a pull has parted them."""
+    """Return the moved cells, and when a pull has parted them."""
     begin, step = state.timeline.time, state.timeline.step
     motion = run.motion(state, found, begin, end, radius)
     moved = run.mover.move(state.cells, motion, step, state.replays, state.stability)

@@ -1,4 +1,4 @@
-"""What a run computes with: biology's plan, mechanics and its integrator, fields, clocks.
+"""Machinery of a run: biology's plan, mechanics and its integrator, fields, clocks.
 
 It holds nothing of a run from step to step. What its parts have of a state is loaded into them
 before they are used.
@@ -40,7 +40,7 @@ def fields_of(
 
 @final
 class Machinery:
-    """What computes the steps of a run of a scene.
+    """Machinery that computes the steps of a run of a scene.
 
     - ``plan``: what biology needs of the scene
     - ``mover``: mechanics and the integrator
@@ -68,7 +68,7 @@ class Machinery:
             self.mover.cavity = state.cavity
 
     def work(self) -> dict[str, int]:
-        """Return what the integration has cost since the start of the run, by name."""
+        """Return the cost of the integration since the start of the run, by name."""
         return vars(self.mover.system.work).copy()
 
     def signals(self, cells: Cells, contacts: IntArray, time: float) -> Signals:
@@ -82,7 +82,7 @@ class Machinery:
         return {**found, **other_signals(self.plan, cells, contacts, time)}
 
     def signals_of(self, state: RunState) -> Signals:
-        """Return what the cells of a state find."""
+        """Return the signals that the cells of a state find."""
         return self.signals(state.cells, state.contacts, state.timeline.time)
 
     def growth(self, state: RunState, found: Signals) -> FloatArray:

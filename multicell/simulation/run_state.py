@@ -137,7 +137,7 @@ class RunState:
         )  # fmt: skip
 
     def progress(self) -> Progress:
-        """Return what a frame needs, beside cells and fields, to be resumed from."""
+        """Return the part of a frame to resume from, beside cells and fields."""
         stored = {entry: write(getattr(self, name)) for name, entry, write, _ in _PROGRESS}
         return Progress(**stored, **self.fields.progress())
 

@@ -297,7 +297,7 @@ class Simulation:
 
     @property
     def replays(self) -> Replays | None:
-        """What small shifts have done to the ends of steps that were taken twice."""
+        """Effects of small shifts on the ends of steps that were taken twice."""
         return self._state.replays
 
     @property
@@ -307,7 +307,7 @@ class Simulation:
 
     @property
     def ledger(self) -> dict[str, Ledger]:
-        """What has come in, been taken up, secreted, stored ... of each nutrient."""
+        """Totals of each nutrient: inflow, uptake, secretion, storage ..."""
         return self._state.fields.ledger
 
     @property
@@ -330,7 +330,7 @@ class Simulation:
 
     @property
     def plan(self) -> BiologyPlan:
-        """What biology needs of the scene."""
+        """The biology of the scene, resolved."""
         return self._run.plan
 
     @property
@@ -345,7 +345,7 @@ class Simulation:
 
     @property
     def field_system(self) -> FieldSystem:
-        """What solves for the fields."""
+        """The system that solves for the fields."""
         return self._run.field_system
 
     @property

@@ -11,8 +11,8 @@ from multicell.units import shown
 
 MAX_POINTS: Final = 20_000
 """Sets of parameters. The scene of each one is checked beforehand, which takes about 2 ms."""
-MAX_SEEDS: Final = 20_000
-MAX_RUNS: Final = 100_000
+MAX_SEEDS: Final = 20_000  # as many runs as there may be points
+MAX_RUNS: Final = 100_000  # runs of a study: each has a folder of its own
 
 
 def whole_between(name: str, value: Any, least: int, most: int, hint: str = "") -> int:

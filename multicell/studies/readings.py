@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
                  "pull", "largest_pressure")  # fmt: skip
-_MAX_USUAL: Final = 4
+_MAX_USUAL: Final = 4  # observables of a study that names none
 
 
 def read_final(

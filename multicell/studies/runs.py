@@ -74,7 +74,7 @@ class PlainScene:
     def load(self) -> Scene:
         """Return the scene; laws and observables of the user's own are loaded first."""
         for law in self.laws:
-            from multicell.contact.custom import load_law
+            from multicell.plugins.user_laws import load_law
 
             load_law(law)
         for function, source in self.observables.items():

@@ -108,3 +108,16 @@ def test_atp_is_made_of_uptake_per_volume_only():
     fields = {**FIELDS, "oxygen": {"uptake": 20.0}}
     with refused("energy.yields.oxygen", "not of a volume"):
         scene(nutrients=fields)
+
+
+def test_fields_that_uptake_depends_on_are_found_though_they_make_no_energy():
+    """ATP from oxygen alone, whose uptake depends on glucose; death by a rate reads both."""
+    described = scene({**ENERGY, "yields": {"oxygen": 5.0}}, death={"necrosis_rate": 1e-4})
+    assert described.energy.fields(described.nutrients) == {"oxygen", "glucose"}
+    assert biology_plan(described).responses["necrosis rate"][0].needs == {"oxygen", "glucose"}
+    run = mc.Simulation(described.with_changes({"coupling_step": "30 min"}))
+    while not run.finished:
+        run.step()
+    found = described.energy.supply(described.nutrients, run.concentrations)
+    expected = made(run.concentrations["oxygen"], 0.0 * run.concentrations["glucose"])
+    assert (found < expected).all()

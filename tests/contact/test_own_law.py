@@ -16,8 +16,8 @@ from scipy.integrate import quad
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.contact.constants import fingerprint
-from multicell.contact.custom import load_law
+from multicell.plugins.fingerprints import fingerprint
+from multicell.plugins.user_laws import load_law
 from multicell.schema import quantity
 from multicell.testing import check_pair_law
 

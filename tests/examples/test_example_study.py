@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from test_examples import is_picture, load
+from example_programs import is_picture, load
 
 import multicell as mc
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from example_programs import is_picture, load
 from scipy import optimize
-from test_examples import is_picture, load
 
 
 def test_figure_3_3_is_at_rest_in_the_middle_only(tmp_path: Path) -> None:

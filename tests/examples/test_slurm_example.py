@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from example_programs import load
 from studied import SHORT
-from test_examples import load
 
 import multicell as mc
 

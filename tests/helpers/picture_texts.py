@@ -1,7 +1,8 @@
-"""What is written in a picture, and where."""
+"""What is written in a picture or on a page, and where."""
 
 from __future__ import annotations
 
+from html.parser import HTMLParser
 from itertools import combinations
 
 import matplotlib as mpl
@@ -47,3 +48,38 @@ def check_texts(figure):
     assert [text for text in plain if "$\\mathdefault" in text.get_text()] == []
     for (text, first), (other, second) in combinations(boxes, 2):
         assert not first.overlaps(second), (text, other)
+
+
+def texts(figure):
+    found = [text.get_text() for text in figure.findobj(mpl.text.Text)]
+    return [text for text in found if text]
+
+
+class Page(HTMLParser):
+    """Collects tags and checks that every element that is opened is closed in order."""
+
+    VOID = frozenset({"meta", "img", "source", "br", "hr", "link", "input"})
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.tags, self.text = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] not in ("style", "title"):
+            self.text.append(data.strip())
+
+
+def read(path):
+    page = Page()
+    page.feed(path.read_text(encoding="utf-8"))
+    page.close()
+    assert page.open == []
+    return page

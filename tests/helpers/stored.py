@@ -1,6 +1,9 @@
-"""What stands in result folders, to the bit."""
+"""Result folders: written from frames, and their content to the bit."""
 
 import h5py
+from synthetic import SCENE, history_of
+
+from multicell.results.writer import Store
 
 
 def contents(folder):
@@ -22,3 +25,14 @@ def assert_same_bits(one, other):
     here, there = contents(one), contents(other)
     assert set(here) == set(there)
     assert [name for name in here if here[name] != there[name]] == []
+
+
+def written(folder, frames, scene=SCENE, *, settle=True):
+    store = Store.create(folder, scene)
+    for frame, row in zip(frames, history_of(frames), strict=True):
+        store.append_history(row)
+        store.append(frame)
+    if settle:
+        store.settle()
+    store.close()
+    return folder

@@ -7,7 +7,7 @@ import pytest
 from physicell_project import MM_HG, ON
 
 import multicell as mc
-from multicell.behaviours.catalogue import CROWDED
+from multicell.behaviours.catalogue import FULL_CROWDING
 from multicell.biology.plan import biology_plan
 from multicell.biology.responding import other_signals, rate_of_harm, value_of
 from multicell.importing.imported import Fate
@@ -216,7 +216,7 @@ def test_repulsion(project):
 
 
 def test_crowding_is_the_simple_pressure_of_physicell(project):
-    assert pytest.approx(12.0 * (1.0 - (np.pi / (2.0 * 3.0**0.5)) ** 0.5) ** 2) == CROWDED
+    assert pytest.approx(12.0 * (1.0 - (np.pi / (2.0 * 3.0**0.5)) ** 0.5) ** 2) == FULL_CROWDING
     cells = "".join(f"{x},{y},0,0\n" for x, y in itertools.product((0, 13), (0, 14)))
     made = mc.import_physicell(
         project(ON, rules="tumour cell,pressure,decreases,cycle entry,0,1,4,0\n", cells=cells)

@@ -171,7 +171,7 @@ def pressed():
 @pytest.mark.parametrize("softening", [0.5, np.inf])
 def test_bounded_softening_changes_the_way_and_not_the_end(softening, pressed, monkeypatch):
     position, radius, young, exact = pressed
-    monkeypatch.setattr(cvode_solver, "_SOFTENING", softening)
+    monkeypatch.setattr(cvode_solver, "SOFTENING", softening)
     outcome = Cvode(1e-12, 1e-6, light=False).integrate(mechanics(radius, young, Hertz()), position)
     assert outcome.done
     assert np.abs(outcome.position - exact).max() < 3e-5

@@ -1,7 +1,6 @@
 """Pictures and report: what they show, and that the page stands alone."""
 
 import re
-from html.parser import HTMLParser
 from itertools import pairwise
 
 import matplotlib as mpl
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection
 from matplotlib.image import imread
-from picture_texts import rendered
+from picture_texts import read, rendered, texts
 from synthetic import BARE, SCENE, ball, cells_at, growing_frames, history_of, spheroid
 
 from multicell.cells import Cells, State
@@ -44,11 +43,6 @@ def result(frames):
         "versions": {"numpy": "2.4"},
     }
     return Result(None, frames, history_columns(history_of(frames)), summary, SCENE)
-
-
-def texts(figure):
-    found = [text.get_text() for text in figure.findobj(mpl.text.Text)]
-    return [text for text in found if text]
 
 
 @pytest.mark.parametrize("name", ["growth", "section", "profiles"])
@@ -136,36 +130,6 @@ def test_times_have_units_that_suit_them():
     assert {seconds: time_unit(seconds).text(seconds) for seconds in times} == times
     walls = {0.5: "0.5 s", 42.3: "42 s", 134: "2 min 14 s", 7260: "2 h 1 min"}
     assert {seconds: clock(seconds) for seconds in walls} == walls
-
-
-class Page(HTMLParser):
-    """Collects tags and checks that every element that is opened is closed in order."""
-
-    VOID = frozenset({"meta", "img", "source", "br", "hr", "link", "input"})
-
-    def __init__(self):
-        super().__init__()
-        self.open, self.tags, self.text = [], [], []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if self.open and self.open[-1] not in ("style", "title"):
-            self.text.append(data.strip())
-
-
-def read(path):
-    page = Page()
-    page.feed(path.read_text(encoding="utf-8"))
-    page.close()
-    assert page.open == []
-    return page
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection
-from picture_texts import rendered
+from picture_texts import read, rendered, texts
 from synthetic import BARE, ball, cells_at
-from test_plots import read, texts
 
 import multicell as mc
 from multicell.cells import State

@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 import xarray as xr
 from click.testing import CliRunner
+from stored import written
 from synthetic import SCENE, growing_frames, spheroid
-from test_store import written
 
 import multicell as mc
 from multicell.cli.main import main

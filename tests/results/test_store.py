@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from stored import written
 from synthetic import BARE, SCENE, cells_at, growing_frames, history_of, spheroid
 
 import multicell
@@ -39,17 +40,6 @@ def assert_same_frame(first, second):
         assert (other.name, other.unit, other.spacing) == (field.name, field.unit, field.spacing)
         np.testing.assert_array_equal(other.origin, field.origin)
         np.testing.assert_array_equal(other.values, field.values)
-
-
-def written(folder, frames, scene=SCENE, *, settle=True):
-    store = Store.create(folder, scene)
-    for frame, row in zip(frames, history_of(frames), strict=True):
-        store.append_history(row)
-        store.append(frame)
-    if settle:
-        store.settle()
-    store.close()
-    return folder
 
 
 def test_round_trip_is_exact_to_the_bit(tmp_path):

@@ -3,7 +3,7 @@
 import pytest
 
 from multicell.errors import SceneError
-from multicell.scene.checks import solving_order
+from multicell.scene.dependences import solving_order
 from multicell.scene.reactions import Reaction, groups
 from multicell.scene.scales import largest_spacing, regime
 from multicell.scene.scene import Scene, load_scene

@@ -18,16 +18,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 
 from multicell.behaviours.growth_laws.laws import GROWTH_LAWS, GrowthLaw
-from multicell.contact.custom import law_of, refuse_names
 from multicell.errors import SceneError
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import own_code
+from multicell.plugins.user_laws import law_of, refuse_names
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
     Rate = Callable[[FloatArray, Any], Any]
 
+# Gauss-Legendre nodes of a time to a volume: exact for polynomials of degree 39
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
 _PLACES: Final = 65  # volumes from birth to division at which the sign of a rate is looked at
 _SUBSTEPS: Final = 8  # Runge–Kutta steps that find a first guess of a volume

@@ -24,10 +24,12 @@ LOOSEST_TOLERANCE: Final = 0.1
 
 PRECISION: Final = 0.03  # relative distance at which bisection ends
 
-_TIGHTEST = 1e-8
+_TIGHTEST = 1e-8  # tried where the tightest of the usual tolerances fails
 _EXTRA = ("rkc2-5", "rkc2-10")
 _FIRST, _MAX_STEP = 0.45, 1000.0  # first and longest step that are tried, over Euler's limit
+# steps over the limit at which the kind of failure is shown
 _BEYOND = (0.25, 0.5, 0.8, 1.25, 1.6, 2.5, 4.0, 8.0, 20.0)
+# that are tried, the loosest last
 _TOLERANCES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.03, LOOSEST_TOLERANCE)
 
 Trial = Callable[[float], bool]

@@ -30,7 +30,7 @@ the contact that this mode strains most."""
 MIN_NOTICED: Final = 0.035  # motion that counts as instability, over the same overlap
 
 _AT_REST = 1e-10  # speed of a cluster at rest, in radii times the largest decay rate
-_DOUBLINGS = 16
+_DOUBLINGS = 16  # a step that is wanted may be so much longer than the first: 2^16
 _RTOL, _ATOL = 1e-11, 1e-9  # of the reference; the second in mean radii
 _MAX_STEPS = 50_000  # steps of the reference
 

@@ -52,7 +52,9 @@ class CycleModel:
         return self.name.startswith("Ki67")
 
 
+# minutes, and whether the phase is fixed: PhysiCell's standard models
 _SHORT = ((4.59 * 60, False), (15.5 * 60, True))
+# 0.0432 divisions an hour: PhysiCell's standard models
 _LIVE = CycleModel("live", ((60.0 / 0.0432, False),), ("G1",), doubles_before=False)
 MODELS: Final[Mapping[int, CycleModel]] = {
     0: CycleModel("Ki67 (advanced)", ((3.62 * 60, False), (13.0 * 60, True), (2.5 * 60, True)),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 APOPTOSIS, NECROSIS = "100", "101"
 _NAMES = {APOPTOSIS: "apoptosis", NECROSIS: "necrosis"}
-_REMOVED = 0.1
+_REMOVED = 0.1  # of the birth volume
 _USUAL = {
     "unlysed_fluid_change_rate": 0.67 / 60.0, "lysed_fluid_change_rate": 0.05 / 60.0,
     "cytoplasmic_biomass_change_rate": 0.0032 / 60.0,

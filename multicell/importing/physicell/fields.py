@@ -27,7 +27,7 @@ _MAX_HALF = 1e5
 """Largest half saturation of a scene, mM."""
 _SLOWEST = 1e-6
 """Least diffusion coefficient of a scene, µm²/s."""
-_BODY = 37.0
+_BODY = 37.0  # °C, at which mmHg of PhysiCell become concentrations
 
 
 def name_fields(model: Model) -> None:

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 _WALL = 100.0 / MINUTE
 """Strength of PhysiCell's walls, µm/s."""
-_STIFFEST = 1e9
+_STIFFEST = 1e9  # kPa, the largest modulus of walls in a scene
 _AFFINITIES = "mechanics/cell_adhesion_affinities", "cell_adhesion_affinity"
 _REPULSION = "mechanics/cell_cell_repulsion_strength"
 _RANGE = "mechanics/relative_maximum_adhesion_distance"
 _LENGTH = 1.0
-_POISSON = 0.5
+_POISSON = 0.5  # incompressible; moduli are chosen for it
 _COMPLIANCE = 0.75 * (1.0 - _POISSON**2)
 
 

@@ -17,7 +17,7 @@ from multicell.importing.physicell.model import CellDefinition, Model
 if TYPE_CHECKING:
     from pathlib import Path
 
-_MAX_LINES = 10**7
+_MAX_LINES = 10**7  # cells to place: it bounds memory
 _CROWDED = 50  # pairs for each cell; more than a few coincide in no model that has run
 _NEAR, _AWAY = 0.021, 0.1
 """How near two cells are taken to coincide, and by how much one of them is moved, in radii."""

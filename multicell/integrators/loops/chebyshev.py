@@ -41,8 +41,8 @@ from multicell.integrators.stepping import (
     take_fixed_step,
 )
 
-DAMPING = 2.0 / 13.0
-_SAFETY = 1.1
+DAMPING = 2.0 / 13.0  # ε of Sommeijer, Shampine and Verwer (1998)
+_SAFETY = 1.1  # on the estimated λ, which may be low
 _COLD, _WARM = 10, 3
 """Products for an estimate from nothing, or after a refusal, and for a refreshed one."""
 _AGE = 10  # steps after which the estimate is refreshed

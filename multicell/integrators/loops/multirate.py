@@ -46,7 +46,7 @@ from multicell.integrators.stepping import (
 )
 from multicell.mechanics import forces
 
-_MOST_SHORT_STEPS = 16
+_MOST_SHORT_STEPS = 16  # short steps of the fast cells in a long one
 _OCTAVES = 24  # bounds between fast and slow cells that are tried, each half of the one before
 _PARTIAL, _GROUPED = 1.6, 0.15
 """Cost of evaluating a fast cell over that of a cell in an evaluation of all, where most pairs

@@ -16,8 +16,8 @@ from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER
 from multicell.mechanics.neighbours.pair_list import IndexArray, OffsetArray
 
-_BINS_PER_CELL = 24
-_SPARE_BINS = 4096
+_BINS_PER_CELL = 24  # most bins for each cell: scattered cells get wider ones
+_SPARE_BINS = 4096  # and for few cells: 32 kB of counts
 SLICES = 4  # bins along x for each along y and z
 SEARCHED = 512  # candidates that are tested in one go
 

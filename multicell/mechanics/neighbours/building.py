@@ -22,7 +22,7 @@ from multicell.mechanics.neighbours.bins import (
 )
 from multicell.mechanics.neighbours.pair_list import CHUNK, IndexArray, PairList
 
-_SPARE_PAIRS = 4_000_000
+_SPARE_PAIRS = 4_000_000  # beyond 500 for each cell: more is no tissue, and fills the memory
 
 
 class TooManyPairsError(Exception):

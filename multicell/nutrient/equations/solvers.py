@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _SMALL = 1e-3
 """Part of a field's largest value below which errors are held absolutely."""
 
-_MOST_STEPS: Final = 20_000
+_MOST_STEPS: Final = 20_000  # in one coupling step; then the solver is not getting on
 _SHORTEST: Final = 1e-9  # of the interval
 _REFUSED: Final = 0.25  # of a step that was not solved, the next one tried
 

@@ -11,8 +11,8 @@ from multicell.cells import FloatArray
 if TYPE_CHECKING:
     from multicell.nutrient.reactions.own import OwnReaction
 
-_POINTS = 40
-_LINES, _ALONG = 12, 1500
+_POINTS = 40  # states at which a reaction is tried
+_LINES, _ALONG = 12, 1500  # lines through states, and points along each
 _LEAST = 1e-6  # of the range, where lines from nothing begin
 _AGREE = 2e-2  # what the integral of a derivative may lack of the change of a rate
 

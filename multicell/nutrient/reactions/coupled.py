@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 COUPLED_TOLERANCE = 1e-12
 """Bound on the sum of all nodes' imbalances of a field, relative to what happens to it."""
 
-_MAX_NEWTON = 30
-_MAX_BACKTRACKS = 8
-_MAX_LIFTS = 8
+_MAX_NEWTON = 30  # Newton steps; a state not found by then is no solution
+_MAX_BACKTRACKS = 8  # halvings of a Newton step
+_MAX_LIFTS = 8  # times that a state is carried out of a place without a way down
 _POLISH = 2  # more steps where rounding would let a state pass whose sums are not exact
-_SWEEPS = 1000
-_FORCING = 1e-3
+_SWEEPS = 1000  # sweeps of such a lift over the nodes
+_FORCING = 1e-3  # part of the imbalance that GMRES may leave over
 _LARGEST = 1e12  # mM, beyond anything: where an iterate is lost
 
 

@@ -17,7 +17,7 @@ from numba.extending import overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from multicell.compiling import KERNEL
-from multicell.contact.constants import fingerprint, helpers_of
+from multicell.plugins.fingerprints import fingerprint, helpers_of
 
 Rate = Callable[[tuple[float, ...], Any], Sequence[float]]
 

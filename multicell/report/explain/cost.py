@@ -35,7 +35,7 @@ _REACTING: Final = 170.0  # and more of one that takes part in reactions: bases 
 _TOGETHER: Final = 24.0  # and more for each field with which it is solved
 
 _CELL_FRAME: Final = 62.0  # bytes of a cell in a frame on the disk
-_NODE_FRAME: Final = 2.5
+_NODE_FRAME: Final = 2.5  # bytes of a node in a frame on the disk, compressed
 _STEP_ROW: Final = 100.0  # of a row of the history
 _FILE: Final = 70e3  # of the structure of the file, and what is the same for all frames
 

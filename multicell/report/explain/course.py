@@ -24,19 +24,19 @@ from multicell.biology.growth import growth_factor
 from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm
 from multicell.cells import SPHERE, FloatArray
-from multicell.scene.checks import circles, solving_order
+from multicell.scene.dependences import circles, solving_order
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
 from multicell.scene.scales import layer_height
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
 
-SHELLS: Final = 40
+SHELLS: Final = 40  # of the ball of tissue
 _STEPS_IN_CYCLE: Final = 12  # steps of the forecast
-_MAX_STEPS: Final = 300
+_MAX_STEPS: Final = 300  # of a forecast, which bounds its time
 _MAX_EXPONENT: Final = 60.0  # exponent of growth in a step: then it is over
 _MAX_CELLS: Final = 1e12  # no forecast goes on beyond
-_MAX_ITERATIONS: Final = 40
+_MAX_ITERATIONS: Final = 40  # of bisections: 2^-40 of the first bracket
 _TURNS: Final = 8  # in which fields are solved for that depend on each other
 _PACKING: Final = 0.77  # volume of cells in that of tissue, as runs have it
 _MIN_LIVING: Final = 1e-3  # living cells: with fewer nothing comes any more

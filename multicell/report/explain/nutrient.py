@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 from multicell.cells import SPHERE
 from multicell.report.explain.items import ExplainedPart, Number, hours, part
-from multicell.scene import checks, scales
 from multicell.scene import domain as box
+from multicell.scene import scales
+from multicell.scene.dependences import solving_order
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.reactions import Reaction, group_of
 from multicell.scene.responses import relevant_fields
@@ -20,7 +21,7 @@ def nutrient_parts(scene: Scene) -> list[ExplainedPart]:
     """Return the regime of each field, and why, in the order in which they are solved."""
     if not scene.nutrients:
         return [part("nutrients", "")]
-    order = checks.solving_order(scene.nutrients, scene.reactions)
+    order = solving_order(scene.nutrients, scene.reactions)
     fields = [part(f"nutrients.{name}", _what(scene, name)) for name in order]
     known = scene.reactions.items()
     fields += [part("energy", _energy_words(scene))] if scene.energy is not None else []

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from multicell.scene.scene import Scene
 
-_MAX_PANELS: Final = 9
-_POINTS: Final = 400
+_MAX_PANELS: Final = 9  # three rows of three
+_POINTS: Final = 400  # of a curve
 
 
 @styled

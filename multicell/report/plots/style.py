@@ -34,7 +34,7 @@ STATE_COLOURS: Final = {
 INK, QUIET, BLUE, RED = "#22303c", "#6b7a86", "#2f6fb0", "#b5432f"
 # blue and orange first: they differ in lightness and for any colour vision (Okabe & Ito)
 _TYPES: Final = ("#0072b2", "#e69f00", "#7fd0a8", "#cc79a7", "#56b4e9", "#a04000", "#b8b000")
-DPI: Final = 160
+DPI: Final = 160  # dots per inch of pictures on pages and in files
 TITLE: Final = "title"
 SUBTITLE: Final = "subtitle"
 """The ``gid`` of a figure's title, which pages leave out, and of what is said below it."""

@@ -51,11 +51,11 @@ POINTS: Final = 300  # points of a curve, besides those of the frames
 _MAX_READ: Final = 3e6  # cells of all frames that are read at most
 _MIN_FRAMES: Final = 8  # frames, however large
 _CURVES: Final = ("cells", "diameter", "viable_rim", "largest_pressure")
-_SHADES: Final = 64
+_SHADES: Final = 64  # steps of the colour scale on the page
 _EFFORT: Final = 6  # of the compression: 9 takes four times as long for one per cent less
-_MAX_CLONES: Final = 250
+_MAX_CLONES: Final = 250  # clones that are numbered, the largest ones
 _SCRIPTS: Final = ("three.min.js", "viewer.js")
-_PAGE_CELLS: Final = 100_000
+_PAGE_CELLS: Final = 100_000  # cells of a frame on the page of 'view', in place of MAX_CELLS
 _PAGE_BYTES: Final = 17_500_000
 """Limits of :func:`pack_frames` for a page of its own, which then has less than 25 MB."""
 
