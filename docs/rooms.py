@@ -26,7 +26,7 @@ WHAT = {
     "calibration": "fits, sensitivity",
     "testing": "conformance",
     "ode": "for outside solvers", "runner": "run, resume", "report": "result, pages, pictures",
-    "simulation": "the coupling step", "coupling": "its parts",
+    "simulation": "state and the coupling step",
     "behaviours": "growth, responses",
     "host": "files, signals, memory",
     "nutrient": "fields", "biology": "what cells do",

@@ -200,6 +200,17 @@ class Cells:
         """Return the same cells in the same arrays, of which some are to be replaced."""
         return _made(vars(self))
 
+    def changed(self, **columns: NDArray[Any]) -> Cells:
+        """Return the same cells with other arrays for some columns."""
+        return _made({**vars(self), **columns})
+
+    def equals(self, other: Cells) -> bool:
+        """Return whether all columns of other cells are the same."""
+        mine, others = vars(self), vars(other)
+        return mine.keys() == others.keys() and all(
+            np.array_equal(column, others[name]) for name, column in mine.items()
+        )
+
     def rows_of(self, ids: IntArray) -> IntArray:
         """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
         return rows_by_id(self.id, ids)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.coupling.timeline import PhaseTimer
+from multicell.simulation.timeline import PhaseTimer
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -57,7 +57,7 @@ class Precompilation:
 
     def watch(self, simulation: Simulation) -> None:
         """Share the rest with the process once the first cell has divided, and wait for it."""
-        if self.process is not None and len(simulation.cells) > 1:
+        if self.process is not None and len(simulation.state.cells) > 1:
             with PhaseTimer(simulation.wall, "compile"):
                 with suppress(Exception):  # the process meets it as well, and so ends early
                     take_step(self._scene, partial(take, self._taken.name))

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.compiling.threads import thread_count
-from multicell.coupling.start_check import check_population
 from multicell.errors import ExitCode, OutputError, SceneError
 from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.host.memory import Returns, peak
@@ -29,6 +28,7 @@ from multicell.results.quantities import units_of
 from multicell.results.summary import scene_mark
 from multicell.scene.scene import Scene, load_scene
 from multicell.simulation import Simulation
+from multicell.simulation.start_check import check_population
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -265,7 +265,7 @@ class Recorder:
                 self._store.append_history(row)
             if frame_due(simulation.time, self._next_frame) or simulation.finished:
                 self._frame(simulation)
-            self._memory.now_and_then(len(simulation.cells))
+            self._memory.now_and_then(len(simulation.state.cells))
 
     def skip(self, frame: Frame) -> None:
         """Go on after a frame that is recorded already."""

@@ -197,12 +197,16 @@ def _change(
     now.phase_length[onward] = _length_of(plan, cells, onward, now.phase[onward])
 
 
-def leave_rest(plan: BiologyPlan, cells: Cells, wakes: Mask) -> None:
-    """Lead the cells in G0 that are to go on into S."""
+def leave_rest(plan: BiologyPlan, cells: Cells, wakes: Mask) -> Cells:
+    """Return the cells, of which those in G0 that are to continue are in S."""
     awake = np.flatnonzero(wakes & (cells.phase == Phase.G0) & (cells.state == State.QUIESCENT))
-    cells.state[awake], cells.phase[awake] = State.PROLIFERATING, Phase.S
-    cells.progress[awake] = 0.0
-    cells.phase_length[awake] = _length_of(plan, cells, awake, cells.phase[awake])
+    if not awake.size:
+        return cells
+    state, phase = cells.state.copy(), cells.phase.copy()
+    progress, length = cells.progress.copy(), cells.phase_length.copy()
+    state[awake], phase[awake], progress[awake] = State.PROLIFERATING, Phase.S, 0.0
+    length[awake] = _length_of(plan, cells, awake, phase[awake])
+    return cells.changed(state=state, phase=phase, progress=progress, phase_length=length)
 
 
 def enter_cycle(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:

@@ -267,22 +267,6 @@ def part_until(
     if grows.size:
         event = np.broadcast_to(number, len(ids))[grows]
         threshold = random.thresholds(plan.seed, purpose, event, ids[grows])
-        part[grows] = (threshold - before[grows]) / gained[grows]
+        # who is beyond it already, by a rounding or by a user's hand, is so from the beginning on
+        part[grows] = np.maximum((threshold - before[grows]) / gained[grows], 0.0)
     return np.where(part <= 1.0, part, np.inf)
-
-
-def part_until_death(
-    plan: BiologyPlan, purpose: Purpose, cells: Cells, column: str, gained: FloatArray
-) -> FloatArray:
-    """Return at which part of what an integral has gained living cells die, (n,); it is noted.
-
-    Infinite where they do not; ``column`` is the integral's name, one of
-    :data:`multicell.cells.HAZARDS`.
-    """
-    gained = np.where(cells.dead, 0.0, gained)
-    known = getattr(cells, column)
-    before = np.zeros(len(cells)) if known is None else known
-    part = part_until(plan, purpose, cells.id, before, gained)
-    if known is not None or gained.any():
-        setattr(cells, column, before + gained)
-    return part

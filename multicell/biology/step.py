@@ -49,6 +49,15 @@ class Grown(NamedTuple):
 
 
 @final
+class Decided(NamedTuple):
+    """The cells after decisions, which have died, (n,), and the volume that these lost, µm³."""
+
+    cells: Cells
+    died: Mask
+    released: float
+
+
+@final
 class Events(NamedTuple):
     """The cells after division and removal, the next free identity, and what was removed.
 
@@ -84,13 +93,13 @@ def age_cells(
     begin: float, end: float,
 ) -> tuple[Cells, float]:  # fmt: skip
     """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
-    after = cells.shared()
-    after.radius, after.lag = grown.radius, grown.lag
-    after.age = after.age + (end - begin)
-    if grown.cycling is not None:
-        for name in ("state", "phase", "progress", "phase_length"):
-            setattr(after, name, getattr(grown.cycling, name))
-    bind(plan, after, cells, signals, end)
+    now, age = grown.cycling, cells.age + (end - begin)
+    after = cells.changed(radius=grown.radius, lag=grown.lag, age=age)
+    if now is not None:
+        after = after.changed(
+            state=now.state, phase=now.phase, progress=now.progress, phase_length=now.phase_length
+        )
+    after = bind(plan, after, cells, signals, end)
     dead = cells.dead
     if not np.count_nonzero(dead):
         return after, 0.0
@@ -99,30 +108,30 @@ def age_cells(
     return after, SPHERE * float(lost.sum())
 
 
-def bind(plan: BiologyPlan, after: Cells, cells: Cells, signals: Signals, time: float) -> None:
-    """Give ``after`` the receptors and ligands that ``cells`` have at a time in s."""
-    if plan.adhesion is not None:
-        levels = bond_levels(plan, cells, signals, time)
-        after.receptor, after.ligand = np.ascontiguousarray(levels.T)
+def bind(plan: BiologyPlan, after: Cells, cells: Cells, signals: Signals, time: float) -> Cells:
+    """Return ``after`` with the receptors and ligands that ``cells`` have at a time in s."""
+    if plan.adhesion is None:
+        return after
+    receptor, ligand = np.ascontiguousarray(bond_levels(plan, cells, signals, time).T)
+    return after.changed(receptor=receptor, ligand=ligand)
 
 
 def bind_changed(
     plan: BiologyPlan, before: Cells, cells: Cells, signals: Signals, time: float
-) -> None:
-    """Give cells of another type than ``before`` the receptors and ligands of theirs.
+) -> Cells:
+    """Return cells, those of another type than ``before`` with its receptors and ligands.
 
     Those before are the cells or their mothers, and ``signals`` is what these find; ``time`` in s.
     """
     if plan.adhesion is None or cells.kind is before.kind:
-        return
+        return cells
     row = rows_before(before, cells)
     changed = np.flatnonzero(cells.kind != before.kind[row])
     here = {name: values[row[changed]] for name, values in signals.items()}
     levels = bond_levels(plan, cells.take(changed), here, time)
-    for place, name in enumerate(("receptor", "ligand")):
-        column = getattr(cells, name).copy()
-        column[changed] = levels[:, place]
-        setattr(cells, name, column)
+    receptor, ligand = cells.receptor.copy(), cells.ligand.copy()
+    receptor[changed], ligand[changed] = levels.T
+    return cells.changed(receptor=receptor, ligand=ligand)
 
 
 def divide_and_remove(
@@ -144,7 +153,7 @@ def divide_and_remove(
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
         check_inside(plan.domain, divided.id, divided.position, time)
-        bind_changed(plan, cells, divided, signals, time)
+        divided = bind_changed(plan, cells, divided, signals, time)
     left, removals = remove_lysed(plan, divided)
     released = float(divided.volume.sum()) - float(left.volume.sum()) if removals else 0.0
     return Events(left, free, removals, released)
@@ -158,25 +167,24 @@ def decide(
     *,
     ahead: float | None = None,
     time: float = 0.0,
-) -> tuple[Mask, float]:
-    """Set damage and states of cells by what they find.
+) -> Decided:
+    """Return the cells with the damage and the states that they have by what they find.
 
     - ``exposure``: to the signals of the step that has ended; absent at the start of a run
     - ``ahead``: length of the next step, s; absent: the usual one
     - ``time``: the end of the step that has ended, s
-
-    Returns which cells have died, (n,) bool, and the volume that they have lost since, µm³.
     """
     before, dt = cells.state, None if exposure is None else exposure.length
     dying = deaths(plan, cells, signals, exposure, time)
-    cells.state = update_states(plan, cells, signals, dying, dt=dt, ahead=ahead)
+    state = update_states(plan, cells, signals, dying, dt=dt, ahead=ahead)
+    cells = cells.changed(state=state, **dying.columns)
     if exposure is not None and not plan.restricted:
-        rest_from_birth(cells, before, exposure)
+        cells = rest_from_birth(cells, before, exposure)
     if plan.restricted:
         due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
         well = ~wants_rest(plan, cells, signals)
-        leave_rest(plan, cells, due & well)
+        cells = leave_rest(plan, cells, due & well)
     died, lost = cells.state != before, 0.0
     if np.count_nonzero(died) and np.count_nonzero(died := died & cells.dead):
-        lost = die(plan, cells, died, dying, exposure)
-    return np.asarray(died), lost
+        cells, lost = die(plan, cells, died, dying, exposure)
+    return Decided(cells, died, lost)

@@ -152,9 +152,9 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
     """Return the scene that SCENE, ``--law`` and ``--set`` describe."""
     parsed = parse_changes(changes)
     named = {} if law is None else name_law(law)
-    from multicell.coupling.start_check import check_population
     from multicell.scene.bare import nested, note_written
     from multicell.scene.scene import load_scene
+    from multicell.simulation.start_check import check_population
 
     scene = load_scene(source)
     given = scene.to_dict()

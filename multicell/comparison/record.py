@@ -125,12 +125,13 @@ def record(
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
     recorder = StepRecorder(integrator, samples)
     simulation = Simulation(scene, threads=threads, cells=cells, integrator=recorder)
-    simulation.replays = None  # the recorder notes every step that it sees
+    # the recorder notes every step that it sees
+    simulation.state = replace(simulation.state, replays=None)
     first: Cells | None = None
     events: list[RecordedEvents | None] = []
     happened: RecordedEvents | None = None
-    while not simulation.finished and len(simulation.cells):
-        before, seen = simulation.cells, recorder.total
+    while not simulation.finished and len(simulation.state.cells):
+        before, seen = simulation.state.cells, recorder.total
         simulation.step()
         moved = recorder.total > seen
         if moved and first is None:
@@ -140,7 +141,7 @@ def record(
                 events.append(happened)
                 happened = None
             end = recorder.end if moved else before.position
-            happened = compose_events(happened, events_between(before, end, simulation.cells))
+            happened = compose_events(happened, events_between(before, end, simulation.state.cells))
         if progress is not None:
             progress(simulation.time / scene.duration)
     if recorder.system is None or first is None:

@@ -112,6 +112,12 @@ class Ledger:
     made: float | None = None
     used: float | None = None
 
+    def copy(self) -> Ledger:
+        """Return the same account, to be continued."""
+        made = object.__new__(Ledger)
+        made.__dict__.update(self.__dict__)
+        return made
+
     def entries(self) -> dict[str, float]:
         """Return the numbers that another ledger can be made from; no medium that is not finite."""
         return {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
@@ -19,6 +19,27 @@ if TYPE_CHECKING:
     from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.parameters import FieldParameters
     from multicell.results.frame import Field
+
+
+@final
+class Solution(NamedTuple):
+    """The last solution of a field, which is all that it holds from step to step.
+
+    - ``layout``: None before the first solve
+    - ``values``, mM: at its nodes
+    - ``conditions``: on its sides
+    - ``medium``: the stirred part of a finite one, once it is attached
+    """
+
+    layout: Layout | None
+    values: FloatArray
+    conditions: dict[str, Any]
+    medium: WellMixed | None
+
+    def field(self, name: str) -> Field:
+        """Return it as a field of that name; its values are read-only."""
+        assert self.layout is not None
+        return self.layout.field(name, self.values)
 
 
 @final
@@ -173,14 +194,14 @@ class NutrientField:
         self.values = values
         self._conditions = self.parameters.conditions(self._layout, self.level(time))
 
-    def snapshot(self) -> tuple[Any, ...]:
-        """Return the state for :meth:`undo`, which undoes a solve."""
-        return self._layout, self.values, self._conditions, self.well_mixed, self.parameters
+    @property
+    def solution(self) -> Solution:
+        """The last solution; a solve makes the next one, and leaves this as it is."""
+        return Solution(self._layout, self.values, self._conditions, self.well_mixed)
 
-    def undo(self, snapshot: tuple[Any, ...]) -> None:
-        """Make a solution the last one again."""
-        self._layout, self.values, self._conditions = snapshot[:3]
-        self.well_mixed, self.parameters = snapshot[3:]
+    @solution.setter
+    def solution(self, solution: Solution) -> None:
+        self._layout, self.values, self._conditions, self.well_mixed = solution
 
     def _reached(
         self, position: FloatArray, radius: FloatArray | None = None

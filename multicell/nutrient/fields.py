@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
@@ -26,7 +26,8 @@ from multicell.scene.checks import circles, followed, solving_order
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from multicell.nutrient.field import NutrientField
+    from multicell.cells import IntArray
+    from multicell.nutrient.field import NutrientField, Solution
     from multicell.nutrient.group import FieldGroup
     from multicell.results.frame import Field, Frame
     from multicell.scene.scene import Scene
@@ -35,13 +36,53 @@ if TYPE_CHECKING:
 _MAX_TURNS = 200  # in which fields whose uptakes depend on each other are solved for
 _SETTLED = 1e-8  # change of a field, over its highest concentration, that ends the turns
 
-_CHANGED = ("concentrations", "reports", "_uptake", "_changes")  # by a step, beside the fields
-
 Demand = tuple[FloatArray, FloatArray | None]
 """Largest uptake of each cell, and its secretion, (n,) amol/s."""
 
 Respond = Callable[[str, Cells, Mapping[str, FloatArray]], FloatArray | None]
 """Returns the factor that responses give a behaviour of each cell, (n,), or None for one."""
+
+
+@final
+class FieldsState(NamedTuple):
+    """All that the fields of a run hold from step to step; a step makes the next one.
+
+    - ``solutions``, name -> Solution
+    - ``ledger``, name -> Ledger
+    - ``concentrations``, name -> (n,) mM: at the cells
+    - ``reports``, name -> FieldExchange: what a steady field exchanges now
+    - ``grids``: changes of the geometry that a run chooses, as frames store them
+    - ``taken``, name -> (n,) amol/s: what cells take up of fields that others are made from; it
+      follows from the rest, and a step finds it anew
+    """
+
+    solutions: dict[str, Solution]
+    ledger: dict[str, Ledger]
+    concentrations: dict[str, FloatArray]
+    reports: dict[str, FieldExchange]
+    grids: dict[str, Mapping[str, float]]
+    taken: dict[str, FloatArray]
+
+    def fields(self) -> dict[str, Field]:
+        """Return the fields as they were last solved."""
+        return {name: solution.field(name) for name, solution in self.solutions.items()}
+
+    def progress(self) -> dict[str, Any]:
+        """Return what a frame needs, beside fields and concentrations, to be resumed from."""
+        return {
+            "ledger": {name: account.entries() for name, account in self.ledger.items()},
+            "rates": {name: report.entries() for name, report in self.reports.items()},
+            "grids": dict(self.grids),
+        }
+
+    def at_rows(self, rows: IntArray) -> FieldsState:
+        """Return the state for some of the cells, in another order."""
+        found = {name: values[rows] for name, values in self.concentrations.items()}
+        taken = {name: values[rows] for name, values in self.taken.items()}
+        return self._replace(concentrations=found, taken=taken)
+
+
+_NO_FIELDS = FieldsState({}, {}, {}, {}, {}, {})
 
 
 @final
@@ -203,7 +244,7 @@ class FieldSystem:
         - ``until``, (n,) or a number: part of the step after which cells exchange nothing with
           transient fields
         """
-        self.courses = {}
+        self._continue()
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
         if before is not None and self._marched:
@@ -312,20 +353,28 @@ class FieldSystem:
         none = 0.0 if self.reacts(name) else None
         return FieldExchange(made=none, used=none)
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return the state for :meth:`undo`, which undoes an :meth:`advance`."""
-        return {
-            "fields": {name: field.snapshot() for name, field in self.fields.items()},
-            "ledger": {name: vars(account).copy() for name, account in self.ledger.items()},
-            "rest": {name: getattr(self, name).copy() for name in _CHANGED},
-        }
+    @property
+    def state(self) -> FieldsState:
+        """All that the fields hold; to assign one makes it the last that was found."""
+        if not self.fields:
+            return _NO_FIELDS
+        return FieldsState(
+            {name: field.solution for name, field in self.fields.items()},
+            self.ledger, self.concentrations, self.reports, self._changes, self._uptake,
+        )  # fmt: skip
 
-    def undo(self, snapshot: Mapping[str, Any]) -> None:
-        """Make fields, concentrations and accounts what they were."""
+    @state.setter
+    def state(self, state: FieldsState) -> None:
         for name, field in self.fields.items():
-            field.undo(snapshot["fields"][name])
-            vars(self.ledger[name]).update(snapshot["ledger"][name])
-        vars(self).update(snapshot["rest"])
+            field.solution = state.solutions[name]
+        _, self.ledger, self.concentrations, self.reports, self._changes, self._uptake = state
+
+    def _continue(self) -> None:
+        """Continue in accounts and tables of their own: those that are there belong to a state."""
+        self.ledger = {name: account.copy() for name, account in self.ledger.items()}
+        self.concentrations, self.reports = self.concentrations.copy(), self.reports.copy()
+        self._changes, self._uptake = self._changes.copy(), self._uptake.copy()
+        self.courses = {}
 
     def _on_shells(self, name: str) -> bool:
         return self.fields[name].layout.kind == "radial"
@@ -369,14 +418,6 @@ class FieldSystem:
             found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
         return found
 
-    def progress(self) -> dict[str, Any]:
-        """Return the part of a frame from which the fields can be resumed."""
-        return {
-            "ledger": {name: account.entries() for name, account in self.ledger.items()},
-            "rates": {name: report.entries() for name, report in self.reports.items()},
-            "grids": dict(self._changes),
-        }
-
     def restore(self, frame: Frame) -> None:
         """Take fields, concentrations and accounts from a frame."""
         assert frame.progress is not None
@@ -406,10 +447,6 @@ class FieldSystem:
         """Number of nodes of the largest field in a box; zero before there is one."""
         laid = [field.layout for field in self.fields.values() if field.laid]
         return max((math.prod(x.shape) for x in laid if x.kind == "box"), default=0)
-
-    def solved(self) -> dict[str, Field]:
-        """Return the fields as they were last solved."""
-        return {name: field.field() for name, field in self.fields.items()}
 
     def demand(
         self,

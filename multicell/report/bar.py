@@ -40,7 +40,7 @@ def progress_callback(scene: Scene, progress: Progress | bool | None) -> Iterato
         bar.set_postfix_str("preparing")
 
         def advance(simulation: Simulation) -> None:
-            bar.set_postfix_str(cell_count(len(simulation.cells)), refresh=False)
+            bar.set_postfix_str(cell_count(len(simulation.state.cells)), refresh=False)
             bar.update(simulation.time / unit.seconds - bar.n)
 
         yield advance

@@ -43,7 +43,7 @@ FIELD_ARRAYS: Final[Mapping[str, FieldArray]] = {
 SPARSE: Final = frozenset(f"cells/{name}" for name in ("doomed", "damage", "lag", *HAZARDS))
 """Arrays that a frame has only where they are not all zero, and a file only if a frame has them."""
 
-_OF_PARTS: Final = ("driven", "exposures", "first_states", "replays", "stability")
+_OF_PARTS: Final = ("cavity", "driven", "exposures", "first_states", "replays", "stability")
 """Entries of a progress that only some runs have."""
 
 

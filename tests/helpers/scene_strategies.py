@@ -19,12 +19,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from multicell.cells import Phase
-from multicell.coupling.start_check import check_population
 from multicell.errors import DataError, SceneError
 from multicell.scene.nutrient import FACES
 from multicell.scene.parts import CYCLE_PHASES
 from multicell.scene.scene import Scene
 from multicell.schema import build_part, specs
+from multicell.simulation.start_check import check_population
 from multicell.units import RANGES
 
 FIELDS = ("oxygen", "glucose", "drug")

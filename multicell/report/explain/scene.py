@@ -10,7 +10,6 @@ from typing import Any
 
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
 from multicell.biology.draws import malthusian_rate
-from multicell.coupling.start_check import check_population
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
@@ -25,6 +24,7 @@ from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
 from multicell.scene.steps import step_plan
+from multicell.simulation.start_check import check_population
 
 
 def explain(scene: Scene) -> dict[str, Any]:

@@ -28,10 +28,10 @@ def check_population(scene: Scene) -> None:
     from multicell.biology.driven import named_at_start
     from multicell.biology.initial import initial_cells
     from multicell.biology.plan import biology_plan
-    from multicell.coupling.state import fields_of
     from multicell.nutrient.balance import volume_beyond_grid
     from multicell.nutrient.tissue import Tissue
     from multicell.scene.domain import check_start
+    from multicell.simulation.machinery import fields_of
 
     cells, plan = initial_cells(scene), biology_plan(scene)
     check_start(scene, cells)
