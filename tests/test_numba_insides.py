@@ -5,50 +5,16 @@ folders and files of others in ``cli/test_closed_folders``, boxes and signals in
 ``test_interrupts``, types that are gone and the collector in ``test_compiling``.
 """
 
+import math
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from llvmlite import ir
-from numba import njit
-from numba.core.compiler import Flags
-from numba.core.registry import cpu_target
+from numba import njit, objmode
+from numba.extending import overload
 
 import multicell.compiling  # noqa: F401 - changes numba
-
-DOUBLE = ir.DoubleType()
-
-
-@pytest.mark.parametrize(
-    "kind",
-    [
-        ir.IntType(8),
-        ir.IntType(32),
-        DOUBLE,
-        ir.LiteralStructType([ir.IntType(8), DOUBLE]),
-        ir.ArrayType(DOUBLE, 7),
-        ir.LiteralStructType([ir.ArrayType(ir.IntType(8), 3), ir.IntType(16)]),
-    ],
-    ids=str,
-)
-def test_the_size_of_a_type_is_that_of_llvm(kind):
-    context = cpu_target.target_context
-    for _ in range(2):
-        assert context.get_abi_sizeof(kind) == kind.get_abi_size(context.target_data)
-
-
-def test_options_are_equal_where_all_their_values_are():
-    one, other, third = Flags(), Flags(), Flags()
-    third.error_model = "numpy"
-    assert one == other
-    assert hash(one) == hash(other)
-    assert one != third
-    other.error_model = "numpy"  # set or not, it is the value that counts
-    assert other == third
-    other.error_model = one.error_model
-    assert one == other
-    assert one != "numpy"
 
 
 def test_functions_of_numba_are_right_within_a_kernel_and_from_python():
@@ -63,6 +29,30 @@ def test_functions_of_numba_are_right_within_a_kernel_and_from_python():
     np.testing.assert_array_equal(order, np.argsort(np.sort(values)[::-1]))
     assert middle == np.median(values)
     assert spread == pytest.approx(values.std(), rel=1e-15)
+
+
+def root_of(value):
+    """Stand for what is compiled."""
+
+
+@overload(root_of)
+def _root_of(value):
+    def run(value):
+        if value < 0.0:
+            raise ValueError("no root of", value)
+        with objmode(found="float64"):
+            found = math.sqrt(value)
+        return found
+
+    return run
+
+
+def test_overloads_of_users_have_what_numba_gives_them():
+    """An environment: without it neither ``objmode`` nor an exception with values works."""
+    root = njit(lambda value: root_of(value))
+    assert root(4.0) == 2.0
+    with pytest.raises(ValueError, match=r"no root of.*-1\.0"):
+        root(-1.0)
 
 
 BLAS = """

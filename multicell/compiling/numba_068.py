@@ -22,14 +22,20 @@ folder of compiled code      safety     one that others can write to is replaced
 signals while numba works    safety     an exception within its lock leaves parts of a function
                                         behind, and numba ends in errors of its own.
 jit of numba's own           speed      ``np.empty`` and others are compiled as pieces of their
-functions                               callers; each would be optimised and turned into machine
-                                        code that nothing calls.
-equality of options          speed      asked for each call in a kernel, and slow by default.
-size of a type               speed      numba has LLVM read a program for each question.
-collector of garbage         speed      numba makes millions of objects that live until it is done.
-SciPy's BLAS                 speed      numba imports ``scipy.linalg`` to ask whether it is there;
-                                        it is loaded when a kernel calls it.
+functions                               callers, as ours are; each would be optimised and turned
+                                        into machine code that nothing calls: 6 % of the first
+                                        command. Not those of users: pieces have no environment,
+                                        which ``objmode`` and exceptions with values need.
+collector of garbage         speed      numba makes millions of objects that live until it is done:
+                                        8 % of the first command.
+SciPy's BLAS                 start      numba imports ``scipy.linalg`` to ask whether it is there;
+                                        it is loaded when a kernel calls it: 0.1 s of each command
+                                        (0.8 % of the first).
 ===========================  =========  ==========================================================
+
+Gains are parts of the CPU time of ``multicell run spheroid -o out --set duration="2 d" --quiet``
+with an empty cache. What gains less than a twentieth of that is left as numba has it: a quicker
+comparison of options (2 %), remembered sizes of types (1 %).
 
 :mod:`multicell.host.surroundings` keeps ``numba.core.config`` from reading files of the working
 folder, before numba is imported. The pin ``numba>=0.68,<0.69`` stands for all this: with another
@@ -47,10 +53,8 @@ from numba import types
 from numba.core import boxing, caching, cgutils, config, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-from numba.core.cpu import CPUContext
 from numba.core.event import install_recorder
 from numba.core.pythonapi import _boxers
-from numba.core.targetconfig import TargetConfig
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.np import linalg
 from numba.np.numpy_support import as_dtype
@@ -119,32 +123,18 @@ class PieceCompiler(Compiler):
 
 
 _plain_jit = _OverloadFunctionTemplate._get_jit_decorator
+_OURS = ("multicell.", "numba.cpython.", "numba.np.")
+"""Modules whose overloads need no environment: they raise no exception with values in its text."""
 
 
 def _jit_of_overloads(template: Any) -> Callable[..., Any]:
-    """Return a jit for numba's own functions, such as ``np.empty``: as pieces of callers."""
+    """Return a function that compiles an overload, such as numba's ``np.empty``: as a piece."""
     compiles = _plain_jit(template)  # type: ignore[no-untyped-call]
+    if not str(template._overload_func.__module__).startswith(_OURS):
+        return compiles  # type: ignore[no-any-return]
     return lambda **options: compiles(
         **{"pipeline_class": PieceCompiler, "no_cfunc_wrapper": True, **options}
     )
-
-
-def _same_options(one: Any, other: Any) -> Any:
-    """Return whether options of functions are equal, which numba asks for each call in a kernel."""
-    if not isinstance(other, type(one)):
-        return NotImplemented
-    return one._values == other._values or one.values() == other.values()
-
-
-_SIZES: dict[str, int] = {}
-
-
-def _size_of(context: Any, kind: Any) -> int:
-    """Return the size of a type in bytes, for which numba has LLVM read a program each time."""
-    name = str(kind)
-    if name not in _SIZES:
-        _SIZES[name] = kind.get_abi_size(context.target_data)
-    return _SIZES[name]
 
 
 _plain_index = caching.IndexDataCacheFile._load_index
@@ -228,10 +218,6 @@ def change_numba(stamp_of: Callable[[str], Any]) -> None:
     index._load_index, index._load_data = _index_of, _data_of
     template: Any = _OverloadFunctionTemplate
     template._get_jit_decorator = _jit_of_overloads
-    options: Any = TargetConfig
-    options.__eq__, options.__hash__ = _same_options, lambda options: hash(type(options))
-    context: Any = CPUContext
-    context.get_abi_sizeof = _size_of
     _boxers.functions |= {
         types.Array: _box_array,
         types.NamedTuple: _box_named_tuple,
