@@ -87,8 +87,10 @@ _run_options = shared.grouped(
 @click.option(
     "--cells",
     metavar="FILE",
-    help="Cells to start with: a CSV or Parquet table, or .h5ad (--set initial.cells=FILE).",
+    help="Cells to start with: a table of multicell or of another program, an image of labels, or "
+    ".h5ad (--set initial.cells=FILE).",
 )
+@shared.columns_option
 @shared.law_option
 @_run_options
 def run(
@@ -96,15 +98,17 @@ def run(
     output: Path,
     seed: int | None,
     cells: str | None,
+    columns: str | None,
     law: str | None,
     changes: Sequence[str],
     integrator: str | None,
     **options: Any,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    described = shared.scene_of(
-        scene, changes if cells is None else [f"initial.cells={cells}", *changes], law
-    )
+    described = shared.scene_of(scene, [*shared.cells_change(cells, columns), *changes], law)
+    table = described.initial.cells
+    if table is not None and table.said and not options["quiet"]:
+        complain(table.said)
     if seed is not None:
         described = described.with_changes({"seed": seed})
     # loaded after the scene was accepted: bad input is answered at once

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, wraps
@@ -125,6 +126,25 @@ observable_option = click.option(
 no_report_option = click.option(
     "--no-report", is_flag=True, help="Write no report and no pictures."
 )
+
+
+columns_option = click.option(
+    "--columns",
+    metavar="NAMES",
+    help="What the columns of a table are, as 'x=POSITION_X um, radius=R um, type=class', or a "
+    "TOML file with such a table.",
+)
+
+
+def cells_change(cells: str | None, columns: str | None) -> list[str]:
+    """Return the change that ``--cells`` and ``--columns`` are."""
+    if cells is None:
+        if columns is not None:
+            raise click.UsageError("--columns names those of --cells")
+        return []
+    if columns is None:
+        return [f"initial.cells={cells}"]
+    return [f"initial.cells={{file = {json.dumps(cells)}, columns = {json.dumps(columns)}}}"]
 
 
 def output_option(help: str, *, required: bool = True) -> Option:
