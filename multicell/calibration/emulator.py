@@ -27,8 +27,8 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.noise import Array, Noise
 from multicell.calibration.priors import Prior
+from multicell.measured.noise import Array, Noise
 
 PARTICLES: Final = 2000  # draws from a posterior
 FEW: Final = 500  # draws that are enough to see where a posterior is, if not where its tails end

@@ -12,7 +12,6 @@ import numpy as np
 
 from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.likelihood import Fresh
-from multicell.calibration.noise import Array
 from multicell.calibration.problem import ABSENT, Problem, misfit
 from multicell.calibration.search import Evaluation, Run
 from multicell.calibration.simulator import Reading
@@ -26,15 +25,16 @@ from multicell.calibration.verdict import (
 )
 from multicell.errors import FitFailed
 from multicell.host.extras import needs
+from multicell.measured.noise import Array
 from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from multicell.calibration.data import Datum
     from multicell.calibration.fit_plots import FitPlots
     from multicell.calibration.likelihood import Checks
     from multicell.calibration.predictive import PredictiveCheck
+    from multicell.measured.data import Datum
     from multicell.scene.scene import Scene
 
 

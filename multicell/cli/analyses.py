@@ -87,6 +87,8 @@ def sensitivity(
     help="In place of a SCENE measured responses, a CSV file with the titles 'dose / uM', response "
     "and replicate; of two drugs 'dose A / uM' and 'dose B / uM'.",
 )
+@shared.columns_option
+@shared.where_option
 @_observables(
     "The response",
     "Given several times they are added up. By default the living cells, proliferating and "
@@ -101,6 +103,8 @@ def dose_response(
     output: Path,
     drugs: Sequence[str],
     data: str | None,
+    columns: str | None,
+    where: str | None,
     observables: Sequence[str],
     seeds: int,
     changes: Sequence[str],
@@ -116,6 +120,8 @@ def dose_response(
     if (scene is None) == (data is None):
         raise click.UsageError("Give a SCENE with --dose, or measured --data.")
     pairs = studies.key_values(drugs, "--dose")
+    if data is None and (columns or where):
+        raise click.UsageError("--columns and --where belong to --data.")
     if data is not None and (pairs or changes or law or observables):
         raise click.UsageError("--dose, --set, --law and --observable belong to a SCENE.")
     if scene is not None and len(pairs) not in (1, 2):
@@ -124,7 +130,7 @@ def dose_response(
     from multicell.calibration.dose_response import LIVING, carry_out, of_table, plan_of
 
     if described is None:
-        result = replace(of_table(data), folder=output)
+        result = replace(of_table(data, columns, where), folder=output)
         result.write_tables()
     else:
         keys, doses = list(pairs), tuple(pairs.values())

@@ -28,9 +28,11 @@ if TYPE_CHECKING:
     "--data",
     required=True,
     type=click.Path(path_type=Path),
-    help="CSV file with a column for each quantity and its unit in the title, as 'time / h', "
-    "'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
+    help="Table (CSV, Excel) with a column for each quantity and its unit in the title, as "
+    "'time / h', 'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
 )
+@shared.columns_option
+@shared.where_option
 @studies.free_option
 @shared.output_option("Folder of the fit; the same fit there is continued.")
 @shared.valued(
@@ -86,6 +88,8 @@ def fit(
     from multicell.calibration.fit import carry_out, plan_of
 
     plan = plan_of(scene, data, pairs, **options)
+    if plan.table.said and not quiet:
+        complain(plan.table.said)
     count, words = studies.cores_wanted(cores, scheduler), "starting"
 
     def note(what: str, done: int, wanted: int) -> float:

@@ -136,6 +136,13 @@ columns_option = click.option(
 )
 
 
+where_option = click.option(
+    "--where",
+    metavar="VALUES",
+    help="Rows of the data that are meant, as 'CellLine=983b, InitialCondition=5000, Day=3..7'.",
+)
+
+
 def cells_change(cells: str | None, columns: str | None) -> list[str]:
     """Return the change that ``--cells`` and ``--columns`` are."""
     if cells is None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from multicell.errors import DataError
 from multicell.host.extras import needs
 from multicell.tables.forms import FORM, Form
-from multicell.tables.text import Row, read_bytes, rows_of, text_form
+from multicell.tables.text import Row, rows_of, text_form
 
 _ROWS: Final = 50_000  # of text that are turned into numbers at a time
 PARQUET: Final = b"PAR1"  # what a Parquet file begins with
@@ -281,31 +281,21 @@ class Table:
     titles: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]  # fields; empty text where there is no value
     places: tuple[str, ...]  # each row in words: the line of the file, or the row counted from 0
+    said: str = ""  # what it was read as, in words, where that is not plain
 
 
-def read_table(source: Any, largest: int) -> Table:
-    """Return a table as text.
-
-    - ``source``: path of a CSV file, a ``DataFrame``, or a mapping of titles to columns
-    - ``largest``: number of bytes that a file may have
-    """
-    if isinstance(source, str | Path):
-        path = Path(source).expanduser()
-        (_, titles), *rows = rows_of(read_bytes(path, largest), path.name)
-        if not rows:
-            raise DataError(path.name, "holds no data")
-        places = tuple(f"line {number}" for number, _ in rows)
-        return Table(path.name, tuple(titles), tuple(tuple(row) for _, row in rows), places)
+def read_object(source: Any) -> Table:
+    """Return a ``DataFrame``, or a mapping of titles to columns, as text."""
     found = from_object(source, "data")
     columns = [
-        [_field_text(value) for value in column.tolist()] for column in found.columns.values()
+        [field_text(value) for value in column.tolist()] for column in found.columns.values()
     ]
     rows_of_text = tuple(zip(*columns, strict=True))
     places = tuple(f"row {number}" for number in range(len(rows_of_text)))
     return Table("data", tuple(found.columns), rows_of_text, places)
 
 
-def _field_text(value: Any) -> str:
+def field_text(value: Any) -> str:
     """Return a field as a CSV file has it; what is missing is empty."""
     if value != value:
         return ""

@@ -85,11 +85,13 @@ def encoding_of(content: bytes, name: str) -> str:
     needs("charset_normalizer")
     import charset_normalizer
 
-    best = charset_normalizer.from_bytes(sample, threshold=_DOUBT).best()
+    found = charset_normalizer.from_bytes(sample, threshold=_DOUBT)
+    best = found.best()
     if best is None:
         raise DataError(name, f"is not UTF-8 text (byte {place or 0})", "Save it as UTF-8.")
-    # code pages that give the same text: the usual one
-    return "cp1252" if "cp1252" in best.could_be_from_charset else str(best.encoding)
+    # the pages of western languages differ in few letters: the usual one where it may be that
+    western = any("cp1252" in match.could_be_from_charset for match in found)
+    return "cp1252" if western else str(best.encoding)
 
 
 def _not_utf8(content: bytes) -> int | None:

@@ -209,7 +209,8 @@ def mapped(
     wide = [name for name, source in sources.items() if source.wide]
     if len(wide) > 1:
         raise DataError("columns", f"have several columns side by side for {' and '.join(wide)}")
-    side = sources[wide[0]].titles if wide else ("",)
+    named = {title for source in sources.values() if not source.wide for title in source.titles}
+    side = [title for title in sources[wide[0]].titles if title not in named] if wide else [""]
     found: dict[str, NDArray[Any]] = {}
     for name, source in sources.items():
         alone = [source._replace(titles=(title,), wide=False) if source.wide else source
