@@ -143,6 +143,23 @@ where_option = click.option(
 )
 
 
+data_options = grouped(
+    click.option(
+        "--data",
+        type=click.Path(path_type=Path),
+        help="Table of measured data (CSV, Excel) to show with the curves, as 'fit' takes it.",
+    ),
+    columns_option,
+    where_option,
+)
+
+
+def refuse_without_data(data: Path | None, columns: str | None, where: str | None) -> None:
+    """Refuse names of columns and choices of rows without a table."""
+    if data is None and (columns is not None or where is not None):
+        raise click.UsageError("--columns and --where belong to --data")
+
+
 def cells_change(cells: str | None, columns: str | None) -> list[str]:
     """Return the change that ``--cells`` and ``--columns`` are."""
     if cells is None:

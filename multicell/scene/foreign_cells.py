@@ -9,7 +9,7 @@ from typing import Final, final
 
 import numpy as np
 
-from multicell.errors import DataError
+from multicell.errors import DataError, SceneError
 from multicell.tables.columns import PARQUET, Columns, from_bytes, from_rows, from_titles
 from multicell.tables.mapping import ColumnMap, like, mapped, numbers_of, parse_map
 from multicell.tables.sheets import ZIP, sheet_rows
@@ -126,8 +126,8 @@ def _of_frame(table: Columns, choice: Choice, *, foreign: bool) -> tuple[Columns
         times = numbers_of(table.columns[title], table.place, title) * factor
     for said, column, word in ((choice.frame, frames, "frame"), (choice.time, times, "time")):
         if said is not None and column is None:
-            hint = f'Name it: columns = "{word}=TITLE".'
-            raise DataError(table.name, f"has no column of the {word}", hint)
+            problem = f"chooses from {table.name}, which has no column of the {word}"
+            raise SceneError(word, problem, f'Name it: columns = "{word}=TITLE".')
     if not foreign and not choice.given:
         return table, ""  # several frames of an own table are refused further on
     left = {t: c for t, c in table.columns.items() if split_title(t)[0] not in ("frame", "time")}
@@ -141,7 +141,8 @@ def _of_frame(table: Columns, choice: Choice, *, foreign: bool) -> tuple[Columns
     rows = key == wanted
     if not rows.any():
         span = f"{np.nanmin(key):g} to {np.nanmax(key):g}"
-        raise DataError(table.name, f"has no frame {wanted:g}", f"It has frames from {span}.")
+        problem = f"is {wanted:g}, which {table.name} does not have"
+        raise SceneError("frame", problem, f"It has frames from {span}.")
     several = len(np.unique(key)) > 1
     lines = None if table.lines is None else table.lines[rows]
     word = f"frame {wanted:g}" if key is frames else time_text(float(wanted))

@@ -244,7 +244,13 @@ class StartTable:
         from multicell.scene.foreign_cells import Choice, foreign_cells
 
         choice = Choice(self.columns, self.frame, self.time)
-        found = foreign_cells(content, Path(self.file), choice)
+        try:
+            found = foreign_cells(content, Path(self.file), choice)
+        except DataError as error:
+            if not error.place.startswith("columns"):
+                raise
+            problem = f"{error.place.removeprefix('columns').strip(', ')} {error.problem}".strip()
+            raise SceneError("columns", problem, error.hint) from None
         if found is None:
             return None
         table, words = found

@@ -9,10 +9,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from multicell.errors import SceneError
-from multicell.measured.observables import at_the_end, course_of, entry_of, in_history, suggest
+from multicell.measured.observables import (
+    at_the_end,
+    at_times,
+    course_of,
+    entry_of,
+    in_history,
+    suggest,
+)
 from multicell.scene.scene import Scene
 from multicell.studies.status import FAILURES, failed_status, read_finished
-from multicell.studies.table import at_times
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

@@ -90,8 +90,8 @@ def encoding_of(content: bytes, name: str) -> str:
     if best is None:
         raise DataError(name, f"is not UTF-8 text (byte {place or 0})", "Save it as UTF-8.")
     # the pages of western languages differ in few letters: the usual one where it may be that
-    western = any("cp1252" in match.could_be_from_charset for match in found)
-    return "cp1252" if western else str(best.encoding)
+    usual = any("cp1252" in match.could_be_from_charset for match in found)
+    return "cp1252" if usual else str(best.encoding)
 
 
 def _not_utf8(content: bytes) -> int | None:

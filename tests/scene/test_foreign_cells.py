@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.errors import DataError
+from multicell.errors import DataError, SceneError
 
 PLACES = np.array([[120.0, 80.0, 10.0], [131.5, 80.0, 10.0], [120.0, 95.0, 22.0]])
 RADII = np.array([4.5, 4.75, 4.25])
@@ -164,7 +164,9 @@ def test_a_frame_is_chosen_by_number_or_time(tmp_path):
     for choice in ({"frame": 2}, {"time": "19 min"}):
         table = scene_of(path, **choice).initial.cells
         np.testing.assert_allclose(table.given.columns["position_x"], PLACES[:, 0] + 10.0)
-    with pytest.raises(DataError, match=r"has no frame 7\. It has frames from 0 to 2"):
+    with pytest.raises(
+        SceneError, match=r"frame: is 7, which spots.csv does not have\. It has frames from 0 to 2"
+    ):
         scene_of(path, frame=7)
 
 
@@ -208,7 +210,7 @@ def test_a_simulation_takes_a_table_with_names_of_its_columns(tmp_path):
 def test_what_cannot_be_read_is_refused_with_what_to_write(text, columns, said, tmp_path):
     path = tmp_path / "cells.csv"
     path.write_text(text)
-    with pytest.raises(DataError, match=said):
+    with pytest.raises((DataError, SceneError), match=said):
         scene_of(path, columns)
 
 
