@@ -11,6 +11,7 @@ import numpy as np
 
 from multicell.errors import DataError, SceneError
 from multicell.tables.columns import PARQUET, Columns, from_bytes, from_rows, from_titles
+from multicell.tables.images import TIFF, cells_of_image
 from multicell.tables.mapping import ColumnMap, like, mapped, numbers_of, parse_map
 from multicell.tables.sheets import ZIP, sheet_rows
 from multicell.tables.text import text_form
@@ -47,6 +48,9 @@ def foreign_cells(content: bytes, path: Path, choice: Choice) -> tuple[Columns, 
     None for a table as multicell writes them, of which nothing is said.
     """
     names, name = parse_map(choice.columns), path.name
+    if content[:4] in TIFF:
+        columns, words = cells_of_image(content, name, names, choice.frame)
+        return Columns(name, columns), words
     if content[:4] == PARQUET:
         return None if not choice.given else _read(from_bytes(content, name), names, choice, None)
     if content[:4] == ZIP:

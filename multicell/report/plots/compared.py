@@ -29,7 +29,7 @@ def compared(comparison: Comparison) -> Figure:
     subtitle = f"{lines}, points: data with their errors; {comparison.words}"
     height = 2.0 + 4.0 * rows
     figure = style.blank(comparison.title, subtitle, (style.SIZE[0], height))
-    place = {"left": 0.09, "right": 0.97, "top": 1.0 - 1.5 / height, "bottom": 0.6 / height}
+    place = {"left": 0.09, "right": 0.97, "top": 1.0 - 1.3 / height, "bottom": 0.6 / height}
     grid = figure.subplots(
         rows, columns, squeeze=False, gridspec_kw={**place, "hspace": 0.35, "wspace": 0.22}
     )
