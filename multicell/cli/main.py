@@ -34,7 +34,8 @@ _ELSEWHERE = {
     "dose-response": "analyses:dose_response", "sensitivity": "analyses:sensitivity",
     "fit": "fit:fit", "import": "scenes:importing", "play": "play:play", "study": "study:study",
     "scenes": "scenes:scenes", "init": "scenes:init", "coarsen": "scenes:coarsen",
-    "schema": "scenes:schema", "plot": "show:plot", "view": "show:view", "movie": "show:movie",
+    "schema": "scenes:schema", "plot": "show:plot", "view": "show:view", "cite": "show:cite",
+    "movie": "show:movie",
 }  # fmt: skip
 """Commands of other modules, which are loaded with them."""
 

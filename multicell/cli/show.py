@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from multicell.cli import options as shared
-from multicell.cli.process import complain, print_file
+from multicell.cli.process import complain, print_file, print_json
 from multicell.cli.progress import display
 from multicell.errors import OutputError
 from multicell.report.plots.run import PICTURES
@@ -55,6 +55,22 @@ def view(
     if not no_browser and not webbrowser.open(page.resolve().as_uri()):
         complain("There is no browser to open it.")
     print_file(page, as_json)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--bibtex", is_flag=True, help="The entries of what is cited, in place of the text.")
+@shared.loaded_law_option
+@shared.as_json_option
+def cite(folder: Path, bibtex: bool, as_json: bool) -> None:
+    """Print a methods section of the run in FOLDER: model, values, numerics, seed, versions."""
+    from multicell.report.result import load_result
+
+    found = load_result(folder).cite()
+    if as_json:
+        print_json({"text": found.text, "bibtex": found.bibtex})
+    else:
+        click.echo((found.bibtex if bibtex else found.text).rstrip())
 
 
 def _up_to_date(page: Path, folder: Path) -> bool:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from multicell.cells import FloatArray
     from multicell.measured.compared import Comparison
+    from multicell.report.citation import Citation
     from multicell.report.plots.run import Plots
     from multicell.results.reader import Contents
     from multicell.scene.scene import Scene
@@ -250,6 +251,12 @@ class Result:
             sd=sd, specimens=specimens,
         )  # fmt: skip
         return replace(found, draw=compared)
+
+    def cite(self) -> Citation:
+        """Return a methods section of this run for a paper: ``text``, and ``bibtex``."""
+        from multicell.report.citation import cite
+
+        return cite(self)
 
     def report(
         self, folder: str | Path | None = None, *, comparison: Comparison | None = None
