@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 _ELSEWHERE = {
     "compare": "compare:compare", "stability": "compare:stability",
     "dose-response": "analyses:dose_response", "sensitivity": "analyses:sensitivity",
-    "fit": "fit:fit", "import": "scenes:importing", "play": "play:play", "study": "study:study",
+    "fit": "fit:fit", "profile": "fit:profile",
+    "import": "scenes:importing", "play": "play:play", "study": "study:study",
     "scenes": "scenes:scenes", "init": "scenes:init", "coarsen": "scenes:coarsen",
     "schema": "scenes:schema", "plot": "show:plot", "view": "show:view", "cite": "show:cite",
     "movie": "show:movie",
