@@ -32,9 +32,13 @@ def _observables(what: str, several: str) -> shared.Option:
 @shared.output_option("Folder of the analysis; its runs are kept there.")
 @studies.free_option
 @shared.valued(
+    "--method", default="morris", metavar="NAME", help="morris, or sobol: parts of the variance."
+)
+@click.option(
     "--size",
-    default=10,
-    help="Trajectories of Morris; each takes a run more than there are parameters.",
+    type=int,
+    help="Trajectories of Morris; each takes a run more than there are parameters. Points of "
+    "Sobol', a power of two; each takes two more.  [default: 10, 64]",
 )
 @shared.valued(
     "--seeds",
@@ -51,7 +55,8 @@ def sensitivity(
     scene: Scene,
     output: Path,
     free: Sequence[str],
-    size: int,
+    method: str,
+    size: int | None,
     seeds: int,
     observables: Sequence[str],
     **how: Any,
@@ -66,7 +71,9 @@ def sensitivity(
     pairs = studies.key_values(free, "--free")
     from multicell.calibration.sensitivity import carry_out, plan_of
 
-    plan = plan_of(scene, pairs, observables=observables or None, size=size, seeds=seeds)
+    plan = plan_of(
+        scene, pairs, method=method, observables=observables or None, size=size, seeds=seeds
+    )
     result = studies.carry_out_study(plan, output, carry_out, how)
     studies.print_analysis(result, bool(result.failures), how)
 
