@@ -38,7 +38,7 @@ from multicell.contact.custom import Compiling
 from multicell.coupling.mover import Mover
 from multicell.coupling.state import RunState, fields_of
 from multicell.errors import NutrientFailed, StepFailed
-from multicell.host.interrupts import STEP
+from multicell.host.interrupts import WHOLE_STEP
 from multicell.mechanics import neighbours
 from multicell.results import summary
 from multicell.results.frame import Frame
@@ -49,7 +49,7 @@ from multicell.scene.domain import check_start
 from multicell.scene.ranges import check_memory
 
 if TYPE_CHECKING:
-    from multicell.cells import Found, IntArray, Mask
+    from multicell.cells import IntArray, Mask, Signals
     from multicell.integrators.base import Integrator
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
@@ -186,7 +186,7 @@ class Simulation(RunState):
         KeyboardInterrupt
             At the end of the step, after Ctrl-C; a second one ends it at once.
         """
-        with STEP:
+        with WHOLE_STEP:
             before = self.snapshot()
             try:
                 with self._compiling:
@@ -273,7 +273,7 @@ class Simulation(RunState):
 
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
         return motion_of(
-            self.plan, self.cells, radius, begin, end, concentrations=self.signals,
+            self.plan, self.cells, radius, begin, end, signals=self.signals,
             gradients=self.field_system.gradients(self.cells), contacts=self.contacts,
             named=self.named,
         )  # fmt: skip
@@ -341,7 +341,7 @@ class Simulation(RunState):
             self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
             self.unsorted = 0
 
-    def _expose(self, began: Cells, before: Found, begin: float, end: float) -> None:
+    def _expose(self, began: Cells, before: Signals, begin: float, end: float) -> None:
         """Bring the fields through a step, and let cells do what follows from what they find.
 
         Where rates have killed cells, transient fields are brought through it once more, now with
@@ -368,19 +368,19 @@ class Simulation(RunState):
                 jumped = self.timeline.plan.changes_at(begin)
                 self.exposures = remainders(plan, exposure, self.exposures, jumped=jumped)
             typed = self.cells
-            self.cells, rows = mutate_as_found(plan, self.cells, exposure)
+            self.cells, rows = mutate_as_found(plan, self.cells, exposure, self.next_id)
             self.lineage.retype(self.cells.id[rows], self.cells.kind[rows])
             if changing(plan.acting):
                 exposure.cells = self.cells
                 self.cells = change_types(plan, self.cells, exposure)
-            bind_changed(plan, typed, self.cells, exposure.found, end)
+            bind_changed(plan, typed, self.cells, exposure.signals, end)
 
     def _follows(self, begin: float) -> bool:
         """Return whether more than the ends of a step matters: rates, or fields that jumped."""
         return bool(self.plan.acting) or self.timeline.plan.changes_at(begin)
 
     def _attempt(
-        self, began: Cells, before: Found, begin: float, end: float, until: Any = 1.0
+        self, began: Cells, before: Signals, begin: float, end: float, until: Any = 1.0
     ) -> tuple[Exposure, Mask, float]:
         """Bring the fields through a step with cells until a part of it, (n,), and let some die.
 
@@ -410,7 +410,7 @@ class Simulation(RunState):
 
         By what they were exposed to in the step that has ended, or find at the start of the run.
         """
-        found = self.signals if exposure is None else exposure.found
+        found = self.signals if exposure is None else exposure.signals
         ahead = self.timeline.ahead
         return decide(self.plan, self.cells, found, exposure, ahead=ahead, time=self.time)
 

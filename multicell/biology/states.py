@@ -1,4 +1,4 @@
-"""Which cells proliferate, rest or die, from what they find around them, and removal of the dead.
+"""States of cells: proliferation, rest and death by their signals, and removal of the dead.
 
 **Why cells do not all react at once.** A resting cell takes up less nutrient. If all cells compared
 the field with the threshold at every coupling step, those near it would rest together, the field
@@ -22,7 +22,7 @@ from multicell.biology.division import ROUNDING, due_to_divide
 from multicell.biology.exposure import finite_rate, part_until_death
 from multicell.biology.growth import shrunk
 from multicell.biology.responding import rate_of, rate_of_harm, wants_rest
-from multicell.cells import SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Signals, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ None where nobody does."""
 def update_states(
     plan: BiologyPlan,
     cells: Cells,
-    found: Found,
+    signals: Signals,
     dying: Deaths | None = None,
     *,
     dt: float | None = None,
@@ -67,11 +67,11 @@ def update_states(
     """
     state = cells.state.copy()
     if plan.may_rest and not plan.restricted:
-        wanted = np.where(wants_rest(plan, cells, found), _RESTING, _GROWING)
+        wanted = np.where(wants_rest(plan, cells, signals), _RESTING, _GROWING)
         if np.count_nonzero(wanted != state):  # else it does not matter who is due
             due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
             state = np.where(due, wanted, state)
-    necrosis, apoptosis = deaths(plan, cells, found) if dying is None else dying
+    necrosis, apoptosis = deaths(plan, cells, signals) if dying is None else dying
     for new, part in ((_NECROTIC, necrosis), (_APOPTOTIC, apoptosis)):
         state[cells.state == new] = new
         if part is not None:
@@ -82,7 +82,7 @@ def update_states(
 def deaths(
     plan: BiologyPlan,
     cells: Cells,
-    found: Found,
+    signals: Signals,
     exposure: Exposure | None = None,
     time: float = 0.0,
 ) -> Deaths:
@@ -97,7 +97,7 @@ def deaths(
     """
     necrosis = apoptosis = None
     if "necrosis rate" in plan.responses:
-        necrosis = _earlier(necrosis, necrotic(plan, cells, found, exposure))
+        necrosis = _earlier(necrosis, necrotic(plan, cells, signals, exposure))
     if exposure is not None and "damage rate" in plan.responses:
         necrosis = _earlier(necrosis, take_damage(plan, cells, exposure))
     if plan.growth is not None and np.count_nonzero(last := cells.doomed == 1):
@@ -224,7 +224,7 @@ def apoptotic(
 
 
 def necrotic(
-    plan: BiologyPlan, cells: Cells, found: Found, exposure: Exposure | None
+    plan: BiologyPlan, cells: Cells, signals: Signals, exposure: Exposure | None
 ) -> FloatArray | None:
     """Return at which part of a step living cells die by necrosis, (n,).
 
@@ -233,7 +233,7 @@ def necrotic(
     """
     known, part = plan.responses["necrosis rate"], None
     if any(math.isinf(response.effect.high) for response in known):
-        hazard = rate_of_harm(plan, "necrosis rate", found, cells)
+        hazard = rate_of_harm(plan, "necrosis rate", signals, cells)
         now = np.zeros(len(cells), dtype=np.bool_) if hazard is None else np.isinf(hazard)
         rows = np.flatnonzero(
             ~cells.dead & (now if exposure is None or not exposure.inner else True)
@@ -302,7 +302,7 @@ def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
 
 
 def irradiate(
-    plan: BiologyPlan, cells: Cells, found: Found, begin: float, end: float
+    plan: BiologyPlan, cells: Cells, signals: Signals, begin: float, end: float
 ) -> tuple[Cells, Mask]:
     """Return the cells after all fractions between two times, and which have died, (n,).
 
@@ -316,20 +316,20 @@ def irradiate(
         for number, time in enumerate(part.schedule):
             if begin < time * (1.0 - ROUNDING) <= end:
                 u = random.uniform(plan.seed, Purpose.RADIATION, number, cells.id, attempt=course)
-                _kill(part, after, (u[:, 0] >= _survival(plan, part, after, found)) & ~after.dead)
+                _kill(part, after, (u[:, 0] >= _survival(plan, part, after, signals)) & ~after.dead)
     dead = after.dead & ~cells.dead
     if dead.any():
         after.age = np.where(dead, 0.0, after.age)
     return after, dead
 
 
-def _survival(plan: BiologyPlan, part: Radiation, cells: Cells, found: Found) -> FloatArray:
+def _survival(plan: BiologyPlan, part: Radiation, cells: Cells, signals: Signals) -> FloatArray:
     """Return the probability of each cell to survive a fraction, (n,)."""
     known = part.phase_factor or {}
     factor = np.array([known.get(phase.name, 1.0) for phase in Phase])[cells.phase]
     if part.types:
         factor *= np.isin(cells.kind, [list(plan.types).index(kind) for kind in part.types])
-    pressure = found[part.oxygen] / plan.solubility[part.oxygen] if part.oxygen else np.inf
+    pressure = signals[part.oxygen] / plan.solubility[part.oxygen] if part.oxygen else np.inf
     return np.asarray(part.survival(pressure, factor))
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from multicell.calibration.fitted import Fit
-    from multicell.calibration.profile import Profile
+    from multicell.calibration.profile import LikelihoodProfile
     from multicell.measured.data import Datum
     from multicell.studies.axes import Range
 
@@ -121,7 +121,7 @@ class FitPlots:
         return figure
 
 
-def _draw_profile(axes: Axes, profile: Profile, free: Range) -> None:
+def _draw_profile(axes: Axes, profile: LikelihoodProfile, free: Range) -> None:
     from scipy import stats
 
     limit = float(stats.chi2.ppf(0.95, 1))
@@ -155,7 +155,7 @@ def _panels(fit: Fit) -> list[tuple[str, bool, list[int]]]:
 
 
 def _abscissa(datum: Datum) -> float | None:
-    """Return what a datum is drawn against: its depth, else its time."""
+    """Return the abscissa of a datum in a chart: its depth, else its time."""
     return datum.time if datum.depth is None else datum.depth
 
 

@@ -12,12 +12,13 @@ runs have found included (:mod:`multicell.calibration.likelihood`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
+from multicell.calibration.emulator import Loss
 from multicell.calibration.priors import values_at
 from multicell.errors import FitFailed, SceneError
 from multicell.measured.noise import Array
@@ -28,8 +29,7 @@ if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
     from multicell.studies.axes import Range
 
-Loss = Callable[[Array], Array]
-POINTS: Final = 41
+PROFILE_POINTS: Final = 41
 """Values of a parameter that a profile has."""
 _DIFFERENCE: Final = 1e-5  # of shares, for slopes
 _STARTS: Final = 4  # draws from which the other parameters descend, besides the neighbour's
@@ -37,7 +37,7 @@ _STARTS: Final = 4  # draws from which the other parameters descend, besides the
 
 @final
 @dataclass(frozen=True, eq=False)
-class Profile:
+class LikelihoodProfile:
     """The profile likelihood of one parameter.
 
     - ``name``, ``unit``: of the parameter
@@ -86,7 +86,7 @@ class Profile:
         return bool(np.isfinite(self.interval(level)).all())
 
 
-def profile_of(fit: Fit, name: str, points: int = POINTS) -> Profile:
+def profile_of(fit: Fit, name: str, points: int = PROFILE_POINTS) -> LikelihoodProfile:
     """Return the profile likelihood of a parameter of a fit, by its name or key.
 
     Raises SceneError for an unknown parameter or fewer than 5 points, FitFailed where the fit has
@@ -106,7 +106,7 @@ def profile_of(fit: Fit, name: str, points: int = POINTS) -> Profile:
 
 def _profile(
     loss: Loss, ranges: Sequence[Range], place: int, sample: Array, points: int
-) -> Profile:
+) -> LikelihoodProfile:
     best = _least(loss, sample[np.argsort(loss(sample))[:_STARTS]], None)
     grid = np.unique(np.append(np.linspace(0.0, 1.0, points), best[place]))
     middle = int(np.searchsorted(grid, best[place]))
@@ -121,7 +121,7 @@ def _profile(
     losses = loss(found)
     free = ranges[place]
     least = int(np.argmin(losses))  # where a point beside the best is better by rounding
-    return Profile(
+    return LikelihoodProfile(
         free.name, free.unit, np.asarray(values_at(free, grid)), losses - losses[least], found,
         float(values_at(free, grid[least : least + 1])[0]), grid, free,
     )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multicell.calibration.verdict import in_words
+from multicell.calibration.verdict import value_in_words
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, SIZE, styled
@@ -43,7 +43,7 @@ def write_sobol_report(result: SobolIndices, folder: Path) -> Path:
         },
         pictures=pictures,
         result=result,
-        ends={f.key: [in_words(x, f.unit) for x in (f.low, f.high)] for f in result.ranges},
+        ends={f.key: [value_in_words(x, f.unit) for x in (f.low, f.high)] for f in result.ranges},
     )
 
 

@@ -11,7 +11,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli import study as studies
-from multicell.cli.options import filled_table, plain
+from multicell.cli.options import escape_markup, filled_table
 from multicell.cli.process import complain, print_json
 from multicell.cli.progress import display
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-@click.command()
+@click.command("fit")
 @shared.of_scene
 @click.option(
     "--data",
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 @shared.overwrite_option("Replace another fit in the folder.")
 @shared.quiet_option
 @shared.as_json_option
-def fit(
+def fit_command(
     scene: Scene,
     data: Path,
     free: Sequence[str],
@@ -86,9 +86,9 @@ def fit(
     was stopped continues with the same command; a larger --budget adds to it.
     """
     pairs = studies.key_values(free, "--free")
-    from multicell.calibration.fit import carry_out, plan_of
+    from multicell.calibration.fit import plan_fit, run_fit_plan
 
-    plan = plan_of(scene, data, pairs, **options)
+    plan = plan_fit(scene, data, pairs, **options)
     if plan.table.said and not quiet:
         complain(plan.table.said)
     count, words = studies.cores_wanted(cores, scheduler), "starting"
@@ -101,7 +101,7 @@ def fit(
     studies.confirm(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
     try:
         with display(lambda: [words], note, show=not quiet) as progress:
-            found = carry_out(
+            found = run_fit_plan(
                 plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
                 progress=progress,
             )  # fmt: skip
@@ -115,7 +115,7 @@ def fit(
 
 
 def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
-    """Return what is left of a fit, and what it is expected to take at most."""
+    """Return the rest of a fit, and its expected cost at most."""
     from multicell.studies.cost import StudyCost, cost_of
 
     runs, core_seconds = plan.left(folder)
@@ -131,12 +131,12 @@ def _print(out: Console, found: Fit, output: Path) -> None:
     cells = [[row[key] for key in ("key", "best", "interval", "part")] for row in rows]
     out.print(filled_table(("parameter", "best >", "95 % interval >", "of its range >"), cells))
     data = found.best
-    out.print(plain(f"χ² = {data.chi_squared:.3g} for {len(data.residuals)} data"))
+    out.print(escape_markup(f"χ² = {data.chi_squared:.3g} for {len(data.residuals)} data"))
     for entry in found.undetermined:
-        out.print(plain(f"{entry}."), style="yellow")
+        out.print(escape_markup(f"{entry}."), style="yellow")
     for note in found.notes:
-        out.print(plain(f"Note: {note}"), style="dim")
-    out.print(plain(f"Results are in '{output}'."))
+        out.print(escape_markup(f"Note: {note}"), style="dim")
+    out.print(escape_markup(f"Results are in '{output}'."))
 
 
 @click.command()
@@ -145,7 +145,7 @@ def _print(out: Console, found: Fit, output: Path) -> None:
 @shared.valued("--level", default=0.95, help="Confidence of the intervals.")
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
-def profile(
+def profile_command(
     folder: Path, output: Path | None, level: float, overwrite: bool, as_json: bool
 ) -> None:
     """Print the profile likelihood of each parameter of the fit in FOLDER: which are identified.
@@ -153,8 +153,8 @@ def profile(
     An end of an interval that the searched range does not hold is not bounded by the data.
     """
     from multicell.calibration.stored import load_fit
-    from multicell.calibration.verdict import in_words
-    from multicell.report.plots.style import save
+    from multicell.calibration.verdict import value_in_words
+    from multicell.report.plots.style import save_figure
 
     if output is not None:
         shared.refuse_existing(output, overwrite=overwrite)
@@ -162,7 +162,7 @@ def profile(
     profiles = [found.profile(free.name) for free in found.problem.ranges]
     ends = [one.interval(level) for one in profiles]
     if output is not None:
-        save(found.plot.profile(), output)
+        save_figure(found.plot.profile(), output)
     if as_json:
         print_json([
             {"name": one.name, "unit": one.unit, "best": one.best, "level": level,
@@ -173,10 +173,12 @@ def profile(
         return
     rows = []
     for one, pair in zip(profiles, ends, strict=True):
-        low, high = (in_words(x, one.unit) if isfinite(x) else "open" for x in pair)
-        rows.append((one.name, in_words(one.best, one.unit), f"{low} to {high}"))
+        low, high = (value_in_words(x, one.unit) if isfinite(x) else "open" for x in pair)
+        rows.append((one.name, value_in_words(one.best, one.unit), f"{low} to {high}"))
     title = f"{100.0 * level:g} % interval >"
     shared.console().print(filled_table(("parameter", "best >", title), rows))
     for one in profiles:
         if not one.identified(level):
-            shared.console().print(plain(f"The data do not bound {one.name}."), style="yellow")
+            shared.console().print(
+                escape_markup(f"The data do not bound {one.name}."), style="yellow"
+            )

@@ -26,13 +26,13 @@ _OPTIONS = {
 """Options of pictures by the names that their methods have for them."""
 
 
-@click.command()
+@click.command("view")
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--no-browser", is_flag=True, help="Write the page, and do not open it.")
 @shared.data_options
 @shared.loaded_law_option
 @shared.as_json_option
-def view(
+def view_command(
     folder: Path,
     no_browser: bool,
     data: Path | None,
@@ -62,7 +62,7 @@ def view(
 @click.option("--bibtex", is_flag=True, help="The entries of what is cited, in place of the text.")
 @shared.loaded_law_option
 @shared.as_json_option
-def cite(folder: Path, bibtex: bool, as_json: bool) -> None:
+def cite_command(folder: Path, bibtex: bool, as_json: bool) -> None:
     """Print a methods section of the run in FOLDER: model, values, numerics, seed, versions."""
     from multicell.report.result import load_result
 
@@ -140,7 +140,7 @@ def plot(
     if data is not None and (len(folders) > 1 or picture or quantity or given):
         raise click.UsageError("--data makes a picture of its own, of one run")
     _refuse_mixed(folders, picture, quantity, given)
-    from multicell.report.plots.style import save
+    from multicell.report.plots.style import save_figure
     from multicell.report.result import load_result
 
     shared.refuse_existing(output, overwrite=overwrite)
@@ -158,7 +158,7 @@ def plot(
             figure = getattr(runs[0].plot, picture or "section")(**given)
         except ValueError as error:  # there is nothing to draw
             raise OutputError(f"no picture of '{runs[0].folder}': {error}") from error
-    save(figure, output)
+    save_figure(figure, output)
     if words:
         complain(f"{words}.")
     print_file(output, as_json)
@@ -190,7 +190,7 @@ def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) ->
     return overlay({label: run.history for label, run in zip(labels, runs, strict=True)}, quantity)
 
 
-@click.command()
+@click.command("movie")
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.output_option("File for the movie: .gif, .webp, or .mp4 with multicell[movie].")
 @shared.section_option
@@ -211,7 +211,7 @@ def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) ->
 @shared.overwrite_option("Replace the file.")
 @shared.quiet_option
 @shared.as_json_option
-def movie(
+def movie_command(
     folder: Path,
     output: Path,
     space: bool,

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @final
 class Moved(NamedTuple):
-    """What motion makes of cells by the end of a step.
+    """Moved cells at the end of a step.
 
     - ``position``, ``pressure``, (n, 3) µm and (n,) kPa
     - ``contacts``, (m, 2) or None: indices of the pairs in contact; None where nobody counts them,
@@ -122,7 +122,7 @@ class Mover:
         was_beyond, suspect = known.rate > product, False
         if not was_beyond and stability.may_glance(known, n):
             known = stability.add_glance(known, n)
-            suspect = stability.glance(system, end, position) > stability.NEAR * product
+            suspect = stability.glance(system, end, position) > stability.NEAR_LIMIT * product
         if not was_beyond and not suspect:
             return known
         rate = stability.rate_at(system, end, position, self._dimensions)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.biology.responding import other_signals, value_of
-from multicell.coupling.timeline import PHASES, Phase, Timeline
+from multicell.coupling.timeline import TIMED_PHASES, PhaseTimer, Timeline
 from multicell.errors import SceneError
 from multicell.host.interrupts import UNCUT
 from multicell.integrators.shift import Replays
@@ -24,7 +24,7 @@ from multicell.scene.steps import step_plan
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
-    from multicell.cells import Cells, FloatArray, IntArray
+    from multicell.cells import Cells, FloatArray, IntArray, Signals
     from multicell.coupling.mover import Mover
     from multicell.mechanics.system import Mechanics
     from multicell.nutrient.balance import Ledger
@@ -51,8 +51,8 @@ def fields_of(
 ) -> FieldSystem:
     """Return the fields of a scene, to which its cells respond."""
 
-    def respond(behaviour: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray | None:
-        return value_of(plan, behaviour, 1.0, found, cells, early=True)
+    def respond(behaviour: str, cells: Cells, signals: Signals) -> FloatArray | None:
+        return value_of(plan, behaviour, 1.0, signals, cells, early=True)
 
     return FieldSystem(scene, reactions, threads, respond)
 
@@ -98,7 +98,7 @@ class RunState(ABC):
     ) -> None:
         self.scene, self.mover, self.field_system = scene, mover, fields
         self.plan = plan
-        self.wall = dict.fromkeys(PHASES, 0.0)
+        self.wall = dict.fromkeys(TIMED_PHASES, 0.0)
         self.timeline = Timeline(step_plan(scene))
         self.divisions = self.removals = 0
         self.released = 0.0
@@ -135,7 +135,7 @@ class RunState(ABC):
         self.field_system.restore(frame)
 
     def _progress(self) -> Progress:
-        """Return what a frame needs so that the run can be resumed from it."""
+        """Return the part of a frame from which the run can be resumed."""
         return Progress(
             **{name: getattr(self, name) for name in _NOTED},
             **self.field_system.progress(),
@@ -181,7 +181,7 @@ class RunState(ABC):
 
     @property
     def ledger(self) -> dict[str, Ledger]:
-        """What has come in, been taken up, secreted, stored ... of each nutrient."""
+        """Totals of each nutrient: inflow, uptake, secretion, storage ..."""
         return self.field_system.ledger
 
     @property
@@ -211,12 +211,12 @@ class RunState(ABC):
         grown = enough is not None and len(self.cells) >= enough
         return self.timeline.is_over or grown or self.separation is not None
 
-    def phase(self, name: str) -> Phase:
-        """Return a context that adds the wall time of its block to one of :data:`PHASES`."""
-        return Phase(self.wall, name)
+    def phase(self, name: str) -> PhaseTimer:
+        """Return a context that adds the wall time of its block to one of :data:`TIMED_PHASES`."""
+        return PhaseTimer(self.wall, name)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return what :meth:`restore` needs to undo a step.
+        """Return the state for :meth:`restore`, which undoes a step.
 
         A step makes new arrays and does not write into those that are there: to keep them is
         to remember them. Logs and accounts only grow.

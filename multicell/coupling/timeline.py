@@ -1,4 +1,4 @@
-"""Where a run is in time, which coupling step comes next, and the wall time of its phases."""
+"""Time of a run, its next coupling step, and the wall time of its phases."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ class Timeline(NamedTuple):
         return self.time >= self.plan.duration
 
 
-PHASES: Final = ("compile", "nutrient", "biology", "mechanics", "events", "record")
+TIMED_PHASES: Final = ("compile", "nutrient", "biology", "mechanics", "events", "record")
 """Phases of the loop whose wall time is measured; no moment belongs to two of them."""
 
 
 @final
-class Phase:
+class PhaseTimer:
     """Adds the wall time of a block to that of a phase, and what numba took of it to another."""
 
     def __init__(self, wall: dict[str, float], name: str) -> None:

@@ -26,7 +26,7 @@ Numbers = Mapping[str, FloatArray]
 
 @final
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class MeasuredComparison:
     """Runs of one scene beside measured data.
 
     Attributes
@@ -51,7 +51,7 @@ class Comparison:
     units: Mapping[str, str]
     title: str
     notes: tuple[str, ...] = ()
-    draw: Callable[[Comparison], Figure] | None = field(default=None, repr=False)
+    draw: Callable[[MeasuredComparison], Figure] | None = field(default=None, repr=False)
 
     @cached_property
     def _scaled(self) -> FloatArray:
@@ -118,7 +118,7 @@ class Comparison:
         return self.draw(self)
 
 
-def compare(
+def compare_runs(
     scene: Scene,
     runs: Sequence[tuple[Numbers, Mapping[str, Any]]],
     source: Any,
@@ -127,7 +127,7 @@ def compare(
     where: str | None = None,
     sd: float | None = None,
     specimens: str = "same",
-) -> Comparison:
+) -> MeasuredComparison:
     """Compare runs of one scene with measured data.
 
     - ``runs``: history and summary of each
@@ -159,7 +159,9 @@ def compare(
         notes += [f"data without an error have one of {100.0 * sd:g} %"]
     histories = tuple(history for history, _ in runs)
     title = scene.title or "Untitled run"
-    return Comparison(kept, values[:, known], histories, measured.units, title, tuple(notes))
+    return MeasuredComparison(
+        kept, values[:, known], histories, measured.units, title, tuple(notes)
+    )
 
 
 def _of_scene(measured: Measured, scene: Scene) -> tuple[list[Datum], list[str]]:
@@ -183,7 +185,7 @@ def _of_scene(measured: Measured, scene: Scene) -> tuple[list[Datum], list[str]]
 
 
 def _value(datum: Datum, history: Numbers, summary: Mapping[str, Any]) -> float:
-    """Return what a run has in place of a datum; NaN where it has nothing."""
+    """Return a run's value in place of a datum; NaN where it has none."""
     name = datum.observable
     if name not in history:
         return entry_of(summary, name)

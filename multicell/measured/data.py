@@ -47,7 +47,7 @@ from functools import cached_property
 from typing import Any, Final, final
 
 from multicell.errors import DataError, SceneError
-from multicell.measured.columns import ERRORS, NUMBERS, Column, columns_of, fields_of
+from multicell.measured.columns import ERRORS, NUMBER_KINDS, DataColumn, columns_of, depth_fields
 from multicell.measured.noise import group
 from multicell.measured.observables import at_the_end, in_history, suggest
 from multicell.measured.table import read_measurements
@@ -120,7 +120,7 @@ class Datum:
 @final
 @dataclass(frozen=True)
 class Condition:
-    """What some of the data were measured under.
+    """Conditions under which some of the data were measured.
 
     - ``label``: for pictures and tables
     - ``changes``: dotted keys of the scene with their values, as :meth:`Scene.with_changes` takes
@@ -189,7 +189,7 @@ def read_data(
     return rows.measured()
 
 
-def _key(column: Column) -> tuple[str, str]:
+def _key(column: DataColumn) -> tuple[str, str]:
     return column.kind, column.name
 
 
@@ -200,7 +200,7 @@ class _Rows:
     def __init__(
         self,
         table: Table,
-        columns: Sequence[Column],
+        columns: Sequence[DataColumn],
         scene: Scene,
         sd: float,
         *,
@@ -222,7 +222,7 @@ class _Rows:
         condition, numbers = self._condition(row), self._numbers(row)
         time = self._time(row, numbers)
         scene = self._scenes[condition]
-        fields, timed = fields_of(scene), in_history(scene)
+        fields, timed = depth_fields(scene), in_history(scene)
         known = fields | timed | at_the_end(scene)
         depth = numbers.get(("depth", "depth"))
         texts = zip(self._columns, self._table.rows[row], strict=True)
@@ -251,14 +251,14 @@ class _Rows:
             raise DataError(self._where(row), "has no measured value")
 
     def measured(self) -> Measured:
-        """Return what was read."""
+        """Return the data that were read."""
         conditions = tuple(
             Condition(label or f"condition {k + 1}", dict(key), self._lasting(k))
             for k, (key, label) in enumerate(zip(self._keys, self._labels, strict=True))
         )
         known: dict[str, str] = {}
         for scene in self._scenes:
-            known |= fields_of(scene) | in_history(scene) | at_the_end(scene)
+            known |= depth_fields(scene) | in_history(scene) | at_the_end(scene)
         units = {d.observable: known[d.observable] for d in self._data}
         data = group(self._data, self._table.name)
         return Measured(tuple(data), conditions, units, self._table.name)
@@ -269,7 +269,7 @@ class _Rows:
         found = {
             _key(column): column.number(text, self._where(row, place))
             for place, (column, text) in fields
-            if text and column.kind in NUMBERS
+            if text and column.kind in NUMBER_KINDS
         }
         for key, value in [(k, found.get(("value", k[1]))) for k in found if k[0] in ERRORS]:
             column = next(c for c in self._columns if _key(c) == key)
@@ -277,7 +277,7 @@ class _Rows:
         return found
 
     def _datum(
-        self, row: int, column: Column, numbers: Mapping[tuple[str, str], float], where: str,
+        self, row: int, column: DataColumn, numbers: Mapping[tuple[str, str], float], where: str,
         condition: int, time: float | None,
     ) -> Datum:  # fmt: skip
         """Return a datum with what it is compared in."""

@@ -1,4 +1,4 @@
-"""What can be measured of a scene's runs, known from the scene alone."""
+"""Observables of a scene's runs, known from the scene alone."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.results.measures import OBSERVABLES
-from multicell.results.measures import observables_of as measured_in
-from multicell.results.observable import OWN
+from multicell.results.measures import OBSERVABLES, scene_observables
+from multicell.results.observable import OWN_OBSERVABLES
 from multicell.results.quantities import entry, unit_of
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
@@ -20,7 +19,9 @@ from multicell.schema import near_miss
 
 def may_be_negative(name: str) -> bool:
     """Return whether an observable may be negative."""
-    return any(o.signed and fnmatchcase(name, o.name) for o in (*OBSERVABLES, *OWN.values()))
+    return any(
+        o.signed and fnmatchcase(name, o.name) for o in (*OBSERVABLES, *OWN_OBSERVABLES.values())
+    )
 
 
 def in_history(scene: Scene) -> dict[str, str]:
@@ -34,7 +35,7 @@ def at_the_end(scene: Scene) -> dict[str, str]:
 
 
 def _units(scene: Scene, *, at_end: bool) -> dict[str, str]:
-    found = (pair for pair in measured_in(scene) if pair[0].at_end == at_end)
+    found = (pair for pair in scene_observables(scene) if pair[0].at_end == at_end)
     return {o.name.replace("*", key): o.unit for o, key in found}
 
 

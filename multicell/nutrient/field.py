@@ -14,7 +14,7 @@ from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball, reaching
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
-    from multicell.nutrient.balance import Exchange, WellMixed
+    from multicell.nutrient.balance import FieldExchange, WellMixed
     from multicell.nutrient.equations.substance import Schedule
     from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.parameters import FieldParameters
@@ -68,7 +68,7 @@ class NutrientField:
         production: FloatArray | None = None,
         radius: FloatArray | None = None,
         time: float = 0.0,
-    ) -> Exchange:
+    ) -> FieldExchange:
         """Solve for the steady field that the cells' uptake and secretion leave.
 
         Cell i takes up ``capacity_i * sum_g w_ig c_g / (K + c_g)``, with the weights w_ig of its
@@ -93,10 +93,13 @@ class NutrientField:
 
     def attach_medium(self) -> None:
         """Let a finite medium lie round the grid, as it is at the start."""
-        from multicell.nutrient.balance import WellMixed, beyond
+        from multicell.nutrient.balance import WellMixed, volume_beyond_grid
 
         nutrient = self.parameters.nutrient
-        volume, level = beyond(self.name, nutrient, self.layout.whole), nutrient.medium(0.0)
+        volume, level = (
+            volume_beyond_grid(self.name, nutrient, self.layout.whole),
+            nutrient.medium(0.0),
+        )
         done = sum(time <= 0.0 for time, _ in nutrient.media or ())
         self.well_mixed = WellMixed(level * volume, volume, level * volume, changes=done)
 
@@ -143,7 +146,7 @@ class NutrientField:
     def uptake(
         self, position: FloatArray, capacity: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
-        """Return what each cell takes up, (n,) amol/s; see :meth:`solve`."""
+        """Return the uptake of each cell, (n,) amol/s; see :meth:`solve`."""
         rate = uptake(1.0, self.values, self.parameters.nutrient.half_saturation)
         reached, extent = self._reached(position, radius)
         return np.asarray(capacity * self.layout.gather(reached, rate, extent))
@@ -156,7 +159,7 @@ class NutrientField:
         return self.stored() - before
 
     def stored(self) -> float:
-        """Return what the field holds, amol."""
+        """Return the content of the field, amol."""
         return float((self.layout.volumes * self.values).sum())
 
     def field(self) -> Field:
@@ -171,7 +174,7 @@ class NutrientField:
         self._conditions = self.parameters.conditions(self._layout, self.level(time))
 
     def snapshot(self) -> tuple[Any, ...]:
-        """Return what :meth:`undo` needs to undo a solve."""
+        """Return the state for :meth:`undo`, which undoes a solve."""
         return self._layout, self.values, self._conditions, self.well_mixed, self.parameters
 
     def undo(self, snapshot: tuple[Any, ...]) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from multicell.cells import Cells, FloatArray, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.balance import Exchange, Ledger
+from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
 from multicell.results.observables import viable_volume
 from multicell.scene.checks import circles, followed, solving_order
@@ -94,7 +94,7 @@ class FieldSystem:
         self._changes: dict[str, Mapping[str, float]] = {}  # of geometry, as frames store them
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
-        self.reports: dict[str, Exchange] = {}
+        self.reports: dict[str, FieldExchange] = {}
         self.courses: dict[str, tuple[FloatArray, FloatArray]] = {}
         self._uptake: dict[str, FloatArray] = {}
         self._sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
@@ -105,13 +105,13 @@ class FieldSystem:
     ) -> None:  # fmt: skip
         """Make the fields, and the groups that are solved for together."""
         from multicell.nutrient.field import NutrientField
-        from multicell.nutrient.group import joined, together
+        from multicell.nutrient.group import joined_parameters, together
         from multicell.nutrient.parameters import FieldParameters
 
         self.order = solving_order(scene.nutrients, known, scene.responses)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
-            parameters |= joined(scene, parameters, reactions)
+            parameters |= joined_parameters(scene, parameters, reactions)
         self.fields = {
             name: NutrientField(name, parameters[name], threads) for name in scene.nutrients
         }
@@ -307,13 +307,13 @@ class FieldSystem:
                 self.ledger[name].fill(field.stored())
                 self._sample(name, group, cells, capacity)
 
-    def _none(self, name: str) -> Exchange:
+    def _none(self, name: str) -> FieldExchange:
         """Return the account of a field to which nothing happens."""
         none = 0.0 if self.reacts(name) else None
-        return Exchange(made=none, used=none)
+        return FieldExchange(made=none, used=none)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return what :meth:`undo` needs to undo an :meth:`advance`."""
+        """Return the state for :meth:`undo`, which undoes an :meth:`advance`."""
         return {
             "fields": {name: field.snapshot() for name, field in self.fields.items()},
             "ledger": {name: vars(account).copy() for name, account in self.ledger.items()},
@@ -370,7 +370,7 @@ class FieldSystem:
         return found
 
     def progress(self) -> dict[str, Any]:
-        """Return what a frame needs so that the fields can be resumed from it."""
+        """Return the part of a frame from which the fields can be resumed."""
         return {
             "ledger": {name: account.entries() for name, account in self.ledger.items()},
             "rates": {name: report.entries() for name, report in self.reports.items()},
@@ -397,7 +397,7 @@ class FieldSystem:
                 field.restore(frame.fields[name], frame.time)
             self.concentrations[name] = np.array(frame.concentrations[name])
         self.reports = {
-            name: Exchange(**report)  # type: ignore[arg-type]
+            name: FieldExchange(**report)  # type: ignore[arg-type]
             for name, report in frame.progress.rates.items()
         }
 
@@ -423,18 +423,18 @@ class FieldSystem:
         - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: what each cell finds of all
           fields, and takes up of those that others are made from; absent: what they do now
         """
-        found = self.concentrations if concentrations is None else concentrations
+        concentrations = self.concentrations if concentrations is None else concentrations
         taken = self._uptake if taken is None else taken
-        nutrient, capacity = self._nutrients[name], self._capacity(name, cells, found)
+        nutrient, capacity = self._nutrients[name], self._capacity(name, cells, concentrations)
         if nutrient.secretion == 0.0 and not nutrient.secretion_from:
             return capacity, None
-        production = nutrient.secretion * self._active("secretion", name, cells, found)
+        production = nutrient.secretion * self._active("secretion", name, cells, concentrations)
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * taken[other]
         return capacity, production
 
     def _active(
-        self, what: str, name: str, cells: Cells, found: Mapping[str, FloatArray]
+        self, what: str, name: str, cells: Cells, concentrations: Mapping[str, FloatArray]
     ) -> FloatArray:
         """Return uptake or secretion of each cell over that of a proliferating one, (n,)."""
         by_state, by_kind = self._factors[what, name]
@@ -443,19 +443,21 @@ class FieldSystem:
             active = active * by_kind[cells.kind]
         if self._respond is None:
             return active
-        response = self._respond(f"{what} of {name}", cells, found)
+        response = self._respond(f"{what} of {name}", cells, concentrations)
         return active if response is None else active * response
 
-    def _capacity(self, name: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray:
+    def _capacity(
+        self, name: str, cells: Cells, concentrations: Mapping[str, FloatArray]
+    ) -> FloatArray:
         """Return each cell's largest uptake, (n,) amol/s."""
         nutrient = self._nutrients[name]
-        active = self._active("uptake", name, cells, found)
+        active = self._active("uptake", name, cells, concentrations)
         volume = 0.0 if nutrient.uptake_per_volume is None else cells.volume
         capacity = nutrient.largest_uptake(volume) * active
         factor: Any = 1.0
         for other, law in nutrient.uptake_on.items():
-            if other in found:  # at the start one of a circle is not there yet
-                factor = factor * law.factor(found[other])
+            if other in concentrations:  # at the start one of a circle is not there yet
+                factor = factor * law.factor(concentrations[other])
         return np.asarray(capacity * factor)
 
     def _sample(self, name: str, group: FieldGroup, cells: Cells, capacity: FloatArray) -> None:
@@ -466,7 +468,7 @@ class FieldSystem:
             self._uptake[name] = field.uptake(cells.position, capacity, cells.radius)
 
     def _uptake_rate(self, name: str, cells: Cells) -> float:
-        """Return what all cells take up of a field now, amol/s."""
+        """Return the uptake of a field by all cells now, amol/s."""
         capacity = self._capacity(name, cells, self.concentrations)
         return float(self.fields[name].uptake(cells.position, capacity, cells.radius).sum())
 

@@ -1,4 +1,4 @@
-"""What a paper says of a run: model, values, numerics, seed and versions, with citations."""
+"""Methods section of a run: model, values, numerics, seed and versions, with citations."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _UNSAID: Final = ("title", "seed", "duration", "coupling_step", "output", "integ
 @final
 @dataclass(frozen=True)
 class Citation:
-    """What to write of a run, and the entries of what it cites.
+    """Methods section of a run, and the entries that it cites.
 
     - ``text``: paragraphs with keys of BibTeX in square brackets
     - ``bibtex``: the entries of these keys

@@ -16,12 +16,12 @@ from multicell.report.wording import cell_count, diagnostics, measures
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from multicell.measured.compared import Comparison
+    from multicell.measured.compared import MeasuredComparison
     from multicell.report.result import Result
 
 
 def write_report(
-    result: Result, folder: str | Path | None = None, comparison: Comparison | None = None
+    result: Result, folder: str | Path | None = None, comparison: MeasuredComparison | None = None
 ) -> Path:
     """Write ``report.html`` and its pictures beside it.
 
@@ -32,7 +32,7 @@ def write_report(
     place = result.folder if folder is None else Path(folder)
     if place is None:
         raise OutputError("the run has no output folder: say where the report shall go")
-    from multicell.report.viewer.pack import view
+    from multicell.report.viewer.pack import pack_view
 
     summary = result.summary()
     phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}
@@ -45,7 +45,7 @@ def write_report(
         tiles=dict(measures(summary)),
         pictures=dict(_drawings(result)) | compared_drawing(comparison),
         compared=comparison,
-        viewer=view(result),
+        viewer=pack_view(result),
         summary=summary,
         diagnostics=dict(diagnostics(summary)),
         phases=phases,
@@ -61,7 +61,7 @@ def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure],
             yield f"{name}.png", (getattr(plots, name), kind.caption)
 
 
-def compared_drawing(comparison: Comparison | None) -> dict[str, Drawing]:
+def compared_drawing(comparison: MeasuredComparison | None) -> dict[str, Drawing]:
     """Return the picture of a comparison with data, if there is one."""
     if comparison is None:
         return {}

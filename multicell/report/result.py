@@ -1,4 +1,4 @@
-"""What a run hands back, and what its folder can be opened as later."""
+"""The result of a run, and of a run's folder that is opened later."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from multicell.cells import FloatArray
-    from multicell.measured.compared import Comparison
+    from multicell.measured.compared import MeasuredComparison
     from multicell.report.citation import Citation
     from multicell.report.plots.run import Plots
     from multicell.results.reader import Contents
@@ -115,7 +115,7 @@ class Result:
         return f"<Result {', '.join(words)}, {place}>"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: key figures, a section, and the view in space and time."""
+        """Return a notebook's display: key figures, a section, and the view in space and time."""
         from multicell.report.html import rendered
         from multicell.report.plots.style import inline_picture
 
@@ -183,9 +183,9 @@ class Result:
         MissingPackage
             If xarray is not installed.
         """
-        from multicell.results.tables import history_arrays
+        from multicell.results.tables import history_dataset
 
-        return history_arrays(self.history, self.scene.to_toml())
+        return history_dataset(self.history, self.scene.to_toml())
 
     def to_pandas(self, table: str = "history") -> DataFrame:
         """Return a table of the run, its columns titled with their units as in CSV files.
@@ -214,7 +214,7 @@ class Result:
         where: str | None = None,
         sd: float | None = None,
         specimens: str = "same",
-    ) -> Comparison:
+    ) -> MeasuredComparison:
         """Compare the run with measured data, of all observables that both have.
 
         Parameters
@@ -233,7 +233,7 @@ class Result:
 
         Returns
         -------
-        Comparison
+        MeasuredComparison
             With ``residuals``, ``chi_squared``, ``to_pandas()`` and ``plot()``.
 
         Raises
@@ -241,12 +241,12 @@ class Result:
         DataError
             For a table that cannot be used, or that has nothing that the run has.
         """
-        from multicell.measured.compared import compare
+        from multicell.measured.compared import compare_runs
         from multicell.report.plots.compared import compared
 
         if not len(self.history.get("time", ())):
             raise OutputError("the run has no history yet: there is nothing to compare")
-        found = compare(
+        found = compare_runs(
             self.scene, [(self.history, self.summary())], table, columns=columns, where=where,
             sd=sd, specimens=specimens,
         )  # fmt: skip
@@ -259,7 +259,7 @@ class Result:
         return cite(self)
 
     def report(
-        self, folder: str | Path | None = None, *, comparison: Comparison | None = None
+        self, folder: str | Path | None = None, *, comparison: MeasuredComparison | None = None
     ) -> Path:
         """Write ``report.html`` and its pictures, and return the path of the report.
 
@@ -280,7 +280,7 @@ class Result:
         return write_report(self, folder, comparison)
 
 
-def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
+def history_columns(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
     """Return rows of a history as one array per column."""
     rows = list(rows)
     if any(set(row) != set(rows[0]) for row in rows):

@@ -239,6 +239,6 @@ class Frame:
         MissingPackage
             If pyvista is not installed.
         """
-        from multicell.results.tables import blocks
+        from multicell.results.tables import frame_blocks
 
-        return blocks(self)
+        return frame_blocks(self)

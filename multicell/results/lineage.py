@@ -8,9 +8,9 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, IntArray, State, rows_of
+from multicell.cells import Cells, IntArray, State, rows_by_id
 
-COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
+LINEAGE_COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
     "births": {"id": np.int64, "parent": np.int64, "kind": np.int16, "time": np.float64},
     "deaths": {"id": np.int64, "time": np.float64},
     "ends": {"id": np.int64, "time": np.float64, "cause": np.int8},
@@ -29,21 +29,21 @@ class Lineage:
 
     A cell's death is the moment at which it turned necrotic, its end the moment from which it is
     not there any more: it divided, or its remains were removed. The columns are those of
-    :data:`COLUMNS`; the cause of an end is the cell's state then, or -2 for a division.
+    :data:`LINEAGE_COLUMNS`; the cause of an end is the cell's state then, or -2 for a division.
     """
 
     def __init__(self) -> None:
         # arrays with room behind what counts: lists of numbers take five times as much
         self._logs: dict[str, Columns] = {
             log: {name: np.empty(0, dtype) for name, dtype in columns.items()}
-            for log, columns in COLUMNS.items()
+            for log, columns in LINEAGE_COLUMNS.items()
         }
-        self._lengths = dict.fromkeys(COLUMNS, 0)
+        self._lengths = dict.fromkeys(LINEAGE_COLUMNS, 0)
 
     @property
     def logs(self) -> dict[str, Columns]:
         """The logs: name -> column -> array."""
-        return {log: self.rows(log, 0) for log in COLUMNS}
+        return {log: self.rows(log, 0) for log in LINEAGE_COLUMNS}
 
     def born(self, cells: Cells, time: float) -> None:
         """Note cells that came to be."""
@@ -61,14 +61,14 @@ class Lineage:
         gone = np.flatnonzero(after.rows_of(before.id) < 0)
         parent, ids = after.parent[new], before.id[gone]
         self._note("births", (after.id[new], parent, after.kind[new], time))
-        cause = np.where(rows_of(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
+        cause = np.where(rows_by_id(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
         self._note("ends", (ids, time, cause))
 
     def retype(self, ids: IntArray, kinds: NDArray[np.int16]) -> None:
         """Note another type of cells of which births have been noted."""
         if len(ids):
             births, length = self._logs["births"], self._lengths["births"]
-            births["kind"][rows_of(births["id"][:length], ids)] = kinds
+            births["kind"][rows_by_id(births["id"][:length], ids)] = kinds
 
     def counts(self) -> dict[str, int]:
         """Return the length of each log."""
@@ -90,7 +90,7 @@ class Lineage:
         Raises ValueError if they can be none.
         """
         lineage = cls()
-        for log, columns in COLUMNS.items():
+        for log, columns in LINEAGE_COLUMNS.items():
             lineage._note(log, tuple(arrays[f"{log}/{name}"] for name in columns))
         for log in ("deaths", "ends"):
             if not np.isin(arrays[f"{log}/id"], arrays["births/id"]).all():
@@ -102,7 +102,7 @@ class Lineage:
     @staticmethod
     def check(arrays: Mapping[str, NDArray[Any]]) -> None:
         """Refuse arrays, log/column -> rows, that have not the columns of the logs: ValueError."""
-        for log, columns in COLUMNS.items():
+        for log, columns in LINEAGE_COLUMNS.items():
             shape = arrays[f"{log}/id"].shape if f"{log}/id" in arrays else ()
             for path, dtype in ((f"{log}/{name}", dtype) for name, dtype in columns.items()):
                 rows = arrays.get(path)

@@ -24,8 +24,8 @@ _PLAIN: Final = ("x", "y", "z")
 
 @final
 @dataclass(frozen=True)
-class Choice:
-    """What a user says of a table of cells.
+class CellsChoice:
+    """Options of a user for a table of cells.
 
     - ``columns``: text as of ``--columns``
     - ``frame``: value in the column of frames; None: the first
@@ -42,7 +42,7 @@ class Choice:
         return bool(self.columns) or self.frame is not None or self.time is not None
 
 
-def foreign_cells(content: bytes, path: Path, choice: Choice) -> tuple[Columns, str] | None:
+def foreign_cells(content: bytes, path: Path, choice: CellsChoice) -> tuple[Columns, str] | None:
     """Return the cells of a table of another program, and in words what it was read as.
 
     None for a table as multicell writes them, of which nothing is said.
@@ -85,7 +85,7 @@ def _wanted(writer: Writer | None, names: ColumnMap) -> Callable[[str], bool]:
 def _read(
     table: Columns,
     names: ColumnMap,
-    choice: Choice,
+    choice: CellsChoice,
     writer: Writer | None,
     below: str = "",
 ) -> tuple[Columns, str]:
@@ -115,7 +115,7 @@ def _stated_unit(table: Columns, writer: Writer, below: str) -> str:
     return words.pop()
 
 
-def _of_frame(table: Columns, choice: Choice, *, foreign: bool) -> tuple[Columns, str]:
+def _of_frame(table: Columns, choice: CellsChoice, *, foreign: bool) -> tuple[Columns, str]:
     """Return the rows of one frame, without its number and time, and which it is in words."""
     by_name = {split_title(title)[0].removesuffix("_s"): title for title in table.columns}
     frames = times = None

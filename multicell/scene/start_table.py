@@ -178,12 +178,12 @@ class StartTable:
 
     @property
     def said(self) -> str:
-        """What the table of another program was read as, in words; empty for multicell's own."""
+        """The reading of another program's table in words; empty for multicell's own."""
         return str(getattr(self, "_said", ""))
 
     @property
     def given(self) -> Given:
-        """What the table says; read now if it has not been."""
+        """Content of the table; read now if it has not been."""
         found: Given | None = getattr(self, "_given", None)
         if found is None:
             assert self.sha256 is not None
@@ -241,9 +241,9 @@ class StartTable:
 
     def _foreign(self, content: bytes) -> bytes | None:
         """Return the cells of another program's table as multicell writes them; None: they are."""
-        from multicell.scene.foreign_cells import Choice, foreign_cells
+        from multicell.scene.foreign_cells import CellsChoice, foreign_cells
 
-        choice = Choice(self.columns, self.frame, self.time)
+        choice = CellsChoice(self.columns, self.frame, self.time)
         try:
             found = foreign_cells(content, Path(self.file), choice)
         except DataError as error:
@@ -303,7 +303,7 @@ def with_cells(scene: Scene, source: Any) -> Scene:
 
 
 def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """Return what a start takes of cells, by title; types by name where there are some."""
+    """Return the columns of cells of a start, by title; types by name where there are some."""
     found = dict(zip(("position_x", "position_y", "position_z"), cells.position.T, strict=True))
     for name in START_COLUMNS:
         column = found[name] if name in found else getattr(cells, name)
@@ -317,7 +317,7 @@ def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]
 
 
 def _title(title: str, place: str) -> Title | None:
-    """Return what the title of a column says, or None if nothing is known of it."""
+    """Return the known title of a column, or None if nothing is known of it."""
     known = {
         **START_COLUMNS,
         **{alias: START_COLUMNS[name] for alias, name in ALIASES.items()},
@@ -327,7 +327,7 @@ def _title(title: str, place: str) -> Title | None:
 
 
 def normalise(source: Columns) -> Given:
-    """Return what a table says, in base units and under the names of :data:`START_COLUMNS`."""
+    """Return a table in base units and under the names of :data:`START_COLUMNS`."""
     titles: dict[str, str] = {}
     factors: dict[str, float] = {}
     for title in source.columns:

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.errors import DataError, OutputError
-from multicell.measured.compared import Comparison, compare
+from multicell.measured.compared import MeasuredComparison, compare_runs
 from multicell.measured.table import read_measurements
 from multicell.report.plots.compared import compared
 from multicell.studies.status import FAILURES, read_finished
 
 if TYPE_CHECKING:
-    from multicell.studies.runs import Run
+    from multicell.studies.runs import StudyRun
     from multicell.studies.study import Study
 
 
@@ -27,7 +27,7 @@ class PointComparison:
     """
 
     coordinates: Mapping[str, Any]
-    comparison: Comparison
+    comparison: MeasuredComparison
 
     def row(self) -> dict[str, Any]:
         """Return the coordinates, number of runs and of data, and the sum of squares."""
@@ -48,7 +48,7 @@ def compare_points(
     Raises OutputError without a run that is done, DataError where no point has data.
     """
     table = read_measurements(source, columns, where)
-    groups: dict[tuple[Any, ...], list[Run]] = {}
+    groups: dict[tuple[Any, ...], list[StudyRun]] = {}
     for run, state in zip(study.runs, study.status(), strict=True):
         if state.state == "done":
             place = tuple((k, v) for k, v in run.coordinates.items() if k != "seed")
@@ -60,7 +60,7 @@ def compare_points(
         except FAILURES:
             continue  # the study's own table names runs that cannot be read
         try:
-            one = compare(runs[0].scene, histories, table, sd=sd, specimens=specimens)
+            one = compare_runs(runs[0].scene, histories, table, sd=sd, specimens=specimens)
         except DataError as error:
             refused = error
             continue

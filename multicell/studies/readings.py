@@ -1,4 +1,4 @@
-"""What runs of a study have of the observables that are asked for."""
+"""Observables of the runs of a study."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from multicell.studies.status import FAILURES, failed_status, read_finished
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.studies.engine import Outcome
+    from multicell.studies.engine import RunOutcome
 
 USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
                  "pull", "largest_pressure")  # fmt: skip
@@ -30,7 +30,7 @@ _MAX_USUAL: Final = 4
 
 
 def read_final(
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[RunOutcome],
     folder: Path,
     observables: Sequence[str],
     times: FloatArray | None = None,
@@ -78,7 +78,7 @@ def _read_run(
     return {name: value(name) for name in observables}
 
 
-def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
+def chosen_observables(scene: Scene, names: Sequence[str] | None) -> list[str]:
     """Return the observables that are asked for, or the usual ones of a scene."""
     history = in_history(scene)
     known = {**history, **at_the_end(scene)}

@@ -1,4 +1,4 @@
-"""How a table is written: encoding, separator and decimal sign, found from its beginning."""
+"""Form of a table of text: encoding, separator and decimal sign, found from its beginning."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Form(NamedTuple):
         return usual and not self.comma and not self.above
 
     def words(self) -> str:
-        """Return what is unlike multicell's own tables."""
+        """Return the differences from multicell's own tables."""
         parts = []
         if self.encoding not in ("utf-8", "utf-8-sig"):
             parts.append(self.encoding.replace("_", "-"))

@@ -30,7 +30,7 @@ Place = Callable[[int, str], str]
 
 
 @final
-class Source(NamedTuple):
+class ColumnSource(NamedTuple):
     """Where the numbers of a column come from.
 
     - ``titles``: of the columns whose product it is; several columns side by side if ``wide``;
@@ -47,7 +47,7 @@ class Source(NamedTuple):
 @final
 @dataclass(frozen=True)
 class ColumnMap:
-    """What the columns of a table are.
+    """Names of the columns of a table.
 
     - ``entries``: text by name; :data:`SETTINGS` among them
     """
@@ -88,7 +88,7 @@ class ColumnMap:
 
 
 def parse_map(text: str | Mapping[str, str] | None) -> ColumnMap:
-    """Return what a text, a mapping of names to texts, or a TOML file says of columns.
+    """Return the names of columns of a text, a mapping of names to texts, or a TOML file.
 
     Raises DataError where it cannot be read, or names a column twice.
     """
@@ -134,7 +134,7 @@ def like(title: str) -> str:
     return unicodedata.normalize("NFKC", title).strip()
 
 
-def source_of(name: str, text: str, titles: Sequence[str], place: str) -> Source:
+def column_source(name: str, text: str, titles: Sequence[str], place: str) -> ColumnSource:
     """Return where the numbers of a column come from.
 
     - ``text``: a title and perhaps a unit (``R um``, ``"Position X" um``, ``X 0.65 um``), a product
@@ -143,20 +143,20 @@ def source_of(name: str, text: str, titles: Sequence[str], place: str) -> Source
     """
     found = _title_and_unit(text, titles)
     if found is not None:
-        return Source((found[0],), *_unit(name, found[1], place))
+        return ColumnSource((found[0],), *_unit(name, found[1], place))
     *first, last = text.split("*")
     factors = [_title_and_unit(part, titles) for part in first]
     end = _title_and_unit(last, titles)
     if first and end is not None and all(part is not None and not part[1] for part in factors):
         names = tuple(part[0] for part in factors if part is not None)
-        return Source((*names, end[0]), *_unit(name, end[1], place))
+        return ColumnSource((*names, end[0]), *_unit(name, end[1], place))
     quoted = re.fullmatch(r"""(["'])(.+)\1\s*(.*)""", text)
     if quoted and any(mark in quoted[2] for mark in "*?"):
         side = tuple(title for title in titles if fnmatchcase(like(title), like(quoted[2])))
         if side:
-            return Source(side, *_unit(name, quoted[3], place), wide=True)
+            return ColumnSource(side, *_unit(name, quoted[3], place), wide=True)
     if re.match(r"[\d.]", text):
-        return Source((), *_unit(name, text, place))
+        return ColumnSource((), *_unit(name, text, place))
     hint = near_miss(text.strip("\"'").split("*")[0], titles)
     raise DataError(f"columns, '{name}'", f"is '{text}', which {place} has no column for", hint)
 
@@ -203,7 +203,7 @@ def mapped(
     A length whose unit is an area or a volume is that of the disc or ball of this size. Columns
     side by side are put below each other, the others repeated, with a column ``specimen``.
     """
-    sources = {name: source_of(name, text, list(columns), table)
+    sources = {name: column_source(name, text, list(columns), table)
                for name, text in names.columns.items()}  # fmt: skip
     count = len(next(iter(columns.values()), ()))
     wide = [name for name, source in sources.items() if source.wide]
@@ -223,8 +223,8 @@ def mapped(
 
 
 def _column(
-    name: str, source: Source, columns: Mapping[str, NDArray[Any]], names: ColumnMap, place: Place,
-    table: str, count: int,
+    name: str, source: ColumnSource, columns: Mapping[str, NDArray[Any]], names: ColumnMap,
+    place: Place, table: str, count: int,
 ) -> tuple[str, NDArray[Any]]:  # fmt: skip
     """Return title and content of one column."""
     if not source.titles:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, final
 
 from multicell.errors import DataError
-from multicell.tables.mapping import ColumnMap, like, source_of
+from multicell.tables.mapping import ColumnMap, column_source, like
 
 UNITS_BELOW: Final = ("LABEL", "POSITION_X")
 """Titles of a table whose names and units stand in further lines below the titles."""
@@ -122,7 +122,7 @@ def writer_of(titles: Sequence[str]) -> Writer | None:
 def map_of(
     writer: Writer, titles: Sequence[str], unit: str, settings: ColumnMap, table: str
 ) -> ColumnMap:
-    """Return what the columns of a program's table are.
+    """Return the names of the columns of a program's table.
 
     - ``unit``: of lengths, that the table states; empty: none
     - ``settings``: what the user says of the whole table
@@ -132,7 +132,7 @@ def map_of(
         for text in texts:
             text = text.format(unit=unit or "pixel")
             try:
-                source_of(name, text, titles, table)
+                column_source(name, text, titles, table)
             except DataError:
                 continue  # a column that this table does not have
             found[name] = text

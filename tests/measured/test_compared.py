@@ -11,7 +11,7 @@ from click.testing import CliRunner
 import multicell as mc
 from multicell.cli.main import main
 from multicell.errors import DataError
-from multicell.measured.compared import Comparison
+from multicell.measured.compared import MeasuredComparison
 
 SHORT = {"duration": "12 h", "initial.count": 4, "coupling_step": "1 h"}
 
@@ -62,7 +62,7 @@ def test_residuals_are_distances_over_errors(run):
 def test_several_runs_add_their_scatter(run):
     found = run.compare_with({"time / h": [3.0], "diameter / um": [1.0], "sd": [2.0]})
     values = np.array([[10.0], [14.0], [12.0]])
-    several = Comparison(found.data, values, found.histories, found.units, "")
+    several = MeasuredComparison(found.data, values, found.histories, found.units, "")
     s2 = values.var(ddof=1)
     expected = (12.0 - 1.0) / np.sqrt(4.0 + s2 * (1.0 + 1.0 / 3.0))
     assert several.residuals == pytest.approx([expected])

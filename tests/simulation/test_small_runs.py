@@ -8,7 +8,7 @@ import pytest
 
 import multicell as mc
 from multicell.biology.growth import growth_factor
-from multicell.cells import rows_of
+from multicell.cells import rows_by_id
 from multicell.simulation import Simulation
 
 
@@ -115,7 +115,7 @@ def test_rows_of_identities_are_those_of_a_dictionary(spread):
     known = 10**9 + rng.choice(3000 * spread, 3000, replace=False)
     ids = 10**9 + rng.integers(-50, 3000 * spread + 50, (700, 2))
     expected = {int(one): row for row, one in enumerate(known)}
-    found = rows_of(known, ids)
+    found = rows_by_id(known, ids)
     assert found.tolist() == [[expected.get(int(one), -1) for one in pair] for pair in ids]
-    assert rows_of(known, np.array([-1, 2**62, *known[:3]])).tolist() == [-1, -1, 0, 1, 2]
-    assert rows_of(np.array([], dtype=int), ids).tolist() == [[-1, -1]] * 700
+    assert rows_by_id(known, np.array([-1, 2**62, *known[:3]])).tolist() == [-1, -1, 0, 1, 2]
+    assert rows_by_id(np.array([], dtype=int), ids).tolist() == [[-1, -1]] * 700

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from multicell.measured.compared import Comparison
+from multicell.measured.compared import MeasuredComparison
 from multicell.measured.observables import course_of
 from multicell.report.plots import style
 from multicell.report.wording import TimeUnit, time_unit, written
@@ -19,7 +19,7 @@ _MAX_PANELS: Final = 8
 
 
 @style.styled
-def compared(comparison: Comparison) -> Figure:
+def compared(comparison: MeasuredComparison) -> Figure:
     """Draw each observable in a panel of its own: runs as lines, data as points with bars."""
     names = list(dict.fromkeys(datum.observable for datum in comparison.data))[:_MAX_PANELS]
     columns = min(len(names), _COLUMNS)
@@ -43,7 +43,7 @@ def compared(comparison: Comparison) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, comparison: Comparison, name: str, unit: TimeUnit) -> None:
+def _panel(axes: Axes, comparison: MeasuredComparison, name: str, unit: TimeUnit) -> None:
     dimension = written(comparison.units[name])
     title = title_of(name)
     axes.set_title(f"{title} ({dimension})" if dimension else title)
