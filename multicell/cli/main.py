@@ -170,7 +170,7 @@ def resume_command(
     metavar="NAME",
     default="csv",
     help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
-    "netcdf, openvt, ro-crate for repositories.",
+    "netcdf, openvt, simularium, ro-crate for repositories.",
 )
 @click.option(
     "--tables",

@@ -20,6 +20,7 @@ EXTRAS: Final = {
     "images": ("skimage", "tifffile"),
     "movie": ("imageio_ffmpeg",),
     "play": ("tornado",),
+    "simularium": ("simulariumio",),
     "tables": ("charset_normalizer", "openpyxl"),
 }
 """What some of the optional sets of packages bring; all others are those of studies."""
