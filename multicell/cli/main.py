@@ -117,7 +117,7 @@ def run_command(
     **options: Any,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    described = shared.scene_of(scene, [*shared.cells_change(cells, columns), *changes], law)
+    described = shared.scene_of(scene, shared.cells_change(cells, columns, changes), law)
     table = described.initial.cells
     if table is not None and table.said and not options["quiet"]:
         complain(table.said)

@@ -160,15 +160,17 @@ def refuse_without_data(data: Path | None, columns: str | None, where: str | Non
         raise click.UsageError("--columns and --where belong to --data")
 
 
-def cells_change(cells: str | None, columns: str | None) -> list[str]:
-    """Return the change that ``--cells`` and ``--columns`` are."""
+def cells_change(cells: str | None, columns: str | None, changes: Sequence[str]) -> list[str]:
+    """Return the changes that ``--cells`` and ``--columns`` are, before those of ``--set``."""
     if cells is None:
         if columns is not None:
             raise click.UsageError("--columns names those of --cells")
-        return []
-    if columns is None:
-        return [f"initial.cells={cells}"]
-    return [f"initial.cells={{file = {json.dumps(cells)}, columns = {json.dumps(columns)}}}"]
+        return list(changes)
+    if columns is None and not any(item.startswith("initial.cells.") for item in changes):
+        return [f"initial.cells={cells}", *changes]
+    named = {"file": cells} if columns is None else {"file": cells, "columns": columns}
+    entries = ", ".join(f"{key} = {json.dumps(text)}" for key, text in named.items())
+    return [f"initial.cells={{{entries}}}", *changes]
 
 
 def output_option(help: str, *, required: bool = True) -> Option:
