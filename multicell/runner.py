@@ -89,8 +89,10 @@ def run(
         those of the scene. The folder does not hold them: to resume the run needs them again.
     cells
         Cells to start with, in place of those of the scene: :class:`multicell.Cells` (of a frame),
-        a pandas ``DataFrame``, columns by title, or the path of a CSV, Parquet or AnnData file,
-        with columns as an export has them (``position_x_um``). The folder holds them as
+        a pandas ``DataFrame``, columns by title, or the path of a table (CSV, Parquet, Excel,
+        AnnData) with columns as an export has them (``position_x_um``) or of a known program; what
+        else the columns are: ``{"file": "spots.csv", "columns": "x=X um, ..."}``. The folder holds
+        them as
         ``initial.cells`` of its scene, so that the run can be repeated.
 
     Returns

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.columns import MAX_DATA_BYTES, finite_entry
 from multicell.calibration.dose_curve import DOSES, LEAST, combine_drugs, draw_means, fit_curve
 from multicell.calibration.dose_response_result import DoseResponse, Row
 from multicell.errors import DataError, FitFailed, SceneError
 from multicell.host.extras import needs
+from multicell.measured.columns import finite_entry
+from multicell.measured.table import read_measurements
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_seeds
@@ -23,7 +24,6 @@ from multicell.studies.picture_data import key_words, words
 from multicell.studies.plan import Plan, make_plan
 from multicell.studies.readings import chosen_observables, read_final
 from multicell.studies.study import Study, write_study
-from multicell.tables.columns import read_table
 from multicell.tables.titles import split_title, unknown_title
 from multicell.units import shown
 
@@ -51,6 +51,8 @@ def dose_response(
     observable: str = LIVING,
     seeds: int = 5,
     data: Any = None,
+    columns: str | None = None,
+    where: str | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
     cores: int | None = None,
@@ -85,6 +87,8 @@ def dose_response(
         In place of a scene a table of measured responses: a CSV file, a ``DataFrame`` or a mapping
         of columns, with the titles ``dose / UNIT`` (or ``dose A / UNIT`` and ``dose B / UNIT``),
         ``response`` and, where the same replicate is found at all doses, ``replicate``.
+    columns, where
+        What the columns of the table are and which rows are meant, as of :func:`multicell.fit`.
     output
         Folder; by default ``dose-response`` for runs and none for data.
     overwrite
@@ -111,7 +115,9 @@ def dose_response(
     if data is not None:
         if any(given is not None for given in (scene, dose, doses, combine)):
             raise SceneError("data", "stands in place of a scene and doses", "Give one of them.")
-        result = replace(of_table(data), folder=None if output is None else Path(output))
+        result = replace(
+            of_table(data, columns, where), folder=None if output is None else Path(output)
+        )
         if output is not None:
             result.write_tables()
     else:
@@ -267,40 +273,42 @@ def run_dose_plan(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
     return result
 
 
-def of_table(source: Any) -> DoseResponse:
+def of_table(source: Any, columns: str | None = None, where: str | None = None) -> DoseResponse:
     """Return the dose response of measured data.
 
     Parameters and errors are those of :func:`dose_response`.
     """
-    table = read_table(source, MAX_DATA_BYTES)
-    known = [split_title(title) for title in table.titles]
-    columns = {name: place for place, (name, _) in enumerate(known)}
-    pair = "dose A" in columns or "dose B" in columns
+    table = read_measurements(source, columns, where)
+    titles = [split_title(title) for title in table.titles]
+    words = {word.lower(): word for word in (*DOSES[1], *DOSES[2], "response", "replicate")}
+    known = [(words.get(name.lower(), name), unit) for name, unit in titles]
+    place_of = {name: place for place, (name, _) in enumerate(known)}
+    pair = "dose A" in place_of or "dose B" in place_of
     drugs = list(DOSES[2] if pair else DOSES[1])
     allowed = [*drugs, "response", "replicate", *_WRITTEN]
     for (name, _), title in zip(known, table.titles, strict=True):
         if [other for other, _ in known].count(name) > 1:
-            raise DataError(f"{table.name}, '{title}'", "is the title of two columns")
+            raise DataError(f"{table.name}, '{title}'", "is the title of two place_of")
         if name not in allowed:
             raise unknown_title(title, dict.fromkeys(allowed[:-3], ""), table.name)
     for name in (*drugs, "response"):
-        if name not in columns:
+        if name not in place_of:
             raise DataError(table.name, f"has no column '{name}'", "Titles: 'dose / uM, response'.")
     cells: dict[tuple[tuple[float, ...], str], float] = {}
     times: Counter[tuple[float, ...]] = Counter()
-    shared = "replicate" in columns
+    shared = "replicate" in place_of
     for row_place, row in zip(table.places, table.rows, strict=True):
-        if not row[columns["response"]]:
+        if not row[place_of["response"]]:
             continue  # not measured, or a run that failed
         place = f"{table.name}, {row_place}"
         *doses, value = (
-            finite_entry(row[columns[name]], f"{place}, '{name}'") for name in (*drugs, "response")
+            finite_entry(row[place_of[name]], f"{place}, '{name}'") for name in (*drugs, "response")
         )
         point = tuple(doses)
         if min(point) < 0.0:
             raise DataError(place, "has a dose below 0")
         times[point] += 1
-        label = row[columns["replicate"]] if shared else f"{times[point]}"
+        label = row[place_of["replicate"]] if shared else f"{times[point]}"
         if (point, label) in cells:
             raise DataError(place, f"is the second one of the replicate '{label}' at this dose")
         cells[point, label] = value
@@ -311,7 +319,7 @@ def of_table(source: Any) -> DoseResponse:
     rows = [{"replicate": label, "run": "", "reason": ""} for _ in rising for label in labels]
     return analyse_doses(
         np.array(rising), values, rows, names=drugs,
-        units=[known[columns[name]][1] for name in drugs], response="response",
+        units=[known[place_of[name]][1] for name in drugs], response="response",
         shared=shared, title=table.name,
     )  # fmt: skip
 

@@ -27,8 +27,8 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.noise import Array, Noise
 from multicell.calibration.priors import Prior
+from multicell.measured.noise import Array, Noise
 
 PARTICLES: Final = 2000  # draws from a posterior
 ENOUGH_DRAWS: Final = 500  # to see where a posterior is, if not where its tails end

@@ -7,8 +7,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.calibration.columns import MAX_DATA_BYTES
-from multicell.calibration.data import ASSUMED, read_data
 from multicell.calibration.fit_plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitted import Fit
 from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
@@ -17,8 +15,9 @@ from multicell.calibration.problem import FitProblem, free_of
 from multicell.calibration.simulator import SceneSimulator
 from multicell.errors import SceneError
 from multicell.host.extras import needs
+from multicell.measured.data import ASSUMED, read_data
+from multicell.measured.table import read_measurements
 from multicell.studies.limits import MAX_RUNS, check_cores, check_runs, check_seeds, whole_between
-from multicell.tables.columns import read_table
 
 if TYPE_CHECKING:
     from multicell.calibration.simulator import Simulator
@@ -38,6 +37,8 @@ def fit(
     budget: int | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
+    columns: str | Mapping[str, str] | None = None,
+    where: str | None = None,
     cores: int | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -51,8 +52,8 @@ def fit(
     scene
         A scene, the name of a built-in one, or the path of a TOML file.
     data
-        CSV file, ``DataFrame`` or mapping of titles to columns, with units in the titles; see
-        :mod:`multicell.calibration.data`.
+        Table (CSV, Excel), ``DataFrame`` or mapping of titles to columns, with units in the titles;
+        see :mod:`multicell.measured.data`.
     free
         Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values, in which
         all values are equally likely beforehand (on a logarithmic range: all ratios); or its
@@ -73,6 +74,10 @@ def fit(
     specimens
         ``"single"``: each row is another specimen, measured once, also without a column that
         says so.
+    columns
+        What the columns of the data are, ``"day=Day, radius=R um"``; absent: what their titles say.
+    where
+        Which rows are meant, ``"CellLine=983b, Day=3..7"``.
     cores
         Processes on this machine, by default one for each core; 1 runs everything in this process.
     scheduler
@@ -99,7 +104,7 @@ def fit(
     """
     plan = plan_fit(
         scene, data, free, seeds=seeds, repeats=repeats, budget=budget, sd=sd,
-        specimens=specimens, simulator=simulator,
+        specimens=specimens, columns=columns, where=where, simulator=simulator,
     )  # fmt: skip
     return run_fit_plan(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -117,6 +122,8 @@ def plan_fit(
     budget: int | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
+    columns: str | Mapping[str, str] | None = None,
+    where: str | None = None,
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
@@ -128,7 +135,7 @@ def plan_fit(
     whole_between(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
-    table = read_table(data, MAX_DATA_BYTES)
+    table = read_measurements(data, columns, where)
     measured = read_data(table, scene, sd=sd, specimens=specimens)
     ranges, prior = free_of(free, measured)
     check_runs(len(measured.conditions), seeds)

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from multicell.calibration.noise import Array
 from multicell.calibration.priors import values_at
 from multicell.calibration.verdict import quantiles
+from multicell.measured.noise import Array
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, counts, styled
 from multicell.report.wording import TimeUnit, time_unit, written
 from multicell.studies.picture_data import with_unit, words
@@ -20,8 +20,9 @@ from multicell.studies.pictures import panels, with_heading
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.calibration.data import Datum
     from multicell.calibration.fitted import Fit
+    from multicell.calibration.profile import LikelihoodProfile
+    from multicell.measured.data import Datum
     from multicell.studies.axes import Range
 
 _COLOURS: Final = (
@@ -77,6 +78,18 @@ class FitPlots:
     __call__ = data
 
     @styled
+    def profile(self) -> Figure:
+        """Draw the profile likelihood of each parameter, with its interval of 95 %."""
+        ranges = self._fit.problem.ranges
+        columns = min(len(ranges), 3)
+        height = 1.4 + 3.3 * -(-len(ranges) // columns)
+        subtitle = "red: best, dashed: 95 % of χ² with one degree of freedom, dotted: interval"
+        figure, grid = panels(_title(self._fit), subtitle, len(ranges), columns, height)
+        for axes, free in zip(grid, ranges, strict=True):
+            _draw_profile(axes, self._fit.profile(free.name), free)
+        return figure
+
+    @styled
     def parameters(self) -> Figure:
         """Draw the posterior: each parameter on the diagonal, pairs below it.
 
@@ -106,6 +119,26 @@ class FitPlots:
                     _pair(axes, fit, (ranges[j], ranges[i]), (j, i), sample)
                 _edges(axes, (ranges[j], ranges[i]), (windows[j], windows[i]), (i, j), count)
         return figure
+
+
+def _draw_profile(axes: Axes, profile: LikelihoodProfile, free: Range) -> None:
+    from scipy import stats
+
+    limit = float(stats.chi2.ppf(0.95, 1))
+    size = _unit(free)[1]
+    axes.plot(profile.values / size, profile.loss, color=BLUE, lw=2)
+    axes.axhline(limit, color=QUIET, lw=1.0, ls="--")
+    for end in profile.interval():
+        if np.isfinite(end):
+            axes.axvline(end / size, color=INK, lw=0.9, ls=":")
+    axes.axvline(profile.best / size, color=RED, lw=1.6)
+    axes.set_ylim(0.0, 4.0 * limit)
+    axes.set_xlim(profile.values[0] / size, profile.values[-1] / size)
+    if free.log and free.high > 10.0 * free.low:
+        axes.set_xscale("log")
+    known = "" if profile.identified() else ": not bounded"
+    axes.set_title(f"{_label(free)}{known}")
+    axes.set_ylabel("-2 ln (L / best)")
 
 
 def _panels(fit: Fit) -> list[tuple[str, bool, list[int]]]:

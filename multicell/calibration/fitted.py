@@ -12,7 +12,6 @@ import numpy as np
 
 from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.likelihood import Fresh
-from multicell.calibration.noise import Array
 from multicell.calibration.problem import ABSENT_DEVIATIONS, FitProblem, misfit
 from multicell.calibration.search import Evaluation, Run
 from multicell.calibration.simulator import Reading
@@ -26,15 +25,18 @@ from multicell.calibration.verdict import (
 )
 from multicell.errors import FitFailed
 from multicell.host.extras import needs
+from multicell.measured.noise import Array
 from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
-    from multicell.calibration.data import Datum
     from multicell.calibration.fit_plots import FitPlots
     from multicell.calibration.likelihood import Checks
     from multicell.calibration.predictive import PredictiveCheck
+    from multicell.calibration.profile import LikelihoodProfile
+    from multicell.measured.data import Datum
     from multicell.scene.scene import Scene
 
 
@@ -151,6 +153,60 @@ class Fit:
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
         return intervals(self.problem.ranges, self.some_sample(), level)
+
+    def profile(self, name: str, points: int = 41) -> LikelihoodProfile:
+        """Return the profile likelihood of a parameter, by its name or key.
+
+        Raises
+        ------
+        SceneError
+            For a parameter that the fit does not have.
+        FitFailed
+            If there is no likelihood.
+        """
+        from multicell.calibration.profile import profile_of
+
+        return profile_of(self, name, points)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return the posterior as a data set: draws by name, with units and ranges.
+
+        Coordinates are ``chain`` (one) and ``draw``; attributes of each variable are ``units``,
+        ``key`` and ``range`` (base units).
+        """
+        needs("xarray")
+        import xarray
+
+        shares = self.some_sample()
+        columns = self.problem.columns(shares)
+        variables = {
+            free.name: (("chain", "draw"), np.array([columns[free.name]], dtype=float),
+                        {"units": free.unit, "key": free.key, "range": [free.low, free.high]})
+            for free in self.problem.ranges
+        }  # fmt: skip
+        return xarray.Dataset(
+            variables,
+            coords={"chain": [0], "draw": np.arange(len(shares))},
+            attrs={"scene": self.scene.title or "", "chi_squared": self.best.chi_squared},
+        )
+
+    def to_arviz(self) -> Any:
+        """Return the posterior, its log-likelihood and the data as ArviZ takes them.
+
+        An ``InferenceData`` of ArviZ below 1, a ``DataTree`` of xarray from 1 on. Groups are
+        ``posterior``, ``log_likelihood`` (of all data together), ``posterior_predictive`` and
+        ``observed_data`` (base units).
+
+        Raises
+        ------
+        MissingPackage
+            Without ArviZ.
+        FitFailed
+            If there is no posterior.
+        """
+        from multicell.calibration.to_arviz import to_arviz
+
+        return to_arviz(self)
 
     @cached_property
     def undetermined(self) -> list[Undetermined]:

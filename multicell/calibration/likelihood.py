@@ -7,7 +7,7 @@ covariance S, all in σ of the data,
 
     C = errors + S shared + S/R + E
 
-is the covariance of data minus mean (:mod:`multicell.calibration.noise`), of which the emulator's
+is the covariance of data minus mean (:mod:`multicell.measured.noise`), of which the emulator's
 error E depends on the parameters. The emulator is shifted so that it has the mean m at the best
 point.
 
@@ -38,10 +38,10 @@ import numpy as np
 from scipy.linalg import eigh
 
 from multicell.calibration.emulator import ENOUGH_DRAWS, PARTICLES, Emulator, best_of, draws
-from multicell.calibration.noise import Array, Noise, shrink
 from multicell.calibration.pool import Pool
 from multicell.calibration.problem import FitProblem
 from multicell.calibration.search import Search
+from multicell.measured.noise import Array, Noise, shrink
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
 _STILL: Final = 0.02

@@ -31,11 +31,11 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from multicell.calibration.emulator import ENOUGH_DRAWS, best_of, draws
-from multicell.calibration.noise import Array
 from multicell.calibration.priors import Prior
 from multicell.calibration.verdict import quantiles
 from multicell.errors import SceneError
 from multicell.host.extras import needs
+from multicell.measured.noise import Array
 
 if TYPE_CHECKING:
     import pandas as pd

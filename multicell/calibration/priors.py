@@ -25,8 +25,8 @@ from typing import Any, Final, Self, final
 
 import numpy as np
 
-from multicell.calibration.noise import Array
 from multicell.errors import SceneError
+from multicell.measured.noise import Array
 from multicell.scene.scene import Scene
 from multicell.studies.axes import QUANTITY, Range, is_numeric
 from multicell.studies.keys import Key, key_of

@@ -1,7 +1,7 @@
 """The problem of a fit: data, free parameters, a simulator, and the comparison of runs with data.
 
 A datum y with standard deviation σ (both on the scale of its comparison, see
-:class:`multicell.calibration.data.Datum`) is taken to be what one tissue shows, measured with a
+:class:`multicell.measured.data.Datum`) is taken to be what one tissue shows, measured with a
 normal error. So if runs that differ in nothing but their random numbers have mean m and variance
 s², y - m has the variance σ² + s² over tissues and measurements. With m and s² from K runs,
 
@@ -11,7 +11,7 @@ the synthetic likelihood of Wood (2010, Nature 466, 1102), with K so small that 
 counts. The logarithm keeps parameters from being preferred because they make runs scatter. With one
 run, s² is unknown and taken as none. Of a datum that is the mean of n tissues (σ is then the error
 of that mean), the tissues' share is s²/n in place of s²; of one with a standard error of the mean,
-which holds the scatter of tissues already, it is none (:mod:`multicell.calibration.noise`).
+which holds the scatter of tissues already, it is none (:mod:`multicell.measured.noise`).
 
 Of a few runs s² itself is uncertain: two that happen to agree would make a datum seem sure. So each
 one is moderated by what the data of the same observable and condition have on average, as if that
@@ -31,17 +31,17 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.data import Measured
-from multicell.calibration.noise import Array as Array
-from multicell.calibration.noise import Noise
 from multicell.calibration.priors import Prior, prior_of, split_free
 from multicell.calibration.simulator import Reading, Simulator
 from multicell.errors import SceneError
+from multicell.measured.data import Measured
+from multicell.measured.noise import Array as Array
+from multicell.measured.noise import Noise
+from multicell.measured.observables import may_be_negative
 from multicell.studies.axes import Range, check_ranges, parse_ranges
-from multicell.studies.readings import may_be_negative
 
 if TYPE_CHECKING:
-    from multicell.calibration.data import Datum
+    from multicell.measured.data import Datum
 
 
 @final

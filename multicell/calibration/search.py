@@ -23,12 +23,12 @@ from typing import Any, Final, final
 import numpy as np
 
 from multicell.calibration.emulator import ENOUGH_DRAWS, Emulator, best_of, draws, emulator
-from multicell.calibration.noise import Array
 from multicell.calibration.pool import Call, Pool
 from multicell.calibration.problem import FitProblem, Misfit
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed, OutputError
 from multicell.host.extras import needs, quiet
+from multicell.measured.noise import Array
 from multicell.results.documents import Lines
 
 Point = tuple[float, ...]  # places in the ranges

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.indices import (
     INDEX_COLUMNS,
@@ -17,8 +17,10 @@ from multicell.calibration.indices import (
     sensitivity_indices,
 )
 from multicell.calibration.sensitivity_result import Sensitivity
+from multicell.calibration.sobol import SobolIndices, sobol_result, sobol_sample, with_folder
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
+from multicell.schema import chosen
 from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole_between
 from multicell.studies.plan import Plan, make_plan
@@ -31,11 +33,15 @@ if TYPE_CHECKING:
     from multicell.studies.engine import RunOutcome
 
 
+METHODS_OF_ANALYSIS: Final = ("morris", "sobol")
+
+
 def sensitivity(
     scene: Scene | str | Path,
     free: Mapping[str, Any],
     *,
-    size: int = 10,
+    method: str = "morris",
+    size: int | None = None,
     seeds: int = 1,
     observables: Sequence[str] | None = None,
     output: str | Path = "sensitivity",
@@ -45,7 +51,7 @@ def sensitivity(
     retry: bool = False,
     report: bool = True,
     progress: Callable[[RunOutcome], None] | None = None,
-) -> Sensitivity:
+) -> Sensitivity | SobolIndices:
     """Find out which parameters of a scene decide its observables.
 
     The runs are those of a study whose points are a list, in the same folder: ``multicell study
@@ -58,8 +64,12 @@ def sensitivity(
         A scene, the name of a built-in one, or a path.
     free
         Key -> range, ``{"growth.cycle_time": "8:25 h", "drag.viscosity": "log 0.1:10 kPa s"}``.
+    method
+        ``"morris"``: screening, effects in the observable's unit; ``"sobol"``: parts of its
+        variance (:mod:`multicell.calibration.sobol`), in many more runs.
     size
-        Trajectories of Morris: so many times one run more than parameters.
+        Trajectories of Morris, by default 10: so many times one run more than parameters. Points of
+        Sobol', a power of two, by default 64: so many times two runs more than parameters.
     seeds
         How many runs at each point: the seed of the scene and those after it, the same ones at all
         points. With two or more the indices are set against the noise.
@@ -88,7 +98,9 @@ def sensitivity(
     ClusterError
         If the scheduler does not answer.
     """
-    plan = plan_sensitivity(scene, free, size=size, seeds=seeds, observables=observables)
+    plan = plan_sensitivity(
+        scene, free, method=method, size=size, seeds=seeds, observables=observables
+    )
     write_study(plan.study, output, overwrite=overwrite)
     how = {"cores": cores, "scheduler": scheduler, "progress": progress, "retry": retry}
     result = run_sensitivity_plan(plan, output, **how)
@@ -102,7 +114,7 @@ def sensitivity(
 class SensitivityPlan:
     """An analysis that was checked and has not run.
 
-    - ``scene``, ``ranges``, ``size``, ``observables``: as in :func:`sensitivity`
+    - ``scene``, ``ranges``, ``size``, ``observables``, ``method``: as in :func:`sensitivity`
     - ``study``: the plan of its runs: the points that differ, as a list
     - ``rows``, (n,): the number of each point of the sample in the study
     """
@@ -113,6 +125,7 @@ class SensitivityPlan:
     observables: tuple[str, ...]
     study: Plan
     rows: tuple[int, ...]
+    method: str = "morris"
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -124,7 +137,8 @@ def plan_sensitivity(
     scene: Scene | str | Path,
     free: Mapping[str, Any],
     *,
-    size: int = 10,
+    method: str = "morris",
+    size: int | None = None,
     seeds: int = 1,
     observables: Sequence[str] | None = None,
 ) -> SensitivityPlan:
@@ -136,14 +150,17 @@ def plan_sensitivity(
 
     needs("SALib", "distributed")
     described = load_scene(scene) if isinstance(scene, str | Path) else scene
+    chosen(method, METHODS_OF_ANALYSIS, "method")
+    sobol = method == "sobol"
+    size = (64 if sobol else 10) if size is None else size
     hint = "It is the number of trajectories; fewer have no interval."
-    whole_between("size", size, MIN_SIZE, MAX_POINTS, hint)
+    whole_between("size", size, MIN_SIZE, MAX_POINTS, "" if sobol else hint)
     ranges = parse_ranges(free, described)
     check_ranges(described, ranges)
-    chosen = chosen_observables(described, observables)
+    wanted = chosen_observables(described, observables)
     check_seeds(seeds, described.seed)
-    check_runs(size * (len(ranges) + 1), seeds, "size")
-    shares = sample([one.name for one in ranges], size)
+    check_runs(size * (len(ranges) + (2 if sobol else 1)), seeds, "size")
+    shares = (sobol_sample if sobol else sample)([one.name for one in ranges], size)
     points = [
         tuple(free.setting(free.value(float(x))) for free, x in zip(ranges, row, strict=True))
         for row in shares
@@ -153,10 +170,12 @@ def plan_sensitivity(
     table = {free.key: list(column) for free, column in zip(ranges, columns, strict=True)}
     study = make_plan(described, points=table, seeds=seeds)
     rows = tuple(numbers[point] for point in points)
-    return SensitivityPlan(described, ranges, size, tuple(chosen), study, rows)
+    return SensitivityPlan(described, ranges, size, tuple(wanted), study, rows, method)
 
 
-def run_sensitivity_plan(plan: SensitivityPlan, output: str | Path, **how: Any) -> Sensitivity:
+def run_sensitivity_plan(
+    plan: SensitivityPlan, output: str | Path, **how: Any
+) -> Sensitivity | SobolIndices:
     """Do all runs of a plan that are not done, and return what they show.
 
     - ``how``: as :meth:`multicell.studies.study.Study.run` takes it
@@ -167,6 +186,8 @@ def run_sensitivity_plan(plan: SensitivityPlan, output: str | Path, **how: Any) 
     final, failures = read_final(outcomes, folder, plan.observables)
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
+    if plan.method == "sobol":
+        return with_folder(sobol_result(plan, values, failures), folder)
     result = sample_sensitivity(plan.scene, plan.ranges, plan.seeds, values, failures)
     result = replace(result, folder=folder)
     result.write_tables()  # numbers do not wait for a page

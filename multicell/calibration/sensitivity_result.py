@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.errors import OutputError, SceneError
+from multicell.measured.observables import suggest
 from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
 from multicell.results.quantities import known_unit
-from multicell.studies.readings import suggest
 from multicell.tables.text import table_text
 
 if TYPE_CHECKING:

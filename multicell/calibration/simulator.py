@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.data import Datum, Measured
 from multicell.errors import MulticellError
+from multicell.measured.data import Datum, Measured
+from multicell.measured.observables import course_of, entry_of
 from multicell.results.observables import centre, field_at, uniform_radius
 from multicell.studies.axes import Range
-from multicell.studies.readings import course_of, entry_of
 from multicell.studies.runs import PlainScene
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Final, final
 
 import numpy as np
 
-from multicell.calibration.noise import Array
 from multicell.calibration.priors import Prior
+from multicell.measured.noise import Array
 from multicell.report.wording import time_unit, written
 from multicell.studies.axes import Range
 

@@ -32,9 +32,13 @@ def _observables(what: str, several: str) -> shared.Option:
 @shared.output_option("Folder of the analysis; its runs are kept there.")
 @studies.free_option
 @shared.valued(
+    "--method", default="morris", metavar="NAME", help="morris, or sobol: parts of the variance."
+)
+@click.option(
     "--size",
-    default=10,
-    help="Trajectories of Morris; each takes a run more than there are parameters.",
+    type=int,
+    help="Trajectories of Morris; each takes a run more than there are parameters. Points of "
+    "Sobol', a power of two; each takes two more.  [default: 10, 64]",
 )
 @shared.valued(
     "--seeds",
@@ -51,7 +55,8 @@ def sensitivity_command(
     scene: Scene,
     output: Path,
     free: Sequence[str],
-    size: int,
+    method: str,
+    size: int | None,
     seeds: int,
     observables: Sequence[str],
     **how: Any,
@@ -66,7 +71,9 @@ def sensitivity_command(
     pairs = studies.key_values(free, "--free")
     from multicell.calibration.sensitivity import plan_sensitivity, run_sensitivity_plan
 
-    plan = plan_sensitivity(scene, pairs, observables=observables or None, size=size, seeds=seeds)
+    plan = plan_sensitivity(
+        scene, pairs, method=method, observables=observables or None, size=size, seeds=seeds
+    )
     result = studies.carry_out_study(plan, output, run_sensitivity_plan, how)
     studies.print_analysis(result, bool(result.failures), how)
 
@@ -87,6 +94,8 @@ def sensitivity_command(
     help="In place of a SCENE measured responses, a CSV file with the titles 'dose / uM', response "
     "and replicate; of two drugs 'dose A / uM' and 'dose B / uM'.",
 )
+@shared.columns_option
+@shared.where_option
 @_observables(
     "The response",
     "Given several times they are added up. By default the living cells, proliferating and "
@@ -101,6 +110,8 @@ def dose_response_command(
     output: Path,
     drugs: Sequence[str],
     data: str | None,
+    columns: str | None,
+    where: str | None,
     observables: Sequence[str],
     seeds: int,
     changes: Sequence[str],
@@ -116,6 +127,8 @@ def dose_response_command(
     if (scene is None) == (data is None):
         raise click.UsageError("Give a SCENE with --dose, or measured --data.")
     pairs = studies.key_values(drugs, "--dose")
+    if data is None and (columns or where):
+        raise click.UsageError("--columns and --where belong to --data.")
     if data is not None and (pairs or changes or law or observables):
         raise click.UsageError("--dose, --set, --law and --observable belong to a SCENE.")
     if scene is not None and len(pairs) not in (1, 2):
@@ -129,7 +142,7 @@ def dose_response_command(
     )
 
     if described is None:
-        result = replace(of_table(data), folder=output)
+        result = replace(of_table(data, columns, where), folder=output)
         result.write_tables()
     else:
         keys, doses = list(pairs), tuple(pairs.values())

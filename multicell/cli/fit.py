@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +29,11 @@ if TYPE_CHECKING:
     "--data",
     required=True,
     type=click.Path(path_type=Path),
-    help="CSV file with a column for each quantity and its unit in the title, as 'time / h', "
-    "'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
+    help="Table (CSV, Excel) with a column for each quantity and its unit in the title, as "
+    "'time / h', 'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
 )
+@shared.columns_option
+@shared.where_option
 @studies.free_option
 @shared.output_option("Folder of the fit; the same fit there is continued.")
 @shared.valued(
@@ -86,6 +89,8 @@ def fit_command(
     from multicell.calibration.fit import plan_fit, run_fit_plan
 
     plan = plan_fit(scene, data, pairs, **options)
+    if plan.table.said and not quiet:
+        complain(plan.table.said)
     count, words = studies.cores_wanted(cores, scheduler), "starting"
 
     def note(what: str, done: int, wanted: int) -> float:
@@ -132,3 +137,48 @@ def _print(out: Console, found: Fit, output: Path) -> None:
     for note in found.notes:
         out.print(escape_markup(f"Note: {note}"), style="dim")
     out.print(escape_markup(f"Results are in '{output}'."))
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@shared.output_option("File for the picture: .png, .svg or .pdf.", required=False)
+@shared.valued("--level", default=0.95, help="Confidence of the intervals.")
+@shared.overwrite_option("Replace the file.")
+@shared.as_json_option
+def profile_command(
+    folder: Path, output: Path | None, level: float, overwrite: bool, as_json: bool
+) -> None:
+    """Print the profile likelihood of each parameter of the fit in FOLDER: which are identified.
+
+    An end of an interval that the searched range does not hold is not bounded by the data.
+    """
+    from multicell.calibration.stored import load_fit
+    from multicell.calibration.verdict import value_in_words
+    from multicell.report.plots.style import save_figure
+
+    if output is not None:
+        shared.refuse_existing(output, overwrite=overwrite)
+    found = load_fit(folder)
+    profiles = [found.profile(free.name) for free in found.problem.ranges]
+    ends = [one.interval(level) for one in profiles]
+    if output is not None:
+        save_figure(found.plot.profile(), output)
+    if as_json:
+        print_json([
+            {"name": one.name, "unit": one.unit, "best": one.best, "level": level,
+             "interval": [x if isfinite(x) else None for x in pair],
+             "values": one.values.tolist(), "loss": one.loss.tolist()}
+            for one, pair in zip(profiles, ends, strict=True)
+        ])  # fmt: skip
+        return
+    rows = []
+    for one, pair in zip(profiles, ends, strict=True):
+        low, high = (value_in_words(x, one.unit) if isfinite(x) else "open" for x in pair)
+        rows.append((one.name, value_in_words(one.best, one.unit), f"{low} to {high}"))
+    title = f"{100.0 * level:g} % interval >"
+    shared.console().print(filled_table(("parameter", "best >", title), rows))
+    for one in profiles:
+        if not one.identified(level):
+            shared.console().print(
+                escape_markup(f"The data do not bound {one.name}."), style="yellow"
+            )

@@ -35,6 +35,7 @@ _ELSEWHERE = {
     "dose-response": "analyses:dose_response_command",
     "sensitivity": "analyses:sensitivity_command",
     "fit": "fit:fit_command",
+    "profile": "fit:profile_command",
     "import": "scenes:importing",
     "play": "play:play",
     "study": "study:study_commands",
@@ -44,6 +45,7 @@ _ELSEWHERE = {
     "schema": "scenes:schema",
     "plot": "show:plot",
     "view": "show:view_command",
+    "cite": "show:cite_command",
     "movie": "show:movie_command",
 }
 """Commands of other modules, which are loaded with them."""
@@ -97,8 +99,10 @@ _run_options = shared.grouped(
 @click.option(
     "--cells",
     metavar="FILE",
-    help="Cells to start with: a CSV or Parquet table, or .h5ad (--set initial.cells=FILE).",
+    help="Cells to start with: a table of multicell or of another program, an image of labels, or "
+    ".h5ad (--set initial.cells=FILE).",
 )
+@shared.columns_option
 @shared.law_option
 @_run_options
 def run_command(
@@ -106,15 +110,17 @@ def run_command(
     output: Path,
     seed: int | None,
     cells: str | None,
+    columns: str | None,
     law: str | None,
     changes: Sequence[str],
     integrator: str | None,
     **options: Any,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    described = shared.scene_of(
-        scene, changes if cells is None else [f"initial.cells={cells}", *changes], law
-    )
+    described = shared.scene_of(scene, shared.cells_change(cells, columns, changes), law)
+    table = described.initial.cells
+    if table is not None and table.said and not options["quiet"]:
+        complain(table.said)
     if seed is not None:
         described = described.with_changes({"seed": seed})
     # loaded after the scene was accepted: bad input is answered at once
@@ -164,7 +170,7 @@ def resume_command(
     metavar="NAME",
     default="csv",
     help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
-    "netcdf, openvt, ro-crate for repositories.",
+    "netcdf, openvt, simularium, ro-crate for repositories.",
 )
 @click.option(
     "--tables",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, wraps
@@ -125,6 +126,51 @@ observable_option = click.option(
 no_report_option = click.option(
     "--no-report", is_flag=True, help="Write no report and no pictures."
 )
+
+
+columns_option = click.option(
+    "--columns",
+    metavar="NAMES",
+    help="What the columns of a table are, as 'x=POSITION_X um, radius=R um, type=class', or a "
+    "TOML file with such a table.",
+)
+
+
+where_option = click.option(
+    "--where",
+    metavar="VALUES",
+    help="Rows of the data that are meant, as 'CellLine=983b, InitialCondition=5000, Day=3..7'.",
+)
+
+
+data_options = grouped(
+    click.option(
+        "--data",
+        type=click.Path(path_type=Path),
+        help="Table of measured data (CSV, Excel) to show with the curves, as 'fit' takes it.",
+    ),
+    columns_option,
+    where_option,
+)
+
+
+def refuse_without_data(data: Path | None, columns: str | None, where: str | None) -> None:
+    """Refuse names of columns and choices of rows without a table."""
+    if data is None and (columns is not None or where is not None):
+        raise click.UsageError("--columns and --where belong to --data")
+
+
+def cells_change(cells: str | None, columns: str | None, changes: Sequence[str]) -> list[str]:
+    """Return the changes that ``--cells`` and ``--columns`` are, before those of ``--set``."""
+    if cells is None:
+        if columns is not None:
+            raise click.UsageError("--columns names those of --cells")
+        return list(changes)
+    if columns is None and not any(item.startswith("initial.cells.") for item in changes):
+        return [f"initial.cells={cells}", *changes]
+    named = {"file": cells} if columns is None else {"file": cells, "columns": columns}
+    entries = ", ".join(f"{key} = {json.dumps(text)}" for key, text in named.items())
+    return [f"initial.cells={{{entries}}}", *changes]
 
 
 def output_option(help: str, *, required: bool = True) -> Option:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from multicell.cli import options as shared
-from multicell.cli.process import complain, print_file
+from multicell.cli.process import complain, print_file, print_json
 from multicell.cli.progress import display
 from multicell.errors import OutputError
 from multicell.report.plots.run import PICTURES
@@ -29,21 +29,48 @@ _OPTIONS = {
 @click.command("view")
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--no-browser", is_flag=True, help="Write the page, and do not open it.")
+@shared.data_options
 @shared.loaded_law_option
 @shared.as_json_option
-def view_command(folder: Path, no_browser: bool, as_json: bool) -> None:
+def view_command(
+    folder: Path,
+    no_browser: bool,
+    data: Path | None,
+    columns: str | None,
+    where: str | None,
+    as_json: bool,
+) -> None:
     """Open the page of the run in FOLDER, also while it goes on: with all frames so far.
 
     The page is written anew unless it is younger than the results.
     """
+    shared.refuse_without_data(data, columns, where)
     page = folder / "report.html"
-    if not _up_to_date(page, folder):
+    if data is not None or not _up_to_date(page, folder):
         from multicell.report.result import load_result
 
-        page = load_result(folder).report()
+        run = load_result(folder)
+        found = None if data is None else run.compare_with(data, columns=columns, where=where)
+        page = run.report(comparison=found)
     if not no_browser and not webbrowser.open(page.resolve().as_uri()):
         complain("There is no browser to open it.")
     print_file(page, as_json)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--bibtex", is_flag=True, help="The entries of what is cited, in place of the text.")
+@shared.loaded_law_option
+@shared.as_json_option
+def cite_command(folder: Path, bibtex: bool, as_json: bool) -> None:
+    """Print a methods section of the run in FOLDER: model, values, numerics, seed, versions."""
+    from multicell.report.result import load_result
+
+    found = load_result(folder).cite()
+    if as_json:
+        print_json({"text": found.text, "bibtex": found.bibtex})
+    else:
+        click.echo((found.bibtex if bibtex else found.text).rstrip())
 
 
 def _up_to_date(page: Path, folder: Path) -> bool:
@@ -88,6 +115,7 @@ def _up_to_date(page: Path, folder: Path) -> bool:
     metavar="NAME",
     help="Draw a column of the history against time, such as diameter; of several runs in one.",
 )
+@shared.data_options
 @shared.loaded_law_option
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
@@ -96,19 +124,32 @@ def plot(
     output: Path,
     picture: str | None,
     quantity: str | None,
+    data: Path | None,
+    columns: str | None,
+    where: str | None,
     overwrite: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Draw a picture of the run in FOLDERS, or a quantity of the runs in several of them."""
+    """Draw a picture of the run in FOLDERS, or a quantity of the runs in several of them.
+
+    With --data: measured data over the curves of all observables that both have.
+    """
+    shared.refuse_without_data(data, columns, where)
     given = {name: value for name, value in options.items() if value is not None}
+    if data is not None and (len(folders) > 1 or picture or quantity or given):
+        raise click.UsageError("--data makes a picture of its own, of one run")
     _refuse_mixed(folders, picture, quantity, given)
     from multicell.report.plots.style import save_figure
     from multicell.report.result import load_result
 
     shared.refuse_existing(output, overwrite=overwrite)
     runs = [load_result(folder) for folder in folders]
-    if quantity is not None:
+    words = ""
+    if data is not None:
+        found = runs[0].compare_with(data, columns=columns, where=where)
+        figure, words = found.plot(), ". ".join([found.words, *found.notes])
+    elif quantity is not None:
         figure = _quantity(folders, runs, quantity)
     else:
         if "frame" in given:
@@ -118,6 +159,8 @@ def plot(
         except ValueError as error:  # there is nothing to draw
             raise OutputError(f"no picture of '{runs[0].folder}': {error}") from error
     save_figure(figure, output)
+    if words:
+        complain(f"{words}.")
     print_file(output, as_json)
 
 

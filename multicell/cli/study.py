@@ -405,18 +405,26 @@ def study_status_command(folder: Path, as_json: bool) -> None:
 @study_commands.command()
 @folder_argument
 @_studied
+@shared.data_options
 @shared.as_json_option
-def report(folder: Path, as_json: bool) -> None:
+def report(
+    folder: Path, data: Path | None, columns: str | None, where: str | None, as_json: bool
+) -> None:
     """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
 
     That is report.html, study.nc (netCDF, for xarray) and study.csv. What has not run yet or has
     failed is marked as such.
     """
+    shared.refuse_without_data(data, columns, where)
     made = _open_study(folder)
-    page = made.report()
+    points = None if data is None else made.compare_with(data, columns=columns, where=where)
+    page = made.report(points)
     files = [str(page), str(folder / "study.nc"), str(folder / "study.csv")]
     if as_json:
-        print_json({"files": files})
+        rows = {} if points is None else {"points": [point.row() for point in points]}
+        print_json({"files": files, **rows})
         return
     for file in files:
         click.echo(file, file=sys.stdout)
+    if points is not None:
+        click.echo(f"Nearest point: {points[0].comparison.words}.", file=sys.stdout)

@@ -17,8 +17,11 @@ from multicell.host.memory import physical_memory
 
 EXTRAS: Final = {
     "export": ("anndata", "h5netcdf", "pandas", "pyarrow", "pyvista", "xarray"),
+    "images": ("skimage", "tifffile"),
     "movie": ("imageio_ffmpeg",),
     "play": ("tornado",),
+    "simularium": ("simulariumio",),
+    "tables": ("charset_normalizer", "openpyxl"),
 }
 """What some of the optional sets of packages bring; all others are those of studies."""
 

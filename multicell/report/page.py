@@ -9,21 +9,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multicell.errors import OutputError
-from multicell.report.html import write_page
+from multicell.report.html import Drawing, write_page
 from multicell.report.plots.run import PICTURES
 from multicell.report.wording import cell_count, diagnostics, measures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from multicell.measured.compared import MeasuredComparison
     from multicell.report.result import Result
 
 
-def write_report(result: Result, folder: str | Path | None = None) -> Path:
+def write_report(
+    result: Result, folder: str | Path | None = None, comparison: MeasuredComparison | None = None
+) -> Path:
     """Write ``report.html`` and its pictures beside it.
 
     - ``result``: the run; it may be unfinished
     - ``folder``: where to write, by default the folder of the run
+    - ``comparison``: with measured data, to show with it
     """
     place = result.folder if folder is None else Path(folder)
     if place is None:
@@ -39,7 +43,8 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         title=result.scene.title or "Untitled run",
         subtitle=_subtitle(result, summary),
         tiles=dict(measures(summary)),
-        pictures=dict(_drawings(result)),
+        pictures=dict(_drawings(result)) | compared_drawing(comparison),
+        compared=comparison,
         viewer=pack_view(result),
         summary=summary,
         diagnostics=dict(diagnostics(summary)),
@@ -54,6 +59,14 @@ def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure],
     for name, kind in PICTURES.items():
         if kind.on_page(plots):
             yield f"{name}.png", (getattr(plots, name), kind.caption)
+
+
+def compared_drawing(comparison: MeasuredComparison | None) -> dict[str, Drawing]:
+    """Return the picture of a comparison with data, if there is one."""
+    if comparison is None:
+        return {}
+    caption = f"Measured data over the curves: {comparison.words}."
+    return {"measured.png": (comparison.plot, caption)}
 
 
 def _subtitle(result: Result, summary: Mapping[str, Any]) -> str:

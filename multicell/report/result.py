@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from multicell.cells import FloatArray
+    from multicell.measured.compared import MeasuredComparison
+    from multicell.report.citation import Citation
     from multicell.report.plots.run import Plots
     from multicell.results.reader import Contents
     from multicell.scene.scene import Scene
@@ -204,13 +206,69 @@ class Result:
 
         return whole_table(self, table)
 
-    def report(self, folder: str | Path | None = None) -> Path:
+    def compare_with(
+        self,
+        table: Any,
+        *,
+        columns: str | Mapping[str, str] | None = None,
+        where: str | None = None,
+        sd: float | None = None,
+        specimens: str = "same",
+    ) -> MeasuredComparison:
+        """Compare the run with measured data, of all observables that both have.
+
+        Parameters
+        ----------
+        table
+            Path of a table (CSV, Excel), a ``DataFrame`` or columns by title, as :func:`fit` takes
+            it.
+        columns
+            What its columns are, ``"day=Day, radius=R um"``; absent: what their titles say.
+        where
+            Which rows are meant, ``"CellLine=983b, Day=3..7"``.
+        sd
+            Relative standard deviation of data that come without one, by default 0.1.
+        specimens
+            ``"single"``: each row is another specimen, measured once.
+
+        Returns
+        -------
+        MeasuredComparison
+            With ``residuals``, ``chi_squared``, ``to_pandas()`` and ``plot()``.
+
+        Raises
+        ------
+        DataError
+            For a table that cannot be used, or that has nothing that the run has.
+        """
+        from multicell.measured.compared import compare_runs
+        from multicell.report.plots.compared import compared
+
+        if not len(self.history.get("time", ())):
+            raise OutputError("the run has no history yet: there is nothing to compare")
+        found = compare_runs(
+            self.scene, [(self.history, self.summary())], table, columns=columns, where=where,
+            sd=sd, specimens=specimens,
+        )  # fmt: skip
+        return replace(found, draw=compared)
+
+    def cite(self) -> Citation:
+        """Return a methods section of this run for a paper: ``text``, and ``bibtex``."""
+        from multicell.report.citation import cite
+
+        return cite(self)
+
+    def report(
+        self, folder: str | Path | None = None, *, comparison: MeasuredComparison | None = None
+    ) -> Path:
         """Write ``report.html`` and its pictures, and return the path of the report.
 
         Parameters
         ----------
         folder
             Where to write, by default the folder of the run.
+        comparison
+            With measured data, to show with the run.
 
         Raises
         ------
@@ -219,7 +277,7 @@ class Result:
         """
         from multicell.report.page import write_report
 
-        return write_report(self, folder)
+        return write_report(self, folder, comparison)
 
 
 def history_columns(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:

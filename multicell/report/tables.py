@@ -71,7 +71,8 @@ def _lineage(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table
 
 
 def _history(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
-    yield {titled(name, known_unit(name)): column for name, column in run.history.items()}
+    names = sorted(run.history, key=lambda name: name != "time")  # time first
+    yield {titled(name, known_unit(name)): run.history[name] for name in names}
 
 
 TABLES: Final[Mapping[str, Callable[[Result, Iterator[tuple[int, Frame]]], Iterator[Table]]]] = {

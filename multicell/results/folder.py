@@ -296,5 +296,5 @@ def copy_of(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
     if table is None:
         return scene, {}
     name, content = table.content()
-    cells = replace(table, file=str(folder / name))
+    cells = replace(table, file=str(folder / name), columns="", frame=None, time=None)
     return replace(scene, initial=replace(scene.initial, cells=cells)), {name: content}

@@ -59,7 +59,8 @@ def kinds_of(scene: Scene, given: Given) -> NDArray[np.int16] | None:
         if number is None:
             row = int(np.argmax(codes == code))
             problem = f"is {given.kinds[code]!r}, no type of this scene"
-            hint = near_miss(given.kinds[code], names) if names else "It has no [types]."
+            none = f"It has no [types]: write [types.{given.kinds[code]}], or leave the column out."
+            hint = near_miss(given.kinds[code], names) if names else none
             raise DataError(given.place(row, "kind"), problem, hint)
     return np.asarray(np.array(numbers, dtype=np.int16)[codes])
 

@@ -20,7 +20,17 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, Phase, State
 from multicell.errors import DataError, SceneError
-from multicell.schema import choice, count, file_path, near_miss, number, parameters, table, text
+from multicell.schema import (
+    choice,
+    count,
+    file_path,
+    near_miss,
+    number,
+    parameters,
+    quantity,
+    table,
+    text,
+)
 from multicell.tables.columns import PARQUET, Columns, from_bytes, from_h5ad, from_object, parsed
 from multicell.tables.text import read_bytes
 from multicell.tables.titles import Title, read_title, titled, unknown_title
@@ -51,6 +61,7 @@ IGNORED_COLUMNS: Final[Mapping[str, str]] = {
     "parent": "", "receptor": "", "ligand": "", "frame": "", "time": "s",
 }  # fmt: skip
 """Columns of an exported frame that are ignored, as are concentrations."""
+_BLOCK: Final = 50_000  # rows that are written at a time
 _CROWDED: Final = 50  # pairs of deep overlaps for each cell; packed tissue has a few
 _COINCIDING: Final = 0.01
 """Distance of two centres over the sum of the radii below which they are at one place."""
@@ -102,12 +113,15 @@ class Given:
 
     def content(self) -> bytes:
         """Return the table as CSV that is read back bit by bit."""
-        columns = {titled(name, START_COLUMNS[name]): self._texts(name) for name in self.columns}
-        lines = [",".join(columns), *map(",".join, zip(*columns.values(), strict=True))]
-        return ("\n".join(lines) + "\n").encode()
+        titles = ",".join(titled(name, START_COLUMNS[name]) for name in self.columns)
+        blocks = [titles.encode()]
+        for start in range(0, len(self), _BLOCK):  # text takes ten times the memory of numbers
+            fields = (self._texts(name, slice(start, start + _BLOCK)) for name in self.columns)
+            blocks.append("\n".join(map(",".join, zip(*fields, strict=True))).encode())
+        return b"\n".join(blocks) + b"\n"
 
-    def _texts(self, name: str) -> list[str]:
-        values = self.columns[name].tolist()
+    def _texts(self, name: str, rows: slice) -> list[str]:
+        values = self.columns[name][rows].tolist()
         if name == "kind":
             return [self.kinds[value] for value in values]
         if name in _NAMES:
@@ -120,10 +134,15 @@ _KNOWN: Final[WeakValueDictionary[str, Given]] = WeakValueDictionary()
 """Tables by digest, as long as a scene holds them."""
 
 
+_ENTRIES: Final = ("file", "sha256", "rows", "columns", "frame", "time")
+
+
 @final
 @parameters
 class StartTable:
-    """A file with one row for each cell at the start; columns are titled as exported ones are.
+    """A file with one row for each cell at the start.
+
+    Columns are titled as exported ones are, or as a known program's, or named by ``columns``.
 
     ``sha256`` and ``rows`` are what a scene keeps of it: a file with another content is refused.
     """
@@ -131,6 +150,11 @@ class StartTable:
     file: str = file_path(doc="CSV or Parquet; relative paths count from the folder of the scene")
     sha256: str | None = text(default=None, doc="digest of the file; absent: that which it has")
     rows: int | None = count(default=None, at_least=1, at_most=10**8, doc="number of cells")
+    columns: str = text(
+        default="", doc='what the columns of another program are, as "x=POSITION_X um, type=class"'
+    )
+    frame: int | None = count(default=None, at_least=0, doc="of another program's table: the first")
+    time: float | None = quantity("s", default=None, doc="in place of frame: that nearest to it")
 
     def check(self) -> None:
         """Read the file, unless it is known what it must hold."""
@@ -145,12 +169,17 @@ class StartTable:
         self._hold(given)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("file", "sha256", "rows")}
+        return {name: getattr(self, name) for name in _ENTRIES}
 
     @property
     def at_hand(self) -> bool:
         """Whether the table has been read and is known."""
         return hasattr(self, "_given")
+
+    @property
+    def said(self) -> str:
+        """The reading of another program's table in words; empty for multicell's own."""
+        return str(getattr(self, "_said", ""))
 
     @property
     def given(self) -> Given:
@@ -203,10 +232,30 @@ class StartTable:
             path = Path(self.file)
             known = from_h5ad(path, lambda title: _title(title, path.name) is not None)
             content = normalise(from_object(known, path.name)).content()
+        elif (foreign := self._foreign(content)) is not None:
+            content = foreign
         if self.sha256 not in (None, hashlib.sha256(content).hexdigest()):
             problem = f"'{self.file}' is not the table that the scene was made with"
             raise SceneError("file", problem, "Leave sha256 and rows out to take it as it is now.")
         return content
+
+    def _foreign(self, content: bytes) -> bytes | None:
+        """Return the cells of another program's table as multicell writes them; None: they are."""
+        from multicell.scene.foreign_cells import CellsChoice, foreign_cells
+
+        choice = CellsChoice(self.columns, self.frame, self.time)
+        try:
+            found = foreign_cells(content, Path(self.file), choice)
+        except DataError as error:
+            if not error.place.startswith("columns"):
+                raise
+            problem = f"{error.place.removeprefix('columns').strip(', ')} {error.problem}".strip()
+            raise SceneError("columns", problem, error.hint) from None
+        if found is None:
+            return None
+        table, words = found
+        object.__setattr__(self, "_said", words)
+        return normalise(table).content()
 
 
 def place_table(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
@@ -239,11 +288,13 @@ def with_cells(scene: Scene, source: Any) -> Scene:
     """Return a scene that starts with the cells of a table.
 
     - ``scene``: all but its start
-    - ``source``: path of a CSV or Parquet file, a ``DataFrame``, a mapping of titles to columns, or
-      :class:`Cells`
+    - ``source``: path of a table, the entries of ``initial.cells`` as a mapping (``file``,
+      ``columns`` ...), a ``DataFrame``, a mapping of titles to columns, or :class:`Cells`
     """
     if isinstance(source, str | Path):
         return scene.with_changes({"initial.cells": str(source)})
+    if isinstance(source, Mapping) and isinstance(source.get("file"), str | Path):
+        return scene.with_changes({"initial.cells": {**source, "file": str(source["file"])}})
     table = in_memory(
         _columns_of(source, tuple(scene.types)) if isinstance(source, Cells) else source
     )

@@ -54,7 +54,7 @@ class Simulation:
         have the same bits for any number.
     cells
         Cells to start from instead of the scene's initial ones: as they are, or as a table (path
-        of a CSV or Parquet file, a ``DataFrame``, columns by title) whose cells the scene takes as
+        of a file, entries of ``initial.cells`` by name, a ``DataFrame``, columns by title) whose
         with ``initial.cells``.
     frame
         State to go on from, of a run of this scene; what comes is what would have come.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.report.html import Drawing, write_page
+from multicell.report.page import compared_drawing
 from multicell.report.wording import clock, time_unit
 from multicell.studies import picture_data as of
 from multicell.studies.pictures import StudyPlots
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.scene.scene import Scene
+    from multicell.studies.compared import PointComparison
     from multicell.studies.runs import StudyRun
     from multicell.studies.status import RunStatus
 
@@ -28,6 +30,7 @@ MAX_ROWS: Final = 4000  # runs that the table of a page lists; a browser takes l
 
 _MAPS: Final = 4  # observables that have a map or a response
 _COURSES: Final = 3  # and of which courses
+_POINTS: Final = 40  # and points of the table beside data
 _COLUMNS: Final = 6  # and columns of the table
 _STATE_WORDS: Final = {"waiting": "not run", "partial": "begun"}
 
@@ -39,6 +42,7 @@ def write_study_report(
     runs: Sequence[StudyRun],
     states: Sequence[RunStatus],
     shown: Sequence[str] | None = None,
+    points: Sequence[PointComparison] = (),
 ) -> Path:
     """Write ``report.html`` of a study and its pictures beside it.
 
@@ -47,9 +51,11 @@ def write_study_report(
     - ``table``: of the study, as ``study.to_xarray()``
     - ``runs``, ``states``: all runs and how they stand, in the order of the table
     - ``shown``: observables to show, by default the usual ones that change
+    - ``points``: with measured data, to show with the study; the nearest one first
     """
     names = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"
+    best = points[0].comparison if points else None
     return write_page(
         Path(folder) / "report.html",
         "study.html",
@@ -57,7 +63,9 @@ def write_study_report(
         title=title,
         subtitle=_subtitle(table),
         tiles=_tiles(table, states),
-        pictures=_drawings(table, title, names),
+        pictures=_drawings(table, title, names) | compared_drawing(best),
+        compared=best,
+        points=[point.row() for point in points[:_POINTS]],
         unfinished=_unfinished(states),
         **_run_table(table, runs, states, names[:_COLUMNS]),
     )

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+    from multicell.studies.compared import PointComparison
     from multicell.studies.engine import RunOutcome
     from multicell.studies.pictures import StudyPlots
     from multicell.studies.status import RunStatus
@@ -147,8 +148,31 @@ class Study:
                        if v.attrs.get("units")}  # fmt: skip
         return frame
 
-    def report(self) -> Path:
+    def compare_with(self, table: Any, **how: Any) -> list[PointComparison]:
+        """Compare the points of the study with measured data, the nearest one first.
+
+        Parameters
+        ----------
+        table, **how
+            As of :meth:`multicell.Result.compare_with`. Rows with conditions, such as
+            ``nutrients.oxygen.boundary / mM``, belong to the points that have them.
+
+        Returns
+        -------
+        list of PointComparison
+            Of all points that have data and a run that is done.
+        """
+        from multicell.studies.compared import compare_points
+
+        return compare_points(self, table, **how)
+
+    def report(self, points: list[PointComparison] | None = None) -> Path:
         """Write ``report.html`` with its pictures, and the table as ``study.nc`` and ``study.csv``.
+
+        Parameters
+        ----------
+        points
+            With measured data (:meth:`compare_with`), to show with the study.
 
         Returns
         -------
@@ -158,7 +182,9 @@ class Study:
         from multicell.studies.page import write_study_report
 
         table, states = self.write_tables()
-        return write_study_report(self.folder, self.plan.scene, table, self.runs, states)
+        return write_study_report(
+            self.folder, self.plan.scene, table, self.runs, states, points=points or ()
+        )
 
     def write_tables(self) -> tuple[xarray.Dataset, list[RunStatus]]:
         """Write the table as ``study.nc`` and ``study.csv``.

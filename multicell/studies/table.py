@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.host.extras import needs
+from multicell.measured.observables import at_times
 from multicell.results.folder import write_bytes
 from multicell.results.netcdf import write_netcdf
 from multicell.results.quantities import known_unit
@@ -143,20 +144,6 @@ def _read(
             numbers[flat], units[flat] = value, known_unit(path)
     made = summary.get("versions")
     return rows, numbers, units, made if isinstance(made, dict) else {}
-
-
-def at_times(times: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
-    """Return a column of a history at other times: linear between its rows, NaN beyond the last.
-
-    Where the value of a row does not exist (NaN), it does not between that row and the next ones
-    either; at the time of a row it is that of the row.
-    """
-    result = np.interp(times, known, values, right=np.nan)
-    # interpolation to the very time of a row beside one that is NaN must give the row
-    place = np.searchsorted(known, times * (1.0 - 1e-12)).clip(max=len(known) - 1)
-    exact = np.isclose(known[place], times, rtol=1e-12, atol=0.0)
-    result[exact] = values[place[exact]]
-    return result
 
 
 def _flat(summary: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, float]]:

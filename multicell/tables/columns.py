@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 from numbers import Number
 from pathlib import Path
 from typing import Any, Final, final
@@ -13,8 +15,10 @@ from numpy.typing import NDArray
 
 from multicell.errors import DataError
 from multicell.host.extras import needs
-from multicell.tables.text import csv_rows, read_bytes
+from multicell.tables.forms import FORM, Form
+from multicell.tables.text import Row, rows_of, text_form
 
+_ROWS: Final = 50_000  # of text that are turned into numbers at a time
 PARQUET: Final = b"PAR1"  # what a Parquet file begins with
 
 
@@ -26,6 +30,7 @@ class Columns:
     name: str  # of the file, or "cells"
     columns: Mapping[str, NDArray[Any]]  # (n,): float64, int64, or text where a field is no number
     lines: NDArray[np.int64] | None = None  # of the file, (n,); None where there are rows only
+    form: Form = FORM
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -36,11 +41,52 @@ class Columns:
         return ", ".join(filter(None, (self.name, where, f"'{title}'" if title else "")))
 
 
-def from_bytes(content: bytes, name: str) -> Columns:
-    """Return the columns of a CSV or Parquet file."""
+def from_bytes(
+    content: bytes,
+    name: str,
+    *,
+    form: Form | None = None,
+    skip: int = 0,
+    wanted: Callable[[str], bool] = lambda title: True,
+) -> Columns:
+    """Return the columns of a CSV or Parquet file.
+
+    - ``form``: how text is written; absent: as it is found to be
+    - ``skip``: rows below the titles that hold none
+    - ``wanted``: which titles are needed, of text
+    """
     if content[:4] == PARQUET:
         return _parquet(content, name)
-    return _filled(_csv(content, name))
+    form = text_form(content, name) if form is None else form
+    rows = partial(rows_of, content, name, form)
+    return _filled(from_rows(rows(), name, rows, form, skip, wanted))
+
+
+def from_titles(
+    content: bytes, name: str, form: Form, marks: Sequence[str]
+) -> tuple[list[str], list[list[str]]]:
+    """Return the titles of a table of text, and further lines of titles and units below them.
+
+    - ``marks``: titles of tables that have such lines: those without a number
+    """
+    rows = rows_of(content, name, form)
+    titles = next(rows)[1]
+    below: list[list[str]] = []
+    if set(marks) <= set(titles):
+        place = titles.index(marks[-1])
+        for _, row in islice(rows, 3):
+            if _is_number(row[place]):
+                break
+            below.append(row)
+    return titles, below
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
 
 
 def from_object(source: Any, name: str) -> Columns:
@@ -132,12 +178,58 @@ def _parquet(content: bytes, name: str) -> Columns:
     return from_object(table.to_pandas(ignore_metadata=True), name)
 
 
-def _csv(content: bytes, name: str) -> Columns:
-    (_, titles), *rows = csv_rows(content, name)
-    _refuse_twins(titles, name)
-    fields = zip(*(row for _, row in rows), strict=True) if rows else [()] * len(titles)
-    columns = {title: parsed(column) for title, column in zip(titles, fields, strict=True)}
-    return Columns(name, columns, np.array([number for number, _ in rows], np.int64))
+def from_rows(
+    rows: Iterator[Row],
+    name: str,
+    again: Callable[[], Iterator[Row]] | None = None,
+    form: Form = FORM,
+    skip: int = 0,
+    wanted: Callable[[str], bool] = lambda title: True,
+) -> Columns:
+    """Return the columns of rows of text, the titles first.
+
+    - ``again``: begins with the rows anew; absent: all are kept until the end
+    """
+    if again is None:
+        stored = list(rows)
+        again, rows = partial(iter, stored), iter(stored)
+    _, titles = next(rows)
+    places = [k for k, title in enumerate(titles) if wanted(title)]
+    _refuse_twins([titles[k] for k in places], name)
+    rows = islice(rows, skip, None)
+    parts: dict[int, list[NDArray[Any]]] = {place: [] for place in places}
+    lines: list[NDArray[np.int64]] = []
+    while block := list(islice(rows, _ROWS)):  # so many at a time: text takes ten times the memory
+        lines.append(np.array([number for number, _ in block], np.int64))
+        for place in places:
+            parts[place].append(parsed([row[place] for _, row in block]))
+    found = {place: _joined(part) for place, part in parts.items()}
+    mixed: dict[int, list[str]] = {place: [] for place in places if found[place] is None}
+    if mixed:  # numbers above, text below: it is text all through
+        for _, row in islice(again(), 1 + skip, None):
+            for place, fields in mixed.items():
+                fields.append(row[place])
+    texts = {place: np.array(fields, dtype=object) for place, fields in mixed.items()}
+    columns = {titles[k]: column for k, column in (found | texts).items() if column is not None}
+    _drop_index(columns)
+    return Columns(name, columns, np.concatenate([np.empty(0, np.int64), *lines]), form)
+
+
+def _drop_index(columns: dict[str, NDArray[Any]]) -> None:
+    """Leave a column without a title out that is empty, or numbers the rows."""
+    column = columns.get("")
+    if column is None or len(columns) == 1:
+        return
+    counts = column.dtype.kind in "if" and len(column) > 0
+    if counts and (np.isnan(column).all() or bool((np.diff(column) == 1).all())):
+        del columns[""]
+
+
+def _joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
+    """Return the parts of a column as one; None where some are text and some are numbers."""
+    if len({part.dtype == object for part in parts}) > 1:
+        return None
+    return np.concatenate(parts) if parts else np.empty(0, np.int64)
 
 
 def from_h5ad(path: Path, known: Callable[[str], bool]) -> dict[str, Any]:
@@ -189,31 +281,21 @@ class Table:
     titles: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]  # fields; empty text where there is no value
     places: tuple[str, ...]  # each row in words: the line of the file, or the row counted from 0
+    said: str = ""  # what it was read as, in words, where that is not plain
 
 
-def read_table(source: Any, largest: int) -> Table:
-    """Return a table as text.
-
-    - ``source``: path of a CSV file, a ``DataFrame``, or a mapping of titles to columns
-    - ``largest``: number of bytes that a file may have
-    """
-    if isinstance(source, str | Path):
-        path = Path(source).expanduser()
-        (_, titles), *rows = csv_rows(read_bytes(path, largest), path.name)
-        if not rows:
-            raise DataError(path.name, "holds no data")
-        places = tuple(f"line {number}" for number, _ in rows)
-        return Table(path.name, tuple(titles), tuple(tuple(row) for _, row in rows), places)
+def read_object(source: Any) -> Table:
+    """Return a ``DataFrame``, or a mapping of titles to columns, as text."""
     found = from_object(source, "data")
     columns = [
-        [_field_text(value) for value in column.tolist()] for column in found.columns.values()
+        [field_text(value) for value in column.tolist()] for column in found.columns.values()
     ]
     rows_of_text = tuple(zip(*columns, strict=True))
     places = tuple(f"row {number}" for number in range(len(rows_of_text)))
     return Table("data", tuple(found.columns), rows_of_text, places)
 
 
-def _field_text(value: Any) -> str:
+def field_text(value: Any) -> str:
     """Return a field as a CSV file has it; what is missing is empty."""
     if value != value:
         return ""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from multicell.errors import DataError
 from multicell.host.files import read_regular
+from multicell.tables.forms import Form, encoding_of, form_of, with_point
 
 Row = tuple[int, list[str]]
 """Number of a row's (last) line in the file, and its fields without blanks around them."""
@@ -29,41 +32,60 @@ def read_bytes(path: Path, largest: int) -> bytes:
         raise DataError(str(path), f"cannot be read: {reason}") from None
 
 
-def csv_rows(content: bytes, name: str) -> Iterator[Row]:
-    """Yield the header and then the other rows of a CSV file, one at a time.
+def rows_of(content: bytes, name: str, form: Form | None = None) -> Iterator[Row]:
+    """Yield the header and then the other rows of a table of text, one at a time.
 
-    - ``content``: of the file, UTF-8 with or without a byte order mark
+    - ``content``: of the file, in any encoding, with any of the usual separators
     - ``name``: of the file, for errors
+    - ``form``: how it is written; absent: as it is found to be
     """
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DataError(name, f"is not UTF-8 text (byte {error.start})") from None
-    numbers: list[int] = []
-    reader = csv.reader(_lines(text, numbers), skipinitialspace=True)
+    form = text_form(content, name) if form is None else form
+    numbers = array("q")
+    lines = _lines(content, form.encoding, numbers)
+    for _ in range(form.above):
+        next(lines)
+    reader = csv.reader(lines, delimiter=form.separator, skipinitialspace=True)
     width = 0
     try:
         for fields in reader:
-            number = numbers[reader.line_num - 1]
+            number = numbers[form.above + reader.line_num - 1]
             row = [field.strip() for field in fields]
+            if form.comma and width:
+                row = [with_point(field, f"{name}, line {number}") for field in row]
             if not width:
                 width = len(row)
-                if width == 1 and any(mark in row[0] for mark in ";\t"):
-                    raise DataError(name, "has one column", "Columns are separated by commas.")
             elif len(row) != width:
                 problem = f"has {len(row)} fields, the header has {width}"
                 raise DataError(f"{name}, line {number}", problem, "Use '.' as decimal separator.")
             yield number, row
     except csv.Error as error:
-        raise DataError(f"{name}, line {numbers[reader.line_num - 1]}", str(error)) from None
+        number = numbers[form.above + reader.line_num - 1]
+        raise DataError(f"{name}, line {number}", str(error)) from None
+    except UnicodeDecodeError as error:
+        raise DataError(name, f"is not {form.encoding} text: {error.reason}") from None
     if not width:
         raise DataError(name, "holds no data")
 
 
-def _lines(text: str, numbers: list[int]) -> Iterator[str]:
+def text_form(content: bytes, name: str) -> Form:
+    """Return how a table of text is written."""
+    encoding = encoding_of(content, name)
+    try:
+        return form_of(_lines(content, encoding, array("q")), encoding, name)
+    except UnicodeDecodeError as error:
+        raise DataError(name, f"is not {encoding} text: {error.reason}") from None
+
+
+def lines_above(content: bytes, form: Form) -> list[str]:
+    """Return the lines above the titles of a table, without blanks around them."""
+    return [line.strip() for line in islice(_lines(content, form.encoding, array("q")), form.above)]
+
+
+def _lines(content: bytes, encoding: str, numbers: array[int]) -> Iterator[str]:
     """Yield the lines of a text that are no remarks and not blank, and note their numbers."""
-    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
-        if line.strip(" \t,\n") and not line.lstrip().startswith("#"):
+    text = io.TextIOWrapper(io.BytesIO(content), encoding, newline=None)
+    for number, line in enumerate(text, start=1):
+        if line.strip(" \t,;|\n") and not line.lstrip().startswith("#"):
             numbers.append(number)
             yield line
 

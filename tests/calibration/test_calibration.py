@@ -13,15 +13,15 @@ import pytest
 from cheap_fits import Growing, growing, through
 
 import multicell as mc
-from multicell.calibration.data import read_data
 from multicell.calibration.indices import sample, sensitivity_indices
 from multicell.calibration.likelihood import fresh, likelihood, scatter_of
-from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
 from multicell.calibration.problem import FitProblem, ranges_of
 from multicell.calibration.search import Search
 from multicell.calibration.simulator import SceneSimulator
 from multicell.calibration.verdict import intervals
+from multicell.measured.data import read_data
+from multicell.measured.noise import Noise
 
 QUICK = 5
 CASES = {

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.calibration.data import read_data
 from multicell.errors import DataError
-from multicell.studies.readings import at_the_end, in_history
+from multicell.measured.data import read_data
+from multicell.measured.observables import at_the_end, in_history
 
 SCENE = mc.load_scene("spheroid")
 

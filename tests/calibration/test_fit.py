@@ -15,7 +15,6 @@ from cheap_fits import MATRIX, calls_of, fitted, linear, stopping
 from click.testing import CliRunner
 
 import multicell as mc
-from multicell.calibration.data import Datum, read_data
 from multicell.calibration.fit import plan_fit
 from multicell.calibration.likelihood import _check, scatter_of
 from multicell.calibration.pool import Pool
@@ -25,6 +24,7 @@ from multicell.calibration.simulator import SceneSimulator, reading
 from multicell.calibration.verdict import intervals, undetermined
 from multicell.cli.main import main
 from multicell.errors import ClusterError, FitFailed
+from multicell.measured.data import Datum, read_data
 
 SMALL = mc.load_scene("growth").with_changes(
     {"duration": "20 h", "initial.count": 6, "coupling_step": "1 h"}

@@ -21,7 +21,6 @@ from cheap_fits import (
 from scipy import stats
 
 from multicell.calibration.emulator import draws, emulator
-from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
 from multicell.calibration.priors import Prior
 from multicell.calibration.problem import (
@@ -33,6 +32,7 @@ from multicell.calibration.problem import (
 from multicell.calibration.search import Search
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed
+from multicell.measured.noise import Noise
 
 
 def test_the_loss_is_the_normal_likelihood_of_the_data_in_closed_form():

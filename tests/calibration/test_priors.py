@@ -11,7 +11,6 @@ from cheap_fits import MATRIX, exact, linear
 from scipy import integrate, stats
 
 import multicell as mc
-from multicell.calibration.data import read_data
 from multicell.calibration.emulator import best_of, draws
 from multicell.calibration.fit import plan_fit
 from multicell.calibration.pool import Pool
@@ -20,6 +19,7 @@ from multicell.calibration.problem import free_of
 from multicell.calibration.search import Search
 from multicell.calibration.simulator import SceneSimulator
 from multicell.calibration.verdict import undetermined
+from multicell.measured.data import read_data
 
 SCENE = mc.load_scene("growth").with_changes(
     {"duration": "20 h", "initial.count": 6, "coupling_step": "1 h"}

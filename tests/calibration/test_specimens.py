@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.calibration.data import read_data
 from multicell.calibration.emulator import best_of, draws
 from multicell.calibration.likelihood import likelihood, scatter_of
-from multicell.calibration.noise import Noise
 from multicell.calibration.simulator import Reading, SceneSimulator
 from multicell.errors import DataError
+from multicell.measured.data import read_data
+from multicell.measured.noise import Noise
 from multicell.results.observables import centre, field_at, uniform_radius
 from multicell.units import oxygen_solubility
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import multicell as mc
-from multicell.calibration.data import read_data
 from multicell.cli.main import main
+from multicell.measured.data import read_data
 
 ROOT = Path(__file__).parents[2]
 

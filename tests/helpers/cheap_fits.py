@@ -10,7 +10,6 @@ from threading import Timer
 import numpy as np
 
 import multicell as mc
-from multicell.calibration.data import Condition, Datum, Measured, read_data
 from multicell.calibration.emulator import emulator
 from multicell.calibration.fitted import Fit
 from multicell.calibration.likelihood import fresh
@@ -18,6 +17,7 @@ from multicell.calibration.pool import Pool
 from multicell.calibration.problem import FitProblem
 from multicell.calibration.search import Search
 from multicell.calibration.simulator import Reading, SceneSimulator
+from multicell.measured.data import Condition, Datum, Measured, read_data
 from multicell.studies.axes import Range
 
 MATRIX = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]]

@@ -55,6 +55,7 @@ NAMES = {
 """Names of the entries of the tables that have named entries."""
 
 TEXTS = {
+    "columns": ("", "x=position_x_um um, y=y_um um, z=z_um um"),
     "behaviour": ("growth rate", "rest", "apoptosis rate", "necrosis rate", "damage rate",
                   "entry into S", "speed", "receptors", "Young's modulus",
                   "uptake of oxygen", "change to soft"),
@@ -229,6 +230,8 @@ class Drawer:
         return [[0.0, 0.1], [self._measure(spec, field, path), 0.5]]
 
     def _count(self, spec, field, path):
+        if path.endswith("cells.frame"):
+            return 0  # the only one of the tables that are written
         low, high = int(spec.bounds.at_least), int(spec.bounds.at_most)
         if self.chance(self.extreme):
             return self.one_of([low, high, (low + high) // 2])
@@ -413,8 +416,8 @@ def written_table(rows):
     """Write a table of cells that touch; return its path."""
     file = _TABLES / f"{rows}.csv"
     if not file.exists():
-        lines = ["# drawn", "position_x_um,y_um,z_um"]
-        lines += [f"{7.0 * (k % 3 - 1)!r},{7.0 * (k // 3 - 1)!r},0" for k in range(rows)]
+        lines = ["# drawn", "position_x_um,y_um,z_um,frame,time_s"]
+        lines += [f"{7.0 * (k % 3 - 1)!r},{7.0 * (k // 3 - 1)!r},0,0,0" for k in range(rows)]
         file.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return file
 

@@ -73,7 +73,7 @@ def test_too_much_volume_in_a_box_is_noted_at_one():
 
 
 def test_pressures_on_walls_are_observables_of_boxes_only():
-    from multicell.studies.readings import in_history
+    from multicell.measured.observables import in_history
 
     names = {"volume_fraction", "wall_pressure", "tissue_pressure"}
     assert names <= in_history(mc.load_scene("chemotaxis")).keys()

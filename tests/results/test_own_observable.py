@@ -13,16 +13,16 @@ import pytest
 from click.testing import CliRunner
 
 import multicell as mc
-from multicell.calibration.data import read_data
 from multicell.calibration.sensitivity import chosen_observables as asked_of
 from multicell.calibration.simulator import SceneSimulator
 from multicell.cli.main import main
 from multicell.errors import SceneError
+from multicell.measured.data import read_data
+from multicell.measured.observables import in_history
 from multicell.results.measures import OBSERVABLES, scene_observables
 from multicell.results.observable import OWN_OBSERVABLES
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import parse_range
-from multicell.studies.readings import in_history
 
 TEXT = """
 import multicell as mc

@@ -56,10 +56,9 @@ def test_lines_are_those_of_the_file():
     [
         (b"", "t: holds no data"),
         (b"x,y\n", "t: holds no rows"),
-        (b"x;y\n1;2\n", "t: has one column. Columns are separated by commas"),
         (b"x,y\n1,2\n\n3\n", "t, line 4: has 1 fields, the header has 2"),
         (b"x,x\n1,2\n", "t, 'x': is the title of two columns"),
-        (b"x,y\n1,\xff\n", r"t: is not UTF-8 text \(byte 6\)"),
+        (b"x,y\n1,\x00\xff\xfe\xd8\n", r"t: is not UTF-8 text \(byte 7\)"),
         (b"PAR1 and nothing more", "t: is no Parquet file"),
     ],
 )

@@ -3,11 +3,11 @@
 import pytest
 
 import multicell as mc
-from multicell.calibration.columns import columns_of
 from multicell.errors import DataError, OutputError, SceneError
+from multicell.measured.columns import columns_of
+from multicell.measured.table import read_measurements
 from multicell.report.plots.section import Plane
 from multicell.studies.axes import parse_axis
-from multicell.tables.columns import read_table
 from multicell.tables.titles import read_title
 
 QUESTION = "How many um is a pixel?"
@@ -41,7 +41,7 @@ def test_a_table_of_cells_at_the_start(unit):
     ],
 )  # fmt: skip
 def test_measured_data(title, words):
-    table = read_table({"time / h": [1.0], title: [3.0]}, 10**6)
+    table = read_measurements({"time / h": [1.0], title: [3.0]})
     with pytest.raises(DataError) as caught:
         columns_of(table, mc.load_scene("spheroid"))
     assert words in f"{caught.value.problem}. {caught.value.hint}"
@@ -49,7 +49,7 @@ def test_measured_data(title, words):
 
 def test_a_title_has_one_unit():
     """Of '2 days 3 h' only values may be made: a column has numbers of one unit."""
-    table = read_table({"time / d 3 h": [1.0], "cells": [3.0]}, 10**6)
+    table = read_measurements({"time / d 3 h": [1.0], "cells": [3.0]})
     with pytest.raises(DataError, match="must be a single one"):
         columns_of(table, mc.load_scene("spheroid"))
     for text in ("0,2 d 3 h", "1:2:3 d 3 h"):

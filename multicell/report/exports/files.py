@@ -45,6 +45,9 @@ FORMATS: Final = {
     "netcdf": Format("exports.formats.write_netcdf_files", ["history.nc"], ["xarray", "h5netcdf"]),
     "openvt": Format("exports.formats.write_openvt", ["openvt.csv"]),
     "page": Format("viewer.pack.write_view", ["view.html"]),
+    "simularium": Format(
+        "exports.simularium.write_simularium", ["cells.simularium"], ["simulariumio"]
+    ),
     "ro-crate": Format("exports.formats.write_crate", ["ro-crate-metadata.json"]),
 }
 """Formats by name."""
@@ -83,6 +86,9 @@ def export(
 
     ``"page"`` is for any browser: ``view.html`` shows the cells in space and time, up to 100,000 in
     a frame, 50 frames, and needs nothing else. It holds less than 25 MB.
+
+    ``"simularium"`` is for https://simularium.allencell.org: ``cells.simularium``, spheres by type
+    and state in µm and s.
 
     ``"ro-crate"`` is for repositories: the files of the folder, and ``ro-crate-metadata.json``,
     which states in the form of RO-Crate 1.1 what they are and what made them of which scene.

@@ -69,6 +69,10 @@ class Plots:
     scene: Scene
     lineage: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
+    def __call__(self) -> Figure:
+        """Draw :meth:`growth`, or a section of a run without a history."""
+        return self.growth() if self._has("time") else self.section()
+
     def _shaded(self, frame: int, colour: str | None) -> tuple[Frame, Scene, Colouring]:
         from multicell.report.plots.colouring import colouring
 

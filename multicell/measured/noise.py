@@ -21,7 +21,7 @@ where one of the values is not above its s. A mean would be that of the few time
 differ much, such as when their cores begin.
 
 Where all specimens have a value of 0, they do not scatter, and yet the mean is not known to any
-precision: its deviation is no less than the error of one zero (:mod:`multicell.calibration.data`).
+precision: its deviation is no less than the error of one zero (:mod:`multicell.measured.data`).
 That does not fall with n, as no number of specimens shows a core that is smaller than a cell. A
 stated standard deviation of measuring is a lower bound as well, over √n.
 """
@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from multicell.errors import DataError
 
 if TYPE_CHECKING:
-    from multicell.calibration.data import Datum
+    from multicell.measured.data import Datum
 
 Array = NDArray[np.float64]
 SPECIMEN_PRIOR: Final = 1.0

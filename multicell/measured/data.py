@@ -31,7 +31,7 @@ many tissues as there are rows. Tissues of different times are taken to be the s
 scatter is correlated over time as that of runs is. Where others were measured each time, a standard
 error of the mean says so, as it counts as independent; or a column ``specimen``: rows of one name
 are the same specimen, each row without a name is another one (``specimens="single"``: all are).
-Then the scatter of specimens is what the rows show (:mod:`multicell.calibration.noise`). The
+Then the scatter of specimens is what the rows show (:mod:`multicell.measured.noise`). The
 error of a length of 0, such as a core that has not begun, is the radius of a cell at division where
 the table states it as a part of the value or not at all; over the radius of the tissue where it is
 a part of that. Lines that begin with ``#`` are remarks. What a datum is compared with, and in
@@ -46,20 +46,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, final
 
-from multicell.calibration.columns import (
-    MAX_DATA_BYTES,
-    NUMBER_KINDS,
-    DataColumn,
-    columns_of,
-    depth_fields,
-)
-from multicell.calibration.noise import group
 from multicell.errors import DataError, SceneError
+from multicell.measured.columns import ERRORS, NUMBER_KINDS, DataColumn, columns_of, depth_fields
+from multicell.measured.noise import group
+from multicell.measured.observables import at_the_end, in_history, suggest
+from multicell.measured.table import read_measurements
 from multicell.results.observable import represented
 from multicell.scene.scene import Scene
 from multicell.schema import chosen, leaves
-from multicell.studies.readings import at_the_end, in_history, suggest
-from multicell.tables.columns import Table, read_table
+from multicell.tables.columns import Table
 
 ASSUMED: Final = 0.1
 """Relative standard deviation of data that come without one, unless another one is given."""
@@ -185,7 +180,7 @@ def read_data(
     """
     if not (isinstance(sd, int | float) and 0.0 < sd < math.inf):
         raise DataError("sd", f"is {sd!r}, must be a relative standard deviation above 0")
-    table = source if isinstance(source, Table) else read_table(source, MAX_DATA_BYTES)
+    table = read_measurements(source)
     chosen(specimens, SPECIMENS, "specimens")
     columns = columns_of(table, scene)
     rows = _Rows(table, columns, scene, float(sd), single=specimens == "single")
@@ -270,13 +265,16 @@ class _Rows:
 
     def _numbers(self, row: int) -> dict[tuple[str, str], float]:
         """Return the numbers of a row in base units by kind and name of their columns."""
-        return {
+        fields = list(enumerate(zip(self._columns, self._table.rows[row], strict=True)))
+        found = {
             _key(column): column.number(text, self._where(row, place))
-            for place, (column, text) in enumerate(
-                zip(self._columns, self._table.rows[row], strict=True)
-            )
+            for place, (column, text) in fields
             if text and column.kind in NUMBER_KINDS
         }
+        for key, value in [(k, found.get(("value", k[1]))) for k in found if k[0] in ERRORS]:
+            column = next(c for c in self._columns if _key(c) == key)
+            found[key] = column.error_of(found[key], value or 0.0)
+        return found
 
     def _datum(
         self, row: int, column: DataColumn, numbers: Mapping[tuple[str, str], float], where: str,

@@ -4,31 +4,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
+import numpy as np
+
 from multicell.errors import DataError, SceneError
-from multicell.scene.oxygen import concentration
-from multicell.scene.scene import Scene
-from multicell.schema import specs
-from multicell.studies.readings import (
+from multicell.measured.observables import (
     at_the_end,
     in_history,
     is_known_elsewhere,
     may_be_negative,
     suggest,
 )
+from multicell.scene.oxygen import concentration
+from multicell.scene.scene import Scene
+from multicell.schema import specs
 from multicell.tables.columns import Table
+from multicell.tables.mapping import equal_radius
 from multicell.tables.titles import split_title
 from multicell.units import PERCENT, to_base, unit_factor
 
-_ERRORS: Final = ("sd", "sem")
-NUMBER_KINDS: Final = ("time", "start", "depth", "value", *_ERRORS, "n")
+ERRORS: Final = ("sd", "sem")
+"""Kinds of columns that hold errors."""
+NUMBER_KINDS: Final = ("time", "start", "depth", "value", *ERRORS, "n")
 """Kinds of columns that hold numbers."""
-MAX_DATA_BYTES: Final = 10_000_000  # of a file of measured data
 _NO_CONDITIONS: Final = ("title", "seed")
+_ROW: Final = ("time", "start", "depth", "label", "specimen")
 _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 """Units of times by titles without one."""
+_WORDS: Final = {
+    "std": "sd", "stdev": "sd", "std dev": "sd", "stddev": "sd", "standard deviation": "sd",
+    "se": "sem", "std err": "sem", "stderr": "sem", "standard error": "sem",
+}  # fmt: skip
+"""Other words for errors."""
+_SIZES: Final = ("area", "volume")
+"""Titles of what says a diameter: that of the disc or ball of this size."""
 
 
 @final
@@ -43,6 +54,7 @@ class DataColumn:
     - ``base``: base unit of the numbers
     - ``title``: as it stands in the header
     - ``factor``: mM that a unit of gas is, of a field measured as one; else 0
+    - ``power``: 2 or 3 where an area or a volume is measured in place of a length, else 1
     """
 
     kind: str
@@ -51,28 +63,49 @@ class DataColumn:
     base: str
     title: str
     factor: float = 0.0
+    power: int = 1
 
     @property
     def relative(self) -> bool:
         """Whether it holds errors as parts of the values."""
-        return self.kind in _ERRORS and self.unit in PERCENT
+        return self.kind in ERRORS and self.unit in PERCENT
 
     def number(self, text: str, place: str) -> float:
         """Return a field as a number of base units; raises DataError if it is none."""
         number = finite_entry(text, place)
-        if self.kind in _ERRORS and not number > 0.0:
+        if self.kind in ERRORS and not number > 0.0:
             hint = "Leave it empty where it is unknown."
             raise DataError(place, f"is {text}, must be above 0", hint)
         if self.kind == "n" and (number < 1.0 or number != int(number)):
             raise DataError(place, f"is {text}, must be a whole number of at least 1")
         if self.relative:
-            return number / 100.0
+            return number / 100.0 / self.power
         signed = self.kind in ("time", "depth") or may_be_negative(self.name)
         if number < 0.0 and not signed:
             raise DataError(place, f"is {text}, must not be negative")
         if self.factor or not self.base:
             return number * (self.factor or 1.0)
+        if self.power > 1:
+            size = _convert(f"{number!r} {self.unit}", f"um^{self.power}", place)
+            return size if self.kind in ERRORS else self._length(size)
         return _convert(f"{number!r} {self.unit}", self.base, place)
+
+    def _length(self, size: float) -> float:
+        """Return the length, µm, of the disc or ball of a size."""
+        radius = float(equal_radius(np.array(size), self.power))
+        return 2.0 * radius if self.name.endswith("diameter") else radius
+
+    def error_of(self, error: float, value: float) -> float:
+        """Return the error of a length from that of the area or volume that was measured.
+
+        - ``error``: of the size, µm² or µm³
+        - ``value``: the length, µm
+        """
+        if self.power == 1 or self.relative or value == 0.0:
+            return error
+        double = 2.0 if self.name.endswith("diameter") else 1.0
+        radius = value / double
+        return double * error / (2.0 * math.pi * radius * (2.0 * radius if self.power == 3 else 1))
 
     def of_scene(self, text: str) -> Any:
         """Return a field of a condition as :meth:`Scene.with_changes` takes it."""
@@ -121,9 +154,11 @@ def columns_of(table: Table, scene: Scene) -> list[DataColumn]:
         seen[key] = column.title
     values = {column.name for column in columns if column.kind == "value"}
     for column in columns:
-        if column.kind in (*_ERRORS, "n") and column.name not in values:
+        if column.kind in (*ERRORS, "n") and column.name not in values:
             problem = f"has no column '{column.name}' beside it"
             raise DataError(f"{table.name}, '{column.title}'", problem)
+    power = {column.name: column.power for column in columns if column.kind == "value"}
+    columns = [replace(c, power=power[c.name]) if c.relative else c for c in columns]
     if not values:
         hint = f"Observables of the scene: {', '.join(in_history(scene))}."
         raise DataError(table.name, "has no column of measured values", hint)
@@ -134,6 +169,7 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[DataColumn]) 
     """Return the column of one title; ``before``: those to its left."""
     place = f"{table}, '{title}'"
     name, unit = split_title(title)
+    name = _known_name(name, scene)
     if not name:
         raise DataError(place, "is a column without a name")
     if title.endswith("/"):
@@ -144,14 +180,14 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[DataColumn]) 
         return DataColumn("time", "time", _TIMES[title.lower()], "s", title)
     if name in ("label", "specimen"):
         return _with_unit(name, name, unit, "", title, place)
-    if name in (*_ERRORS, "n"):  # of the values to its left, in their unit
+    if name in (*ERRORS, "n"):  # of the values to its left, in their unit
         last = before[-1] if before else None
-        if last is None or last.kind not in ("value", *_ERRORS, "n"):
+        if last is None or last.kind not in ("value", *ERRORS, "n"):
             raise DataError(place, "has no column of values to its left")
         name = f"{last.name} {name}"
         unit = unit or ("" if name.endswith(" n") else last.unit)
     stem, _, kind = name.rpartition(" ")
-    if stem and kind in (*_ERRORS, "n"):
+    if stem and kind in (*ERRORS, "n"):
         base = "" if kind == "n" else _unit_of(stem, scene, place)
         if kind != "n" and unit in PERCENT:
             return DataColumn(kind, stem, unit, base, title)
@@ -161,6 +197,22 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[DataColumn]) 
             raise DataError(place, f"'{name}' is no condition that tissue can be under")
         return DataColumn("condition", name, unit, "", title)
     return _measured("value", name, unit, _unit_of(name, scene, place), title, place, scene)
+
+
+def _known_name(name: str, scene: Scene) -> str:
+    """Return a name as it is known: in small letters, without blanks, in multicell's words."""
+    known = depth_fields(scene) | in_history(scene) | at_the_end(scene)
+    if name in known or _is_key(name, scene):
+        return name
+    plain = " ".join(name.lower().replace(".", "").split()) if "." not in name else name
+    if plain in _WORDS or plain in (*ERRORS, "n", *_ROW):
+        return _WORDS.get(plain, plain)
+    stem, kind = plain, ""
+    for word in (*_WORDS, *ERRORS, "n"):
+        if plain.endswith(f" {word}"):
+            stem, kind = plain.removesuffix(f" {word}"), f" {_WORDS.get(word, word)}"
+    stem = "diameter" if stem in _SIZES else stem.replace(" ", "_")
+    return f"{stem}{kind}" if stem in known else name
 
 
 def _measured(
@@ -207,6 +259,10 @@ def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: st
         raise DataError(place, "has no unit", f"Write '{stem} / {'h' if base == 's' else base}'.")
     if unit and not base:
         raise DataError(place, f"has the unit '{unit}', must have none", f"Write '{stem}'.")
+    if base == "um" and kind in ("value", *ERRORS) and name.endswith(("radius", "diameter")):
+        for power in (2, 3):
+            if unit_factor(unit, f"um^{power}") is not None:
+                return DataColumn(kind, name, unit, base, title, power=power)
     if base and unit_factor(unit, base) is None:
         _convert(f"1 {unit}", base, place)
         raise DataError(place, f"has the unit '{unit}', must be a single one")
