@@ -191,6 +191,11 @@ class Nutrient:
     necrosis_above: float | None = _level_above_zero(
         default=None, doc="above: necrotic; absent: never"
     )
+    hypoxia: float | None = _level_above_zero(
+        default=None,
+        doc="below: cells count as hypoxic in hypoxic_radius; absent: 10 mmHg for oxygen, else "
+        "never",
+    )
     regime: str = choice(
         ["auto", "steady", "transient"],
         default="auto",
