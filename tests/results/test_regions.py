@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from synthetic import BARE, cells_at
 
+import multicell as mc
 from multicell.cells import Phase, State
 from multicell.results import observables
 from multicell.results.frame import Frame
@@ -156,3 +157,23 @@ def test_cells_that_rest_here_and_there_inhibit_nothing(part):
         random = np.random.default_rng(1000 + seed)
         state = np.where(random.random(2000) < part, State.NECROTIC, State.PROLIFERATING)
         assert inhibited(position, random.random(2000) < 0.5, state) == 0.0
+
+
+ARREST = {
+    "oxygen": {"nutrients.oxygen": {"boundary": "0.001 mM", "quiescence": "0.01 mM", "uptake": 0}},
+    "crowding": {"growth.critical_pressure": 1e-6},
+}
+
+
+@pytest.mark.parametrize("cause", ARREST)
+def test_a_tissue_that_comes_to_rest_is_inhibited_as_a_whole(cause):
+    """Cells that were in S, G2 or M divide first; the others stay where they are in G1, or in G0."""
+    phases = {"G1": {"duration": "9 h"}, "S": {"duration": "8 h"}, "G2": {"duration": "4 h"},
+              "M": {"duration": "1 h"}}  # fmt: skip
+    scene = mc.Scene.from_dict(
+        {"duration": "16 h", "coupling_step": "30 min", "initial": {"count": 60, "spacing": 0.8},
+         "contact": {"law": "hertz"}, "drag": {"viscosity": 1e6}, "growth": {"phases": phases}}
+    ).with_changes(ARREST[cause])  # fmt: skip
+    history = mc.run(scene, report=False).history
+    assert history["inhibited_radius"][-1] == history["radius"][-1]
+    assert history["quiescent"][-1] == (history["cells"][-1] if cause == "oxygen" else 0)
