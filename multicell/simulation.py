@@ -9,7 +9,6 @@ consistent: its concentrations are those of its own cells.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast, final
 
@@ -181,11 +180,14 @@ class Simulation(RunState):
         Raises
         ------
         StepFailed
-            If positions or a field cannot be solved for. After this and any other exception
-            the state is that of the step's beginning.
+            If the run is at its end, or positions or a field cannot be solved for. After this and
+            any other exception the state is that of the step's beginning.
         KeyboardInterrupt
             At the end of the step, after Ctrl-C; a second one ends it at once.
         """
+        if self.time >= self.scene.duration:
+            hint = "Resume the run with a longer duration to continue it."
+            raise StepFailed(self.time, "the run has reached its duration", hint)
         with STEP:
             before = self.snapshot()
             try:
@@ -232,10 +234,11 @@ class Simulation(RunState):
         if (
             self.plan.growth_follows_state
             or len(known) != len(surroundings)
-            or any(map(operator.is_not, known, surroundings))
+            or not all(map(np.array_equal, known, surroundings))
         ):
             factor = growth_factor(self.plan, self.signals, cells.pressure, cells)
-            self._known_factor = surroundings, factor
+            # copies: who has written into the cells finds that it acts
+            self._known_factor = tuple(x.copy() for x in surroundings), factor
         return factor
 
     def history_row(self) -> dict[str, float]:

@@ -167,7 +167,7 @@ ARREST = {
 
 @pytest.mark.parametrize("cause", ARREST)
 def test_a_tissue_that_comes_to_rest_is_inhibited_as_a_whole(cause):
-    """Cells that were in S, G2 or M divide first; the others stay where they are in G1, or in G0."""
+    """Cells that were in S, G2 or M divide first; the others stay in G1, or in G0."""
     phases = {"G1": {"duration": "9 h"}, "S": {"duration": "8 h"}, "G2": {"duration": "4 h"},
               "M": {"duration": "1 h"}}  # fmt: skip
     scene = mc.Scene.from_dict(
