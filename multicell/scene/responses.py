@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.behaviours.catalogue import (
     COMBINE,
     CONTACTS,
+    PHASE,
     SIGNALS,
     Behaviour,
     behaviour_named,
@@ -378,6 +379,14 @@ def check_signal(scene: Scene, name: str, path: str) -> None:
         raise SceneError(
             path, "is 'ATP', but the scene has no energy", "[energy] says who makes it."
         )
+    phase = name.removeprefix(PHASE)
+    if name.startswith(PHASE):
+        if scene.growth is None or not scene.growth.phases:
+            hint = "Give the scene [growth.phases]."
+            raise SceneError(path, f"is {name!r}, but the cells have no phases", hint)
+        if phase not in Phase.__members__:
+            problem = f"is {name!r}, but {phase!r} is no phase"
+            raise SceneError(path, problem, near_miss(phase, Phase.__members__))
     kind = name.removeprefix(CONTACTS)
     if name.startswith(CONTACTS) and kind not in scene.types:
         problem = f"is {name!r}, but {kind!r} is no type of this scene"
