@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.biology import driven
 from multicell.biology.division import change_types, changing, mutate_as_found
@@ -118,7 +119,7 @@ class Simulation(RunState):
             fields=fields_of(scene, reactions, thread_count(threads), plan),
             lineage=lineage,
         )
-        self._known_factor: tuple[tuple[Any, ...], FloatArray] = ((), np.empty(0))
+        self._known_factor: tuple[list[NDArray[Any]], FloatArray] = ([], np.empty(0))
         if frame is None:
             table = scene.initial.cells
             given = cells is not None or (table is not None and "state" in table.given.columns)
@@ -229,16 +230,17 @@ class Simulation(RunState):
         """Return how fast cells would grow where they are now, (n,)."""
         # that of a step's end is that of the next one's beginning
         cells = self.cells
-        surroundings = (cells.pressure, cells.kind, *self.concentrations.values())
+        surroundings: list[NDArray[Any]] = [cells.pressure, cells.kind]
+        surroundings += self.concentrations.values()
         known, factor = self._known_factor
         if (
             self.plan.growth_follows_state
             or len(known) != len(surroundings)
-            or not all(map(np.array_equal, known, surroundings))
+            or any(not np.array_equal(a, b) for a, b in zip(known, surroundings, strict=True))
         ):
             factor = growth_factor(self.plan, self.signals, cells.pressure, cells)
-            # copies: who has written into the cells finds that it acts
-            self._known_factor = tuple(x.copy() for x in surroundings), factor
+            # copies: what somebody writes into the cells acts
+            self._known_factor = [x.copy() for x in surroundings], factor
         return factor
 
     def history_row(self) -> dict[str, float]:

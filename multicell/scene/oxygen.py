@@ -15,8 +15,8 @@ from multicell.units import PERCENT, oxygen_solubility, shown, to_base, vapour_p
 NAME: Final = "oxygen"
 """The field whose concentrations may be written as partial pressures."""
 
-HYPOXIA: Final = 10.0 * 101.325 / 760.0
-"""10 mmHg in kPa, below which pimonidazole marks cells."""
+HYPOXIA: Final = to_base("10 mmHg", "kPa", "hypoxia")
+"""In kPa, below which pimonidazole marks cells."""
 
 _BODY: Final = next(f.default for f in fields(Nutrient) if f.name == "temperature")
 _LEVELS: Final = [name for name, spec in specs(Nutrient).items() if spec.unit == "mM"]
