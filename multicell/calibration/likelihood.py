@@ -37,10 +37,10 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg import eigh
 
-from multicell.calibration.emulator import FEW, PARTICLES, Emulator, best_of, draws
+from multicell.calibration.emulator import ENOUGH_DRAWS, PARTICLES, Emulator, best_of, draws
 from multicell.calibration.noise import Array, Noise, shrink
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import Problem, misfit
+from multicell.calibration.problem import FitProblem, misfit
 from multicell.calibration.search import Evaluation, Search
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
@@ -52,7 +52,7 @@ _EXACT: Final = 1e6  # degrees of freedom that stand for a variance that is know
 @final
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """What fresh runs at one point show, in σ of the data.
+    """Residuals of fresh runs at one point, in σ of the data.
 
     - ``mean``, (n,): of (reading - datum) / σ
     - ``variance``, (n,): of one run
@@ -155,7 +155,7 @@ def likelihood(
 
 def _student(working: Likelihood, noise: Noise, known: Array, away: Array) -> Likelihood:
     """Return a likelihood whose covariance counts as estimated where the parameters move data."""
-    shares, count = working.draws(FEW), len(away)
+    shares, count = working.draws(ENOUGH_DRAWS), len(away)
     white = working.predict(shares)[0] @ working.whitening.T
     _, sizes, vectors = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)
     most = min(shares.shape[1], count - 3)
@@ -198,7 +198,7 @@ _CHANCE: Final = 0.01  # chance at which a check finds an error at a datum that 
 @final
 @dataclass(frozen=True, eq=False)
 class Checks:
-    """What runs at draws from the intervals say of the emulator, in σ of the data, (n,) each.
+    """Checks of the emulator by runs at draws from the intervals, in σ of the data, (n,) each.
 
     - ``found``: root mean square of run less emulator
     - ``expected``: what scatter of runs and the emulator's own error explain of it
@@ -213,7 +213,7 @@ class Checks:
 @final
 @dataclass(frozen=True, eq=False)
 class Fresh:
-    """What fresh runs have shown.
+    """Fresh runs at the best point, summarised.
 
     - ``shares``, (d,): the best point
     - ``runs``, (R, n): readings there, on the scales of the data; NaN where a run has nothing
@@ -253,7 +253,7 @@ def _again(
     return search.extra(pool, [(shares.tolist(), seed) for seed in seeds], note)
 
 
-def _is_worse(problem: Problem, shares: Array, runs: Array, ran: Evaluation) -> bool:
+def _is_worse(problem: FitProblem, shares: Array, runs: Array, ran: Evaluation) -> bool:
     """Return whether runs at a point fit worse than the best of a search did, beyond scatter."""
     there = misfit(problem.observed, problem.sigma, runs, None, problem.noise)
     before, here = problem.prior.loss(np.stack([ran.shares, shares]))
@@ -264,7 +264,7 @@ def _is_worse(problem: Problem, shares: Array, runs: Array, ran: Evaluation) -> 
 
 
 def fresh(
-    problem: Problem,
+    problem: FitProblem,
     search: Search,
     pool: Pool,
     count: int = DEFAULT_REPEATS,
@@ -281,7 +281,7 @@ def fresh(
     ran = min(search.evaluations(), key=lambda e: e.loss)
     best = ran.shares
     if emulator is not None:  # no single lucky run decides it
-        likely = draws(emulator.loss, problem.prior, seed=0, count=FEW)
+        likely = draws(emulator.loss, problem.prior, seed=0, count=ENOUGH_DRAWS)
         best = best_of(emulator.loss, problem.prior, likely)
     first = max(problem.seeds) + 1
     seeds = [first + k for k in range(count)]
@@ -309,7 +309,7 @@ def fresh(
     if emulator is None:
         return Fresh(best, runs, tuple(reasons), scatter, None, None, worse)
     found = likelihood(emulator, problem.noise, best, scatter)
-    likely = found.draws(FEW)
+    likely = found.draws(ENOUGH_DRAWS)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
     points = [(x.tolist(), first + MAX_REPEATS + k) for k, x in enumerate(chosen)]
     runs_there, more = search.extra(pool, points, progress)
@@ -321,7 +321,7 @@ def fresh(
 
 
 def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:
-    """Return what runs say of an emulator, and the variance that is missing in its error."""
+    """Check an emulator by runs; return the checks, and the variance missing in its error."""
     from scipy import stats
 
     known = np.isfinite(away).sum(axis=0)

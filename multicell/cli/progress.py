@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.studies.engine import Outcome
-    from multicell.studies.runs import Run
+    from multicell.studies.engine import RunOutcome
+    from multicell.studies.runs import StudyRun
     from multicell.studies.study import Study
 
 
@@ -45,7 +45,7 @@ def display(
     lines: int = 20,
     show: bool = True,
 ) -> Iterator[Callable[..., None] | None]:
-    """Yield what is called with whatever ``share`` takes, or None if nothing shall be shown.
+    """Yield a callback with the arguments of ``share``, or None if nothing shall be shown.
 
     - ``words``: returns what stands beside the bar, or in a line: what matters most comes first,
       and what finds no room in a line of the terminal is cut off
@@ -125,7 +125,7 @@ def on_stderr() -> Console:
     return Console(file=stream, highlight=False, force_terminal=False if notebook else None)
 
 
-def status(simulation: Any, wall: float, left: float | None = None) -> list[str]:
+def progress_line(simulation: Any, wall: float, left: float | None = None) -> list[str]:
     """Return time, time left, cells, speed and step in words, ``wall`` s after the start."""
     speed = simulation.time / 3600.0 / wall if wall > 0.0 else 0.0
     unit, size = time_unit(simulation.scene.duration)
@@ -195,7 +195,7 @@ class _Clock:
         now = time.perf_counter()
         if self._simulation is None:
             return ["preparing"]
-        known = status(self._simulation, now - self._start, self._left)
+        known = progress_line(self._simulation, now - self._start, self._left)
         long = now - self._last
         return [*known, f"the next for {time_text(long, 2)}"] if long > _SLOW else known
 
@@ -225,7 +225,7 @@ class Pace:
     - ``now``: of the clock, s
     """
 
-    def __init__(self, runs: Sequence[Run], cores: int | None, now: float) -> None:
+    def __init__(self, runs: Sequence[StudyRun], cores: int | None, now: float) -> None:
         self.expected = {run.name: run.expected for run in runs}
         self.left = dict(self.expected)
         self.total = len(self.expected)
@@ -241,7 +241,7 @@ class Pace:
         whole = sum(self.expected.values())
         return 1.0 - sum(self.left.values()) / whole if self.left and whole > 0.0 else 1.0
 
-    def note(self, outcome: Outcome, now: float) -> None:
+    def note(self, outcome: RunOutcome, now: float) -> None:
         """Note that a run has ended."""
         foreseen = self.left.pop(outcome.name, 0.0)
         self.failed += outcome.state != "done"
@@ -270,11 +270,11 @@ class Pace:
 
 def study_reporter(
     study: Study, cores: int | None, *, show: bool = True
-) -> AbstractContextManager[Callable[[Outcome], None] | None]:
+) -> AbstractContextManager[Callable[[RunOutcome], None] | None]:
     """Return a context with what is called with every outcome."""
     pace = Pace(study.runs, cores, time.perf_counter())
 
-    def note(outcome: Outcome) -> float | None:
+    def note(outcome: RunOutcome) -> float | None:
         pace.note(outcome, time.perf_counter())
         return None if outcome.reused else pace.share
 

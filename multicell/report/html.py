@@ -93,9 +93,9 @@ def _environment() -> Environment:
 
 
 def _inline(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
-    from multicell.report.plots.style import inline_picture, save
+    from multicell.report.plots.style import inline_picture, save_figure
 
-    save(figure, path)
+    save_figure(figure, path)
     return {"caption": caption, "shown": inline_picture(figure)}
 
 

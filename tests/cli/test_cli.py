@@ -242,9 +242,9 @@ def moment(time, cells=120, step=3):
 
 
 def test_status_tells_time_cells_step_and_speed():
-    text = progress.status(moment(7200.0, cells=1204), wall=4.0)
+    text = progress.progress_line(moment(7200.0, cells=1204), wall=4.0)
     assert text == ["2.00 of 10 h", "1,204 cells", "0.5 h simulated per s", "step 3"]
-    text = progress.status(moment(7200.0, cells=1204), wall=4.0, left=192.0)
+    text = progress.progress_line(moment(7200.0, cells=1204), wall=4.0, left=192.0)
     assert text[1] == "3.2 min left"
 
 

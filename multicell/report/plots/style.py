@@ -1,4 +1,4 @@
-"""What the pictures have in common: style, colours, headings."""
+"""Style of all pictures: layout, colours, headings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from multicell.scene.scene import Scene
 
 History = Mapping[str, NDArray[np.float64]]  # columns of a run's history by name, (m,) each
 
-COLOURS: Final = {
+STATE_COLOURS: Final = {
     "proliferating": "#2a9d6a",
     "quiescent": "#f2b63c",
     "necrotic": "#4b3a5e",
@@ -156,21 +156,23 @@ def headed(scene: Scene, subtitle: str) -> Figure:
     return blank(scene.title or "Untitled run", subtitle)
 
 
-PICTURES: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+PICTURE_FORMATS: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 """Formats of pictures by the endings of their files."""
 
 
-def save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, as its file's name ends."""
-    format = PICTURES.get(path.suffix.lower())
+    format = PICTURE_FORMATS.get(path.suffix.lower())
     if format is None:
-        raise OutputError(f"'{path}' is no picture: its name must end in {', '.join(PICTURES)}")
+        raise OutputError(
+            f"'{path}' is no picture: its name must end in {', '.join(PICTURE_FORMATS)}"
+        )
     # drawn in memory: a picture is either complete or not there
     write_bytes(path, render(figure, format))
 
 
 def render(figure: Figure, format: str) -> bytes:
-    """Return a figure as a file of a format of ``PICTURES``; the same figure is the same file."""
+    """Render a figure in one of ``PICTURE_FORMATS``; the same figure is the same file."""
     picture = io.BytesIO()
     by = {"pdf": "Creator", "svg": "Creator", "png": "Software"}[format]
     metadata: dict[str, Any] = {by: "multicell"}
