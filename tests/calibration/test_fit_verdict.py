@@ -8,7 +8,7 @@ from cheap_fits import SCENE, Growing, fitted, growing, linear, measured
 
 from multicell.calibration.fit_plan import FitPlan, make_runs
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import Problem
+from multicell.calibration.problem import FitProblem
 from multicell.calibration.simulator import Reading
 from multicell.studies.axes import Range
 
@@ -42,7 +42,7 @@ def jumping(seed):
     rng = np.random.default_rng(1000 + seed)
     truth = simulator(rng.random(2), 0, 0).values
     ranges = tuple(Range(f"toy.p{k}", 0.0, 1.0, "", False, f"p{k}", False) for k in range(2))
-    return Problem(measured(truth + rng.normal(size=6), 1.0), ranges, simulator, (1,))
+    return FitProblem(measured(truth + rng.normal(size=6), 1.0), ranges, simulator, (1,))
 
 
 def least(found):
