@@ -49,6 +49,7 @@ def setup(**changes: Any) -> mc.Scene:
         "quiescent_uptake": 1.0,
         "half_saturation": "1e-5 mM",
         "quiescence": THRESHOLD,
+        "hypoxia": THRESHOLD,
         "geometry": "radial",
         "spacing": "2 um",
     }

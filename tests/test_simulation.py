@@ -11,6 +11,7 @@ from running import finished
 import multicell as mc
 from multicell import Simulation
 from multicell.biology.initial import initial_cells
+from multicell.errors import StepFailed
 
 SMALL = {
     "duration": "30 h",
@@ -174,3 +175,28 @@ def test_a_step_that_cannot_be_solved_names_cell_time_and_remedy():
     assert caught.value.cell in before.id
     assert simulation.cells is before
     assert simulation.step_index == 0
+
+
+def test_no_step_begins_at_the_end_of_a_run():
+    simulation = Simulation(mc.Scene.from_dict({"duration": "10 min", "coupling_step": "5 min"}))
+    simulation.step()
+    simulation.step()
+    before = simulation.cells
+    with pytest.raises(StepFailed, match="has reached its duration"):
+        simulation.step()
+    assert (simulation.time, simulation.step_index) == (600.0, 2)
+    assert simulation.cells is before
+
+
+def test_what_is_written_into_the_cells_acts_in_the_next_step():
+    """The pressure that stops growth, written in place; the factor of the last step is not kept."""
+    simulation = Simulation(
+        mc.Scene.from_dict({"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 8},
+                            "growth": {"critical_pressure": 0.1}})
+    )  # fmt: skip
+    simulation.step()
+    simulation.history_row()
+    simulation.cells.pressure[:] = 1.0
+    before = simulation.cells.volume.copy()
+    simulation.step()
+    assert np.array_equal(simulation.cells.volume, before)

@@ -107,6 +107,10 @@ CONTACTS: Final = "contacts with "
 """Signals that begin so count the neighbours of a type."""
 
 
+PHASE: Final = "phase "
+"""Signals that begin so are 1 for cells in a phase of the cycle, and 0 for others."""
+
+
 def behaviour_named(name: str, path: str) -> tuple[Behaviour, str]:
     """Return a behaviour and the name of the field, type or phase that it concerns, if any."""
     name = _ALSO.get(name, name)
@@ -129,11 +133,11 @@ def signal_unit(name: str, fields: Iterable[str], path: str) -> str:
     """Return the base unit of a signal; its caller checks the types of counted contacts."""
     if name in SIGNALS:
         return SIGNALS[name]
-    if name.startswith(CONTACTS):
+    if name.startswith((CONTACTS, PHASE)):
         return ""
     if name in fields:
         return "mM"
-    known = [*fields, *SIGNALS, f"{CONTACTS}TYPE"]
+    known = [*fields, *SIGNALS, f"{CONTACTS}TYPE", f"{PHASE}NAME"]
     raise SceneError(path, f"is {name!r}, which is no signal here", near_miss(name, known))
 
 

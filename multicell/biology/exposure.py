@@ -132,6 +132,11 @@ class Exposure:
             total = total + value * (share * self.length)
         return np.asarray(total).T
 
+    def pieces(self, known: Known, rate: Rate) -> Iterator[tuple[Any, Any, Any]]:
+        """Yield begin and end, in parts of the step, of pieces, and the finite rate in each."""
+        for low, high in self._parts(known):
+            yield low, high, rate(*self._at(0.5 * (low + high), known))
+
     def at(self, part: Any, known: Known, rate: Rate) -> Any:
         """Return a rate or chance at a part of the step, that of each cell or one for all."""
         return rate(*self._at(part, known))

@@ -31,7 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.behaviours.catalogue import CONTACTS, FULL_CROWDING, needs_contacts
+from multicell.behaviours.catalogue import CONTACTS, FULL_CROWDING, PHASE, needs_contacts
+from multicell.cells import Phase
 from multicell.random import Purpose
 from multicell.results.observables import contact_rows
 from multicell.scene.responses import Effect, effects
@@ -306,13 +307,13 @@ def exposed(responses: Mapping[str, Known]) -> frozenset[str]:
 
 
 def missing_signals(responses: Mapping[str, tuple[BoundResponse, ...]]) -> frozenset[str]:
-    """Return the signals that neither fields nor cells carry: time, and what neighbours make."""
+    """Return the signals that neither fields nor cells carry: time, phases, what is counted."""
     named = {name for known in responses.values() for part in known for name in part.needs}
     return frozenset(filter(_is_elsewhere, named))
 
 
 def _is_elsewhere(name: str) -> bool:
-    return name == "time" or needs_contacts(name)
+    return name == "time" or name.startswith(PHASE) or needs_contacts(name)
 
 
 def other_signals(
@@ -327,7 +328,10 @@ def other_signals(
     out = {}
     if "time" in plan.elsewhere:
         out["time"] = np.full(len(cells), time)
-    counted = plan.elsewhere - {"time"}
+    for name in plan.elsewhere:
+        if name.startswith(PHASE):
+            out[name] = (cells.phase == Phase[name.removeprefix(PHASE)]).astype(float)
+    counted = plan.elsewhere - {"time", *out}
     if not counted:
         return out
     pairs = np.concatenate([contact_rows(cells, contacts), _of_newborn(cells)])

@@ -309,6 +309,8 @@ def take_damage(
     """
     before = damage = cells.damage
     known, rate = plan.responses["damage rate"], partial(rate_of, plan, "damage rate")
+    if plan.death is not None and plan.death.repair_rate > 0.0:
+        return _take_and_heal(plan, cells, exposure, columns)
     gained = np.where(cells.dead, 0.0, exposure.integral(known, rate))
     hit = np.flatnonzero(gained)
     if plan.death is not None and plan.death.damage_variation > 0.0 and hit.size:
@@ -325,6 +327,42 @@ def take_damage(
     most = 1.0 - ROUNDING
     left = np.divide(most - before, gained, out=np.zeros(len(cells)), where=gained > 0.0)
     return np.where((damage >= most) & ~cells.dead, np.maximum(left, 0.0), np.inf)
+
+
+def _take_and_heal(
+    plan: BiologyPlan, cells: Cells, exposure: Exposure, columns: dict[str, FloatArray]
+) -> FloatArray:
+    """Do the same where damage heals: dD/dt = k/θ - ρ D with the repair rate ρ.
+
+    In each piece of the step k is one number, and the equation is solved in closed form.
+    """
+    assert plan.death is not None
+    repair, damage, most = plan.death.repair_rate, cells.damage.copy(), 1.0 - ROUNDING
+    born, tolerance = np.zeros(len(cells)), np.ones(len(cells))
+    mothers = tolerance
+    if plan.death.damage_variation > 0.0:
+        newborn = exposure.began.id[exposure.row] != cells.id
+        born[newborn] = 1.0 - cells.age[newborn] / exposure.length
+        tolerance = _tolerance(plan, cells.id)
+        mothers = np.where(newborn, _tolerance(plan, np.maximum(cells.parent, 0)), tolerance)
+    first = np.full(len(cells), np.inf)
+    known, rate = plan.responses["damage rate"], partial(rate_of, plan, "damage rate")
+    for begin, end, taken in exposure.pieces(known, rate):
+        turn = np.clip(born, begin, end)
+        for low, high, bears in ((begin, turn, mothers), (turn, end, tolerance)):
+            limit = taken / (bears * repair)  # where taking and healing are in balance
+            left = limit + (damage - limit) * np.exp(-repair * (high - low) * exposure.length)
+            passes = np.isinf(first) & (left >= most) & (high > low)
+            # limit > most >= damage, but for cells that were beyond it before
+            away = np.where(passes & (damage < most), (limit - damage) / (limit - most), 1.0)
+            since = np.log(away) / (repair * exposure.length)
+            first = np.where(passes, np.minimum(low + since, high), first)
+            damage = left
+    first[cells.dead] = np.inf
+    damage = np.where(np.isfinite(first), 1.0, np.where(cells.dead, cells.damage, damage))
+    if not np.array_equal(damage, cells.damage):
+        columns["damage"] = damage
+    return first
 
 
 def _tolerance(plan: BiologyPlan, ids: IntArray) -> FloatArray:

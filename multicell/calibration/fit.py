@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell.calibration.fit_plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitted import Fit
-from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
+from multicell.calibration.likelihood import (
+    CHECKS,
+    DEFAULT_REPEATS,
+    MAX_REPEATS,
+    MIN_REPEATS,
+    most_fresh,
+)
 from multicell.calibration.pool import open_pool
 from multicell.calibration.problem import FitProblem, free_of
 from multicell.calibration.simulator import SceneSimulator
@@ -68,7 +74,8 @@ def fit(
         Runs with fresh random numbers at the best point, from which the intervals of a search have
         the scatter of runs; 8 to 16 are sensible.
     budget
-        Number of runs in all; by default as many as the number of free parameters asks for.
+        Number of runs in all; by default as many as the number of free parameters asks for, and
+        up to half of them again where the result contradicts itself.
     sd
         Relative standard deviation of data that come without one.
     specimens
@@ -142,8 +149,9 @@ def plan_fit(
     simulator = simulator or SceneSimulator.of(measured, ranges)
     numbers = tuple(range(scene.seed, scene.seed + seeds))
     problem = FitProblem(measured, ranges, simulator, numbers, prior)
-    points = _points(problem, budget, repeats + CHECKS)
-    return FitPlan(problem, scene, table, points, sd, repeats, specimens)
+    points = _points(problem, budget, most_fresh(repeats) + CHECKS)
+    extra = points // 2 if budget is None else 0
+    return FitPlan(problem, scene, table, points, sd, repeats, specimens, extra)
 
 
 def _points(problem: FitProblem, budget: int | None, fresh: int) -> int:

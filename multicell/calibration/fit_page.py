@@ -19,6 +19,10 @@ _DATA: Final = (
     "Data with their standard deviations, the best runs (lines) and the band that the posterior "
     "gives: what 95 % of tissues would show."
 )
+_DEVIATIONS: Final = (
+    "Residual of each datum in standard deviations, positive where the best runs have more. "
+    "Between the dashed lines lie 95 % of them if model and deviations are right."
+)
 _POSTERIOR: Final = (
     "Posterior of the parameters; axes are the ranges searched, or of narrow posteriors a part of "
     "them. Red: best. Dashed: before the data. Dotted: ends of 95 % intervals."
@@ -38,13 +42,15 @@ def write_fit_report(fit: Fit, folder: str | Path | None = None) -> Path:
         subtitle="best point by Optuna and Gaussian processes · data: "
         f"{fit.problem.measured.source}",
         tiles=_tiles(fit),
+        misfit=fit.misfit,
         pictures={
+            **({"deviations.png": (fit.plot.deviations, _DEVIATIONS)} if fit.misfit else {}),
             "data.png": (fit.plot.data, _DATA),
             "parameters.png": (fit.plot.parameters, _POSTERIOR),
         },
         parameters=parameters_in_words(fit),
         undetermined=[str(entry) for entry in fit.undetermined],
-        notes=fit.notes,
+        notes=[note for note in fit.notes if note != fit.misfit],
         emulated=fit.sample is not None,
         rows=_rows(fit),
         checked=_checked(fit),

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 import time as clock
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.calibration.likelihood import CHECKS, fresh
+from multicell.calibration.likelihood import CHECKS, Fresh, fresh, most_fresh
 from multicell.calibration.pool import Pool
 from multicell.calibration.problem import FitProblem
 from multicell.errors import OutputError
@@ -37,6 +38,7 @@ from multicell.tables.text import csv_text, table_text
 
 if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
+    from multicell.calibration.search import Evaluation, Search
     from multicell.scene.scene import Scene
 
 FIT: Final = "fit.json"  # what the folder is a fit of
@@ -44,9 +46,12 @@ SEARCH: Final = "search.log"  # points and readings of the search, and of fresh 
 FIT_FILES: Final = (
     FIT, "scene.toml", "data.csv", SEARCH, "result.json", "best.toml", "posterior.csv",
     "residuals.csv", "runs.csv", "report.html", "data.png", "parameters.png", "profiles.png",
+    "deviations.png",
     *COPIES,
 )  # fmt: skip
 _PACKAGES: Final = ("optuna", "distributed", "pandas", "scikit-learn")
+
+_ROUNDS: Final = 2  # in which further sets of parameters are tried
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how much of it is done and how much is wanted."""
@@ -58,6 +63,7 @@ class FitPlan:
     """A fit that was checked and not begun.
 
     - ``points``: sets of parameters that the search will try
+    - ``extra``: how many more it may try where what it finds contradicts itself
     """
 
     problem: FitProblem
@@ -67,12 +73,20 @@ class FitPlan:
     sd: float
     repeats: int
     specimens: str = "same"
+    extra: int = 0
 
     @property
     def runs(self) -> int:
         """How many runs there will be at most."""
-        searched = self.points * len(self.problem.tasks())
-        return searched + (self.repeats + CHECKS) * len(self.problem.measured.conditions)
+        searched = (self.points + self.extra) * len(self.problem.tasks())
+        rounds = 1 + math.ceil(self.extra / max(1, self.round))
+        each = (most_fresh(self.repeats) + CHECKS) * len(self.problem.measured.conditions)
+        return searched + rounds * each
+
+    @property
+    def round(self) -> int:
+        """How many sets of parameters are tried at once where a result contradicts itself."""
+        return math.ceil(self.extra / _ROUNDS)
 
     def describe(self) -> dict[str, Any]:
         """Return all that decides the numbers of the fit; a fit of anything else is another one."""
@@ -157,15 +171,31 @@ def make_runs(
     facts: Mapping[str, Any] | None = None,
     progress: Progress = lambda what, done, wanted: None,
 ) -> Fit:
-    """Make all runs of a fit that are not there; without facts they are those of these runs."""
-    from multicell.calibration.fitted import Fit
+    """Make all runs of a fit that are not there; without facts they are those of these runs.
+
+    Where the result contradicts itself, and the plan allows more runs, the search continues.
+    """
     from multicell.calibration.search import Search
 
     begin = clock.monotonic()
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
-    evaluations = search.run(pool, plan.points, partial(progress, "runs of the search"))
-    note = partial(progress, "fresh runs")
-    again = fresh(plan.problem, search, pool, plan.repeats, note)
+    points, most = plan.points, plan.points + plan.extra
+    while True:
+        evaluations = search.run(pool, points, partial(progress, "runs of the search"))
+        note = partial(progress, "fresh runs")
+        again = fresh(plan.problem, search, pool, plan.repeats, note)
+        found = _found(plan, folder, facts, search, evaluations, again, clock.monotonic() - begin)
+        if len(evaluations) >= most or not found.contradictions:
+            return found
+        points = min(len(evaluations) + plan.round, most)
+
+
+def _found(
+    plan: FitPlan, folder: Path | None, facts: Mapping[str, Any] | None, search: Search,
+    evaluations: Sequence[Evaluation], again: Fresh, seconds: float,
+) -> Fit:  # fmt: skip
+    from multicell.calibration.fitted import Fit
+
     own = {
         "sd": plan.sd,
         "specimens": plan.specimens,
@@ -173,7 +203,7 @@ def make_runs(
         "repeats": plan.repeats,
         "sets_of_parameters": len(evaluations),
         "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
-        "seconds": clock.monotonic() - begin,
+        "seconds": seconds,
     }
     return Fit(plan.problem, plan.scene, evaluations, folder, facts or own, again, search.readings)
 

@@ -90,6 +90,29 @@ class FitPlots:
         return figure
 
     @styled
+    def deviations(self) -> Figure:
+        """Draw the residual of each datum, each observable in a colour."""
+        fit, found = self._fit, self._fit.best.residuals
+        names = list(dict.fromkeys(datum.observable for datum in fit.problem.measured.data))
+        subtitle = (
+            f"best runs less data, in standard deviations; χ² {fit.best.per_datum:.2g} a datum"
+        )
+        figure = with_heading(_title(fit), subtitle, (10.0, 4.6))
+        axes = figure.subplots()
+        for k, name in enumerate(names):
+            chosen = [d.observable == name for d in fit.problem.measured.data]
+            places, colour = np.flatnonzero(chosen), _COLOURS[k % len(_COLOURS)]
+            axes.vlines(places, 0.0, found[places], color=colour)
+            axes.plot(places, found[places], "o", color=colour, label=words(name))
+        axes.axhline(0.0, color=INK, linewidth=0.8)
+        for limit in (-1.96, 1.96):
+            axes.axhline(limit, color=QUIET, linestyle="--", linewidth=0.8)
+        axes.set(xlabel="datum, in the order of the table", ylabel="residual (sd)")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.legend(loc="best", fontsize=10)
+        return figure
+
+    @styled
     def parameters(self) -> Figure:
         """Draw the posterior: each parameter on the diagonal, pairs below it.
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from multicell.calibration.problem import ABSENT_DEVIATIONS, FitProblem, misfit
 from multicell.calibration.search import Evaluation, Run
 from multicell.calibration.simulator import Reading
 from multicell.calibration.verdict import (
+    EDGE,
     Interval,
     Undetermined,
     intervals,
@@ -40,13 +41,18 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
+UNLIKELY: Final = 1e-3
+"""Probability of a χ² below which a fit reports first that it does not fit."""
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Best:
-    """The best parameters: where the emulator's likelihood is largest.
+    """The best parameters: where the emulator's likelihood is largest, or the best that ran.
 
-    No single lucky run decides it, and the runs that stand for it have seeds that had no part in
-    finding it.
+    The emulator keeps a single lucky run from deciding it. Where runs at its best point fit worse
+    than the best of the search, by more than their scatter explains, that one is taken. The runs
+    that stand for the best have seeds that had no part in finding it.
 
     - ``values``: by key of the scene, in base units
     - ``words``: by key: value and unit for people, ``"15.2 h"``
@@ -209,6 +215,49 @@ class Fit:
         return to_arviz(self)
 
     @cached_property
+    def chance(self) -> float:
+        """Probability of a χ² as large as the best one's, were model and deviations right."""
+        from scipy.stats import chi2
+
+        freedom = max(1, len(self.best.residuals) - len(self.problem.ranges))
+        return float(chi2.sf(self.best.chi_squared, freedom))
+
+    @property
+    def misfit(self) -> str:
+        """In words that the scene does not fit the data, and which; empty if it does."""
+        if self.chance >= UNLIKELY:
+            return ""
+        best, data = self.best, self.problem.measured.data
+        worst = np.argsort(-np.abs(best.residuals))[:3]
+        said = ", ".join(
+            f"{_title(data[k])} ({data[k].place}) by {best.residuals[k]:+.3g} sd" for k in worst
+        )
+        return (
+            f"The scene does not fit the data: χ² is {best.chi_squared:.4g} for {len(data)} data, "
+            f"{best.per_datum:.3g} a datum (probability {self.chance:.1g}). The best runs are "
+            f"furthest off at {said}. Best values and intervals are those of a model that is "
+            "wrong, or of standard deviations that are too small."
+        )
+
+    @cached_property
+    def contradictions(self) -> list[str]:
+        """What in the result contradicts itself; empty if nothing does."""
+        found = []
+        if self.fresh.missed:
+            found.append(
+                "The emulator's best point was worse than one that had run, which was taken: the "
+                "intervals follow the emulator and may miss it."
+            )
+        if self.sample is None:
+            return found
+        for k, free in enumerate(self.problem.ranges):
+            low, high = np.quantile(self.sample[:, k], [0.025, 0.975])
+            if not low - EDGE <= self.fresh.shares[k] <= high + EDGE:
+                best = value_in_words(self.best.values[free.key], free.unit)
+                found.append(f"The best value of {free.name}, {best}, is outside its interval.")
+        return found
+
+    @cached_property
     def undetermined(self) -> list[Undetermined]:
         """Combinations of parameters that the data leave undetermined; empty if there are none."""
         if self.sample is None:
@@ -330,7 +379,10 @@ class Fit:
     @property
     def notes(self) -> list[str]:
         """Notes for readers of the result on how it was found."""
-        notes = []
+        notes = [self.misfit] if self.misfit else []
+        notes += self.contradictions
+        if self.contradictions:
+            notes.append("A larger budget lets the search find where they agree.")
         data = self.problem.measured.data
         assumed = sum(datum.assumed for datum in data)
         if assumed:
@@ -404,6 +456,9 @@ class Fit:
             "parameters": parameters,
             "chi_squared": best.chi_squared,
             "chi_squared_per_datum": best.per_datum,
+            "chi_squared_chance": self.chance,
+            "fits": not self.misfit,
+            "contradictions": self.contradictions,
             "data": len(best.residuals),
             "undetermined": [
                 {"names": list(u.names), "kind": u.kind, "words": u.words}

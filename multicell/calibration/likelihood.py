@@ -30,7 +30,7 @@ found, and the intervals are drawn again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
@@ -39,8 +39,8 @@ from scipy.linalg import eigh
 
 from multicell.calibration.emulator import ENOUGH_DRAWS, PARTICLES, Emulator, best_of, draws
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import FitProblem
-from multicell.calibration.search import Search
+from multicell.calibration.problem import FitProblem, misfit
+from multicell.calibration.search import Evaluation, Search
 from multicell.measured.noise import Array, Noise, shrink
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
@@ -221,6 +221,8 @@ class Fresh:
     - ``scatter``: their mean and covariance; None of fewer than four whole runs
     - ``likelihood``: of the parameters; None without an emulator or without scatter
     - ``checks``: of the emulator; None without a likelihood
+    - ``missed``: whether the emulator's best point was worse than one that had run, which is then
+      the best
     """
 
     shares: Array
@@ -229,6 +231,36 @@ class Fresh:
     scatter: Scatter | None
     likelihood: Likelihood | None
     checks: Checks | None
+    missed: bool = False
+
+
+def most_fresh(count: int) -> int:
+    """Return how many fresh runs a best point takes at most where ``count`` are wanted."""
+    return max(count, max(1, count // 3) + MIN_REPEATS)
+
+
+def _again(
+    search: Search, pool: Pool, shares: Array, seeds: Sequence[int], done: tuple[int, int],
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Array, list[str]]:  # fmt: skip
+    """Run a point with some seeds, after some of so many."""
+
+    def note(ready: int, wanted: int) -> None:
+        each = wanted // len(seeds)
+        if progress is not None:
+            progress(done[0] * each + ready, done[1] * each)
+
+    return search.extra(pool, [(shares.tolist(), seed) for seed in seeds], note)
+
+
+def _is_worse(problem: FitProblem, shares: Array, runs: Array, ran: Evaluation) -> bool:
+    """Return whether runs at a point fit worse than the best of a search did, beyond scatter."""
+    there = misfit(problem.observed, problem.sigma, runs, None, problem.noise)
+    before, here = problem.prior.loss(np.stack([ran.shares, shares]))
+    scatter = np.maximum(there.scatter, ran.misfit.scatter)
+    part = scatter / (scatter + problem.sigma**2)  # of what each datum adds to χ² by chance
+    chance = part.sum() + 3.0 * np.sqrt(2.0 * (part**2).sum())
+    return bool(there.chi_squared + here > ran.misfit.chi_squared + before + chance + 1e-9)
 
 
 def fresh(
@@ -242,28 +274,40 @@ def fresh(
 
     - ``search``: of the same problem; keeps the runs
     - ``pool``: where runs are made
-    - ``count``: runs at the best point
+    - ``count``: runs at the best point; a third of them at another one that turns out worse
     - ``progress``: called with the numbers of runs done and wanted after each run
     """
     emulator = search.emulator()
-    if emulator is None:
-        best = min(search.evaluations(), key=lambda e: e.loss).shares
-    else:  # no single lucky run decides it
+    ran = min(search.evaluations(), key=lambda e: e.loss)
+    best = ran.shares
+    if emulator is not None:  # no single lucky run decides it
         likely = draws(emulator.loss, problem.prior, seed=0, count=ENOUGH_DRAWS)
         best = best_of(emulator.loss, problem.prior, likely)
     first = max(problem.seeds) + 1
-    here = best.tolist()
-    runs, reasons = search.extra(pool, [(here, first + k) for k in range(count)], progress)
+    seeds = [first + k for k in range(count)]
+    trial = count if np.array_equal(best, ran.shares) else max(1, count // 3)
+    runs, reasons = _again(search, pool, best, seeds[:trial], (0, count), progress)
+    worse = trial < count and _is_worse(problem, best, runs, ran)
+    if worse:  # the emulator misses something that its runs found
+        best, seeds = (
+            ran.shares,
+            seeds[:trial] + [first + k for k in range(trial, most_fresh(count))],
+        )
+        runs, more = _again(search, pool, best, seeds[trial:], (trial, len(seeds)), progress)
+        reasons += more
+    elif trial < count:
+        rest, more = _again(search, pool, best, seeds[trial:], (trial, count), progress)
+        runs, reasons = np.concatenate([runs, rest]), reasons + more
     residuals = (runs - problem.observed) / problem.sigma
     whole = np.isfinite(residuals).any(axis=1)
     if whole.sum() < MIN_REPEATS:
-        return Fresh(best, runs, tuple(reasons), None, None, None)
+        return Fresh(best, runs, tuple(reasons), None, None, None, worse)
     residuals = residuals[whole]
     known = np.isfinite(residuals).all(axis=0)
     instead = 0.0 if emulator is None else emulator.means(best[None])[0]
     scatter = scatter_of(np.where(known, residuals, instead))
     if emulator is None:
-        return Fresh(best, runs, tuple(reasons), scatter, None, None)
+        return Fresh(best, runs, tuple(reasons), scatter, None, None, worse)
     found = likelihood(emulator, problem.noise, best, scatter)
     likely = found.draws(ENOUGH_DRAWS)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
@@ -273,7 +317,7 @@ def fresh(
     checks, error = _check(away, found.predict(chosen)[1], scatter)
     if checks.off.any():
         found = likelihood(emulator, problem.noise, best, scatter, error)
-    return Fresh(best, runs, (*reasons, *more), scatter, found, checks)
+    return Fresh(best, runs, (*reasons, *more), scatter, found, checks, worse)
 
 
 def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:

@@ -80,7 +80,7 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
             folder / "scene.toml", folder / "data.csv", free, seeds=len(problem["seeds"]),
             repeats=result["repeats"], sd=problem["sd"], specimens=problem["specimens"],
         )  # fmt: skip
-        plan = replace(plan, points=int(result["sets_of_parameters"]))
+        plan = replace(plan, points=int(result["sets_of_parameters"]), extra=0)
     except OutputError:
         raise
     except MulticellError as error:

@@ -127,6 +127,8 @@ def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
 def _print(out: Console, found: Fit, output: Path) -> None:
     from multicell.calibration.fit_page import parameters_in_words
 
+    if found.misfit:
+        out.print(escape_markup(found.misfit), style="yellow")
     rows = parameters_in_words(found)
     cells = [[row[key] for key in ("key", "best", "interval", "part")] for row in rows]
     out.print(filled_table(("parameter", "best >", "95 % interval >", "of its range >"), cells))
@@ -134,7 +136,7 @@ def _print(out: Console, found: Fit, output: Path) -> None:
     out.print(escape_markup(f"χ² = {data.chi_squared:.3g} for {len(data.residuals)} data"))
     for entry in found.undetermined:
         out.print(escape_markup(f"{entry}."), style="yellow")
-    for note in found.notes:
+    for note in found.notes[1 if found.misfit else 0 :]:
         out.print(escape_markup(f"Note: {note}"), style="dim")
     out.print(escape_markup(f"Results are in '{output}'."))
 

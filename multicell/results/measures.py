@@ -18,6 +18,7 @@ from multicell.results import observables as of
 from multicell.results.observable import Observable, TissueState, find_own
 from multicell.results.observables import counts_contacts
 from multicell.scene.domain import walls
+from multicell.scene.oxygen import hypoxia_of
 from multicell.scene.pairs import compression
 
 if TYPE_CHECKING:
@@ -93,16 +94,17 @@ OBSERVABLES: Final = (
     _length("radius", lambda s: s.extent.radius(), doc="R"),
     _tissue_length(
         "viable_rim",
-        lambda s: s.extent.rim(State.NECROTIC),
-        absent="without a core, and where the dead lie outside the living",
+        lambda s: s.extent.rim(s.extent.dead_core),
+        absent="without a core",
         doc="R less the necrotic radius",
     ),
     _tissue_length(
         "proliferating_rim",
-        lambda s: s.extent.rim(State.QUIESCENT, State.NECROTIC),
+        lambda s: s.extent.rim(s.extent.resting_core),
         exists=lambda scene: scene.growth,
-        absent="without quiescent and necrotic cells, and where they lie outside the others",
-        doc="R less the radius, by the same formula, of quiescent and necrotic cells",
+        absent="without a region of quiescent and dead cells",
+        doc="R less the radius of the [region](measured.md#regions) round the centre in which at "
+        "least half of the cells are quiescent or dead",
     ),
     Observable(
         "growth_fraction",
@@ -113,30 +115,31 @@ OBSERVABLES: Final = (
     ),
     _tissue_length(
         "necrotic_radius",
-        lambda s: s.extent.radius_of(State.NECROTIC),
+        lambda s: s.extent.dead_core,
         title="radius of the necrotic core",
         shown_if_zero=False,
-        doc="the same formula over necrotic cells about the common centre; 0 without any",
+        doc="of the [region](measured.md#regions) round the centre in which at least half of the "
+        "cells are dead or have been removed; 0 where there is none, as of scattered dead cells",
     ),
     Observable(
         "necrotic_ratio",
-        lambda s: _over_radius(s, s.extent.radius_of(State.NECROTIC)),
+        lambda s: _over_radius(s, s.extent.dead_core),
         exists=_has_phases,
         absent="without cells",
         doc="the necrotic radius over R; with `growth.phases`",
     ),
     _tissue_length(
         "inhibited_radius",
-        lambda s: s.inhibited_radius,
+        lambda s: s.extent.inhibited,
         exists=_has_phases,
         shown_if_zero=False,
         doc="within it the part of cells in S, G2 or M is below a fifth of that in the outermost "
-        "tenth of the cells (isotonic regression over the distance from the centre); with "
-        "`growth.phases`",
+        "tenth of the cells (isotonic regression over the distance from the centre); at least "
+        "the necrotic radius, and R where no cell cycles; with `growth.phases`",
     ),
     Observable(
         "inhibited_ratio",
-        lambda s: _over_radius(s, s.inhibited_radius),
+        lambda s: _over_radius(s, s.extent.inhibited),
         exists=_has_phases,
         absent="without cells",
         doc="the inhibited radius over R; with `growth.phases`",
@@ -232,10 +235,11 @@ OBSERVABLES: Final = (
     ),
     _length(
         "hypoxic_radius_*",
-        lambda s, x: s.extent.radius(s.concentrations[x] < s.scene.nutrients[x].quiescence),
-        exists=lambda scene: [n for n, f in scene.nutrients.items() if f.quiescence is not None],
+        lambda s, x: s.extent.core(s.concentrations[x] < hypoxia_of(x, s.scene.nutrients)),
+        exists=lambda scene: [x for x in scene.nutrients if hypoxia_of(x, scene.nutrients)],
         entry="hypoxic_radius.*",
-        doc="the same formula over cells below the `quiescence` of a field; 0 without any",
+        doc="of the [region](measured.md#regions) round the centre in which at least half of the "
+        "cells find less of a field than its `hypoxia`, 10 mmHg of oxygen; 0 where there is none",
     ),
     _count(
         "living_*",
@@ -271,7 +275,7 @@ OBSERVABLES: Final = (
         unit="mM/s",
         exists=lambda scene: scene.nutrients if scene.dimensions == 3 else (),
         entry=None,
-        absent="without living cells, and where the dead lie outside the living",
+        absent="without living cells",
         doc="that rate over the volume of the ball of this diameter, less that of the core",
     ),
     Observable(

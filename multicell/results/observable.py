@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.errors import SceneError
-from multicell.results.observables import Extent, inhibited_radius, touching
+from multicell.results.observables import Extent, touching
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
@@ -76,11 +76,6 @@ class TissueState:
         """Number of cells in each state, by the name of the state in lower case."""
         counts = np.bincount(self.cells.state, minlength=len(State)).tolist()
         return {state.name.lower(): counts[state] for state in State}
-
-    @cached_property
-    def inhibited_radius(self) -> float:
-        """Radius within which proliferation is inhibited, µm."""
-        return inhibited_radius(self.cells, self.dimensions)
 
     @cached_property
     def sealed(self) -> TissueState:

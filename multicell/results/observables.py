@@ -10,14 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.behaviours.catalogue import needs_contacts
-from multicell.cells import Cells, FloatArray, IntArray, Phase, State
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, State
 from multicell.contact.law import compliance
+from multicell.results.regions import Mask, Surroundings, inhibited_region, region_radius
 from multicell.vectors import cubes, lengths, squares, weighted_mean
 
 if TYPE_CHECKING:
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
     from multicell.mechanics.walls import Walls
     from multicell.results.frame import Field, Frame
     from multicell.scene.scene import Scene
-
-Mask = NDArray[np.bool_]
 
 
 def sizes(cells: Cells, dimensions: int) -> FloatArray:
@@ -59,50 +59,69 @@ class Extent:
     def __init__(self, cells: Cells, dimensions: int, origin: FloatArray | None = None) -> None:
         self._dimensions = dimensions
         self._weights = sizes(cells, dimensions)
-        self._squares = np.empty(0)
-        self._state, self._radii = cells.state, cells.radius
-        self._known: dict[tuple[State, ...], float] = {}
+        self._squares, self.origin = np.empty(0), np.zeros(3)
+        self._cells, self._state, self._radii = cells, cells.state, cells.radius
         if len(cells):
             if origin is None:
                 origin = weighted_mean(cells.position, self._weights)
             share = dimensions / (dimensions + 2)
+            self.origin = origin
             self._squares = squares(cells.position - origin) + share * cells.radius**2
 
     def radius(self, mask: Mask | None = None) -> float:
         """Return the :func:`uniform_radius` of all cells, or of those of a mask, µm; 0 of none."""
         if mask is None:
-            return self.radius_of(*State)
+            return self._radius
         taken = self._squares[mask]
         if len(taken) == 0:
             return 0.0
         d = self._dimensions
         return math.sqrt((d + 2) / d * weighted_mean(taken, self._weights[mask]))
 
-    def radius_of(self, *states: State) -> float:
-        """Return the :func:`uniform_radius` of the cells in some states, µm; computed once."""
-        if states not in self._known:
-            chosen = np.zeros(len(State), dtype=bool)
-            chosen[list(states)] = True
-            self._known[states] = self.radius(chosen[self._state])
-        return self._known[states]
+    @cached_property
+    def _radius(self) -> float:
+        return self.radius(np.ones(len(self._radii), dtype=bool))
 
     def diameter(self) -> float:
         """Return twice the radius of all cells, µm; 0 without cells."""
         return 2.0 * self.radius()
 
-    def rim(self, *states: State) -> float:
-        """Return the thickness of the layer outside the cells in some states, µm; NaN without any.
+    def core(self, inside: Mask, others: float = 0.5) -> float:
+        """Return the radius of the region round the centre in which most cells are of a mask, µm.
 
-        The states are necrotic for the viable rim, and quiescent too for the proliferating one.
-        Cells of these states that lie further out than all on average are no core: there is no
-        layer outside them. A core that is hollow, because its oldest cells were removed, is
-        measured somewhat too large.
+        0 without one; see :func:`multicell.results.regions.region_radius`, also for ``others``.
         """
-        core = self.radius_of(*states)
-        thickness = self.radius() - core
-        # rounding must not take the rim of a population that is all core
-        lost = thickness < -1e-12 * core
-        return float("nan") if core == 0.0 or lost else max(thickness, 0.0)
+        return region_radius(self._around, inside, others) if len(inside) else 0.0
+
+    @cached_property
+    def _around(self) -> Surroundings:
+        args = (self._radii, self.origin, self.radius(), self._dimensions)
+        return Surroundings(self._cells.position, *args)
+
+    @cached_property
+    def dead_core(self) -> float:
+        """Radius of the core of dead cells and of what they left empty, µm; 0 without one."""
+        return self.core(self._state > State.QUIESCENT)
+
+    @cached_property
+    def resting_core(self) -> float:
+        """Radius of the region in which most cells are dead or quiescent, µm; 0 without one."""
+        return self.core(self._state != State.PROLIFERATING)
+
+    @cached_property
+    def inhibited(self) -> float:
+        """The :func:`inhibited_radius` of the cells, µm."""
+        return self.inhibited_below(0.2)
+
+    def inhibited_below(self, threshold: float) -> float:
+        """Return the :func:`inhibited_radius` of the cells by a threshold, µm."""
+        if not len(self._cells):
+            return 0.0
+        return max(inhibited_region(self._cells, self._around, threshold), self.dead_core)
+
+    def rim(self, core: float) -> float:
+        """Return the thickness of the layer outside a core, µm; NaN without a core."""
+        return self.radius() - core if core > 0.0 else float("nan")
 
     def packing_ratio(self) -> float:
         """Return the sum of the cells' volumes over the volume of the ball round them, NaN if none.
@@ -142,39 +161,35 @@ def uniform_radius(
 def viable_volume(cells: Cells) -> float:
     """Return the volume of the ball of all cells less that of the necrotic core in µm³.
 
-    NaN without living cells, and where the dead lie outside the living.
+    NaN without living cells.
     """
     extent = Extent(cells, 3)
-    core = extent.radius_of(State.NECROTIC)
-    volume = 4.0 / 3.0 * np.pi * (extent.radius() ** 3 - core**3)
+    volume = SPHERE * (extent.radius() ** 3 - extent.dead_core**3)
     return volume if volume > 0.0 and not cells.dead.all() else float("nan")
-
-
-FEWEST_INHIBITED = 10
-"""Cells: fewer at the centre, by chance without one in S, G2 or M, are no inhibited region."""
 
 
 def inhibited_radius(cells: Cells, dimensions: int, threshold: float = 0.2) -> float:
     """Return the radius within which proliferation is inhibited, in µm; 0 if it is nowhere.
 
-    Inside, the share of the cells that are alive and in S, G2 or M (green with FUCCI) is below a
-    fifth (``threshold``) of that in the outermost tenth: the criterion of Browning et al. (2021,
-    doi:10.7554/eLife.73020) for confocal sections. The share as a function of the distance from
-    the centre is the isotonic regression of single cells, which needs no bins.
+    Inside, the share of the cells that are alive, not quiescent, and in S, G2 or M (green with
+    FUCCI) is below a fifth (``threshold``) of that in the outermost tenth: the criterion of
+    Browning et al. (2021, doi:10.7554/eLife.73020) for confocal sections. It is at least the
+    radius of the necrotic core, and that of all cells where none of them cycles.
     """
-    if len(cells) == 0:
-        return 0.0
-    from scipy.optimize import isotonic_regression
+    return Extent(cells, dimensions).inhibited_below(threshold)
 
-    radius = distances(cells, centre(cells, dimensions))
-    order = np.argsort(radius)
-    cycling = (~cells.dead & (cells.phase > Phase.G1))[order].astype(float)
-    surface = cycling[-max(FEWEST_INHIBITED, len(cells) // 10) :].mean()
-    share = isotonic_regression(cycling).x
-    inhibited = int(np.searchsorted(share, threshold * surface))
-    if inhibited < FEWEST_INHIBITED:
-        return 0.0
-    return float(radius[order[inhibited - 1 : inhibited + 1]].mean())
+
+def necrotic_radius(cells: Cells, dimensions: int, alive: float = 0.5) -> float:
+    """Return the radius of the necrotic core in µm; 0 if there is none.
+
+    It is the region round the centre in which most cells are dead or have been removed.
+
+    - ``cells``: the population
+    - ``dimensions``: of the scene: 3, or 2 where all cells lie in a plane
+    - ``alive``: largest share of living cells at its border: 0.5 where half of them live, as the
+      border of a stained section is drawn; 0 for the region that has no living cell at all
+    """
+    return Extent(cells, dimensions).core(cells.dead, alive)
 
 
 def settle_gel(cells: Cells, walls: Walls | Sphere, compression: TissueCompression | None) -> float:

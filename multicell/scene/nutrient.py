@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from dataclasses import fields
 from functools import partial
 from typing import Any, final
 
@@ -16,6 +18,7 @@ from multicell.schema import (
     quantities,
     quantity,
     schedule,
+    specs,
     table,
     tables,
 )
@@ -72,6 +75,15 @@ class Side:
             raise SceneError("derivative", "is missing on a side of type 'derivative'")
 
 
+LEVELS = (
+    "boundary", "half_saturation", "growth_half_saturation", "growth_inhibition", "quiescence",
+    "necrosis", "necrosis_above", "hypoxia",
+)  # fmt: skip
+"""Keys of a field that are concentrations, and may be written as parts of each other."""
+
+_RELATIVE = re.compile(rf"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*({'|'.join(LEVELS)})\s*")
+
+
 @final
 @parameters
 class Dependence:
@@ -111,6 +123,15 @@ class FiniteMedium:
     replaced: float = number(
         default=1.0, above=0, at_most=1, doc="part of the stirred medium that a change replaces"
     )
+
+
+@final
+@parameters
+class Relation:
+    """That a concentration is a part of another one of the same field."""
+
+    factor: float = number(above=0, at_most=1e6, doc="times the other concentration")
+    to: str = choice(LEVELS, doc="key of the same field")
 
 
 @final
@@ -193,6 +214,16 @@ class Nutrient:
     necrosis_above: float | None = _level_above_zero(
         default=None, doc="above: necrotic; absent: never"
     )
+    hypoxia: float | None = _level_above_zero(
+        default=None,
+        doc="below: cells count as hypoxic in hypoxic_radius; absent: 10 mmHg for oxygen, else "
+        "never",
+    )
+    relative: Mapping[str, Relation] = tables(
+        Relation,
+        names=LEVELS,
+        doc="concentrations that are parts of others; necrosis = '0.4 quiescence' is short for it",
+    )
     regime: str = choice(
         ["auto", "steady", "transient"],
         default="auto",
@@ -230,8 +261,36 @@ class Nutrient:
         "perfusion feeds from above or nothing is taken up: the largest cell's diameter",
     )
 
+    def prepare(self) -> None:
+        """Take texts such as ``"0.4 quiescence"`` for relations, before numbers are read."""
+        found: dict[str, Any] = {}
+        for field in fields(self):
+            given = getattr(self, field.name) if field.name in LEVELS else None
+            match = _RELATIVE.fullmatch(given) if isinstance(given, str) else None
+            if match is not None:
+                found[field.name] = {"factor": float(match[1]), "to": match[2]}
+                object.__setattr__(self, field.name, field.default)
+        if found and isinstance(self.relative, Mapping):
+            object.__setattr__(self, "relative", {**self.relative, **found})
+
+    def _relate(self, name: str, behind: tuple[str, ...] = ()) -> float:
+        """Set and return a concentration that may be a part of another."""
+        relation = self.relative.get(name)
+        value = getattr(self, name)
+        if relation is not None:
+            if name in behind:
+                raise SceneError(name, f"depends on itself: {' of '.join((*behind, name))}")
+            value = relation.factor * self._relate(relation.to, (*behind, name))
+            object.__setattr__(self, name, specs(type(self))[name].convert(value, name))
+        if value is None:
+            problem = f"is a part of {name}, which the field does not have"
+            raise SceneError(behind[-1], problem, f"Give it {name}.")
+        return float(value)
+
     def check(self) -> None:
         """Raise ``SceneError`` for keys that do not fit together; fill in the usual uptake."""
+        for name in self.relative:
+            self._relate(name)
         if self.uptake_per_volume is None and self.uptake is None:
             object.__setattr__(self, "uptake", USUAL_UPTAKE)
         elif self.uptake_per_volume is not None and self.uptake is not None:

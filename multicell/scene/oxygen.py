@@ -15,6 +15,9 @@ from multicell.units import PERCENT, oxygen_solubility, shown, to_base, vapour_p
 OXYGEN: Final = "oxygen"
 """The field whose concentrations may be written as partial pressures."""
 
+HYPOXIA: Final = to_base("10 mmHg", "kPa", "hypoxia")
+"""In kPa, below which pimonidazole marks cells."""
+
 _BODY: Final = next(f.default for f in fields(Nutrient) if f.name == "temperature")
 _LEVELS: Final = [name for name, spec in specs(Nutrient).items() if spec.unit == "mM"]
 _DEEPEST: Final = 6  # levels of tables: no concentration of a scene lies deeper
@@ -84,6 +87,14 @@ def concentration(text: str, field: str, path: str, nutrients: Any) -> Any:
 def saturated(temperature: float) -> float:
     """Return the solubility of pure, moist oxygen in water, mM; ``temperature`` in °C."""
     return (_ATMOSPHERE - vapour_pressure(temperature)) * oxygen_solubility(temperature)
+
+
+def hypoxia_of(name: str, nutrients: Mapping[str, Nutrient]) -> float | None:
+    """Return below which concentration of a field cells are hypoxic, mM; None if never."""
+    field = nutrients[name]
+    if field.hypoxia is None and name == OXYGEN:
+        return HYPOXIA * oxygen_solubility(field.temperature)
+    return field.hypoxia
 
 
 def _temperature(nutrients: Any) -> float:

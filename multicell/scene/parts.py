@@ -253,7 +253,7 @@ class Death:
     ``swelling_time``, at the end of which they burst.
 
     With ``damage_time`` T a threshold of necrosis does not kill but damages: dD/dt = 1/T beyond it.
-    A cell dies where D is at its own tolerance, 1 in the mean.
+    A cell dies where D is at its own tolerance, 1 in the mean. With a ``repair_rate`` damage heals.
     """
 
     necrosis_rate: float | None = quantity(
@@ -267,6 +267,12 @@ class Death:
     )
     damage_variation: float = number(
         default=0.0, at_least=0, at_most=1, doc="coefficient of variation (gamma) of the tolerance"
+    )
+    repair_rate: float = quantity(
+        "1/s",
+        default=0.0,
+        at_least=0,
+        doc="part of its damage that a cell heals in a time, D' = k/tolerance - repair_rate D",
     )
     swelling: float = number(
         default=1.0, at_least=1, at_most=8, doc="volume of a necrotic cell that bursts / at death"

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.behaviours.catalogue import (
     COMBINE,
     CONTACTS,
+    PHASE,
     SIGNALS,
     Behaviour,
     behaviour_named,
@@ -224,7 +225,28 @@ def _effect(scene: Scene, name: str, part: Response) -> Effect:
     low, high = _ends(scene, behaviour, part, falls=part.falls)
     combine = part.combine or behaviour.combine
     law, key = _law(part), f"responses.{name}"
+    _check_values(behaviour, combine, own_value(scene, behaviour), part, (low, high))
     return Effect(full, part.signals, law, part.falls, low, high, part.types, combine, key)
+
+
+def _check_values(
+    behaviour: Behaviour, combine: str, own: float, part: Response, ends: tuple[float, float]
+) -> None:
+    """Raise ``SceneError`` for a rule that has no meaning, and for cells without stiffness."""
+    if combine == "product" and own == 0.0:
+        problem = f"is 'product', but the {behaviour.name} is 0 without responses"
+        hint = "No factor changes 0: use 'sum', or give the scene a value."
+        raise SceneError("combine", problem, hint)
+    if behaviour.name != "Young's modulus":
+        return
+    if combine == "sum":
+        hint = "Its values are factors: use 'product'."
+        raise SceneError("combine", "is 'sum', which could make Young's modulus 0", hint)
+    values = ends if part.points is None else tuple(y for _, y in part.points)
+    if min(values) == 0.0:
+        key = "points" if part.points else "base" if values[0] == 0.0 else "largest"
+        hint = "Cells without stiffness would have no contact force: write a small factor, as 0.01."
+        raise SceneError(key, "is 0, must be above 0 for Young's modulus", hint)
 
 
 def _ends(
@@ -347,6 +369,14 @@ def check_signal(scene: Scene, name: str, path: str) -> None:
         raise SceneError(
             path, "is 'ATP', but the scene has no energy", "[energy] says who makes it."
         )
+    phase = name.removeprefix(PHASE)
+    if name.startswith(PHASE):
+        if scene.growth is None or not scene.growth.phases:
+            hint = "Give the scene [growth.phases]."
+            raise SceneError(path, f"is {name!r}, but the cells have no phases", hint)
+        if phase not in Phase.__members__:
+            problem = f"is {name!r}, but {phase!r} is no phase"
+            raise SceneError(path, problem, near_miss(phase, Phase.__members__))
     kind = name.removeprefix(CONTACTS)
     if name.startswith(CONTACTS) and kind not in scene.types:
         problem = f"is {name!r}, but {kind!r} is no type of this scene"

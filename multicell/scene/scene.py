@@ -251,6 +251,8 @@ class Scene:
         entries = part_as_dict(self, changed if changed <= specs(Scene).keys() else None)
         for key, value in changes.items():
             _change(entries, key, value)
+            if key.startswith("nutrients."):
+                _set_free(entries, key)
         made = build_part(type(self), entries)
         _refuse_unused(made, changes, self.nutrients)
         return made
@@ -359,6 +361,14 @@ def check_dotted(key: object) -> None:
         raise SceneError("", f"{shown(key)} is not a dotted key such as 'drag.viscosity'")
     if key.count(".") >= DEEPEST:
         raise SceneError("", f"{shown(key)} is no key of a scene: it has more than {DEEPEST} parts")
+
+
+def _set_free(entries: dict[str, Any], key: str) -> None:
+    """Forget that a concentration is a part of another one, if it is what a change has set."""
+    path = key.split(".")
+    field = entries.get("nutrients", {}).get(path[1])
+    if len(path) == 3 and isinstance(field, dict) and path[2] in field.get("relative", {}):
+        del field["relative"][path[2]]
 
 
 def _change(entries: dict[str, Any], key: str, value: Any) -> None:

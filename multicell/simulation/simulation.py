@@ -137,11 +137,14 @@ class Simulation:
         Raises
         ------
         StepFailed
-            If positions or a field cannot be solved for. After this and any other exception
-            the state is that of the step's beginning.
+            If the run is at its end, or positions or a field cannot be solved for. After this and
+            any other exception the state is that of the step's beginning.
         KeyboardInterrupt
             At the end of the step, after Ctrl-C; a second one ends it at once.
         """
+        if self.time >= self.scene.duration:
+            hint = "Resume the run with a longer duration to continue it."
+            raise StepFailed(self.time, "the run has reached its duration", hint)
         with WHOLE_STEP:
             before, draft = self.state, self._draft
             try:

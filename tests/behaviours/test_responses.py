@@ -366,3 +366,32 @@ def test_shares_stay_between_none_and_all_under_tension(law, falls):
     assert ((share >= 0.0) & (share <= 1.0)).all()
     assert (np.diff(share) <= 0.0).all() if falls else (np.diff(share) >= 0.0).all()
     assert (share[:5] == share[5]).all()
+
+
+RATE = {"death": {}, "responses": {"kill": {
+    "behaviour": "apoptosis rate", "signal": "pressure", "law": "hill", "half": 0.1,
+    "largest": "1 1/h", "combine": "product"}}}  # fmt: skip
+
+
+def test_a_product_on_a_base_of_zero_is_refused():
+    """It divided by zero: nobody died of a rate that was not a number."""
+    with pytest.raises(SceneError, match=r"responses.kill.combine: is 'product', but the apopt.*0"):
+        mc.Scene.from_dict({"duration": "1 h", **RATE})
+    with_base = {**RATE, "death": {"apoptosis_rate": "0.1 1/h"}}
+    assert mc.Scene.from_dict({"duration": "1 h", **with_base}).responses
+
+
+@pytest.mark.parametrize(
+    ("law", "key"),
+    [
+        ({"law": "hill", "half": 1.0, "base": 0, "largest": 2}, "base"),
+        ({"law": "monod", "half": 1.0}, "base"),
+        ({"law": "linear", "begin": 0, "end": 1, "base": 1, "largest": 0}, "largest"),
+        ({"law": "table", "points": [[0, 1.0], [1, 0.0]]}, "points"),
+        ({"law": "hill", "half": 1.0, "base": 1, "largest": 2, "combine": "sum"}, "combine"),
+    ],
+)
+def test_cells_keep_some_stiffness(law, key):
+    part = {"behaviour": "Young's modulus", "signal": "pressure", **law}
+    with pytest.raises(SceneError, match=rf"responses.soft.{key}"):
+        mc.Scene.from_dict({"duration": "1 h", "responses": {"soft": part}})

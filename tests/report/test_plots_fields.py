@@ -3,7 +3,7 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
-from synthetic import SCENE, cells_at, growing_frames, history_of
+from synthetic import SCENE, ball, cells_at, growing_frames, history_of
 
 import multicell as mc
 from multicell.report.plots.run import PICTURES, Plots
@@ -25,7 +25,7 @@ def scene(geometry="box", **more):
             "initial": {"count": 120},
             "growth": {},
             "nutrients": {
-                "oxygen": {**field, "boundary": 0.07, "quiescence": 0.06, "uptake": 40.0,
+                "oxygen": {**field, "boundary": 0.07, "hypoxia": 0.06, "uptake": 40.0,
                            "media": [["30 min", "0.065 mM"]]},
                 "glucose": {**field, "boundary": 5.5, "diffusion": 200.0, "uptake": 60.0},
                 "lactate": {**field, "boundary": 0.0, "diffusion": 500.0, "uptake": 0.0,
@@ -66,11 +66,14 @@ def test_every_field_has_a_map_over_its_own_values(result):
 
 
 def test_history_and_summary_tell_the_hypoxic_radius(result):
+    """Without cells between, it lies between those below the threshold and those above."""
     cells, low = result.frames[-1].cells, result.frames[-1].concentrations["oxygen"] < 0.06
-    d = result.scene.dimensions
-    expected = observables.uniform_radius(cells, observables.centre(cells, d), d, low)
-    assert expected > 0.0
-    assert result.history["hypoxic_radius_oxygen"][-1] == expected
+    apart = np.sort(
+        observables.distances(cells, observables.centre(cells, result.scene.dimensions))
+    )
+    count = int(low.sum())
+    expected = result.history["hypoxic_radius_oxygen"][-1]
+    assert apart[count - 5] - 5.0 < expected < apart[min(count + 5, len(cells) - 1)] + 5.0
     assert result.summary()["hypoxic_radius"] == {"oxygen": expected}
     assert "hypoxic_radius_glucose" not in result.history
 
@@ -95,15 +98,22 @@ def test_report_has_one_ledger_with_a_column_for_each_field(result, tmp_path, mo
     assert (tmp_path / "fields.png").is_file()
 
 
-def test_cells_below_the_threshold_make_the_hypoxic_ball():
-    cells = cells_at([[0.0, 0, 0], [40.0, 0, 0], [-40.0, 0, 0]], radius=5.0)
-    scene = mc.load_scene("spheroid").with_changes({"nutrients.oxygen.quiescence": "0.02 mM"})
+@pytest.mark.parametrize("threshold", [None, "0.02 mM"])
+def test_cells_below_the_threshold_make_the_hypoxic_ball(threshold):
+    """10 mmHg at 37 degrees are 0.01403 mM, whatever makes cells rest."""
+    position = ball(4000, jitter=0.0)
+    apart, level = np.linalg.norm(position, axis=1), 0.02 if threshold else 0.01403
+    changes = {"nutrients.oxygen.quiescence": "0.06 mM", "nutrients.oxygen.hypoxia": threshold}
+    scene = mc.load_scene("spheroid").with_changes(changes)
     found = [
-        history_row(scene, Frame(0.0, 0, cells, {"oxygen": np.array(levels)}))
-        for levels in ([0.01, 0.05, 0.05], [0.02, 0.02, 0.02])
+        history_row(scene, Frame(0.0, 0, cells_at(position), {"oxygen": levels}))
+        for levels in (
+            np.where(apart < 50.0, 0.99, 1.01) * level,
+            np.full(len(apart), 1.01 * level),
+        )
     ]
     got, none = (row["hypoxic_radius_oxygen"] for row in found)
-    assert got == pytest.approx(5.0, rel=1e-12)
+    assert got == pytest.approx(50.0, rel=0.02)
     assert none == 0.0
 
 

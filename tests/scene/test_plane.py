@@ -53,12 +53,12 @@ def test_one_cell_has_its_own_size(dimensions):
     living = observables.Extent(cells, dimensions)
     assert living.diameter() == pytest.approx(9.0, rel=1e-14)
     assert living.packing_ratio() == pytest.approx(1.0, rel=1e-13)
-    assert living.radius_of(State.NECROTIC) == 0.0
-    assert np.isnan(living.rim(State.NECROTIC))
+    assert living.dead_core == 0.0
+    assert np.isnan(living.rim(living.dead_core))
     cells.state[:] = State.NECROTIC
     dead = observables.Extent(cells, dimensions)
-    assert dead.radius_of(State.NECROTIC) == pytest.approx(4.5, rel=1e-14)
-    assert dead.rim(State.NECROTIC) == pytest.approx(0.0, abs=1e-12)
+    assert dead.dead_core == pytest.approx(4.5, rel=1e-14)
+    assert dead.rim(dead.dead_core) == pytest.approx(0.0, abs=1e-12)
 
 
 @BOTH
@@ -86,9 +86,9 @@ def test_a_dense_tissue_with_a_core(dimensions):
     cells = cells_at(position + SHIFT, radius=2.0, state=state)
     extent = observables.Extent(cells, dimensions)
     assert extent.diameter() == pytest.approx(2 * edge, rel=6e-3)
-    assert extent.radius_of(State.NECROTIC) == pytest.approx(0.5 * edge, rel=1e-2)
-    assert extent.rim(State.NECROTIC) == pytest.approx(0.5 * edge, rel=1e-2)
-    assert extent.radius(distance < 0.7 * edge) == pytest.approx(0.7 * edge, rel=1e-2)
+    assert extent.dead_core == pytest.approx(0.5 * edge, rel=1e-2)
+    assert extent.rim(extent.dead_core) == pytest.approx(0.5 * edge, rel=1e-2)
+    assert extent.core(distance < 0.7 * edge) == pytest.approx(0.7 * edge, rel=1e-2)
     filled = np.pi / 4 if dimensions == 2 else np.pi / 6
     assert extent.packing_ratio() == pytest.approx(filled, rel=2e-2)
 
@@ -155,8 +155,9 @@ def test_dead_cells_outside_the_others_are_no_core():
     position = uniform(100.0, 3, 5000)
     outside = np.linalg.norm(position, axis=1) > 80.0
     cells = cells_at(position, radius=1.0, state=np.where(outside, State.NECROTIC, 0))
-    assert observables.Extent(cells, 3).radius_of(State.NECROTIC) > 100.0
-    assert np.isnan(observables.Extent(cells, 3).rim(State.NECROTIC))
+    extent = observables.Extent(cells, 3)
+    assert extent.dead_core == 0.0
+    assert np.isnan(extent.rim(extent.dead_core))
 
 
 @BOTH

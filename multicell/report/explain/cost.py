@@ -22,7 +22,7 @@ from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.reactions import group_of
-from multicell.scene.scales import MAX_NODES
+from multicell.scene.scales import MAX_NODES, regime
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
 
@@ -47,6 +47,15 @@ _CELL_EVALUATION: Final = 2.1e-7  # and for each cell: forces, lists, and a shar
 _FRICTION: Final = 5.0  # times as much where cells rub: velocities are solved for
 _FIELD: Final = 4e-4  # s of a field in a step
 _NODE_STEP: Final = 1.7e-7  # and for each node
+
+_SOLUTION: Final = 1.2e-4  # s of one of the solutions that a transient field takes
+_NODE_SOLUTION: Final = 1.4e-7  # and for each node
+_UPTAKE: Final = 2.0  # times as much with uptake, whose law is not linear
+_FIRST: Final = 2.6  # over the root of the tolerance: steps of a field that comes to rest
+_USUAL: Final = 3.3  # steps of a transient field in a coupling step that changes little
+_KICK: Final = 5.0  # times n^(-2/3): part of a field that moves with one of n cells that divides
+_KICKED: Final = 6.5  # times the logarithm of that over the tolerance: steps until it has settled
+_RELAID: Final = 6.0  # times that a field in a finite medium is solved for in a step
 
 _NOTED_SHARE: Final = 0.01  # part of the tissue whose death at the start is worth a note
 
@@ -110,19 +119,41 @@ def evaluations(scene: Scene) -> float:
 
 
 def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[float, float, float]:
-    most = mean = 0.0
+    most = mean = seconds = 0.0
     for name in scene.nutrients:
         nodes = _nodes(scene, name, found.radius)
         size = _NODE
         if together := len(group_of(name, scene.reactions)):
             size += _REACTING + _TOGETHER * together
         most, mean = most + size * float(nodes.max()), mean + _mean(found, nodes)
+        seconds += _field_seconds(scene, name, found, steps, _mean(found, nodes))
     packages = _FIELD_PACKAGES if scene.nutrients else 0.0
-    return (
-        steps * (_FIELD * len(scene.nutrients) + _NODE_STEP * mean),
-        packages + most,
-        _NODE_FRAME * frames * mean,
-    )
+    return seconds, packages + most, _NODE_FRAME * frames * mean
+
+
+def _field_seconds(scene: Scene, name: str, found: Course, steps: float, nodes: float) -> float:
+    if regime(scene, name) == "steady":
+        return steps * (_FIELD + _NODE_STEP * nodes)
+    nutrient = scene.nutrients[name]
+    each = _SOLUTION + _NODE_SOLUTION * nodes * (_UPTAKE if nutrient.takes_up else 1.0)
+    again = _RELAID if nutrient.finite_medium is not None else 1.0
+    return steps * _FIELD + again * each * solutions(scene, name, found, steps)
+
+
+def solutions(scene: Scene, name: str, found: Course, steps: float) -> float:
+    """Return how many systems of equations a transient field solves in so many coupling steps.
+
+    Each of its own steps takes three, one in full and two halves. Their number follows from the
+    tolerance: many while the field forms, few where it only follows the tissue, and some dozens
+    after a division, of which the first of them, a tenth of the coupling step, sees too much.
+    """
+    nutrient, spacing = scene.nutrients[name], FieldParameters.of(scene, name).spacing
+    tolerance, number = nutrient.time_tolerance, max(1.0, _mean(found, found.cells))
+    kick = _KICK * number ** (-2.0 / 3.0)
+    seen = kick / (1.0 + 0.1 * scene.coupling_step * nutrient.diffusion / spacing**2)
+    dividing = -math.expm1(-max(0.0, float(found.cells[-1] - found.cells[0])) / steps)
+    later = _USUAL + dividing * _KICKED * max(0.0, math.log(seen / tolerance))
+    return 3.0 * (_FIRST / math.sqrt(tolerance) + later * max(0.0, steps - 1.0))
 
 
 def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:

@@ -127,7 +127,8 @@ def _death_words(scene: Scene) -> str:
     if death.damage_time is not None:
         words = f"cells beyond a threshold of necrosis die after {hours(death.damage_time)} of it; "
     if any(effect.behaviour == "damage rate" for effect in effects(scene)):
-        words += "damage stays; "
+        healing = death.repair_rate
+        words += f"damage heals in about {hours(1.0 / healing)}; " if healing else "damage stays; "
     words += "necrotic cells "
     if death.swelling > 1.0:
         words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "

@@ -1,0 +1,108 @@
+"""The best of a fit is never worse than what ran, and a fit that does not fit states it first."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from cheap_fits import SCENE, Growing, fitted, growing, linear, measured
+
+from multicell.calibration.fit_plan import FitPlan, make_runs
+from multicell.calibration.pool import Pool
+from multicell.calibration.problem import FitProblem
+from multicell.calibration.simulator import Reading
+from multicell.studies.axes import Range
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Readings that jump: sums of steps at random places, and a core that begins at once."""
+
+    heights: tuple[tuple[float, ...], ...]
+    places: tuple[tuple[float, ...], ...]
+    ways: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def drawn(cls, seed, data=6, steps=5, parameters=2):
+        rng = np.random.default_rng(seed)
+        ways = rng.normal(size=(steps, parameters))
+        shape = data, steps
+        return cls(*(tuple(map(tuple, x)) for x in (
+            rng.normal(scale=30.0, size=shape), rng.uniform(-0.6, 1.0, shape), ways,
+        )))  # fmt: skip
+
+    def __call__(self, shares, condition, seed):
+        along = np.asarray(self.ways) @ np.asarray(shares)
+        jumps = along[None, :] > np.asarray(self.places)
+        found = (np.asarray(self.heights) * jumps).sum(axis=1) + 5.0 * sum(shares)
+        return Reading(tuple(map(float, found)))
+
+
+def jumping(seed):
+    simulator = Steps.drawn(seed)
+    rng = np.random.default_rng(1000 + seed)
+    truth = simulator(rng.random(2), 0, 0).values
+    ranges = tuple(Range(f"toy.p{k}", 0.0, 1.0, "", False, f"p{k}", False) for k in range(2))
+    return FitProblem(measured(truth + rng.normal(size=6), 1.0), ranges, simulator, (1,))
+
+
+def least(found):
+    return min(e.misfit.chi_squared for e in found.evaluations)
+
+
+@pytest.mark.parametrize(
+    "seed", [*range(8), *(pytest.param(k, marks=pytest.mark.slow) for k in range(8, 30))]
+)
+def test_best_is_no_worse_than_the_best_run(seed):
+    """Thirty problems whose readings jump, so that an emulator misses what runs found."""
+    found = fitted(jumping(seed), points=30)
+    assert found.best.chi_squared <= least(found) * (1.0 + 1e-9)
+    if found.best.chi_squared > 40.0:
+        assert found.notes[0] == found.misfit
+        assert f"{found.best.chi_squared:.4g}" in found.misfit
+    assert bool(found.misfit) is (found.chance < 1e-3)
+
+
+def plan_of(problem, points, extra):
+    return FitPlan(problem, SCENE, None, points, 0.1, 6, extra=extra)
+
+
+def test_what_contradicts_itself_leads_to_more_runs():
+    tried = {}
+    for extra in (0, 16):
+        for seed in range(6):
+            found = make_runs(plan_of(jumping(seed), 20, extra), None, Pool())
+            tried[extra, seed] = len(found.evaluations)
+            if found.contradictions:
+                assert len(found.evaluations) == 20 + extra
+                assert found.summary()["contradictions"] == found.contradictions
+                assert all(words in found.notes for words in found.contradictions)
+    assert all(tried[0, seed] == 20 for seed in range(6))
+    assert any(tried[16, seed] > 20 for seed in range(6))
+
+
+def test_a_smooth_problem_fits_without_contradiction():
+    found = fitted(linear([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [0.4, 0.6, 1.0], 0.05))
+    assert found.misfit == ""
+    assert found.contradictions == []
+    assert found.summary()["fits"] is True
+
+
+def test_a_fit_that_does_not_fit_says_which_data():
+    found = fitted(linear([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [0.4, 0.6, 9.0], 0.05))
+    assert found.notes[0].startswith("The scene does not fit the data: χ² is ")
+    worst = int(np.argmax(np.abs(found.best.residuals)))
+    assert f"(row {worst})" in found.misfit
+    assert found.summary()["fits"] is False
+    (axes,) = found.plot.deviations().axes
+    drawn = np.concatenate([line.get_ydata() for line in axes.lines if line.get_marker() == "o"])
+    assert drawn == pytest.approx(found.best.residuals)
+
+
+def test_scatter_alone_does_not_choose_a_lucky_run():
+    """Runs that scatter as much as the data: the emulator's best stands in most problems."""
+    rng = np.random.default_rng(3)
+    missed = [
+        fitted(growing(Growing("independent", common=False), (0.5, 0.5), rng)).fresh.missed
+        for _ in range(10)
+    ]
+    assert sum(missed) <= 1

@@ -1,0 +1,62 @@
+"""What transient fields are expected to take, compared with what they do."""
+
+import pytest
+
+import multicell as mc
+from multicell.nutrient.equations.solvers import MarchFieldSolver
+from multicell.report.explain import cost
+from multicell.simulation import Simulation
+
+
+def secreting(**changes):
+    field = {"regime": "transient", "boundary": 0, "uptake": 0, "secretion": "0.01 amol/s",
+             "diffusion": "10 um^2/s", "spacing": "10 um"}  # fmt: skip
+    scene = mc.Scene.from_dict(
+        {"duration": "90 min", "coupling_step": "10 min", "growth": {"cycle_time": "15 h"},
+         "initial": {"count": 360, "stage": "asynchronous"}, "nutrients": {"signal": field}}
+    )  # fmt: skip
+    return scene.with_changes(changes)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"nutrients.signal.diffusion": "100 um^2/s"},
+        {"nutrients.signal.diffusion": "1000 um^2/s"},
+        {"nutrients.signal.time_tolerance": 1e-2},
+        {"nutrients.signal.time_tolerance": 1e-4},
+        {"initial.stage": "birth"},
+        {"initial.count": 60},
+        {"initial.count": 1500, "nutrients.signal.diffusion": "100 um^2/s"},
+        {"coupling_step": "2 min", "duration": "40 min"},
+    ],
+    ids=str,
+)
+def test_solutions_of_a_transient_field_within_a_factor_of_two(changes, monkeypatch):
+    scene, made = secreting(**changes), []
+    march = MarchFieldSolver._march
+
+    def counting(self, pde, c, begin, end):
+        before = self.info["steps"] + self.info["rejections"]
+        found = march(self, pde, c, begin, end)
+        made.append(self.info["steps"] + self.info["rejections"] - before)
+        return found
+
+    monkeypatch.setattr(MarchFieldSolver, "_march", counting)
+    simulation = Simulation(scene, threads=1)
+    steps = scene.duration / scene.coupling_step
+    while simulation.time < scene.duration:
+        simulation.step()
+    expected = cost.solutions(scene, "signal", cost.predict(scene).course, steps)
+    assert 0.5 < expected / (3.0 * sum(made)) < 2.0
+
+
+def test_a_transient_field_costs_what_its_solutions_do():
+    """Formerly it was expected to take as long as one that is solved once in a step."""
+    scene = secreting()
+    steady = scene.with_changes({"nutrients.signal.regime": "steady"})
+    more = cost.predict(scene).seconds - cost.predict(steady).seconds
+    made = cost.solutions(scene, "signal", cost.predict(scene).course, 9.0)
+    nodes = float(cost._nodes(scene, "signal", cost.predict(scene).course.radius).min())
+    assert more > 1e-7 * nodes * (made - 2.0 * 9.0)
