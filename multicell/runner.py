@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -34,6 +34,7 @@ from multicell.units import shown
 if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
     from multicell.nutrient.reactions.own import OwnReaction
+    from multicell.report.live import LivePage
     from multicell.results.lineage import Lineage
     from multicell.results.reader import Contents
     from multicell.results.writer import Store
@@ -50,6 +51,7 @@ class RunOptions:
     threads: int | None = None
     progress: Callable[[Simulation], None] | bool | None = None
     reactions: Mapping[str, OwnReaction] | None = None
+    live: bool = False  # whether the folder has a picture that renews itself until the report
 
 
 def run(
@@ -116,7 +118,7 @@ def run(
         raise SceneError("", f"the scene is {shown(scene)}, must be a Scene, a name or a path")
     options = RunOptions(
         output=output, integrator=integrator, overwrite=overwrite, threads=threads,
-        progress=progress, reactions=reactions,
+        progress=progress, reactions=reactions, live=report,
     )  # fmt: skip
     return finish_run(record_run(scene, options, cells), report)
 
@@ -146,6 +148,8 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
         stack.enter_context(failing_as_run())
         interrupt = stack.enter_context(STEP).deliver
         stack.callback(recorder.close)
+        if options.live:
+            stack.enter_context(recorder.shown_live())
         precompilation = None
         if own is None:
             precompilation = Precompilation(scene, threads)
@@ -221,16 +225,23 @@ def failing_as_run() -> Iterator[None]:
 def finish_run(recorder: Recorder, report: bool) -> Result:
     """Return the result of a run that has ended, with its report if there is a folder."""
     with failing_as_run():
-        result = recorder.result()
-        if report and result.folder is not None:
-            try:
-                result.report()
-            except OutputError as error:
-                raise OutputError(
-                    f"{error}. The run is complete; only its report is missing: "
-                    f"multicell.load_result({str(result.folder)!r}).report() writes it"
-                ) from error
+        try:
+            result = recorder.result()
+            if report and result.folder is not None:
+                _report(result)
+        finally:
+            recorder.end_live()  # what it shows is replaced by the report
     return result
+
+
+def _report(result: Result) -> None:
+    try:
+        result.report()
+    except OutputError as error:
+        raise OutputError(
+            f"{error}. The run is complete; only its report is missing: "
+            f"multicell.load_result({str(result.folder)!r}).report() writes it"
+        ) from error
 
 
 @final
@@ -248,6 +259,32 @@ class Recorder:
         self._summary: dict[str, Any] = {}
         self._memory = Returns()
         self._begin = self._startup = 0.0
+        self._live: LivePage | None = None
+
+    @contextmanager
+    def shown_live(self, simulation: Simulation | None = None) -> Iterator[None]:
+        """Show the tissue in the folder from now on, until :meth:`end_live` or an exception.
+
+        - ``simulation``: absent while it is not ready yet
+        """
+        if self._store is None:
+            yield
+            return
+        from multicell.report.live import LivePage
+
+        self._live = LivePage(self._store.folder, self._scene)
+        try:
+            self._live.open(simulation)
+            yield
+        except BaseException:
+            with suppress(OutputError):  # the first error is the one that counts
+                self.end_live()
+            raise
+
+    def end_live(self) -> None:
+        """Remove the page that shows the tissue, if there is one."""
+        if self._live is not None:
+            self._live.close()
 
     def note_startup(self, simulation: Simulation, begin: float) -> None:
         """Note that all is ready since a moment of the clock, for the account of wall time."""
@@ -266,6 +303,8 @@ class Recorder:
             if frame_due(simulation.time, self._next_frame) or simulation.finished:
                 self._frame(simulation)
             self._memory.now_and_then(len(simulation.cells))
+            if self._live is not None:
+                self._live.note(simulation)
 
     def skip(self, frame: Frame) -> None:
         """Go on after a frame that is recorded already."""
@@ -396,7 +435,7 @@ def resume(
     """
     options = RunOptions(
         output=output, integrator=integrator, overwrite=overwrite, threads=threads,
-        progress=progress, reactions=reactions,
+        progress=progress, reactions=reactions, live=report,
     )  # fmt: skip
     return finish_run(record_resumed(folder, options, frame, changes=changes), report)
 
@@ -455,6 +494,8 @@ def record_resumed(
         if not here:
             store.copy(contents, place, rows)
         recorder.skip(contents.frame(last))
+        if options.live:
+            stack.enter_context(recorder.shown_live(simulation))
         recorder.note_startup(simulation, begin)
         advance_run(simulation, recorder, interrupt, options.progress)
     return recorder

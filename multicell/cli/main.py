@@ -217,9 +217,11 @@ def _simulate(
 ) -> None:
     """Run, with progress on stderr, and print what it came to."""
     from multicell.cli.progress import reporter
+    from multicell.results.folder import LIVE
 
+    page = None if no_report else output / LIVE[1]
     try:
-        with reporter(scene, show=not quiet) as progress:
+        with reporter(scene, show=not quiet, page=page) as progress:
             result = simulate(
                 overwrite=overwrite, threads=threads, progress=progress, report=not no_report
             )

@@ -8,8 +8,6 @@ another origin reaches it. The secret is in no argument of a process and in no l
 from __future__ import annotations
 
 import asyncio
-import base64
-import hashlib
 import hmac
 import io
 import json
@@ -31,7 +29,7 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
 
 from multicell.errors import MulticellError, OutputError
-from multicell.report.html import rendered
+from multicell.report.html import rendered, script
 from multicell.report.result import Result, load_result
 from multicell.report.wording import cell_count, time_unit
 from multicell.scene.coarsening import coarsen
@@ -193,14 +191,10 @@ class Playground:
 
     def page(self) -> str:
         """Return the page."""
-        from importlib.resources import files
-
-        script = (files("multicell.report") / "templates" / "play.js").read_text("utf-8")
-        policy = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
         sliders = self.sliders()
         return rendered(
             "play.html", title=self.scene.title or "Untitled scene", subtitle=self.note, tiles={},
-            scene="", sliders=sliders, script=Markup(script), policy=policy,
+            scene="", sliders=sliders, **script("play.js"),
             about=Markup(json.dumps(sliders).replace("<", "\\u003c")),
         )  # fmt: skip
 

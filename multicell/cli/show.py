@@ -34,13 +34,17 @@ _OPTIONS = {
 def view(folder: Path, no_browser: bool, as_json: bool) -> None:
     """Open the page of the run in FOLDER, also while it goes on: with all frames so far.
 
-    The page is written anew unless it is younger than the results.
+    The page is written anew unless it is younger than the results. A run that has no frame yet
+    shows a picture of its cells that renews itself.
     """
     page = folder / "report.html"
     if not _up_to_date(page, folder):
         from multicell.report.result import load_result
+        from multicell.results.folder import LIVE, in_use
 
-        page = load_result(folder).report()
+        result = load_result(folder)
+        begins = not len(result.frames) and (folder / LIVE[1]).is_file() and in_use(folder)
+        page = folder / LIVE[1] if begins else result.report()
     if not no_browser and not webbrowser.open(page.resolve().as_uri()):
         complain("There is no browser to open it.")
     print_file(page, as_json)

@@ -54,6 +54,7 @@ from multicell.host.interrupts import UNCUT
 from multicell.results import hdf5
 from multicell.results.folder import (
     FILES,
+    LIVE,
     PASSING,
     copy_of,
     file_errors,
@@ -127,7 +128,7 @@ class Store:
             scene = with_copy(scene, folder)
             table = scene.initial.cells
             kept = "" if table is None else Path(table.file).name
-            remove(folder, (name for name in (*PASSING, *FILES) if name != kept))
+            remove(folder, (name for name in (*PASSING, *LIVE, *FILES) if name != kept))
             text = scene.to_toml(versions(), beside=folder)
             write_text(folder / "scene.toml", text)
             names = tuple(scene.nutrients)
