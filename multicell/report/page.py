@@ -12,6 +12,7 @@ from multicell.errors import OutputError
 from multicell.report.html import write_page
 from multicell.report.plots.run import PICTURES
 from multicell.report.wording import cell_count, diagnostics, measures
+from multicell.results.folder import LIVE, in_use, remove
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,7 +33,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
 
     summary = result.summary()
     phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}
-    return write_page(
+    page = write_page(
         place / "report.html",
         "run.html",
         scene=result.scene,
@@ -47,6 +48,9 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         longest=max(phases.values(), default=0.0) or 1.0,
         **_accounts(summary),
     )
+    if not in_use(place):  # of a run that was killed: the report takes their place
+        remove(place, LIVE)
+    return page
 
 
 def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure], str]]]:

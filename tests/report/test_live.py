@@ -213,3 +213,15 @@ def test_files_of_the_picture_are_no_results(tmp_path):
     begin = time.perf_counter()
     live.drawn(initial_cells(SMALL), SMALL, 0.0)
     assert time.perf_counter() - begin < 2.0
+
+
+def test_a_report_takes_the_place_of_the_picture_of_a_killed_run(tmp_path):
+    folder = tmp_path / "out"
+    result = mc.run(SMALL, output=folder, threads=1)
+    for name in LIVE:
+        (folder / name).write_bytes(b"of a killed run")
+    with lock_folder(folder):  # of a run that goes on
+        result.report()
+        assert (folder / LIVE[0]).exists()
+    result.report()
+    assert not {path.name for path in folder.iterdir()} & set(LIVE)

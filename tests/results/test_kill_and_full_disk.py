@@ -91,6 +91,8 @@ def finish(forks, folder, whole):
         assert not list(folder.glob("*.part"))
     assert_same_bits(folder, whole)
     assert summary(folder) == summary(whole)
+    if done["code"] == 2:
+        mc.load_result(folder).report()  # as the command ``view`` does
     assert not {entry.name for entry in folder.iterdir()} & {*PASSING, *LIVE}
 
 
