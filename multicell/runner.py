@@ -7,8 +7,10 @@ import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import wraps
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ParamSpec, final
 
 from multicell.compiling.threads import thread_count
 from multicell.coupling.start_check import check_population
@@ -28,6 +30,7 @@ from multicell.results.measures import check_observables
 from multicell.results.quantities import units_of
 from multicell.results.summary import scene_mark
 from multicell.scene.scene import Scene, load_scene
+from multicell.schema import near_miss, specs
 from multicell.simulation import Simulation
 from multicell.units import shown
 
@@ -38,6 +41,9 @@ if TYPE_CHECKING:
     from multicell.results.lineage import Lineage
     from multicell.results.reader import Contents
     from multicell.results.writer import Store
+
+
+P = ParamSpec("P")
 
 
 @final
@@ -54,6 +60,28 @@ class RunOptions:
     live: bool = False  # whether the folder has a picture that renews itself until the report
 
 
+def _refusing_scene_keys(function: Callable[P, Result]) -> Callable[P, Result]:
+    """Refuse options that a function does not have in words: many are keys of the scene."""
+    known = signature(function).parameters
+    positional = sum(p.kind is p.POSITIONAL_OR_KEYWORD for p in known.values())
+
+    @wraps(function)
+    def called(*given: P.args, **options: P.kwargs) -> Result:
+        if len(given) > positional:
+            hint = f"For example output={shown(given[positional])}."
+            raise SceneError("", f"options of multicell.{function.__name__} have names", hint)
+        for name in options:
+            if name not in known:
+                hint = near_miss(name, known)
+                if name in specs(Scene):
+                    hint = f"It is a key of the scene: scene.with_changes({name}=...)."
+                raise SceneError(name, f"is no option of multicell.{function.__name__}", hint)
+        return function(*given, **options)
+
+    return called
+
+
+@_refusing_scene_keys
 def run(
     scene: Scene | str | Path,
     *,
@@ -133,6 +161,8 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
         from multicell.scene.start_checks import check_start_table
 
         check_start_table(scene)  # before the folder is made
+    if options.output is not None and not isinstance(options.output, str | Path):
+        raise OutputError(f"the output folder is {shown(options.output)}, must be a path")
     check_population(scene)
     check_observables(scene)
     scene, own = integrated_by(scene, options.integrator)
@@ -379,6 +409,7 @@ _MAY_CHANGE = ("duration", "stop_cells", "title", "output", "integrator")
 _OF_A_NUTRIENT = ("boundary", "media", "media_change", "sides", "perfusion")
 
 
+@_refusing_scene_keys
 def resume(
     folder: str | Path,
     frame: int = -1,

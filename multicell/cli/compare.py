@@ -38,6 +38,7 @@ _comparing = shared.grouped(
         "--methods",
         metavar="NAMES",
         callback=_names,
+        **shared.listed_names(shared.known_methods),
         help="Methods to compare, separated by commas; by default all that can hold the scene. "
         "One of your own is named as mine.py:Midpoint.",
     ),

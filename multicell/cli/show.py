@@ -90,6 +90,7 @@ def _up_to_date(page: Path, folder: Path) -> bool:
 @click.option(
     "--quantity",
     metavar="NAME",
+    **shared.offering(shared.known_quantities),
     help="Draw a column of the history against time, such as diameter; of several runs in one.",
 )
 @shared.loaded_law_option

@@ -26,7 +26,12 @@ def method_info(method: Any, what: str = "integrator") -> MethodInfo:
     if isinstance(method, str):
         info = find(method)
         if info is None and ":" not in method:
-            raise SceneError(what, f"no method is called {method!r}", near_miss(method, METHODS))
+            kinds = {"explicit": False, "implicit": True}
+            hint = near_miss(method, METHODS)
+            if method in kinds:
+                some = [n for n, i in METHODS.items() if i.implicit == kinds[method]]
+                hint = f"The {method} ones are {', '.join(some)}."
+            raise SceneError(what, f"no method is called {method!r}", hint)
         return info or method_info(load_object(method, what), what)
     if not callable(getattr(method, "integrate", None)):
         name = getattr(method, "__name__", type(method).__name__)

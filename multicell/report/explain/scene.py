@@ -15,9 +15,10 @@ from multicell.coupling.start_check import check_population
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
-from multicell.report.explain.cost import cost_notes, cost_numbers, predict
+from multicell.report.explain.cost import Prediction, cost_notes, cost_numbers, predict
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
+from multicell.report.explain.stiffness import stiffness_notes, stiffness_numbers
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.parts import PHASES
@@ -38,14 +39,23 @@ def explain(scene: Scene) -> dict[str, Any]:
     """
     check_population(scene)
     expected = predict(scene)
-    numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene)]
+    numbers = [*_run(scene), *contact_numbers(scene), *stiffness_numbers(scene), *_growth(scene)]
     numbers += [*cost_numbers(scene, expected), *nutrient_numbers(scene)]
     return {
         "title": scene.title,
         "parts": [asdict(part) for part in _parts(scene)],
         "numbers": [asdict(number) for number in numbers],
-        "notes": [*_notes(scene), *cost_notes(expected), *nutrient_notes(scene)],
+        "notes": [
+            *_notes(scene),
+            *cost_notes(expected),
+            *nutrient_notes(scene),
+            *_placed(scene, expected),
+        ],
     }
+
+
+def _placed(scene: Scene, expected: Prediction) -> list[str]:
+    return stiffness_notes(scene, float(expected.course.cells[-1]))
 
 
 def _parts(scene: Scene) -> list[Part]:
