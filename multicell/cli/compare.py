@@ -83,7 +83,7 @@ def compare(scene: Scene, stepwise: int | None, quiet: bool, as_json: bool, **op
     result = compared(
         scene, stepwise=stepwise or False, progress=None if quiet else complain, **options
     )
-    _show(result, options["output"], quiet, as_json)
+    _show(result, options["output"], quiet, as_json, result.verdict())
 
 
 @click.command()
@@ -100,8 +100,16 @@ def stability(scene: Scene, quiet: bool, as_json: bool, **options: Any) -> None:
     _show(result, options["output"], quiet, as_json)
 
 
-def _show(result: WorkPrecision | StabilityMap, output: Path, quiet: bool, as_json: bool) -> None:
+def _show(
+    result: WorkPrecision | StabilityMap,
+    output: Path,
+    quiet: bool,
+    as_json: bool,
+    verdict: str = "",
+) -> None:
     if as_json:
         print_json(result.table)
     elif not quiet:
+        if verdict:
+            shared.console().print(verdict, markup=False)
         shared.console().print(f"Results are in '{output}'.", markup=False)
