@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator, MethodInfo, info_of
-from multicell.integrators.registry import METHODS, find, instantiate
+from multicell.integrators.registry import METHODS, find, instantiate, meant_by
 from multicell.plugins.named import load_object, origin
 from multicell.schema import near_miss
 
@@ -26,11 +26,7 @@ def method_info(method: Any, what: str = "integrator") -> MethodInfo:
     if isinstance(method, str):
         info = find(method)
         if info is None and ":" not in method:
-            kinds = {"explicit": False, "implicit": True}
-            hint = near_miss(method, METHODS)
-            if method in kinds:
-                some = [n for n, i in METHODS.items() if i.implicit == kinds[method]]
-                hint = f"The {method} ones are {', '.join(some)}."
+            hint = meant_by(method) or near_miss(method, METHODS)
             raise SceneError(what, f"no method is called {method!r}", hint)
         return info or method_info(load_object(method, what), what)
     if not callable(getattr(method, "integrate", None)):

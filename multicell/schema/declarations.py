@@ -109,17 +109,19 @@ def choice(
     doc: str = "",
     other: Callable[[str], bool] = lambda _: False,
     further: str = "",
+    hint: Callable[[str], str] | None = None,
 ) -> Any:
     """Declare one name out of several.
 
     ``other`` returns whether another text is accepted; the pattern ``further`` describes them.
+    ``hint`` may know more about a name that is refused than how it is spelt.
     """
     known = tuple(options)
 
     def convert(value: object, path: str) -> str:
         if isinstance(value, str) and other(value):
             return value
-        return chosen(value, known, path)
+        return chosen(value, known, path, hint)
 
     return declare(
         "choice", convert, default, allowed=" or ".join(known), doc=doc, options=known,

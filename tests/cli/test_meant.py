@@ -165,6 +165,6 @@ def test_shells_complete_names(words, found, monkeypatch):
 
 
 def test_all_names_are_offered_and_files_where_no_name_fits(monkeypatch):
-    assert completed(monkeypatch, "run", "''") or known_scenes()
+    assert set(completed(monkeypatch, "run", "s")) < set(known_scenes())
     assert {"cvode", "auto"} <= set(known_methods())
     assert completed(monkeypatch, "run", "mine.to") == ["mine.to"]

@@ -62,7 +62,7 @@ def test_numbers_say_what_there_is():
     [
         ("spheroid", "5 kPa s", "typical tissue, 10,000 cells, λΔt of 10.", "ab2-adaptive"),
         ("spheroid", "0.5 kPa s", "typical tissue, 10,000 cells, λΔt of 100.", "ab2-adaptive"),
-        ("spheroid", "5e-3 kPa s", "λΔt of 10,000.", "'rkc2' is cheapest"),
+        ("spheroid", "5e-3 kPa s", "λΔt of 10,000.", "rkc2 is cheapest"),
         ("spheroid", "5e-4 kPa s", "λΔt of 100,000.", "are even"),
         ("spheroid", "5e-5 kPa s", "λΔt of 1,000,000.", "Implicit"),
         ("settle", "1e-3 kPa s", "quiet tissue, 100 cells, λΔt of 10,000.", "Implicit"),

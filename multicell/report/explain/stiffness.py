@@ -69,9 +69,9 @@ def stiffness_notes(scene: Scene, cells: float) -> list[str]:
 def _advice(state: str, decade: int) -> str:
     """Return what the diagram says of a tile, at an error of 1 % of the motion."""
     if decade <= 2:
-        return "Explicit methods are cheapest there, such as 'ab2-adaptive'; 'auto' takes them."
+        return "Explicit methods are cheapest there, such as ab2-adaptive; auto takes them."
     if decade <= 4 and not (state == "quiet" and decade == 4):
-        return "The stabilised 'rkc2' is cheapest there; 'auto' takes it."
+        return "The stabilised rkc2 is cheapest there; auto takes it."
     if decade <= 5 and state != "quiet":
-        return "The stabilised 'rkc2' and the implicit 'rosenbrock' are even there."
-    return "Implicit methods are cheapest there, such as 'rosenbrock'; 'auto' takes them."
+        return "The stabilised rkc2 and the implicit rosenbrock are even there."
+    return "Implicit methods are cheapest there, such as rosenbrock; auto takes them."
