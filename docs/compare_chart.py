@@ -20,7 +20,7 @@ from picture_origins import FIGURES, record
 
 import multicell as mc
 from multicell.comparison.result import WorkPrecision
-from multicell.report.plots.style import save
+from multicell.report.plots.style import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,7 +63,7 @@ def main() -> None:
     if given.no_times:
         remove_times(figure)
     picture = FIGURES / f"compare-{SCENE}.png"
-    save(figure, picture)
+    save_figure(figure, picture)
     command = "python docs/compare_chart.py chart" + (" --no-times" if given.no_times else "")
     record(picture, command, (row["method"] for row in result.table))
 

@@ -38,7 +38,7 @@ from emt6_fit import (
 from matplotlib.figure import Figure
 
 import multicell as mc
-from multicell.report.plots.style import BLUE, INK, QUIET, RED, save, styled
+from multicell.report.plots.style import BLUE, INK, QUIET, RED, save_figure, styled
 
 HERE = Path(__file__).parent
 PACKING = 0.76
@@ -64,9 +64,9 @@ def main() -> None:
     if "growth" in only:
         growth(data, known)
     if {"runs", "pictures"} & set(only):
-        save(draw_rest(data, known, runs(data)), HERE / "figures" / "emt6-rims.png")
-    save(draw_growth(data, known), HERE / "figures" / "emt6.png")
-    save(draw_profiles(), HERE / "figures" / "emt6-profiles.png")
+        save_figure(draw_rest(data, known, runs(data)), HERE / "figures" / "emt6-rims.png")
+    save_figure(draw_growth(data, known), HERE / "figures" / "emt6.png")
+    save_figure(draw_profiles(), HERE / "figures" / "emt6-profiles.png")
 
 
 def tell(name: str, tissue: Tissue, data: Measured, squares: float | None = None) -> None:

@@ -27,7 +27,7 @@ from papers import HERE, Array, mechanics, motion, order, pick, reached, solve, 
 from picture_origins import record
 
 from multicell.integrators.registry import METHODS
-from multicell.report.plots.style import blank, save, styled
+from multicell.report.plots.style import blank, save_figure, styled
 
 DATA, PUBLISHED, DAUGHTERS = (
     HERE / "chart-data" / f"mathias2022{part}.csv" for part in ("", "-published", "-daughters")
@@ -239,7 +239,7 @@ def main() -> None:
     title = "Separation of two daughters, in cell diameters (figure 3)"
     print(f"{title}\n\n{daughters(pd.read_csv(DAUGHTERS))}\n\n{tables(data, published)}")
     picture = HERE / "figures" / "mathias2022.png"
-    save(draw(data, published), picture)
+    save_figure(draw(data, published), picture)
     record(picture, "python docs/mathias2022.py", {*OVER_STEP, *OVER_COST} - {"theirs"})
 
 

@@ -15,7 +15,7 @@ from papers import Array, mechanics, motion, solve
 from scipy.sparse.linalg import LinearOperator, gmres
 
 import multicell as mc
-from multicell.contact.springs import Cubic, GeneralisedLinear
+from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring
 
 
 @mc.pair_law(
@@ -39,14 +39,14 @@ def Quadratic(overlap, modulus, radius, p, rest):  # type: ignore[no-untyped-def
 
 
 LAWS = {
-    "cubic": Cubic(stiffness_at_rest=5.7 * 0.5**2, cutoff=1.5),
+    "cubic": CubicSpring(stiffness_at_rest=5.7 * 0.5**2, cutoff=1.5),
     "quadratic": Quadratic(
         adhesion_strength=0.21 * 9.1,
         repulsion_strength=9.1,
         far=1.5,
         near=1.0 / (1.0 - math.sqrt(0.21) / 3.0),
     ),
-    "GLS": GeneralisedLinear(stiffness_at_rest=1.95, cutoff=1.5, decay=7.51),
+    "GLS": GeneralisedLinearSpring(stiffness_at_rest=1.95, cutoff=1.5, decay=7.51),
 }
 
 

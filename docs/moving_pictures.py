@@ -21,7 +21,7 @@ from PIL import Image
 
 import multicell as mc
 from multicell.report.plots.movie import movie
-from multicell.report.plots.style import save
+from multicell.report.plots.style import save_figure
 from multicell.studies.runs import MODEL_VERSION
 
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -39,7 +39,7 @@ def draw_run(result: mc.Result) -> None:
     }
     film, section = FIGURES / "spheroid.webp", FIGURES / "section.png"
     movie(result, film, space=True, turn=100.0, rate=10.0, transparent=True)
-    save(result.plot.section(), section)
+    save_figure(result.plot.section(), section)
     reduce_colours(Image.open(section)).save(section, optimize=True)
     for picture in (film, section):
         print(picture, f"{picture.stat().st_size / 1e6:.2f} MB")

@@ -38,7 +38,7 @@ from papers import HERE, order, pick, reached, solve, table
 from picture_origins import record
 
 from multicell.integrators.registry import METHODS
-from multicell.report.plots.style import blank, save, styled
+from multicell.report.plots.style import blank, save_figure, styled
 
 DATA = HERE / "chart-data" / "osborne2024.csv"
 STEPS = 2.0 ** -np.arange(4, 12)
@@ -185,7 +185,7 @@ def main() -> None:
     data = pd.read_csv(DATA)
     print(tables(data))
     picture = HERE / "figures" / "osborne2024.png"
-    save(draw(data), picture)
+    save_figure(draw(data), picture)
     record(picture, "python docs/osborne2024.py", {*OURS.values(), *FIXED, *TOLERANT})
 
 

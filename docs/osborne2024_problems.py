@@ -13,10 +13,10 @@ from collections.abc import Callable
 import numpy as np
 from papers import Array, mechanics, motion, solve
 
-from multicell.contact.springs import GeneralisedLinear, Linear
+from multicell.contact.springs import GeneralisedLinearSpring, LinearSpring
 
-CHAIN = Linear(stiffness_at_rest=15.0, cutoff=1.5)
-SPRINGS = GeneralisedLinear(stiffness_at_rest=15.0, cutoff=10.0, decay=5.0)
+CHAIN = LinearSpring(stiffness_at_rest=15.0, cutoff=1.5)
+SPRINGS = GeneralisedLinearSpring(stiffness_at_rest=15.0, cutoff=10.0, decay=5.0)
 STABILITY: dict[str, Callable[[Array], Array]] = {
     "FE": lambda z: 1 + z,
     "MP": lambda z: 1 + z + z**2 / 2,

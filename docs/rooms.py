@@ -17,7 +17,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from multicell.report.plots.style import BLUE, INK, blank, save, styled
+from multicell.report.plots.style import BLUE, INK, blank, save_figure, styled
 
 HERE = Path(__file__).parent
 PACKAGE = HERE.parent / "multicell"
@@ -26,7 +26,7 @@ WHAT = {
     "calibration": "fits, sensitivity",
     "testing": "conformance",
     "ode": "for outside solvers", "runner": "run, resume", "report": "result, pages, pictures",
-    "simulation": "the coupling step", "coupling": "its parts",
+    "simulation": "state and the coupling step",
     "behaviours": "growth, responses",
     "host": "files, signals, memory",
     "nutrient": "fields", "biology": "what cells do",
@@ -130,4 +130,4 @@ def draw() -> Figure:
 
 
 if __name__ == "__main__":
-    save(draw(), HERE / "figures" / "rooms.png")
+    save_figure(draw(), HERE / "figures" / "rooms.png")

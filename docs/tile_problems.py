@@ -30,7 +30,7 @@ from multicell.cells import Cells, FloatArray
 from multicell.comparison.conditioning import shift_starts
 from multicell.comparison.ladders import capable_methods, find_method
 from multicell.comparison.null_methods import MotionScale
-from multicell.comparison.replay import Problem, Step, Trajectory, replay
+from multicell.comparison.replay import ReplayProblem, Step, Trajectory, replay
 from multicell.mechanics.decay_rate import largest_decay_rate
 
 STATES: Final = ("quiet", "typical", "fresh")
@@ -88,7 +88,7 @@ class Solved:
     """
 
     tile: Tile
-    problem: Problem
+    problem: ReplayProblem
     end: FloatArray
     scale: MotionScale
     uncertainty: float
@@ -157,7 +157,7 @@ def _thin(state: str, steps: list[tuple[float, Cells]]) -> None:
         steps[:] = [min(reversed(steps), key=_rank(state, steps))]
 
 
-def recorded(tile: Tile, folder: Path | None = None) -> tuple[Problem, dict[str, float]]:
+def recorded(tile: Tile, folder: Path | None = None) -> tuple[ReplayProblem, dict[str, float]]:
     """Return the step of a tile, and what there is to know of it."""
     cells = checkpoints(tile, folder)[tile.state]
     begun = mc.Simulation(_scene(tile, _VISCOSITY), threads=1, cells=cells)
@@ -171,7 +171,9 @@ def recorded(tile: Tile, folder: Path | None = None) -> tuple[Problem, dict[str,
         simulation.step()
     cells, template = simulation.cells, simulation.prepared()
     start = np.array(cells.position)
-    problem = Problem(scene, template, start, cells.radius, [Step(template.motion)], [start], 1)
+    problem = ReplayProblem(
+        scene, template, start, cells.radius, [Step(template.motion)], [start], 1
+    )
     return problem, {
         "n": float(len(cells)),
         "lambda_dt": length * largest_decay_rate(template, template.motion.begin, start),
@@ -206,7 +208,7 @@ def solved(tile: Tile, folder: Path | None = None) -> Solved:
 
 
 def reference(
-    problem: Problem, stiffness: float, goals: tuple[float, ...] = GOALS
+    problem: ReplayProblem, stiffness: float, goals: tuple[float, ...] = GOALS
 ) -> dict[str, Any]:
     """Return the end of a step, and those of a check by another method and of shifted beginnings.
 
@@ -217,7 +219,7 @@ def reference(
     if checking not in capable_methods(problem.scene):
         checking = "cvode"
 
-    def run(by: str, tolerance: float, start: Problem = problem) -> Trajectory:
+    def run(by: str, tolerance: float, start: ReplayProblem = problem) -> Trajectory:
         solver = find_method(by, problem.scene, problem.mean_radius)
         found = replay(start, solver.make(tolerance / problem.mean_radius))
         if not found.done:

@@ -39,7 +39,7 @@ from multicell.comparison.ladders import find_method
 from multicell.comparison.null_methods import NULL_METHODS
 from multicell.comparison.replay import replay
 from multicell.integrators.registry import METHODS
-from multicell.report.plots.style import save
+from multicell.report.plots.style import save_figure
 from multicell.tables.text import table_text
 
 HERE = Path(__file__).parent
@@ -316,7 +316,7 @@ def show(given: argparse.Namespace) -> None:
     for goal in GOALS:
         end = "" if goal == GOALS[0] else "-fine"
         picture = given.figures / f"tiles{end}.png"
-        save(draw(*first, goal), picture)
+        save_figure(draw(*first, goal), picture)
         best = {point.best for point in points(*first, goal)} - {""}
         record(picture, "python docs/tiles.py", best)
     if given.page is not None:

@@ -34,7 +34,7 @@ import multicell as mc
 from multicell.cells import FloatArray
 from multicell.comparison.ladders import find_method
 from multicell.comparison.null_methods import MotionScale
-from multicell.comparison.replay import Problem, Step, replay
+from multicell.comparison.replay import ReplayProblem, Step, replay
 from multicell.integrators import backward_euler, driver, rosenbrock_solver, stepping
 from multicell.integrators.base import EqualSteps, ErrorControl, Outcome
 from multicell.integrators.loops import chebyshev
@@ -287,14 +287,14 @@ TRIED: dict[str, Callable[[], list[Any]]] = {
 }
 
 
-def cases(cells: int, folder: Path | None) -> Iterator[tuple[str, Problem, FloatArray]]:
+def cases(cells: int, folder: Path | None) -> Iterator[tuple[str, ReplayProblem, FloatArray]]:
     """Yield coupling steps: what each is, and where it ends."""
     for state, z in STATES:
         step = solved(Tile(state, cells, z, 1), folder)
         yield f"{state}, λΔt 10^{math.log10(z):.0f}", step.problem, step.end
     simulation = mc.Simulation(mc.load_scene("stiff-inclusions"), threads=1)
     template, start = simulation.prepared(), np.array(simulation.cells.position)
-    problem = Problem(
+    problem = ReplayProblem(
         simulation.scene, template, start, simulation.cells.radius, [Step(template.motion)],
         [start], 1,
     )  # fmt: skip
@@ -302,7 +302,7 @@ def cases(cells: int, folder: Path | None) -> Iterator[tuple[str, Problem, Float
     yield "stiff-inclusions", problem, exact.positions[0]
 
 
-def cheapest(name: str, problem: Problem, end: FloatArray, goals: list[float]) -> list[str]:
+def cheapest(name: str, problem: ReplayProblem, end: FloatArray, goals: list[float]) -> list[str]:
     """Return for each goal effort and CPU time of the cheapest solve that reaches it."""
     radius, motion = problem.mean_radius, problem.steps[0].motion
     settings, variants = TOLERANCES, TRIED.get(name, list)()

@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import multicell as mc
-from multicell.report.plots.style import BLUE, QUIET, RED, save, styled
+from multicell.report.plots.style import BLUE, QUIET, RED, save_figure, styled
 
 Array = NDArray[np.float64]
 
@@ -202,7 +202,7 @@ def pictures() -> None:
             parts = " ".join(f"{rms(part):6.2f}" for part in (*off.T, off))
             print(f"{seeding:6d} cells, {name:12s} {parts}   ", end="")
             print(f"{covered(single, radii(bands[seeding]), sd):.0%}" if name == "wm983b" else "")
-    save(draw(bands, rivals), HERE / "figures" / "wm983b.png")
+    save_figure(draw(bands, rivals), HERE / "figures" / "wm983b.png")
 
 
 def rms(off: Array) -> float:

@@ -55,7 +55,7 @@ from multicell.scene.reactions import Reaction as Reaction
 from multicell.scene.scene import Scene as Scene
 from multicell.scene.scene import load_scene as load_scene
 from multicell.scene.scene import scene_names as scene_names
-from multicell.simulation import Simulation as Simulation
+from multicell.simulation.simulation import Simulation as Simulation
 from multicell.studies.derivatives import gradient as gradient
 from multicell.studies.run_table import RunTable as RunTable
 from multicell.studies.run_table import compare_coarse as compare_coarse

@@ -16,7 +16,7 @@ from multicell.vectors import cubes
 
 IntArray = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Found = Mapping[str, FloatArray]
+Signals = Mapping[str, FloatArray]
 """What cells find: fields in mM, and other signals, by their names: name -> (n,)."""
 
 SPHERE = 4.0 * np.pi / 3.0
@@ -46,7 +46,7 @@ class Phase(IntEnum):
 
 @final
 class State(IntEnum):
-    """What a cell does; the values are those stored in :attr:`Cells.state`."""
+    """State of a cell; the values are those stored in :attr:`Cells.state`."""
 
     PROLIFERATING = 0
     QUIESCENT = 1
@@ -200,9 +200,20 @@ class Cells:
         """Return the same cells in the same arrays, of which some are to be replaced."""
         return _made(vars(self))
 
+    def changed(self, **columns: NDArray[Any]) -> Cells:
+        """Return the same cells with other arrays for some columns."""
+        return _made({**vars(self), **columns})
+
+    def equals(self, other: Cells) -> bool:
+        """Return whether all columns of other cells are the same."""
+        mine, others = vars(self), vars(other)
+        return mine.keys() == others.keys() and all(
+            np.array_equal(column, others[name]) for name, column in mine.items()
+        )
+
     def rows_of(self, ids: IntArray) -> IntArray:
         """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
-        return rows_of(self.id, ids)
+        return rows_by_id(self.id, ids)
 
     def replaced(self, index: NDArray[Any], other: Cells) -> Cells:
         """Return the cells at ``index`` followed by those of ``other``, column by column."""
@@ -258,7 +269,7 @@ def rows_before(began: Cells, cells: Cells) -> IntArray:
     return row
 
 
-def rows_of(known: IntArray, ids: IntArray) -> IntArray:
+def rows_by_id(known: IntArray, ids: IntArray) -> IntArray:
     """Return the place among ``known`` identities of each of ``ids``; -1 where it is not there.
 
     A table of all identities up to the largest where that is in proportion, else by sorting.

@@ -108,7 +108,7 @@ class MulticellError(Exception):
         super().__init__(f"{where}{problem}{'. ' if hint else ''}{hint}")
 
     def _render_traceback_(self) -> list[str]:
-        """Return what IPython prints in place of a traceback: the one line that helps its user."""
+        """Return the line that IPython prints in place of a traceback."""
         if os.environ.get("MULTICELL_DEBUG"):
             import traceback
 

@@ -31,7 +31,7 @@ def _high(a, b):
 
 
 @njit(**_OPTIONS)
-def blocks(counter, key_0, key_1, out):
+def philox_blocks(counter, key_0, key_1, out):
     """Write the random words of each counter to ``out``; both (4, m) uint64."""
     for k in range(counter.shape[1]):
         x0, x1, x2, x3 = counter[0, k], counter[1, k], counter[2, k], counter[3, k]

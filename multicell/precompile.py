@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from multicell.compiling import COMPILATION
-from multicell.coupling.timeline import Phase
+from multicell.simulation.timeline import PhaseTimer
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -58,8 +58,8 @@ class Precompilation:
 
     def watch(self, simulation: Simulation) -> None:
         """Share the rest with the process once the first cell has divided, and wait for it."""
-        if self.process is not None and len(simulation.cells) > 1:
-            with Phase(simulation.wall, "compile"):
+        if self.process is not None and len(simulation.state.cells) > 1:
+            with PhaseTimer(simulation.wall, "compile"):
                 with suppress(Exception):  # the process meets it as well, and so ends early
                     take_step(self._scene, partial(take, self._taken.name))
                 with suppress(subprocess.TimeoutExpired), COMPILATION.awaited("forces"):
@@ -137,7 +137,7 @@ def two_cells(scene: Scene) -> tuple[Mechanics, FloatArray]:
     cells.position[:, 0] += 1.9 * cells.radius * np.array([-0.5, 0.5])
     system = start.mechanics(scene, 1)
     motion = motion_of(
-        biology_plan(scene), cells, cells.radius, 0.0, scene.coupling_step, concentrations={},
+        biology_plan(scene), cells, cells.radius, 0.0, scene.coupling_step, signals={},
         gradients=dict.fromkeys(followed(scene), np.zeros((2, 3))),
         contacts=np.empty((0, 2), dtype=np.int64),
     )  # fmt: skip
@@ -155,7 +155,7 @@ def first_method(scene: Scene) -> Integrator:
 
 
 def parts(system: Mechanics, position: FloatArray, method: AdaptiveAdams) -> dict[str, list[Any]]:
-    """Return what takes longest first, each as :func:`multicell.compiling.address_of` takes it.
+    """Return the parts for :func:`multicell.compiling.address_of`, the slowest to compile first.
 
     Nothing is run, so that no part needs the code of another one. Those that share functions, which
     are compiled once in a process, are one part.
@@ -166,7 +166,7 @@ def parts(system: Mechanics, position: FloatArray, method: AdaptiveAdams) -> dic
 
     known, pairs, shared = system.kernel_data()
     source = stepping.Source(*known, counts=np.zeros(5, dtype=np.int64))
-    used = stepping.kernels(source, pairs, shared=shared, passes=True)
+    used = stepping.stepping_kernels(source, pairs, shared=shared, passes=True)
     rows, placed = source.rows, position.view()
     placed.flags.writeable = False  # as the forces have it
     report = stepping.Report(0, 0.0, 0.0, -1, 0.0), pairs
@@ -210,7 +210,7 @@ def take_step(scene: Scene, takes: Callable[[str], bool] = bool) -> None:
             system.contacts(system.motion.end, outcome.position)
 
 
-def main() -> None:
+def take_shares() -> None:
     """Take parts of what the scene on standard input needs, until none is left."""
     from multicell.scene.scene import Scene
 
@@ -221,4 +221,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    take_shares()

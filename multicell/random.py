@@ -51,6 +51,7 @@ class Purpose(IntEnum):
     RADIATION = 19
     DRIFT = 20
     TOLERANCE = 21
+    ASYMMETRY = 22
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:
@@ -63,11 +64,11 @@ def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:
     ``numpy.random.Philox``.
     """
     # numba is loaded by what draws numbers, not by what only names their purposes
-    from multicell.philox import blocks
+    from multicell.philox import philox_blocks
 
     words = np.ascontiguousarray(counter, dtype=np.uint64).reshape(4, -1)
     out = np.empty_like(words)
-    blocks(words, np.uint64(key[0]), np.uint64(key[1]), out)
+    philox_blocks(words, np.uint64(key[0]), np.uint64(key[1]), out)
     return out.reshape(counter.shape)
 
 

@@ -13,17 +13,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, final
 
 from multicell.compiling.threads import thread_count
-from multicell.coupling.start_check import check_population
 from multicell.errors import ExitCode, OutputError, SceneError
-from multicell.host.interrupts import STEP, UNCUT
+from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.host.memory import Returns, peak
 from multicell.integrators.base import info_of
 from multicell.integrators.own import own_integrator
 from multicell.precompile import Precompilation
-from multicell.report.bar import shown as shown_progress
-from multicell.report.result import Result, history_arrays, load_result, recorded_scene
+from multicell.report.bar import progress_callback
+from multicell.report.result import Result, history_columns, load_result, recorded_scene
 from multicell.report.wording import time_unit
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 from multicell.results.folder import lock_folder
 from multicell.results.frame import Frame
 from multicell.results.measures import check_observables
@@ -32,6 +31,7 @@ from multicell.results.summary import scene_mark
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss, specs
 from multicell.simulation import Simulation
+from multicell.simulation.start_check import check_population
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
     recorder = Recorder(scene, store)
     with ExitStack() as stack:
         stack.enter_context(failing_as_run())
-        interrupt = stack.enter_context(STEP).deliver
+        interrupt = stack.enter_context(WHOLE_STEP).deliver
         stack.callback(recorder.close)
         if options.live:
             stack.enter_context(recorder.shown_live())
@@ -215,7 +215,7 @@ def advance_run(
 ) -> None:
     """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
     try:
-        with shown_progress(simulation.scene, progress) as note:
+        with progress_callback(simulation.scene, progress) as note:
             while not simulation.finished:
                 simulation.step()
                 recorder.record(simulation)
@@ -332,7 +332,7 @@ class Recorder:
                 self._store.append_history(row)
             if frame_due(simulation.time, self._next_frame) or simulation.finished:
                 self._frame(simulation)
-            self._memory.now_and_then(len(simulation.cells))
+            self._memory.now_and_then(len(simulation.state.cells))
             if self._live is not None:
                 self._live.note(simulation)
 
@@ -377,7 +377,7 @@ class Recorder:
     def result(self) -> Result:
         """Return the result of a run that has ended."""
         if self._store is None:
-            history = history_arrays(self._rows)
+            history = history_columns(self._rows)
             lineage = {} if self._lineage is None else self._lineage.table()
             return Result(None, self._frames, history, self._summary, self._scene, lineage)
         return load_result(self._store.folder)
@@ -510,7 +510,7 @@ def record_resumed(
             problem = f"'{folder}' is damaged: its history does not count steps"
             raise OutputError(problem, damaged=True)
         rows = int((steps <= simulation.step_index).sum())
-        interrupt = stack.enter_context(STEP).deliver
+        interrupt = stack.enter_context(WHOLE_STEP).deliver
         if here:
             for k in range(place):
                 contents.frame(k)
@@ -583,7 +583,7 @@ def _simulation(scene: Scene, contents: Contents, place: int, options: RunOption
 
 
 def _complete(contents: Contents) -> bool:
-    summary = read_table(contents.folder / "summary.json")
+    summary = read_document(contents.folder / "summary.json")
     return contents.journal is None and summary is not None and not summary.get("interrupted")
 
 

@@ -30,7 +30,7 @@ from multicell.cells import FloatArray, IntArray, State
 from multicell.contact.hertz import Hertz
 from multicell.contact.law import PairLaw, effective_modulus
 from multicell.errors import SceneError
-from multicell.integrators.base import Integrator, MethodInfo, Outcome, build
+from multicell.integrators.base import Integrator, MethodInfo, Outcome, build_method
 from multicell.integrators.own import method_info
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -40,11 +40,11 @@ if TYPE_CHECKING:
     from multicell.results.frame import Frame
     from multicell.scene.scene import Scene
 
-BEGIN, END = 30.0, 110.0
+TRIED_BEGIN, TRIED_END = 30.0, 110.0
 """The interval of the problem that is solved, s."""
-STEPS = (4.0, 2.0, 1.0, 0.5)
+TRIED_STEPS = (4.0, 2.0, 1.0, 0.5)
 """Steps that a method with a fixed step is tried with, s."""
-TOLERANCES = (1e-3, 1e-4, 1e-5)
+TRIED_TOLERANCES = (1e-3, 1e-4, 1e-5)
 """Tolerances that a method under error control is tried with, µm."""
 
 _WORST = 100.0  # times its tolerance, for the error of the interval
@@ -260,13 +260,13 @@ def _fail(name: str, problems: Iterable[str]) -> None:
 def _instantiate(info: MethodInfo, setting: float) -> Integrator:
     """Return the method with a step in s or a tolerance in µm."""
     if info.control == "step":
-        return build(info, step=setting, atol=1e-7, max_displacement=0.5)
+        return build_method(info, step=setting, atol=1e-7, max_displacement=0.5)
     rtol = max(0.01 * setting, 1e-13)
-    return build(info, rtol=rtol, atol=setting, max_steps=1_000_000, max_displacement=0.5)
+    return build_method(info, rtol=rtol, atol=setting, max_steps=1_000_000, max_displacement=0.5)
 
 
 def _usual(info: MethodInfo) -> float:
-    return STEPS[1] if info.control == "step" else TOLERANCES[1]
+    return TRIED_STEPS[1] if info.control == "step" else TRIED_TOLERANCES[1]
 
 
 def _spheres() -> tuple[Mechanics, FloatArray]:
@@ -277,11 +277,13 @@ def _spheres() -> tuple[Mechanics, FloatArray]:
     system = Mechanics(Hertz(), 5.0)
     growth = np.array([2e-3, 1e-3, 0.0, 1.5e-3])
     young = np.array([1.0, 1.1, 0.9, 1.05])
-    system.begin(Motion(radius, growth, young, np.full(4, 0.5), BEGIN, END))
+    system.begin(Motion(radius, growth, young, np.full(4, 0.5), TRIED_BEGIN, TRIED_END))
     return system, 3.1 * corners + shift
 
 
-def _lone(count: int = 1, begin: float = BEGIN, end: float = END) -> tuple[Mechanics, FloatArray]:
+def _lone(
+    count: int = 1, begin: float = TRIED_BEGIN, end: float = TRIED_END
+) -> tuple[Mechanics, FloatArray]:
     system = Mechanics(Hertz(), 5.0)
     ones = np.ones(count)
     system.begin(Motion(5.0 * ones, 0.0 * ones, ones, 0.5 * ones, begin, end))
@@ -300,7 +302,12 @@ def _exact() -> FloatArray:
         return out.ravel()
 
     found = solve_ivp(
-        velocity, (BEGIN, END), position.ravel(), method="DOP853", rtol=1e-13, atol=1e-13
+        velocity,
+        (TRIED_BEGIN, TRIED_END),
+        position.ravel(),
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-13,
     )
     return np.asarray(found.y[:, -1].reshape(4, 3))
 
@@ -323,7 +330,9 @@ def _finished(
     outcome, system = _solved(_instantiate(info, setting), problem)
     at = f"with {'step' if info.control == 'step' else 'tolerance'} {setting:g}"
     _require(outcome.done, f"{at} it does not reach the end: {outcome.problem}")
-    _require(outcome.time == END, f"{at} it ends at {outcome.time!r} s, not at {END!r} s")
+    _require(
+        outcome.time == TRIED_END, f"{at} it ends at {outcome.time!r} s, not at {TRIED_END!r} s"
+    )
     _require(
         np.shape(outcome.position) == problem[1].shape and np.isfinite(outcome.position).all(),
         f"{at} it does not return numbers for all cells",
@@ -332,7 +341,7 @@ def _finished(
 
 
 def _check_errors(info: MethodInfo) -> None:
-    settings: Sequence[float] = STEPS if info.control == "step" else TOLERANCES
+    settings: Sequence[float] = TRIED_STEPS if info.control == "step" else TRIED_TOLERANCES
     errors = np.array(
         [np.abs(_finished(info, value, _spheres())[0] - _exact()).max() for value in settings]
     )
@@ -374,7 +383,7 @@ def _check_counts(info: MethodInfo) -> None:
     _require(work.evaluations > 0, "its evaluations do not go through the system")
     _require(work.steps > 0, "it does not count its steps in system.work.steps")
     if info.control == "step":
-        count = math.ceil((END - BEGIN) / _usual(info))
+        count = math.ceil((TRIED_END - TRIED_BEGIN) / _usual(info))
         _require(work.steps == count, f"it counts {work.steps} steps where there are {count}")
         # 1.0 - 0.7 is a little more than three steps of 0.1
         _, system = _solved(_instantiate(info, 0.1), _lone(begin=0.7, end=1.0))
@@ -396,7 +405,7 @@ def _check_failures(info: MethodInfo) -> None:
     position[2, 1] = np.nan
     outcome, _ = _solved(_instantiate(info, _usual(info)), (system, position))
     _require(not outcome.done, "it calls a state done that is no number")
-    _require(outcome.time == BEGIN, "it reports progress from a state that is not a number")
+    _require(outcome.time == TRIED_BEGIN, "it reports progress from a state that is not a number")
 
 
 def _check_lone_cell(info: MethodInfo) -> None:
@@ -478,7 +487,7 @@ def _taken(frame: Frame, index: IntArray) -> Frame:
 
 
 def _observed(observable: Observable, state: TissueState, key: str) -> Iterator[str]:
-    """Yield what is wrong with an observable in a state."""
+    """Yield the faults of an observable in a state."""
     order = np.random.default_rng(7).permutation(len(state.cells))
     turned = TissueState(_taken(state.frame, order), state.scene)
     states = (state, state, turned)
@@ -581,15 +590,15 @@ def _check_compiled(law: PairLaw) -> None:
     modulus = float(effective_modulus(1.0, poisson, 1.0, poisson))
     for overlap in (0.02, 0.3, 1.5, 4.0):
         system, ones, touching = Mechanics(law, 5.0), np.ones(2), np.array([[0, 1]])
-        motion = (5.0 * ones, 0.0 * ones, ones, poisson * ones, BEGIN, END)
+        motion = (5.0 * ones, 0.0 * ones, ones, poisson * ones, TRIED_BEGIN, TRIED_END)
         system.begin(Motion(*motion, touching=touching))
         position = np.array([[0.0, 0.0, 0.0], [rest - overlap, 0.0, 0.0]])
         wanted = law.evaluate(overlap, modulus, 2.5, rest=rest, touching=True)
         v, out = np.array([[0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), np.empty((2, 3))
-        system.linearise(BEGIN, position)
+        system.linearise(TRIED_BEGIN, position)
         system.jacobian_product(v, out)
-        force = float(system.force(BEGIN, position)[1, 0])
-        found = force, float(out[1, 0]) * system.drag * 5.0, system.energy(BEGIN, position)
+        force = float(system.force(TRIED_BEGIN, position)[1, 0])
+        found = force, float(out[1, 0]) * system.drag * 5.0, system.energy(TRIED_BEGIN, position)
         for name, got, value in zip(("force", "stiffness", "energy"), found, wanted, strict=True):
             _require(
                 math.isclose(got, float(value), rel_tol=1e-9, abs_tol=1e-12),

@@ -212,7 +212,7 @@ def unit_factor(text: str, unit: str) -> float | None:
 
 
 def unit_hint(text: str, unit: str) -> str:
-    """Return what may be meant by a text that is no unit of the kind of ``unit``; may be empty."""
+    """Return units that may be meant by a text of another kind than ``unit``; may be empty."""
     names = [name for name, _ in _factors(text) or ()]
     if any(name.lower() in _PIXELS for name in names):
         return "How many um is a pixel? Multiply by that, and write um."

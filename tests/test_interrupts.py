@@ -21,10 +21,10 @@ from signals import listening
 
 import multicell as mc
 from multicell.host import interrupts
-from multicell.host.interrupts import STEP, UNCUT
-from multicell.integrators.restarts import Run
+from multicell.host.interrupts import UNCUT, WHOLE_STEP
+from multicell.integrators.restarts import IntegrationProgress
 from multicell.results import folder
-from multicell.results.documents import Lines, read_table
+from multicell.results.documents import Lines, read_document
 from multicell.results.hdf5 import check_readable
 from multicell.results.reader import Contents
 from multicell.simulation import Simulation
@@ -140,7 +140,7 @@ def test_a_second_ctrl_c_leaves_the_state_of_the_beginning(handled, monkeypatch)
 def test_a_handler_of_the_users_own_is_called_once_at_the_end(handled):
     seen = []
     signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
-    with STEP:
+    with WHOLE_STEP:
         os.kill(os.getpid(), signal.SIGINT)
         assert seen == []
     assert seen == [signal.SIGINT]
@@ -157,7 +157,7 @@ def test_no_signal_cuts_a_compilation(inner, handled):
     signal.signal(signal.SIGALRM, late)
 
     def compiled():
-        with STEP, UNCUT:
+        with WHOLE_STEP, UNCUT:
             for number in (signal.SIGINT, signal.SIGINT, signal.SIGALRM)[: 3 if inner else 2]:
                 os.kill(os.getpid(), number)
             seen.append("whole")
@@ -173,7 +173,7 @@ def test_other_threads_leave_handlers_alone(handled):
     found = []
 
     def block():
-        with STEP, UNCUT:
+        with WHOLE_STEP, UNCUT:
             found.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=block)
@@ -276,7 +276,7 @@ def test_what_does_not_read_back_takes_the_place_of_nothing(how, tmp_path, monke
 def test_a_second_press_ends_a_solve_at_its_next_evaluation(method, presses, handled, monkeypatch):
     simulation = Simulation(SCENE.with_changes({"integrator.method": method}), threads=1)
     simulation.step()
-    inner, calls = Run.velocity, []
+    inner, calls = IntegrationProgress.velocity, []
 
     def pressed(self, *arguments):
         inner(self, *arguments)
@@ -285,7 +285,7 @@ def test_a_second_press_ends_a_solve_at_its_next_evaluation(method, presses, han
             for _ in range(presses):
                 os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(Run, "velocity", pressed)
+    monkeypatch.setattr(IntegrationProgress, "velocity", pressed)
     with pytest.raises(KeyboardInterrupt) as found:
         simulation.step()
     if presses == 1:
@@ -477,7 +477,7 @@ def _read_back(folder):
             for place in range(len(contents.places)):
                 contents.frame(place)
         elif path.name in ("summary.json", "failure.json", "study.json"):
-            assert read_table(path) is not None
+            assert read_document(path) is not None
         elif path.name == "search.log":
             assert Lines(path).entries is not None
         elif path.name == "scene.toml":

@@ -9,7 +9,7 @@ import pytest
 
 import multicell as mc
 import multicell.biology.step as biology
-import multicell.simulation as simulation_module
+import multicell.simulation.coupling_step as coupling_step
 from multicell.errors import NutrientFailed, StepFailed
 from multicell.mechanics.system import Mechanics
 from multicell.nutrient.field import NutrientField
@@ -103,7 +103,7 @@ WHERE = {
     "second field": (FieldGroup, "advance"),
     "sampling": (NutrientField, "read"),
     "states": (biology, "update_states"),
-    "estimate": (simulation_module, "lag_after"),
+    "estimate": (coupling_step, "lag_after"),
 }
 ERRORS = [NutrientFailed("it cannot be solved", "Try again"), MemoryError(), KeyboardInterrupt()]
 

@@ -1,1 +1,1 @@
-"""What changes what cells do: behaviours, the signals that they respond to, and by which law."""
+"""Behaviours of cells, the signals that they respond to, and the laws of response."""

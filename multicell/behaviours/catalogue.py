@@ -14,7 +14,7 @@ from multicell.schema import near_miss
 @final
 @dataclass(frozen=True)
 class Behaviour:
-    """What responses may change.
+    """A behaviour of cells, which responses may change.
 
     Attributes
     ----------
@@ -49,6 +49,10 @@ def _rate(name: str, doc: str, of: str = "") -> Behaviour:
     return Behaviour(name, doc, of, "1/s", "sum", 1.0)
 
 
+def _chance(name: str, doc: str) -> Behaviour:
+    return Behaviour(name, doc, "type", "", "sum", 1.0)
+
+
 BEHAVIOURS: Final = (
     Behaviour("growth rate", "factor on growth, and on the cycle in the phases in which it grows"),
     Behaviour("entry into", "factor on the pace of the phase before", "phase"),
@@ -57,7 +61,8 @@ BEHAVIOURS: Final = (
     _rate("necrosis rate", "rate of death by necrosis"),
     _rate("damage rate", "rate of taking damage, of which 1 kills a mean cell by necrosis"),
     _rate("change to", "rate of becoming another type", "type"),
-    Behaviour("mutation to", "chance of a daughter to be of another type", "type", "", "sum", 1.0),
+    _chance("mutation to", "chance of each daughter to be of another type"),
+    _chance("asymmetric division to", "chance that exactly one daughter is of another type"),
     Behaviour("speed", "factor on the active forces"),
     Behaviour("bias", "bias of random motion, from -1 to 1", combine="sum", at_most=1.0),
     Behaviour("uptake of", "factor on the uptake of a field", "field"),

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from multicell.behaviours.laws import OWN, ResponseLaw
+from multicell.behaviours.laws import OWN_RESPONSES, ResponseLaw
 from multicell.contact.custom import law_of, refuse_names
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import own_code
@@ -86,6 +86,6 @@ def response(*, parameters: Mapping[str, Any]) -> Callable[[Callable[..., Any]],
         if last != "p" or not signals:
             raise TypeError(f"{function.__qualname__!r} must have signals and then p as arguments")
         own = {"signals": len(signals), "_function": staticmethod(function)}
-        return law_of(UserResponse, function, parameters, OWN, [function], own)
+        return law_of(UserResponse, function, parameters, OWN_RESPONSES, [function], own)
 
     return make

@@ -10,8 +10,9 @@ A. V. Hill, J. Physiol. 40 (1910) iv; J. Monod, Annu. Rev. Microbiol. 3 (1949) 3
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 import numpy as np
 
@@ -22,8 +23,47 @@ if TYPE_CHECKING:
     from multicell.schema.bounds import Curve
 
 
+_REACH: Final = 4.0
+"""Signals that are drawn, up to so many times the middle of the response."""
+_EFFECT: Final = ("falls", "base", "largest")  # keys of laws that give a share
+
+
 class ResponseLaw(ABC):
-    """A law of response."""
+    """A law of response, which declares here what others ask of it.
+
+    - ``needs``, ``may_have``: keys of a response in a scene; its fields are filled from those of
+      the same names
+    - ``gives_values``: whether it gives values of the behaviour in place of shares
+    - ``has_signal``: whether it depends on a signal
+    - ``jumps``: whether its share is all or nothing
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("signal",)
+    may_have: ClassVar[tuple[str, ...]] = ("parameters", *_EFFECT)
+    gives_values: ClassVar[bool] = False
+    has_signal: ClassVar[bool] = True
+    jumps: ClassVar[bool] = False
+
+    @classmethod
+    def from_keys(cls, part: Any) -> ResponseLaw:
+        """Return the law with its fields from the keys of a response."""
+        keys = {*cls.needs, *cls.may_have}
+        own: Any = cls
+        names = [field.name for field in fields(own) if field.name in keys]
+        return cls(**{name: getattr(part, name) for name in names})
+
+    def words(self, amount: Callable[[float], str]) -> str:
+        """Return the law in words; ``amount`` writes a signal with its unit."""
+        return f"by {type(self).__name__}"
+
+    def least(self, low: float, high: float) -> float:
+        """Return the smallest value of a behaviour that is ``low`` without the effect."""
+        return min(low, high)
+
+    @property
+    def reach(self) -> float:
+        """Signal up to which a curve of the law is drawn."""
+        return _REACH * self.middle or 1.0
 
     @abstractmethod
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
@@ -45,6 +85,13 @@ class HalfLaw(ResponseLaw):
     """A law with half of its effect at the signal ``half``, or a threshold there."""
 
     half: float
+
+    needs: ClassVar[tuple[str, ...]] = ("signal", "half")
+    may_have: ClassVar[tuple[str, ...]] = _EFFECT
+
+    def words(self, amount: Callable[[float], str]) -> str:
+        """Return the law in words."""
+        return f"half way at {amount(self.half)}"
 
     @property
     def middle(self) -> float:
@@ -69,6 +116,12 @@ class Hill(HalfLaw):
 
     power: float
 
+    may_have: ClassVar[tuple[str, ...]] = ("power", *_EFFECT)
+
+    def words(self, amount: Callable[[float], str]) -> str:
+        """Return the law in words."""
+        return f"{super().words(amount)}, Hill's exponent {self.power:g}"
+
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
         """Return the share."""
         with np.errstate(over="ignore", divide="ignore"):
@@ -82,6 +135,12 @@ class Threshold(HalfLaw):
     """All from ``half`` on (if ``strict`` only above it), nothing below; falling the other way."""
 
     strict: bool = False
+
+    jumps: ClassVar[bool] = True
+
+    def words(self, amount: Callable[[float], str]) -> str:
+        """Return the law in words."""
+        return f"at once at {amount(self.half)}"
 
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
         """Return the share, as booleans."""
@@ -97,11 +156,23 @@ class Threshold(HalfLaw):
 
 @final
 @dataclass(frozen=True)
-class Linear(ResponseLaw):
+class LinearResponse(ResponseLaw):
     """A straight line between ``begin`` and ``end``, constant outside."""
 
     begin: float
     end: float
+
+    needs: ClassVar[tuple[str, ...]] = ("signal", "begin", "end")
+    may_have: ClassVar[tuple[str, ...]] = _EFFECT
+
+    def words(self, amount: Callable[[float], str]) -> str:
+        """Return the law in words."""
+        return f"in a line from {amount(self.begin)} to {amount(self.end)}"
+
+    @property
+    def reach(self) -> float:
+        """A little beyond the end."""
+        return 1.3 * self.end
 
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
         """Return the share."""
@@ -122,10 +193,27 @@ class Linear(ResponseLaw):
 
 @final
 @dataclass(frozen=True)
-class Table(ResponseLaw):
+class TableResponse(ResponseLaw):
     """Straight lines between points (signal, value), constant outside; the values themselves."""
 
     points: Curve
+
+    needs: ClassVar[tuple[str, ...]] = ("signal", "points")
+    may_have: ClassVar[tuple[str, ...]] = ()
+    gives_values: ClassVar[bool] = True
+
+    def words(self, amount: Callable[[float], str]) -> str:
+        """Return the points."""
+        return ", ".join(f"{y:.4g} at {amount(x)}" for x, y in self.points)
+
+    def least(self, low: float, high: float) -> float:
+        """Return the smallest value of the points."""
+        return min(value for _, value in self.points)
+
+    @property
+    def reach(self) -> float:
+        """The last point."""
+        return self.points[-1][0]
 
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
         """Return the value."""
@@ -149,6 +237,14 @@ class Table(ResponseLaw):
 class Constant(ResponseLaw):
     """All, whatever the signal."""
 
+    needs: ClassVar[tuple[str, ...]] = ("largest",)
+    may_have: ClassVar[tuple[str, ...]] = ("base",)
+    has_signal: ClassVar[bool] = False
+
+    def least(self, low: float, high: float) -> float:
+        """Return the only value."""
+        return high
+
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
         """Return ones."""
         return np.ones(np.shape(signal))
@@ -159,15 +255,15 @@ class Constant(ResponseLaw):
         return 0.0
 
 
-KEYS: Final = {
-    "hill": (("signal", "half"), ("power", "falls", "base", "largest")),
-    "monod": (("signal", "half"), ("falls", "base", "largest")),
-    "threshold": (("signal", "half"), ("falls", "base", "largest")),
-    "linear": (("signal", "begin", "end"), ("falls", "base", "largest")),
-    "table": (("signal", "points"), ()),
-    "constant": (("largest",), ("base",)),
+RESPONSE_LAWS: Final[Mapping[str, type[ResponseLaw]]] = {
+    "hill": Hill,
+    "monod": Monod,
+    "threshold": Threshold,
+    "linear": LinearResponse,
+    "table": TableResponse,
+    "constant": Constant,
 }
-"""Laws by their names in a scene -> the keys that they need, and those that they may have."""
+"""Laws by their names in a scene."""
 
-OWN: Final[Laws[Any]] = Laws({})
+OWN_RESPONSES: Final[Laws[Any]] = Laws({})
 """Laws of the user's own, made by :func:`multicell.response`."""

@@ -1,1 +1,1 @@
-"""What cells do: growth, cycle, division, death, adhesion molecules, active forces."""
+"""Biology of cells: growth, cycle, division, death, adhesion molecules, active forces."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from multicell import random
 from multicell.biology.responding import value_of
-from multicell.cells import Cells, FloatArray, Found, IntArray, Mask
+from multicell.cells import Cells, FloatArray, IntArray, Mask, Signals
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from multicell.scene.parts import Motility
 
 
-_NONE: Found = {}
+_NONE: Signals = {}
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _MOMENTS: Final = 20
 """Moments in a window: the chance of more is below the resolution of a random number."""
@@ -25,7 +25,11 @@ _EARLIER: Final = 1 << 20
 
 
 def active_force(
-    plan: BiologyPlan, cells: Cells, time: float, gradients: Found = _NONE, found: Found = _NONE
+    plan: BiologyPlan,
+    cells: Cells,
+    time: float,
+    gradients: Signals = _NONE,
+    signals: Signals = _NONE,
 ) -> FloatArray:
     """Return the active force of each cell at a time, (n, 3) nN.
 
@@ -35,7 +39,7 @@ def active_force(
     gradient of the moment.
 
     - ``gradients``, name -> (n, 3), mM/µm: at the cells; of the field that a bias is towards
-    - ``found``, name -> (n,): signals at the cells, to which the bias may respond
+    - ``signals``, name -> (n,): signals at the cells, to which the bias may respond
     """
     law = plan.motility
     assert law is not None
@@ -43,7 +47,7 @@ def active_force(
         random_part = _regular(plan, law, cells, time)
     else:
         random_part = _renewed(plan, cells.id, time / law.persistence)
-    bias = value_of(plan, "bias", law.bias, found, cells, early=True)
+    bias = value_of(plan, "bias", law.bias, signals, cells, early=True)
     if bias is not None:
         return law.force * _biased(law, np.clip(bias, -1.0, 1.0)[:, None], random_part, gradients)
     if law.bias:
@@ -105,7 +109,7 @@ def _cumulated() -> FloatArray:
     return np.asarray(np.cumsum(chances))
 
 
-def _biased(law: Motility, bias: Any, random_part: FloatArray, gradients: Found) -> FloatArray:
+def _biased(law: Motility, bias: Any, random_part: FloatArray, gradients: Signals) -> FloatArray:
     """Return the directions of b u + (1 - |b|) e, (n, 3); u is zero where there is no gradient."""
     along = np.array(law.direction) if law.direction else gradients.get(law.towards, np.zeros(3))
     length = np.linalg.norm(along, axis=-1, keepdims=True)
@@ -115,7 +119,7 @@ def _biased(law: Motility, bias: Any, random_part: FloatArray, gradients: Found)
     return np.asarray(total / np.where(size > 0.0, size, 1.0))
 
 
-def chemotactic_force(plan: BiologyPlan, cells: Cells, gradients: Found) -> FloatArray:
+def chemotactic_force(plan: BiologyPlan, cells: Cells, gradients: Signals) -> FloatArray:
     """Return the force along the gradients of fields, (n, 3) nN.
 
     F = force ∇c / (|∇c| + half): proportional to small gradients, and of constant size in steep
@@ -146,24 +150,24 @@ def push(
     plan: BiologyPlan,
     cells: Cells,
     time: float,
-    gradients: Found,
-    found: Found = _NONE,
+    gradients: Signals,
+    signals: Signals = _NONE,
 ) -> FloatArray | None:
     """Return all forces that are no contact forces, with their rates, (n, 6), or None.
 
     Only living cells move by themselves, each type as actively as its ``motility_scale`` and the
-    responses of its ``speed`` to the signals ``found`` say.
+    responses of its ``speed`` to the signals ``signals`` say.
     """
     if plan.motility is None and not plan.chemotaxis and plan.pull is None:
         return None
     total = np.zeros((len(cells), 6))
     if plan.motility is not None:
-        total[:, :3] += active_force(plan, cells, time, gradients, found)
+        total[:, :3] += active_force(plan, cells, time, gradients, signals)
     if plan.chemotaxis:
         total[:, :3] += chemotactic_force(plan, cells, gradients)
     if plan.motility_scale is not None:
         total *= plan.motility_scale[cells.kind, None]
-    speed = value_of(plan, "speed", 1.0, found, cells, early=True)
+    speed = value_of(plan, "speed", 1.0, signals, cells, early=True)
     if speed is not None:
         total *= speed[:, None]
     total[cells.dead] = 0.0

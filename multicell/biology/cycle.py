@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from multicell.biology.draws import draw_lengths
 from multicell.biology.growth import growing
 from multicell.biology.responding import value_of
-from multicell.cells import Cells, FloatArray, Found, IntArray, Mask, Phase, State
-from multicell.scene.parts import PHASES
+from multicell.cells import Cells, FloatArray, IntArray, Mask, Phase, Signals, State
+from multicell.scene.parts import CYCLE_PHASES
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -66,7 +66,7 @@ def volume_in(
     return np.asarray(scale * plan.law.volume_after(volume / scale, share, birth))
 
 
-def advance(
+def advance_cycle(
     plan: BiologyPlan,
     cells: Cells,
     factor: FloatArray,
@@ -112,7 +112,7 @@ def advance(
     return now
 
 
-def phase_pace(plan: BiologyPlan, found: Found, cells: Cells) -> FloatArray | None:
+def phase_pace(plan: BiologyPlan, signals: Signals, cells: Cells) -> FloatArray | None:
     """Return the factor of the clock in each phase, (n, 5), or None where nothing responds.
 
     The response of the entry into a phase sets the pace of the phase before it. Cells grow at
@@ -121,7 +121,7 @@ def phase_pace(plan: BiologyPlan, found: Found, cells: Cells) -> FloatArray | No
     """
     pace = None
     for phase in (Phase.G1, Phase.S, Phase.G2, Phase.M):
-        value = value_of(plan, f"entry into {phase.name}", 1.0, found, cells)
+        value = value_of(plan, f"entry into {phase.name}", 1.0, signals, cells)
         if value is not None:
             pace = np.ones((len(cells), len(Phase))) if pace is None else pace
             pace[:, Phase.M if phase == Phase.G1 else phase - 1] = value
@@ -197,12 +197,16 @@ def _change(
     now.phase_length[onward] = _length_of(plan, cells, onward, now.phase[onward])
 
 
-def leave_rest(plan: BiologyPlan, cells: Cells, wakes: Mask) -> None:
-    """Lead the cells in G0 that are to go on into S."""
+def leave_rest(plan: BiologyPlan, cells: Cells, wakes: Mask) -> Cells:
+    """Return the cells, of which those in G0 that are to continue are in S."""
     awake = np.flatnonzero(wakes & (cells.phase == Phase.G0) & (cells.state == State.QUIESCENT))
-    cells.state[awake], cells.phase[awake] = State.PROLIFERATING, Phase.S
-    cells.progress[awake] = 0.0
-    cells.phase_length[awake] = _length_of(plan, cells, awake, cells.phase[awake])
+    if not awake.size:
+        return cells
+    state, phase = cells.state.copy(), cells.phase.copy()
+    progress, length = cells.progress.copy(), cells.phase_length.copy()
+    state[awake], phase[awake], progress[awake] = State.PROLIFERATING, Phase.S, 0.0
+    length[awake] = _length_of(plan, cells, awake, phase[awake])
+    return cells.changed(state=state, phase=phase, progress=progress, phase_length=length)
 
 
 def enter_cycle(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:
@@ -224,12 +228,12 @@ def place_in_cycle(
     cells.cycle_time = growing_time(plan, lengths, cells.kind)
     grows, ends = plan.grows[1:], np.cumsum(lengths, axis=1)
     elapsed = share * ends[:, -1]
-    phase = np.minimum((elapsed[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
+    phase = np.minimum((elapsed[:, None] >= ends).sum(axis=1), len(CYCLE_PHASES) - 1)
     rows = np.arange(len(cells))
     cells.phase = (phase + 1).astype(np.int8)
     cells.phase_length = lengths[rows, phase]
     cells.progress = elapsed - (ends[rows, phase] - lengths[rows, phase])
-    before = np.arange(len(PHASES)) < phase[:, None]
+    before = np.arange(len(CYCLE_PHASES)) < phase[:, None]
     growing = (lengths * grows * before).sum(axis=1) + cells.progress * grows[phase]
     cells.age = elapsed
     if plan.target_scale is not None:
@@ -260,7 +264,7 @@ def place_by_volume(plan: BiologyPlan, cells: Cells, volume: FloatArray) -> None
     lengths = draw_lengths(plan, cells.id, cells.kind)
     grown_for = share_of_growth(plan, volume) * cells.cycle_time
     ends = np.cumsum(lengths * plan.grows[1:], axis=1)
-    place = np.minimum((grown_for[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
+    place = np.minimum((grown_for[:, None] >= ends).sum(axis=1), len(CYCLE_PHASES) - 1)
     rows = np.arange(len(cells))
     before = np.where(place > 0, ends[rows, place - 1], 0.0)
     cells.phase = (place + 1).astype(np.int8)
@@ -269,13 +273,13 @@ def place_by_volume(plan: BiologyPlan, cells: Cells, volume: FloatArray) -> None
 
 
 def time_before_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
-    """Return what cells have behind them before their phase, (n, 2) s: all time, time of growth.
+    """Return the time of cells before their phase, (n, 2) s: all time, time of growth.
 
     Those in G0 have G1 behind them.
     """
     lengths = draw_lengths(plan, cells.id, cells.kind)
     place = np.where(cells.phase == Phase.G0, Phase.S, cells.phase) - 1
-    earlier = lengths * (np.arange(len(PHASES)) < place[:, None])
+    earlier = lengths * (np.arange(len(CYCLE_PHASES)) < place[:, None])
     return np.stack([earlier.sum(axis=1), earlier @ plan.grows[1:]], axis=1)
 
 

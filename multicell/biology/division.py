@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -19,10 +20,10 @@ from multicell.cells import (
     SPHERE,
     Cells,
     FloatArray,
-    Found,
     IntArray,
     Mask,
     Phase,
+    Signals,
     State,
 )
 from multicell.random import Purpose
@@ -36,7 +37,14 @@ if TYPE_CHECKING:
 # the coupling times would divide in this step or the next at the whim of the last bit.
 ROUNDING = 1e-12
 
-_NONE: Found = {}
+_NONE: Signals = {}
+
+_AT_BIRTH = ("mutation to", "asymmetric division to")
+"""Behaviours that are chances of each daughter, and of exactly one, to be of another type."""
+
+BirthChances: TypeAlias = "Sequence[FloatArray | None]"
+"""For each behaviour at a division the chances of each type, (n, types), or None."""
+
 _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
 
 
@@ -54,7 +62,7 @@ def divide(
     cells: Cells,
     next_id: int,
     dt: float = 0.0,
-    found: Found = _NONE,
+    signals: Signals = _NONE,
     factor: float | FloatArray = 1.0,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
@@ -92,9 +100,10 @@ def divide(
     if len(order) > 1:
         mothers, waited, volume = mothers.take(order), waited[order], volume[order]
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
-    chances = _by_type(plan, "mutation to", found, cells)
-    if chances is not None:
-        chances = np.repeat(chances[ripe][order], 2, axis=0)
+    chances = [
+        None if of_all is None else np.repeat(of_all[ripe][order], 2, axis=0)
+        for of_all in _chances_at_birth(plan, signals, cells)
+    ]
     daughters = _daughters(plan, mothers, ids, chances)
     daughters.age = np.repeat(age[order], 2)
     if not plan.phased:
@@ -126,11 +135,11 @@ def _daughters(
     plan: BiologyPlan,
     mothers: Cells,
     ids: IntArray,
-    mutant: FloatArray | None,
+    chances: BirthChances,
 ) -> Cells:
     """Return two daughters for each of the ``mothers``, side by side, named ``ids``.
 
-    ``mutant`` are the chances of each daughter to be of each type, or None.
+    ``chances`` are those of the daughters to be of each type.
     """
     axis = random.directions(plan.seed, Purpose.AXIS, 0, mothers.id, plan.dimensions)
     offset = (mothers.radius * (1.0 - HALF))[:, None] * axis
@@ -145,8 +154,7 @@ def _daughters(
         if (column := getattr(daughters, name)) is not None:
             setattr(daughters, name, np.zeros_like(column))
     since = daughters.progress - daughters.phase_length  # by the clock that brought the mother here
-    if mutant is not None:
-        mutate(plan, daughters, mutant)
+    mutate(plan, daughters, chances, int(ids[0]))
     drift(plan, daughters)
     if "young" not in plan.cells.heritable:
         daughters.young = draw_moduli(plan, ids, daughters.kind)
@@ -188,7 +196,7 @@ def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
     exposure, since = exposure[rows], np.zeros(len(rows))
     while rows.size:
         rates = exposure.integral(
-            known, lambda found, some: _by_type(plan, "change to", found, some), since
+            known, lambda signals, some: _by_type(plan, "change to", signals, some), since
         )
         gained = rates.sum(axis=1)
         part = part_until(plan, Purpose.CHANGE, cells.id[rows], integral[rows], gained, count[rows])
@@ -212,34 +220,60 @@ def changing(behaviours: Iterable[str]) -> list[str]:
     return [name for name in behaviours if name.startswith("change to ")]
 
 
-def mutate(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> None:
-    """Let daughters be of another type, whose mothers' chances are (n, types).
-
-    Chances that add up to more than one leave none of the mother's type.
-    """
-    kinds = _kinds_at_birth(plan, daughters, chances)
+def mutate(plan: BiologyPlan, daughters: Cells, chances: BirthChances, first: int) -> None:
+    """Let daughters be of other types by ``chances``; ``first``: identity of any first daughter."""
+    if all(one is None for one in chances):
+        return
+    kinds = _kinds_at_birth(plan, daughters, chances, first)
     turns = np.flatnonzero(kinds != daughters.kind)
     _become(plan, daughters, turns, kinds[turns])
 
 
-def _kinds_at_birth(plan: BiologyPlan, daughters: Cells, chances: FloatArray) -> IntArray:
-    """Return the types of daughters that are of their mothers', by chances of others (n, types)."""
-    u = random.uniform(plan.seed, Purpose.MUTATION, 0, daughters.id)
+def _chances_at_birth(plan: BiologyPlan, signals: Signals, cells: Cells) -> BirthChances:
+    """Return the chances of cells for each behaviour at a division."""
+    return [_by_type(plan, behaviour, signals, cells) for behaviour in _AT_BIRTH]
+
+
+def _kinds_at_birth(
+    plan: BiologyPlan, daughters: Cells, chances: BirthChances, first: int
+) -> IntArray:
+    """Return the types of daughters that are of their mothers'.
+
+    Identities are given in pairs, so that a second daughter's differs from a ``first`` one's by an
+    odd number. Chances that add up to more than one leave none of the mother's type.
+    """
+    kinds = daughters.kind.astype(np.int64)
+    of_each, of_one = chances
+    if of_each is not None:
+        u = random.uniform(plan.seed, Purpose.MUTATION, 0, daughters.id)
+        kinds = _drawn(u, of_each, kinds)
+    if of_one is not None:  # one draw of the mother: it is the second daughter or none
+        u = random.uniform(plan.seed, Purpose.ASYMMETRY, 0, daughters.parent)
+        second = ((daughters.id - first) % 2 == 1)[:, None]
+        kinds = _drawn(u, np.where(second, of_one, 0.0), kinds)
+    return kinds
+
+
+def _drawn(u: FloatArray, chances: FloatArray, kinds: IntArray) -> IntArray:
+    """Return the types that uniform numbers (n, 1) choose by chances (n, types), else ``kinds``."""
     ends = np.cumsum(chances, axis=1)
-    turns = u[:, 0] < ends[:, -1]
-    return np.where(turns, (u >= ends).sum(axis=1), daughters.kind)
+    return np.where(u[:, 0] < ends[:, -1], (u >= ends).sum(axis=1), kinds)
 
 
-def mutate_as_found(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> tuple[Cells, IntArray]:
+def mutate_as_found(
+    plan: BiologyPlan, cells: Cells, exposure: Exposure, first: int
+) -> tuple[Cells, IntArray]:
     """Return cells with the types that daughters of a step have by what they found at their birth.
 
     When they were born only what their mothers had found at the step's beginning was known. Also
     returns the rows of those whose type that changes.
+
+    - ``first``: identity of any first daughter
     """
     known = tuple(
         part
         for name, parts in plan.responses.items()
-        if name.startswith("mutation to ")
+        if name.startswith(tuple(f"{behaviour} " for behaviour in _AT_BIRTH))
         for part in parts
     )
     none = np.empty(0, dtype=np.int64)
@@ -251,23 +285,27 @@ def mutate_as_found(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> tupl
         return cells, rows
     born = exposure[rows]
     born.cells.kind = mothers.kind[row[rows]]
-    chances = born.at(
-        1.0 - born.cells.age / exposure.length,
-        known,
-        lambda found, some: _by_type(plan, "mutation to", found, some),
-    )
-    kinds = _kinds_at_birth(plan, born.cells, chances)
+    part = 1.0 - born.cells.age / exposure.length
+    chances = [
+        born.at(part, known, partial(_by_type, plan, behaviour))
+        if any(name.startswith(f"{behaviour} ") for name in plan.responses)
+        else None
+        for behaviour in _AT_BIRTH
+    ]
+    kinds = _kinds_at_birth(plan, born.cells, chances, first)
     wrong = np.flatnonzero(kinds != cells.kind[rows])
     after = cells.shared()
     _become(plan, after, rows[wrong], kinds[wrong])
     return after, rows[wrong]
 
 
-def _by_type(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> FloatArray | None:
+def _by_type(
+    plan: BiologyPlan, behaviour: str, signals: Signals, cells: Cells
+) -> FloatArray | None:
     """Return the values of a behaviour for each type, (n, types), zero for the cell's own."""
     out = None
     for number, name in enumerate(plan.types):
-        value = value_of(plan, f"{behaviour} {name}", 0.0, found, cells)
+        value = value_of(plan, f"{behaviour} {name}", 0.0, signals, cells)
         if value is not None:
             out = np.zeros((len(cells), len(plan.types))) if out is None else out
             out[:, number] = np.where(cells.kind == number, 0.0, value)

@@ -1,4 +1,4 @@
-"""What each cell draws: its durations, type and modulus, and where in its cycle it starts.
+"""Random draws of each cell: durations, type, modulus, and place in the cycle at the start.
 
 A newborn cell draws its durations from the distributions of the scene. The living cells of a
 population that has grown for long are no sample of newborn ones. Where nothing limits growth, and
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray
 from multicell.random import Purpose
-from multicell.scene.parts import PHASES
+from multicell.scene.parts import CYCLE_PHASES
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -44,7 +44,7 @@ def draw_lengths(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> F
     They depend on seed and identity only; founders of a stable population
     (:func:`multicell.biology.plan.founders`) have longer ones than newborn cells.
     """
-    return _drawn(plan, ids, partial(_phases, plan)) * scale(plan, kind)[:, None]
+    return _drawn(plan, ids, partial(_phases, plan)) * duration_factor(plan, kind)[:, None]
 
 
 def draw_cycle_times(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) -> FloatArray:
@@ -61,7 +61,7 @@ def draw_cycle_times(plan: BiologyPlan, ids: IntArray, kind: NDArray[np.int16]) 
         return scatter_about(plan.seed, Purpose.CYCLE, attempt, ids, mean, variation)
 
     drawn = _drawn(plan, ids, draw)
-    return drawn if plan.cycle_scale is None else drawn * scale(plan, kind)
+    return drawn if plan.cycle_scale is None else drawn * duration_factor(plan, kind)
 
 
 def stages(
@@ -79,7 +79,7 @@ def stages(
         return u
     if plan.growth is None or not plan.varies:
         return np.asarray(-np.log2(1.0 - 0.5 * u))
-    cycle = malthusian_rate(plan.growth) * duration / scale(plan, kind)
+    cycle = malthusian_rate(plan.growth) * duration / duration_factor(plan, kind)
     return np.asarray(-np.log1p(u * np.expm1(-cycle)) / cycle)
 
 
@@ -89,7 +89,7 @@ def malthusian_rate(growth: Growth) -> float:
 
     slowest = math.log(2.0) / growth.mean_cycle  # by Jensen's inequality
     if growth.phases:
-        parts = [growth.phases[name] for name in PHASES]
+        parts = [growth.phases[name] for name in CYCLE_PHASES]
         fixed = all(part.distribution == "fixed" for part in parts)
     else:
         parts, fixed = [], growth.cycle_variation == 0.0
@@ -110,7 +110,7 @@ def malthusian_rate(growth: Growth) -> float:
     return float(optimize.brentq(excess, slowest, fastest, rtol=1e-14, xtol=1e-300))
 
 
-def scale(plan: BiologyPlan, kind: NDArray[np.int16]) -> FloatArray:
+def duration_factor(plan: BiologyPlan, kind: NDArray[np.int16]) -> FloatArray:
     """Return the factor of each cell's type on durations, (n,)."""
     return np.ones(len(kind)) if plan.cycle_scale is None else plan.cycle_scale[kind]
 
@@ -147,8 +147,8 @@ def scatter_about(
 def _phases(plan: BiologyPlan, ids: IntArray, attempt: int) -> FloatArray:
     """Return one draw of the durations of all phases, (n, 4) s."""
     assert plan.growth is not None
-    u = random.uniform(plan.seed, Purpose.PHASES, 0, ids, len(PHASES), attempt)
-    columns = [quantile(plan.growth.phases[name], u[:, k]) for k, name in enumerate(PHASES)]
+    u = random.uniform(plan.seed, Purpose.PHASES, 0, ids, len(CYCLE_PHASES), attempt)
+    columns = [quantile(plan.growth.phases[name], u[:, k]) for k, name in enumerate(CYCLE_PHASES)]
     return np.stack(columns, axis=1)
 
 

@@ -1,4 +1,4 @@
-"""What a coupling step knows of signals in time, and the integrals of rates over it.
+"""Exposure of cells over a coupling step: signals in time, and integrals of rates over them.
 
 A rate acts through its integral over the step, from signals that are linear in time between the
 moments at which they are known: the step's two ends, and for transient fields the times of their
@@ -25,7 +25,7 @@ import numpy as np
 
 from multicell import random
 from multicell.biology.responding import rate_of
-from multicell.cells import HALF, SPHERE, Cells, FloatArray, Found, IntArray, rows_before
+from multicell.cells import HALF, SPHERE, Cells, FloatArray, IntArray, Signals, rows_before
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 Course = tuple[FloatArray, FloatArray]
 """Parts of a step, (m,), rising from 0 to 1, and what cells find then, (m, n)."""
 
-Rate = Callable[[Found, Cells], Any]
+Rate = Callable[[Signals, Cells], Any]
 """Signals and cells at one moment -> a rate of each cell, (n,) or (n, k) 1/s."""
 
 _CARRIED: Final = ("age", "radius", "pressure")
@@ -50,7 +50,7 @@ _ENDS: Final = np.array([0.0, 1.0])
 class Exposure:
     """The signals of cells over a coupling step; nothing is computed before it is asked for.
 
-    - ``cells``, ``found``: at its end
+    - ``cells``, ``signals``: at its end
     - ``length``, s
     - ``began``, ``before``: cells and signals at its beginning; absent: as at the end
     - ``inner``, name -> Course: what is known in between
@@ -60,17 +60,17 @@ class Exposure:
     def __init__(
         self,
         cells: Cells,
-        found: Found,
+        signals: Signals,
         length: float,
         *,
         began: Cells | None = None,
-        before: Found | None = None,
+        before: Signals | None = None,
         inner: Mapping[str, Course] | None = None,
         held: Collection[str] = (),
     ) -> None:
-        self.cells, self.found, self.length = cells, found, length
+        self.cells, self.signals, self.length = cells, signals, length
         self.began = cells if began is None else began
-        self.before = found if before is None else before
+        self.before = signals if before is None else before
         self.inner, self.held = inner or {}, held
         self._known: dict[str, Course] = {}
 
@@ -83,7 +83,7 @@ class Exposure:
         """Return that of some of the cells."""
         part = Exposure(
             self.cells.take(rows),
-            {name: x[rows] for name, x in self.found.items()},
+            {name: x[rows] for name, x in self.signals.items()},
             self.length,
             began=self.began,
             before=self.before,
@@ -99,12 +99,12 @@ class Exposure:
         return np.asarray(first + part * (last - first))
 
     def _course(self, name: str) -> Course:
-        """Return what is known of a signal in time, or of a column that signals are made of."""
+        """Return a signal in time, or a column that signals are made of."""
         if name not in self._known:
             if name in _CARRIED:
                 ends = self._ends(name)
             else:
-                first, last = self.before[name][self.row], self.found[name]
+                first, last = self.before[name][self.row], self.signals[name]
                 ends = np.stack([first, first if name in self.held else last])
             found = self.inner.get(name)
             self._known[name] = (_ENDS, ends) if found is None else _joined(found, ends)
@@ -190,15 +190,15 @@ class Exposure:
                     change = np.where(passes, last - first, 1.0)
                     yield np.where(passes, low + (high - low) * ((kink - first) / change), high)
 
-    def _at(self, part: Any, known: Known) -> tuple[Found, Cells]:
+    def _at(self, part: Any, known: Known) -> tuple[Signals, Cells]:
         """Return signals and cells at a part of the step: one for all, or that of each, (n,)."""
         names = _needs(known)
-        found = {name: self._value(name, part) for name in names - _OF_CELLS}
+        signals = {name: self._value(name, part) for name in names - _OF_CELLS}
         cells = self.cells.shared()
         for name in _CARRIED:
             if name in names or (name == "radius" and "volume" in names):
                 setattr(cells, name, self._value(name, part))
-        return found, cells
+        return signals, cells
 
     def _value(self, name: str, part: Any) -> FloatArray:
         at, values = self._course(name)
@@ -244,9 +244,9 @@ def remainders(
     return found
 
 
-def finite_rate(plan: BiologyPlan, name: str, found: Found, cells: Cells) -> FloatArray:
+def finite_rate(plan: BiologyPlan, name: str, signals: Signals, cells: Cells) -> FloatArray:
     """Return a rate without that of death at once, (n,) 1/s."""
-    rate = rate_of(plan, name, found, cells)
+    rate = rate_of(plan, name, signals, cells)
     return np.where(np.isinf(rate), 0.0, rate)
 
 
@@ -267,22 +267,6 @@ def part_until(
     if grows.size:
         event = np.broadcast_to(number, len(ids))[grows]
         threshold = random.thresholds(plan.seed, purpose, event, ids[grows])
-        part[grows] = (threshold - before[grows]) / gained[grows]
+        # who is beyond it already, by a rounding or by a user's hand, is so from the beginning on
+        part[grows] = np.maximum((threshold - before[grows]) / gained[grows], 0.0)
     return np.where(part <= 1.0, part, np.inf)
-
-
-def part_until_death(
-    plan: BiologyPlan, purpose: Purpose, cells: Cells, column: str, gained: FloatArray
-) -> FloatArray:
-    """Return at which part of what an integral has gained living cells die, (n,); it is noted.
-
-    Infinite where they do not; ``column`` is the integral's name, one of
-    :data:`multicell.cells.HAZARDS`.
-    """
-    gained = np.where(cells.dead, 0.0, gained)
-    known = getattr(cells, column)
-    before = np.zeros(len(cells)) if known is None else known
-    part = part_until(plan, purpose, cells.id, before, gained)
-    if known is not None or gained.any():
-        setattr(cells, column, before + gained)
-    return part

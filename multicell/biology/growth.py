@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.responding import combine
-from multicell.cells import Cells, FloatArray, Found, Mask, State, rows_before
+from multicell.biology.responding import combine_responses
+from multicell.cells import Cells, FloatArray, Mask, Signals, State, rows_before
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -36,7 +36,7 @@ _SHARE = 0.5  # of the lag that is made good in a step
 
 
 def growth_factor(
-    plan: BiologyPlan, concentrations: Found, pressure: FloatArray, cells: Cells | None = None
+    plan: BiologyPlan, signals: Signals, pressure: FloatArray, cells: Cells | None = None
 ) -> FloatArray:
     """Return how fast cells would grow here, as a fraction of unlimited growth, (n,).
 
@@ -57,7 +57,7 @@ def growth_factor(
     known = plan.responses.get("growth rate", ())
     if cells is None:
         known = tuple(part for part in known if part.is_local)
-    return combine(known, 1.0, concentrations, cells, pressure)
+    return combine_responses(known, 1.0, signals, cells, pressure)
 
 
 def growing(plan: BiologyPlan, cells: Cells, phase: NDArray[np.int8] | None = None) -> Mask:

@@ -1,4 +1,4 @@
-"""What mechanics must know of a scene's cells between two times."""
+"""Input of mechanics from biology: radii, receptors and forces between two times."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from multicell.biology.active_forces import push
 from multicell.biology.driven import Named, prescribed
 from multicell.biology.responding import value_of
 from multicell.biology.surface import surface_force
-from multicell.cells import Cells, FloatArray, Found, IntArray, stokes_drag
+from multicell.cells import Cells, FloatArray, IntArray, Signals, stokes_drag
 from multicell.mechanics.motion import Motion
 from multicell.results.observables import Extent, centre, contact_rows, distances
 
@@ -25,12 +25,12 @@ def motion_of(
     begin: float,
     end: float,
     *,
-    concentrations: Found,
-    gradients: Found,
+    signals: Signals,
+    gradients: Signals,
     contacts: IntArray,
     named: Named | None = None,
 ) -> Motion:
-    """Return what mechanics must know of the cells between two times.
+    """Return the motion of cells between two times as mechanics needs it.
 
     - ``cells``: at ``begin``, n of them
     - ``radius``, (n,), µm: at ``end``
@@ -42,18 +42,18 @@ def motion_of(
     given = prescribed(plan, cells, named or {}, begin, end) if plan.motions else None
     held, velocity = given or (None, None)
     touching = contact_rows(cells, contacts) if plan.contact.remembers else None
-    pushed = push(plan, cells, begin, gradients, concentrations)
+    pushed = push(plan, cells, begin, gradients, signals)
     for further in (inflow_drag(plan, cells, radius, length), surface_force(plan, cells)):
         if further is not None:
             pushed = np.zeros((len(cells), 6)) if pushed is None else pushed
             pushed[:, :3] += further
     young = cells.young
-    stiffness = value_of(plan, "Young's modulus", 1.0, concentrations, cells, early=True)
+    stiffness = value_of(plan, "Young's modulus", 1.0, signals, cells, early=True)
     if stiffness is not None:
         young = young * stiffness
     return Motion(
         cells.radius, rate, young, cells.poisson, begin, end,
-        bonds=bonds(plan, cells, concentrations, begin, end),
+        bonds=bonds(plan, cells, signals, begin, end),
         push=pushed,
         kind=cells.kind if plan.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
@@ -62,7 +62,7 @@ def motion_of(
 
 
 def bonds(
-    plan: BiologyPlan, cells: Cells, concentrations: Found, begin: float, end: float
+    plan: BiologyPlan, cells: Cells, signals: Signals, begin: float, end: float
 ) -> FloatArray | None:
     """Return receptors and ligands at ``begin`` and their rates up to ``end``, (n, 4), or None.
 
@@ -73,19 +73,19 @@ def bonds(
     if plan.adhesion is None:
         return None
     now = np.stack([cells.receptor, cells.ligand], axis=1)
-    then = bond_levels(plan, cells, concentrations, end)
+    then = bond_levels(plan, cells, signals, end)
     rate = (then - now) / (end - begin) if end > begin else np.zeros_like(now)
     return np.ascontiguousarray(np.hstack([now, rate]))
 
 
-def bond_levels(plan: BiologyPlan, cells: Cells, concentrations: Found, time: float) -> FloatArray:
+def bond_levels(plan: BiologyPlan, cells: Cells, signals: Signals, time: float) -> FloatArray:
     """Return the receptors and ligands that cells have at a time in these conditions, (n, 2).
 
     Concentrations that are not known yet have no effect.
     """
     levels = np.array([part.bonds(time) for part in plan.types.values()])[cells.kind]
     for column, behaviour in enumerate(("receptors", "ligands")):
-        response = value_of(plan, behaviour, 1.0, concentrations, cells, early=True)
+        response = value_of(plan, behaviour, 1.0, signals, cells, early=True)
         if response is not None:
             levels[:, column] *= response
     return np.asarray(levels)

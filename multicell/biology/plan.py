@@ -1,4 +1,4 @@
-"""What biology needs of a scene, resolved once: constants, arrays and plain parts."""
+"""The biology of a scene, resolved once: constants, arrays and plain parts."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, eq=False)
 class BiologyPlan:
-    """What biology needs of a scene.
+    """The biology of a scene, resolved.
 
     - ``seed``, ``dimensions``, ``step``: as in the scene; ``step`` is the coupling step in s
     - ``birth_volume``, ``division_volume``, float, µm³
@@ -118,7 +118,7 @@ _OF_SCENE: Final = (
 
 
 def biology_plan(scene: Scene) -> BiologyPlan:
-    """Return what biology needs of a scene."""
+    """Resolve the biology of a scene."""
     growth, cells, kinds = scene.growth, scene.cells, list(scene.types.values())
     phases = {} if growth is None else growth.phases
     own = [kind.young for kind in kinds]

@@ -1,4 +1,4 @@
-"""What cells do about what they find: the values of behaviours that respond to signals.
+"""Responses of cells to signals: the values of behaviours.
 
 Several responses of one behaviour combine by a rule. With v the value without any, v_k that of
 response k alone, all of them of the same cell:
@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.behaviours.catalogue import CONTACTS, CROWDED, needs_contacts
-from multicell.behaviours.laws import Constant, Threshold
 from multicell.random import Purpose
 from multicell.results.observables import contact_rows
 from multicell.scene.responses import Effect, effects
@@ -40,7 +39,7 @@ from multicell.vectors import lengths
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
-    from multicell.cells import Cells, FloatArray, Found, IntArray, Mask
+    from multicell.cells import Cells, FloatArray, IntArray, Mask, Signals
     from multicell.scene.scene import Scene
 
 
@@ -48,7 +47,7 @@ _OF_CELLS: Final = ("age", "volume", "radius")
 _RATES: Final = ("apoptosis rate", "damage rate")
 
 
-Level = Callable[["Found", "Cells | None", "FloatArray | None"], Any]
+Level = Callable[["Signals", "Cells | None", "FloatArray | None"], Any]
 """What returns a signal, (n,), from what cells find, the cells and their pressure."""
 
 
@@ -72,7 +71,7 @@ class BoundResponse:
     def yes_or_no(self) -> bool:
         """Whether its value is zero or one, as booleans."""
         ends = self.effect.low, self.effect.high
-        return isinstance(self.effect.law, Threshold) and ends == (0.0, 1.0)
+        return self.effect.law.jumps and ends == (0.0, 1.0)
 
     @property
     def is_local(self) -> bool:
@@ -80,14 +79,18 @@ class BoundResponse:
         others = (name in _OF_CELLS or _is_elsewhere(name) for name in self.needs)
         return self.mask is None and not any(others)
 
-    def share(self, found: Found, cells: Cells | None, pressure: FloatArray | None = None) -> Any:
+    def share(
+        self, signals: Signals, cells: Cells | None, pressure: FloatArray | None = None
+    ) -> Any:
         """Return the share of the full effect, (n,); booleans for a threshold."""
-        level = self.level(found, cells, pressure)
+        level = self.level(signals, cells, pressure)
         return self.effect.law.share(level, falls=self.effect.falls)
 
-    def value(self, found: Found, cells: Cells | None, pressure: FloatArray | None = None) -> Any:
+    def value(
+        self, signals: Signals, cells: Cells | None, pressure: FloatArray | None = None
+    ) -> Any:
         """Return the value of the behaviour under this response alone, (n,)."""
-        share, low, high = self.share(found, cells, pressure), self.effect.low, self.effect.high
+        share, low, high = self.share(signals, cells, pressure), self.effect.low, self.effect.high
         if low == 0.0 and high == 1.0:
             return share
         return np.where(share, high, low) if math.isinf(high) else low + (high - low) * share
@@ -116,7 +119,7 @@ def bind_responses(scene: Scene) -> dict[str, tuple[BoundResponse, ...]]:
 
 
 def _level(scene: Scene, signals: tuple[str, ...]) -> tuple[Level, set[str]]:
-    """Return what finds signals, and the names of all that they are made from."""
+    """Return a function that reads signals, and the names of all that they are made from."""
     if not signals:
         return _count, set()
     levels, names = zip(*(_one_level(scene, name) for name in signals), strict=True)
@@ -129,21 +132,21 @@ def _one_level(scene: Scene, name: str) -> tuple[Level, set[str]]:
     if name == "ATP":
         energy, fields = scene.energy, scene.nutrients
         assert energy is not None
-        return lambda found, *_: energy.supply(fields, found), set(energy.yields or ())
+        return lambda signals, *_: energy.supply(fields, signals), set(energy.yields or ())
     if name == "pressure":
         return _pressure, {name}
     if name in _OF_CELLS:
         return lambda _, cells, __: getattr(cells, name), {name}
-    return lambda found, *_: found[name], {name}
+    return lambda signals, *_: signals[name], {name}
 
 
-def _count(found: Found, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
+def _count(signals: Signals, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
     """Return zeros in the number of the cells."""
-    like = cells.id if cells is not None else next(iter(found.values()), pressure)
+    like = cells.id if cells is not None else next(iter(signals.values()), pressure)
     return np.zeros(0 if like is None else len(like))
 
 
-def _pressure(_: Found, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
+def _pressure(_: Signals, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
     return cast("Cells", cells).pressure if pressure is None else pressure
 
 
@@ -151,7 +154,7 @@ def value_of(
     plan: BiologyPlan,
     behaviour: str,
     own: float,
-    found: Found,
+    signals: Signals,
     cells: Cells,
     *,
     early: bool = False,
@@ -159,7 +162,7 @@ def value_of(
     """Return the value of a behaviour of each cell, (n,), or None where nothing changes it.
 
     - ``behaviour``: its full name, such as ``"uptake of oxygen"``
-    - ``found``, name -> (n,): fields at the cells, and other signals that cells do not carry
+    - ``signals``, name -> (n,): fields at the cells, and other signals that cells do not carry
       themselves
     - ``early``: whether fields may not be there yet: what responds to them then has no effect
     """
@@ -167,26 +170,26 @@ def value_of(
     if known is None:
         return None
     if early:
-        known = tuple(part for part in known if part.needs <= {*found, *_OF_CELLS, "pressure"})
+        known = tuple(part for part in known if part.needs <= {*signals, *_OF_CELLS, "pressure"})
         if not known:
             return None
-    out = combine(known, own, found, cells, cells.pressure)
+    out = combine_responses(known, own, signals, cells, cells.pressure)
     return (
         np.maximum(out, 0.0) if known[-1].effect.combine == "sum" and behaviour != "bias" else out
     )
 
 
-def combine(
-    known: Known, own: float, found: Found, cells: Cells | None, pressure: FloatArray
+def combine_responses(
+    known: Known, own: float, signals: Signals, cells: Cells | None, pressure: FloatArray
 ) -> FloatArray:
     """Return the value that responses of one behaviour make of its own one, (n,)."""
     if not known:
         return np.full(len(pressure), own)
     out, rule = cast("FloatArray", own), known[-1].effect.combine  # a number for all cells at first
     if rule == "physicell":
-        return _physicell(known, own, found, cells, pressure)
+        return _physicell(known, own, signals, cells, pressure)
     for place, part in enumerate(known):
-        value = part.value(found, cells, pressure)
+        value = part.value(signals, cells, pressure)
         if rule == "product":
             new = out * value if own == 1.0 else out * (value / own)
         elif rule == "sum":
@@ -205,13 +208,13 @@ def _kind(cells: Cells | None) -> NDArray[np.int16]:
 
 
 def _physicell(
-    known: Known, own: float, found: Found, cells: Cells | None, pressure: FloatArray
+    known: Known, own: float, signals: Signals, cells: Cells | None, pressure: FloatArray
 ) -> FloatArray:
     """Return the values under PhysiCell's rule, (n,)."""
     base, graded = np.full(len(pressure), own), []
     for part in known:
         here = True if part.mask is None else part.mask[_kind(cells)]
-        if isinstance(part.effect.law, Constant):
+        if not part.effect.law.has_signal:
             base = np.where(here, part.effect.high, base)
         else:
             graded.append((part, here))
@@ -223,7 +226,7 @@ def _physicell(
         start, end = effect.low, effect.high
         if effect.falls:
             start, end = end, start
-        rises, share = end > start, np.asarray(part.share(found, cells, pressure), dtype=float)
+        rises, share = end > start, np.asarray(part.share(signals, cells, pressure), dtype=float)
         share = 1.0 - share if effect.falls else share
         with np.errstate(divide="ignore"):
             odds = share / (1.0 - share)
@@ -234,7 +237,7 @@ def _physicell(
     return np.asarray((1.0 - down) * ((1.0 - up) * base + up * ends[True]) + down * ends[False])
 
 
-def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
+def wants_rest(plan: BiologyPlan, cells: Cells, signals: Signals) -> Mask:
     """Return which cells would rest here, (n,).
 
     A chance p is the part of cells that rest: each has its own level, drawn once for its life, and
@@ -245,14 +248,14 @@ def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> Mask:
     graded = any(not part.yes_or_no for part in known)
     own = random.uniform(plan.seed, Purpose.REST, 0, cells.id)[:, 0] if graded else None
     for part in known:
-        rests = part.value(found, cells)
+        rests = part.value(signals, cells)
         rests = rests if part.yes_or_no else rests > own
         resting = resting | (rests if part.mask is None else rests & part.mask[cells.kind])
     return np.asarray(resting) if known else np.zeros(len(cells), dtype=np.bool_)
 
 
 def rate_of_harm(
-    plan: BiologyPlan, behaviour: str, found: Found, cells: Cells | None
+    plan: BiologyPlan, behaviour: str, signals: Signals, cells: Cells | None
 ) -> FloatArray | None:
     """Return the necrosis rate or the damage rate of each cell, (n,) 1/s; infinite: death at once.
 
@@ -265,23 +268,23 @@ def rate_of_harm(
     hazard = None
     named = tuple(part for part in known if not part.effect.short)
     if named and named[-1].effect.combine == "physicell":
-        pressure = _count(found, None, None) if cells is None else cells.pressure
-        hazard = combine(named, 0.0, found, cells, pressure)
+        pressure = _count(signals, None, None) if cells is None else cells.pressure
+        hazard = combine_responses(named, 0.0, signals, cells, pressure)
         known = known[: -len(named)]
     for part in known:
-        value = part.value(found, cells)
+        value = part.value(signals, cells)
         before: Any = 0.0 if hazard is None else hazard
         new = np.maximum(before, value) if part.effect.short else before + value
         hazard = new if part.mask is None else np.where(part.mask[_kind(cells)], new, before)
     return hazard
 
 
-def rate_of(plan: BiologyPlan, behaviour: str, found: Found, cells: Cells) -> FloatArray:
+def rate_of(plan: BiologyPlan, behaviour: str, signals: Signals, cells: Cells) -> FloatArray:
     """Return the rate of one of the behaviours that act by a rate, of each cell, (n,) 1/s."""
     if behaviour in ("necrosis rate", "damage rate"):
-        rate = rate_of_harm(plan, behaviour, found, cells)
+        rate = rate_of_harm(plan, behaviour, signals, cells)
     else:
-        rate = value_of(plan, behaviour, plan.base_rates.get(behaviour, 0.0), found, cells)
+        rate = value_of(plan, behaviour, plan.base_rates.get(behaviour, 0.0), signals, cells)
     return np.zeros(len(cells)) if rate is None else rate
 
 

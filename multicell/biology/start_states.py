@@ -23,7 +23,7 @@ import numpy as np
 
 from multicell.biology.cycle import time_before_phase, volume_in_phase
 from multicell.biology.responding import rate_of_harm, wants_rest
-from multicell.cells import SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Signals, State
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -52,7 +52,7 @@ class StartStates:
         self,
         plan: BiologyPlan,
         cells: Cells,
-        field: Callable[[Cells], Found],
+        field: Callable[[Cells], Signals],
         *,
         tabled: bool = False,
     ) -> None:
@@ -66,60 +66,62 @@ class StartStates:
         self.dead = np.zeros(len(cells), dtype=bool)
         self._few = int(_PART_OF_LAYER * len(cells) ** (2.0 / 3.0))
 
-    def find(self, found: Found) -> tuple[Cells, int]:
+    def find(self, signals: Signals) -> tuple[Cells, int]:
         """Return the cells in their states, and how many of them do not fit their field.
 
-        ``found`` is what they find with the states that they have now.
+        ``signals`` is what they find with the states that they have now.
         """
         for _ in range(MAX_PASSES):
             before = self.rests.copy(), self.dead.copy()
-            found = self._let_rest(found)
-            found = self._let_die(found)
+            signals = self._let_rest(signals)
+            signals = self._let_die(signals)
             if all(map(np.array_equal, before, (self.rests, self.dead))):
                 break
         now = self._cells()
-        left = ~self.dead & self._may_die & self._starve(found)
+        left = ~self.dead & self._may_die & self._starve(signals)
         awake = ~self.dead & ~self.rests & self._may_rest
-        left |= awake & wants_rest(self._plan, now, found)
+        left |= awake & wants_rest(self._plan, now, signals)
         return now, int(left.sum())
 
-    def _let_rest(self, found: Found) -> Found:
+    def _let_rest(self, signals: Signals) -> Signals:
         """Let cells rest that find too little, and wake those that find enough."""
 
-        def poor(found: Found) -> Mask:
-            lacking = wants_rest(self._plan, self._first, found)
+        def poor(signals: Signals) -> Mask:
+            lacking = wants_rest(self._plan, self._first, signals)
             return np.asarray(self._may_rest & ~self.dead & lacking)
 
-        here = poor(found)
+        here = poor(signals)
         pool = np.flatnonzero(np.where(self.rests, self._may_rest & ~here & ~self.dead, here))
         # those who already rest and find enough are left where there are few of them
         if not pool.size or (self.rests[pool].all() and pool.size <= self._few):
-            return found
-        return self._turn(self.rests, pool, poor, found, resting=True)
+            return signals
+        return self._turn(self.rests, pool, poor, signals, resting=True)
 
-    def _let_die(self, found: Found) -> Found:
+    def _let_die(self, signals: Signals) -> Signals:
         """Let the cells die that cannot live with what they find."""
 
-        def starved(found: Found) -> Mask:
-            return np.asarray(self._may_die & ~self.dead & self._starve(found))
+        def starved(signals: Signals) -> Mask:
+            return np.asarray(self._may_die & ~self.dead & self._starve(signals))
 
-        pool = np.flatnonzero(starved(found))
-        return self._turn(self.dead, pool, starved, found, resting=False) if pool.size else found
+        pool = np.flatnonzero(starved(signals))
+        return (
+            self._turn(self.dead, pool, starved, signals, resting=False) if pool.size else signals
+        )
 
-    def _starve(self, found: Found) -> Mask:
+    def _starve(self, signals: Signals) -> Mask:
         """Return which cells would die at once of what they find, (n,)."""
-        hazard = rate_of_harm(self._plan, "necrosis rate", found, self._first)
+        hazard = rate_of_harm(self._plan, "necrosis rate", signals, self._first)
         return np.zeros(len(self.dead), dtype=bool) if hazard is None else np.isinf(hazard)
 
     def _turn(
         self,
         turned: Mask,
         pool: IntArray,
-        short: Callable[[Found], Mask],
-        found: Found,
+        short: Callable[[Signals], Mask],
+        signals: Signals,
         *,
         resting: bool,
-    ) -> Found:
+    ) -> Signals:
         """Turn the poorest of a pool, as few as leave no other cell short; return what cells find.
 
         ``turned`` is changed.
@@ -128,21 +130,21 @@ class StartStates:
 
         def enough(count: int) -> bool:
             """Turn the first of the pool; return whether none of the other cells is short."""
-            nonlocal found, tried
+            nonlocal signals, tried
             turned[pool] = np.arange(len(pool)) < count
-            found, tried = self._field(self._cells()), count
-            return not (short(found) & ~turned).any()
+            signals, tried = self._field(self._cells()), count
+            return not (short(signals) & ~turned).any()
 
         def rank(begin: int, end: int) -> None:
             """Put the poorest first in a part of the pool."""
             part = pool[begin:end]
-            plenty = _plenty(self._plan, self._first, found, resting)[part]
+            plenty = _plenty(self._plan, self._first, signals, resting)[part]
             pool[begin:end] = part[np.argsort(plenty, kind="stable")]
 
         low, high, waking = 0, len(pool), bool(turned[pool[0]])
         rank(low, high)
         if waking and enough(0):
-            return found
+            return signals
         while high - low > max(1, self._few):
             middle = (low + high) // 2
             if enough(middle):
@@ -152,7 +154,7 @@ class StartStates:
                 rank(low, high)
         if tried != high:
             enough(high)
-        return found
+        return signals
 
     def _cells(self) -> Cells:
         """Return the cells in the states that are being tried."""
@@ -181,8 +183,8 @@ def _rest_for_long(plan: BiologyPlan, cells: Cells) -> Cells:
     return rested
 
 
-def _plenty(plan: BiologyPlan, cells: Cells, found: Found, resting: bool) -> FloatArray:
-    """Return what cells find over their thresholds, the smallest ratio of each cell, (n,).
+def _plenty(plan: BiologyPlan, cells: Cells, signals: Signals, resting: bool) -> FloatArray:
+    """Return the smallest ratio of signals over thresholds of each cell, (n,).
 
     Those that rest because of pressure have less than none.
     """
@@ -190,9 +192,9 @@ def _plenty(plan: BiologyPlan, cells: Cells, found: Found, resting: bool) -> Flo
     # over a threshold next to nothing a ratio may be infinite; one of zero excludes nobody
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         for part in plan.responses.get("rest" if resting else "necrosis rate", ()):
-            level, middle = part.level(found, cells, None), part.effect.law.middle
+            level, middle = part.level(signals, cells, None), part.effect.law.middle
             if part.needs == {"pressure"}:
-                ratio = np.where(part.share(found, cells) > 0.0, -1.0, np.inf)
+                ratio = np.where(part.share(signals, cells) > 0.0, -1.0, np.inf)
             elif middle == 0.0:
                 continue
             elif part.effect.falls == (part.effect.high > part.effect.low):

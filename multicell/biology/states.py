@@ -1,4 +1,4 @@
-"""Which cells proliferate, rest or die, from what they find around them, and removal of the dead.
+"""States of cells: proliferation, rest and death by their signals, and removal of the dead.
 
 **Why cells do not all react at once.** A resting cell takes up less nutrient. If all cells compared
 the field with the threshold at every coupling step, those near it would rest together, the field
@@ -11,18 +11,20 @@ rests. So each cell decides at birth and then once in a reaction time, at times 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.division import ROUNDING, due_to_divide
-from multicell.biology.exposure import finite_rate, part_until_death
+from multicell.biology.exposure import finite_rate, part_until
 from multicell.biology.growth import shrunk
 from multicell.biology.responding import rate_of, rate_of_harm, wants_rest
-from multicell.cells import SPHERE, Cells, FloatArray, Found, IntArray, Mask, Phase, State
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Signals, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -36,16 +38,24 @@ _GOLDEN = float(0.5 * (np.sqrt(5.0) - 1.0))
 _GROWING, _RESTING, _NECROTIC, _APOPTOTIC = (np.int8(state) for state in State)
 
 
-Deaths = tuple[FloatArray | None, FloatArray | None]
-"""Parts of the last step after which cells die by necrosis and by apoptosis, (n,); infinite: not.
+@final
+class Deaths(NamedTuple):
+    """When in the last step cells die, and what they have been exposed to until its end.
 
-None where nobody does."""
+    - ``necrosis``, ``apoptosis``, (n,): parts of the step after which they die of it; infinite:
+      not; None where nobody does
+    - ``columns``, name -> (n,): damage and integrals of rates, where they have changed
+    """
+
+    necrosis: FloatArray | None
+    apoptosis: FloatArray | None
+    columns: Mapping[str, FloatArray] = MappingProxyType({})
 
 
 def update_states(
     plan: BiologyPlan,
     cells: Cells,
-    found: Found,
+    signals: Signals,
     dying: Deaths | None = None,
     *,
     dt: float | None = None,
@@ -67,11 +77,11 @@ def update_states(
     """
     state = cells.state.copy()
     if plan.may_rest and not plan.restricted:
-        wanted = np.where(wants_rest(plan, cells, found), _RESTING, _GROWING)
+        wanted = np.where(wants_rest(plan, cells, signals), _RESTING, _GROWING)
         if np.count_nonzero(wanted != state):  # else it does not matter who is due
             due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
             state = np.where(due, wanted, state)
-    necrosis, apoptosis = deaths(plan, cells, found) if dying is None else dying
+    necrosis, apoptosis, _ = deaths(plan, cells, signals) if dying is None else dying
     for new, part in ((_NECROTIC, necrosis), (_APOPTOTIC, apoptosis)):
         state[cells.state == new] = new
         if part is not None:
@@ -82,11 +92,11 @@ def update_states(
 def deaths(
     plan: BiologyPlan,
     cells: Cells,
-    found: Found,
+    signals: Signals,
     exposure: Exposure | None = None,
     time: float = 0.0,
 ) -> Deaths:
-    """Return when in the last step cells die; integrals of rates are noted in ``cells``.
+    """Return when in the last step cells die, with their damage and integrals of rates.
 
     By necrosis where they find what kills at once, by the rate that their responses give, or with
     as much damage as they bear. By apoptosis at the end of their lives, and at the end of the cycle
@@ -96,16 +106,17 @@ def deaths(
     - ``time``: the end of that step, s; 0 at the start of a run
     """
     necrosis = apoptosis = None
+    columns: dict[str, FloatArray] = {}
     if "necrosis rate" in plan.responses:
-        necrosis = _earlier(necrosis, necrotic(plan, cells, found, exposure))
+        necrosis = necrotic(plan, cells, signals, exposure, columns)
     if exposure is not None and "damage rate" in plan.responses:
-        necrosis = _earlier(necrosis, take_damage(plan, cells, exposure))
+        necrosis = _earlier(necrosis, take_damage(plan, cells, exposure, columns))
     if plan.growth is not None and np.count_nonzero(last := cells.doomed == 1):
         due = np.flatnonzero(last & due_to_divide(plan, cells))
         apoptosis = _earlier(apoptosis, _only(due, _since_due(plan, cells, exposure, due), cells))
     if "apoptosis rate" in plan.base_rates:
-        apoptosis = _earlier(apoptosis, apoptotic(plan, cells, exposure, time))
-    return necrosis, apoptosis
+        apoptosis = _earlier(apoptosis, apoptotic(plan, cells, exposure, time, columns))
+    return Deaths(necrosis, apoptosis, columns)
 
 
 def _earlier(first: FloatArray | None, second: FloatArray | None) -> FloatArray | None:
@@ -137,26 +148,26 @@ def _since_due(
 
 def die(
     plan: BiologyPlan, cells: Cells, died: Mask, dying: Deaths, exposure: Exposure | None
-) -> float:
-    """Let cells that have died be dead since their time in the step; return the volume lost, µm³.
+) -> tuple[Cells, float]:
+    """Return cells of which some are dead since their time in the step, and the volume lost, µm³.
 
     They have grown until then, and shrunk since.
     """
-    part, since_birth = _earlier(*dying), cells.age
-    cells.age = np.where(died, 0.0, since_birth)
+    part = _earlier(dying.necrosis, dying.apoptosis)
+    age = np.where(died, 0.0, cells.age)
     if exposure is None or part is None or plan.death is None:
-        return 0.0
+        return cells.changed(age=age), 0.0
     rows = np.flatnonzero(died)
     volume = exposure[rows].volume_at(part[rows])
-    cells.age[rows] = np.minimum((1.0 - part[rows]) * exposure.length, since_birth[rows])
-    left = volume * shrunk(plan.death, cells.state[rows], 0.0, cells.age[rows])
-    cells.radius = cells.radius.copy()
-    cells.radius[rows] = np.cbrt(left / SPHERE)
-    return float((volume - left).sum())
+    age[rows] = np.minimum((1.0 - part[rows]) * exposure.length, cells.age[rows])
+    left = volume * shrunk(plan.death, cells.state[rows], 0.0, age[rows])
+    radius = cells.radius.copy()
+    radius[rows] = np.cbrt(left / SPHERE)
+    return cells.changed(age=age, radius=radius), float((volume - left).sum())
 
 
-def rest_from_birth(cells: Cells, before: NDArray[np.int8], exposure: Exposure) -> None:
-    """Let daughters of a step that come to rest at its end have rested since they were born.
+def rest_from_birth(cells: Cells, before: NDArray[np.int8], exposure: Exposure) -> Cells:
+    """Return cells of which daughters that come to rest have rested since they were born.
 
     Others decide at the end that is nearest to their time, and neither early nor late on average;
     daughters would always be late.
@@ -164,14 +175,15 @@ def rest_from_birth(cells: Cells, before: NDArray[np.int8], exposure: Exposure) 
     - ``before``, (n,): states until now
     """
     if cells.id is exposure.began.id:  # no cell was born
-        return
+        return cells
     rests = (cells.state == _RESTING) & (before == _GROWING)
     rows = np.flatnonzero(rests & (exposure.began.id[exposure.row] != cells.id))
-    if rows.size:
-        birth = np.maximum(1.0 - cells.age[rows] / exposure.length, 0.0)
-        volume = exposure[rows].volume_at(birth)
-        cells.radius = cells.radius.copy()
-        cells.radius[rows] = np.cbrt(volume / SPHERE)
+    if not rows.size:
+        return cells
+    birth = np.maximum(1.0 - cells.age[rows] / exposure.length, 0.0)
+    radius = cells.radius.copy()
+    radius[rows] = np.cbrt(exposure[rows].volume_at(birth) / SPHERE)
+    return cells.changed(radius=radius)
 
 
 def deciding(cells: Cells, dt: float, reaction_time: float, ahead: float | None = None) -> Mask:
@@ -192,7 +204,11 @@ def deciding(cells: Cells, dt: float, reaction_time: float, ahead: float | None 
 
 
 def apoptotic(
-    plan: BiologyPlan, cells: Cells, exposure: Exposure | None, time: float
+    plan: BiologyPlan,
+    cells: Cells,
+    exposure: Exposure | None,
+    time: float,
+    columns: dict[str, FloatArray],
 ) -> FloatArray | None:
     """Return at which part of a step living cells come to the end of their life, (n,).
 
@@ -203,13 +219,16 @@ def apoptotic(
     and the outcome knows nothing of the coupling step but for the moment at which the death is
     noticed. A rate that responds to signals counts by its integral, against the same draw.
 
-    ``time`` is the end of the step, s.
+    - ``time``: the end of the step, s
+    - ``columns``: where the integral of such a rate is noted
     """
     rate = plan.base_rates["apoptosis rate"]
     known = plan.responses.get("apoptosis rate")
     if exposure is not None and known is not None:
         gained = exposure.integral(known, partial(rate_of, plan, "apoptosis rate"))
-        return part_until_death(plan, Purpose.APOPTOSIS, cells, "apoptosis_hazard", gained)
+        return _part_until_death(
+            plan, Purpose.APOPTOSIS, cells, "apoptosis_hazard", gained, columns
+        )
     if known is not None:
         return None
     # who was there at the start is older than the run, who was born in it is younger
@@ -224,16 +243,21 @@ def apoptotic(
 
 
 def necrotic(
-    plan: BiologyPlan, cells: Cells, found: Found, exposure: Exposure | None
+    plan: BiologyPlan,
+    cells: Cells,
+    signals: Signals,
+    exposure: Exposure | None,
+    columns: dict[str, FloatArray],
 ) -> FloatArray | None:
     """Return at which part of a step living cells die by necrosis, (n,).
 
     Where they first find what kills at once; and where the integral of their rate reaches a
     threshold, so that times until death are distributed exponentially whatever the coupling step.
+    That integral is noted in ``columns``.
     """
     known, part = plan.responses["necrosis rate"], None
     if any(math.isinf(response.effect.high) for response in known):
-        hazard = rate_of_harm(plan, "necrosis rate", found, cells)
+        hazard = rate_of_harm(plan, "necrosis rate", signals, cells)
         now = np.zeros(len(cells), dtype=np.bool_) if hazard is None else np.isinf(hazard)
         rows = np.flatnonzero(
             ~cells.dead & (now if exposure is None or not exposure.inner else True)
@@ -247,18 +271,44 @@ def necrotic(
             part = _only(rows, np.where(now[rows], np.minimum(first, 1.0), first), cells)
     if exposure is not None and "necrosis rate" in plan.acting:
         gained = exposure.integral(known, partial(finite_rate, plan, "necrosis rate"))
-        by_rate = part_until_death(plan, Purpose.NECROSIS, cells, "necrosis_hazard", gained)
+        by_rate = _part_until_death(
+            plan, Purpose.NECROSIS, cells, "necrosis_hazard", gained, columns
+        )
         part = _earlier(part, by_rate)
     return part
 
 
-def take_damage(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> FloatArray:
-    """Let cells take damage in a step; return after which part of it they bear no more, (n,).
+def _part_until_death(
+    plan: BiologyPlan,
+    purpose: Purpose,
+    cells: Cells,
+    column: str,
+    gained: FloatArray,
+    columns: dict[str, FloatArray],
+) -> FloatArray:
+    """Return at which part of what an integral has gained living cells die, (n,); it is noted.
+
+    Infinite where they do not; ``column`` is the integral's name, one of
+    :data:`multicell.cells.HAZARDS`, and ``columns`` where it is noted.
+    """
+    gained = np.where(cells.dead, 0.0, gained)
+    known = getattr(cells, column)
+    before = np.zeros(len(cells)) if known is None else known
+    if known is not None or gained.any():
+        columns[column] = before + gained
+    return part_until(plan, purpose, cells.id, before, gained)
+
+
+def take_damage(
+    plan: BiologyPlan, cells: Cells, exposure: Exposure, columns: dict[str, FloatArray]
+) -> FloatArray:
+    """Return after which part of a step cells bear no more damage, (n,).
 
     Damage counts in parts of what kills a cell: dD/dt = k/θ, with the damage rate k and the
     tolerance θ of the cell (gamma, mean 1, drawn once by its identity). The dead keep theirs.
+    Where any is taken, all of it is noted in ``columns``.
     """
-    before = cells.damage
+    before = damage = cells.damage
     known, rate = plan.responses["damage rate"], partial(rate_of, plan, "damage rate")
     gained = np.where(cells.dead, 0.0, exposure.integral(known, rate))
     hit = np.flatnonzero(gained)
@@ -272,10 +322,10 @@ def take_damage(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> FloatArr
         gained[hit] /= _tolerance(plan, cells.id[hit])
         gained[born] += earlier
     if gained.any():
-        cells.damage = before + gained
+        columns["damage"] = damage = before + gained
     most = 1.0 - ROUNDING
     left = np.divide(most - before, gained, out=np.zeros(len(cells)), where=gained > 0.0)
-    return np.where((cells.damage >= most) & ~cells.dead, np.maximum(left, 0.0), np.inf)
+    return np.where((damage >= most) & ~cells.dead, np.maximum(left, 0.0), np.inf)
 
 
 def _tolerance(plan: BiologyPlan, ids: IntArray) -> FloatArray:
@@ -302,7 +352,7 @@ def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
 
 
 def irradiate(
-    plan: BiologyPlan, cells: Cells, found: Found, begin: float, end: float
+    plan: BiologyPlan, cells: Cells, signals: Signals, begin: float, end: float
 ) -> tuple[Cells, Mask]:
     """Return the cells after all fractions between two times, and which have died, (n,).
 
@@ -316,20 +366,20 @@ def irradiate(
         for number, time in enumerate(part.schedule):
             if begin < time * (1.0 - ROUNDING) <= end:
                 u = random.uniform(plan.seed, Purpose.RADIATION, number, cells.id, attempt=course)
-                _kill(part, after, (u[:, 0] >= _survival(plan, part, after, found)) & ~after.dead)
+                _kill(part, after, (u[:, 0] >= _survival(plan, part, after, signals)) & ~after.dead)
     dead = after.dead & ~cells.dead
     if dead.any():
         after.age = np.where(dead, 0.0, after.age)
     return after, dead
 
 
-def _survival(plan: BiologyPlan, part: Radiation, cells: Cells, found: Found) -> FloatArray:
+def _survival(plan: BiologyPlan, part: Radiation, cells: Cells, signals: Signals) -> FloatArray:
     """Return the probability of each cell to survive a fraction, (n,)."""
     known = part.phase_factor or {}
     factor = np.array([known.get(phase.name, 1.0) for phase in Phase])[cells.phase]
     if part.types:
         factor *= np.isin(cells.kind, [list(plan.types).index(kind) for kind in part.types])
-    pressure = found[part.oxygen] / plan.solubility[part.oxygen] if part.oxygen else np.inf
+    pressure = signals[part.oxygen] / plan.solubility[part.oxygen] if part.oxygen else np.inf
     return np.asarray(part.survival(pressure, factor))
 
 

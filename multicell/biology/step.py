@@ -1,4 +1,4 @@
-"""What biology does to the cells in a coupling step: growth, events, and decisions.
+"""The biology of a coupling step: growth, events, and decisions.
 
 Each function returns a new population, or what is needed to make one, and changes none.
 """
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 
-from multicell.biology.cycle import Cycling, advance, leave_rest, phase_pace
+from multicell.biology.cycle import Cycling, advance_cycle, leave_rest, phase_pace
 from multicell.biology.division import divide
 from multicell.biology.growth import corrected_factor, volumes_after
 from multicell.biology.motion import bond_levels
@@ -23,7 +23,7 @@ from multicell.biology.states import (
     rest_from_birth,
     update_states,
 )
-from multicell.cells import SPHERE, Cells, FloatArray, Found, Mask, rows_before
+from multicell.cells import SPHERE, Cells, FloatArray, Mask, Signals, rows_before
 from multicell.scene.domain import check_inside
 from multicell.vectors import cubes
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @final
 class Grown(NamedTuple):
-    """What growth makes of cells by the end of a step.
+    """Grown cells at the end of a step.
 
     - ``radius``, (n,) µm
     - ``factor``, (n,): part of unlimited growth at which they have grown if they could
@@ -46,6 +46,15 @@ class Grown(NamedTuple):
     factor: FloatArray
     lag: FloatArray
     cycling: Cycling | None
+
+
+@final
+class Decided(NamedTuple):
+    """The cells after decisions, which have died, (n,), and the volume that these lost, µm³."""
+
+    cells: Cells
+    died: Mask
+    released: float
 
 
 @final
@@ -61,10 +70,8 @@ class Events(NamedTuple):
     released: float
 
 
-def grow(
-    plan: BiologyPlan, cells: Cells, concentrations: Found, factor: FloatArray, dt: float
-) -> Grown:
-    """Return what growth makes of cells in a time ``dt`` (s).
+def grow(plan: BiologyPlan, cells: Cells, signals: Signals, factor: FloatArray, dt: float) -> Grown:
+    """Let cells grow for a time ``dt`` (s).
 
     ``factor`` is how fast they grow where they are, (n,); see
     :func:`multicell.biology.growth.growth_factor`. What earlier steps have left out is made good.
@@ -74,25 +81,25 @@ def grow(
     volume = volumes_after(plan, cells, factor, dt)
     cycling = None
     if plan.phased:
-        resting = wants_rest(plan, cells, concentrations)
-        pace = phase_pace(plan, concentrations, cells)
-        cycling = advance(plan, cells, factor, resting, dt, pace)
+        resting = wants_rest(plan, cells, signals)
+        pace = phase_pace(plan, signals, cells)
+        cycling = advance_cycle(plan, cells, factor, resting, dt, pace)
         volume += cycling.volume - cells.volume
     return Grown(np.asarray(np.cbrt(volume / SPHERE)), factor, lag, cycling)
 
 
 def age_cells(
-    plan: BiologyPlan, cells: Cells, grown: Grown, concentrations: Found,
+    plan: BiologyPlan, cells: Cells, grown: Grown, signals: Signals,
     begin: float, end: float,
 ) -> tuple[Cells, float]:  # fmt: skip
     """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
-    after = cells.shared()
-    after.radius, after.lag = grown.radius, grown.lag
-    after.age = after.age + (end - begin)
-    if grown.cycling is not None:
-        for name in ("state", "phase", "progress", "phase_length"):
-            setattr(after, name, getattr(grown.cycling, name))
-    bind(plan, after, cells, concentrations, end)
+    now, age = grown.cycling, cells.age + (end - begin)
+    after = cells.changed(radius=grown.radius, lag=grown.lag, age=age)
+    if now is not None:
+        after = after.changed(
+            state=now.state, phase=now.phase, progress=now.progress, phase_length=now.phase_length
+        )
+    after = bind(plan, after, cells, signals, end)
     dead = cells.dead
     if not np.count_nonzero(dead):
         return after, 0.0
@@ -101,28 +108,30 @@ def age_cells(
     return after, SPHERE * float(lost.sum())
 
 
-def bind(plan: BiologyPlan, after: Cells, cells: Cells, concentrations: Found, time: float) -> None:
-    """Give ``after`` the receptors and ligands that ``cells`` have at a time in s."""
-    if plan.adhesion is not None:
-        levels = bond_levels(plan, cells, concentrations, time)
-        after.receptor, after.ligand = np.ascontiguousarray(levels.T)
+def bind(plan: BiologyPlan, after: Cells, cells: Cells, signals: Signals, time: float) -> Cells:
+    """Return ``after`` with the receptors and ligands that ``cells`` have at a time in s."""
+    if plan.adhesion is None:
+        return after
+    receptor, ligand = np.ascontiguousarray(bond_levels(plan, cells, signals, time).T)
+    return after.changed(receptor=receptor, ligand=ligand)
 
 
-def bind_changed(plan: BiologyPlan, before: Cells, cells: Cells, found: Found, time: float) -> None:
-    """Give cells of another type than ``before`` the receptors and ligands of theirs.
+def bind_changed(
+    plan: BiologyPlan, before: Cells, cells: Cells, signals: Signals, time: float
+) -> Cells:
+    """Return cells, those of another type than ``before`` with its receptors and ligands.
 
-    Those before are the cells or their mothers, and ``found`` is what these find; ``time`` in s.
+    Those before are the cells or their mothers, and ``signals`` is what these find; ``time`` in s.
     """
     if plan.adhesion is None or cells.kind is before.kind:
-        return
+        return cells
     row = rows_before(before, cells)
     changed = np.flatnonzero(cells.kind != before.kind[row])
-    here = {name: values[row[changed]] for name, values in found.items()}
+    here = {name: values[row[changed]] for name, values in signals.items()}
     levels = bond_levels(plan, cells.take(changed), here, time)
-    for place, name in enumerate(("receptor", "ligand")):
-        column = getattr(cells, name).copy()
-        column[changed] = levels[:, place]
-        setattr(cells, name, column)
+    receptor, ligand = cells.receptor.copy(), cells.ligand.copy()
+    receptor[changed], ligand[changed] = levels.T
+    return cells.changed(receptor=receptor, ligand=ligand)
 
 
 def divide_and_remove(
@@ -131,7 +140,7 @@ def divide_and_remove(
     next_id: int,
     time: float,
     dt: float,
-    found: Found = MappingProxyType({}),
+    signals: Signals = MappingProxyType({}),
     factor: float | FloatArray = 1.0,
 ) -> Events:
     """Return the cells after all that changes their number at the end of a step.
@@ -139,12 +148,12 @@ def divide_and_remove(
     ``time`` is that end and ``dt`` the length of the step, s, ``factor`` the part of unlimited
     growth at which cells have grown in it, (n,) or one for all.
     """
-    divided, free = divide(plan, cells, next_id, dt, found, factor)
+    divided, free = divide(plan, cells, next_id, dt, signals, factor)
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
         check_inside(plan.domain, divided.id, divided.position, time)
-        bind_changed(plan, cells, divided, found, time)
+        divided = bind_changed(plan, cells, divided, signals, time)
     left, removals = remove_lysed(plan, divided)
     released = float(divided.volume.sum()) - float(left.volume.sum()) if removals else 0.0
     return Events(left, free, removals, released)
@@ -153,30 +162,29 @@ def divide_and_remove(
 def decide(
     plan: BiologyPlan,
     cells: Cells,
-    found: Found,
+    signals: Signals,
     exposure: Exposure | None = None,
     *,
     ahead: float | None = None,
     time: float = 0.0,
-) -> tuple[Mask, float]:
-    """Set damage and states of cells by what they find.
+) -> Decided:
+    """Return the cells with the damage and the states that they have by what they find.
 
     - ``exposure``: to the signals of the step that has ended; absent at the start of a run
     - ``ahead``: length of the next step, s; absent: the usual one
     - ``time``: the end of the step that has ended, s
-
-    Returns which cells have died, (n,) bool, and the volume that they have lost since, µm³.
     """
     before, dt = cells.state, None if exposure is None else exposure.length
-    dying = deaths(plan, cells, found, exposure, time)
-    cells.state = update_states(plan, cells, found, dying, dt=dt, ahead=ahead)
+    dying = deaths(plan, cells, signals, exposure, time)
+    state = update_states(plan, cells, signals, dying, dt=dt, ahead=ahead)
+    cells = cells.changed(state=state, **dying.columns)
     if exposure is not None and not plan.restricted:
-        rest_from_birth(cells, before, exposure)
+        cells = rest_from_birth(cells, before, exposure)
     if plan.restricted:
         due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
-        well = ~wants_rest(plan, cells, found)
-        leave_rest(plan, cells, due & well)
+        well = ~wants_rest(plan, cells, signals)
+        cells = leave_rest(plan, cells, due & well)
     died, lost = cells.state != before, 0.0
     if np.count_nonzero(died) and np.count_nonzero(died := died & cells.dead):
-        lost = die(plan, cells, died, dying, exposure)
-    return np.asarray(died), lost
+        cells, lost = die(plan, cells, died, dying, exposure)
+    return Decided(cells, died, lost)

@@ -1,4 +1,4 @@
-"""What each column of measured data holds, by its title ``NAME / UNIT``."""
+"""Columns of measured data, by their titles ``NAME / UNIT``."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from multicell.tables.titles import split_title
 from multicell.units import PERCENT, to_base, unit_factor
 
 _ERRORS: Final = ("sd", "sem")
-NUMBERS: Final = ("time", "start", "depth", "value", *_ERRORS, "n")
+NUMBER_KINDS: Final = ("time", "start", "depth", "value", *_ERRORS, "n")
 """Kinds of columns that hold numbers."""
-MAX_BYTES: Final = 10_000_000  # of a file of measured data
+MAX_DATA_BYTES: Final = 10_000_000  # of a file of measured data
 _NO_CONDITIONS: Final = ("title", "seed")
 _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 """Units of times by titles without one."""
@@ -33,7 +33,7 @@ _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 
 @final
 @dataclass(frozen=True)
-class Column:
+class DataColumn:
     """One column.
 
     - ``kind``: ``"time"``, ``"start"``, ``"depth"``, ``"specimen"``, ``"value"``, ``"sd"``,
@@ -59,7 +59,7 @@ class Column:
 
     def number(self, text: str, place: str) -> float:
         """Return a field as a number of base units; raises DataError if it is none."""
-        number = finite(text, place)
+        number = finite_entry(text, place)
         if self.kind in _ERRORS and not number > 0.0:
             hint = "Leave it empty where it is unknown."
             raise DataError(place, f"is {text}, must be above 0", hint)
@@ -88,7 +88,7 @@ class Column:
         return text
 
 
-def finite(text: str, place: str) -> float:
+def finite_entry(text: str, place: str) -> float:
     """Return the finite number that a field of a table is; raises DataError if it is none."""
     try:
         number = float(text)
@@ -101,9 +101,9 @@ def finite(text: str, place: str) -> float:
     return number
 
 
-def columns_of(table: Table, scene: Scene) -> list[Column]:
-    """Return what the columns of a table hold."""
-    columns: list[Column] = []
+def columns_of(table: Table, scene: Scene) -> list[DataColumn]:
+    """Return the columns of a table by their titles."""
+    columns: list[DataColumn] = []
     for title in table.titles:
         try:
             columns.append(_column(title, scene, table.name, columns))
@@ -130,8 +130,8 @@ def columns_of(table: Table, scene: Scene) -> list[Column]:
     return columns
 
 
-def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> Column:
-    """Return what one column holds; ``before``: those to its left."""
+def _column(title: str, scene: Scene, table: str, before: Sequence[DataColumn]) -> DataColumn:
+    """Return the column of one title; ``before``: those to its left."""
     place = f"{table}, '{title}'"
     name, unit = split_title(title)
     if not name:
@@ -141,7 +141,7 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> C
     if name in ("time", "start", "depth"):
         return _with_unit(name, name, unit, "um" if name == "depth" else "s", title, place)
     if title.lower() in _TIMES:
-        return Column("time", "time", _TIMES[title.lower()], "s", title)
+        return DataColumn("time", "time", _TIMES[title.lower()], "s", title)
     if name in ("label", "specimen"):
         return _with_unit(name, name, unit, "", title, place)
     if name in (*_ERRORS, "n"):  # of the values to its left, in their unit
@@ -154,30 +154,30 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[Column]) -> C
     if stem and kind in (*_ERRORS, "n"):
         base = "" if kind == "n" else _unit_of(stem, scene, place)
         if kind != "n" and unit in PERCENT:
-            return Column(kind, stem, unit, base, title)
+            return DataColumn(kind, stem, unit, base, title)
         return _measured(kind, stem, unit, base, title, place, scene)
     if _is_key(name, scene):
         if name in _NO_CONDITIONS:
             raise DataError(place, f"'{name}' is no condition that tissue can be under")
-        return Column("condition", name, unit, "", title)
+        return DataColumn("condition", name, unit, "", title)
     return _measured("value", name, unit, _unit_of(name, scene, place), title, place, scene)
 
 
 def _measured(
     kind: str, name: str, unit: str, base: str, title: str, place: str, scene: Scene
-) -> Column:
+) -> DataColumn:
     """Return a column of measured numbers or their errors; oxygen may be a pressure or in %."""
-    if kind != "n" and name in fields_of(scene):
+    if kind != "n" and name in depth_fields(scene):
         try:
             found = concentration(f"1 {unit}", name, place, scene.nutrients)
         except SceneError as error:
             raise DataError(place, error.problem, error.hint) from None
         if not isinstance(found, str):
-            return Column(kind, name, unit, base, title, found)
+            return DataColumn(kind, name, unit, base, title, found)
     return _with_unit(kind, name, unit, base, title, place)
 
 
-def fields_of(scene: Scene) -> dict[str, str]:
+def depth_fields(scene: Scene) -> dict[str, str]:
     """Return the base unit of what can be measured at a depth: the fields of a scene."""
     return dict.fromkeys(scene.nutrients, "mM")
 
@@ -193,14 +193,14 @@ def _is_key(name: str, scene: Scene) -> bool:
 
 def _unit_of(name: str, scene: Scene, place: str) -> str:
     """Return the base unit of an observable."""
-    known = fields_of(scene) | in_history(scene) | at_the_end(scene)
+    known = depth_fields(scene) | in_history(scene) | at_the_end(scene)
     if name in known:
         return known[name]
     more = "of this scene" if is_known_elsewhere(name) else "and no key of the scene"
     raise DataError(place, f"'{name}' is no observable {more}", suggest(name, known))
 
 
-def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: str) -> Column:
+def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: str) -> DataColumn:
     """Return a column of numbers once its unit has been checked."""
     stem = split_title(title)[0]
     if base and not unit:
@@ -210,7 +210,7 @@ def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: st
     if base and unit_factor(unit, base) is None:
         _convert(f"1 {unit}", base, place)
         raise DataError(place, f"has the unit '{unit}', must be a single one")
-    return Column(kind, name, unit, base, title)
+    return DataColumn(kind, name, unit, base, title)
 
 
 def _convert(text: str, base: str, place: str) -> float:

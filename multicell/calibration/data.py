@@ -46,7 +46,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, final
 
-from multicell.calibration.columns import MAX_BYTES, NUMBERS, Column, columns_of, fields_of
+from multicell.calibration.columns import (
+    MAX_DATA_BYTES,
+    NUMBER_KINDS,
+    DataColumn,
+    columns_of,
+    depth_fields,
+)
 from multicell.calibration.noise import group
 from multicell.errors import DataError, SceneError
 from multicell.results.observable import represented
@@ -119,7 +125,7 @@ class Datum:
 @final
 @dataclass(frozen=True)
 class Condition:
-    """What some of the data were measured under.
+    """Conditions under which some of the data were measured.
 
     - ``label``: for pictures and tables
     - ``changes``: dotted keys of the scene with their values, as :meth:`Scene.with_changes` takes
@@ -179,7 +185,7 @@ def read_data(
     """
     if not (isinstance(sd, int | float) and 0.0 < sd < math.inf):
         raise DataError("sd", f"is {sd!r}, must be a relative standard deviation above 0")
-    table = source if isinstance(source, Table) else read_table(source, MAX_BYTES)
+    table = source if isinstance(source, Table) else read_table(source, MAX_DATA_BYTES)
     chosen(specimens, SPECIMENS, "specimens")
     columns = columns_of(table, scene)
     rows = _Rows(table, columns, scene, float(sd), single=specimens == "single")
@@ -188,7 +194,7 @@ def read_data(
     return rows.measured()
 
 
-def _key(column: Column) -> tuple[str, str]:
+def _key(column: DataColumn) -> tuple[str, str]:
     return column.kind, column.name
 
 
@@ -199,7 +205,7 @@ class _Rows:
     def __init__(
         self,
         table: Table,
-        columns: Sequence[Column],
+        columns: Sequence[DataColumn],
         scene: Scene,
         sd: float,
         *,
@@ -221,7 +227,7 @@ class _Rows:
         condition, numbers = self._condition(row), self._numbers(row)
         time = self._time(row, numbers)
         scene = self._scenes[condition]
-        fields, timed = fields_of(scene), in_history(scene)
+        fields, timed = depth_fields(scene), in_history(scene)
         known = fields | timed | at_the_end(scene)
         depth = numbers.get(("depth", "depth"))
         texts = zip(self._columns, self._table.rows[row], strict=True)
@@ -250,14 +256,14 @@ class _Rows:
             raise DataError(self._where(row), "has no measured value")
 
     def measured(self) -> Measured:
-        """Return what was read."""
+        """Return the data that were read."""
         conditions = tuple(
             Condition(label or f"condition {k + 1}", dict(key), self._lasting(k))
             for k, (key, label) in enumerate(zip(self._keys, self._labels, strict=True))
         )
         known: dict[str, str] = {}
         for scene in self._scenes:
-            known |= fields_of(scene) | in_history(scene) | at_the_end(scene)
+            known |= depth_fields(scene) | in_history(scene) | at_the_end(scene)
         units = {d.observable: known[d.observable] for d in self._data}
         data = group(self._data, self._table.name)
         return Measured(tuple(data), conditions, units, self._table.name)
@@ -269,11 +275,11 @@ class _Rows:
             for place, (column, text) in enumerate(
                 zip(self._columns, self._table.rows[row], strict=True)
             )
-            if text and column.kind in NUMBERS
+            if text and column.kind in NUMBER_KINDS
         }
 
     def _datum(
-        self, row: int, column: Column, numbers: Mapping[tuple[str, str], float], where: str,
+        self, row: int, column: DataColumn, numbers: Mapping[tuple[str, str], float], where: str,
         condition: int, time: float | None,
     ) -> Datum:  # fmt: skip
         """Return a datum with what it is compared in."""

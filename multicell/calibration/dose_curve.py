@@ -296,7 +296,7 @@ def _dose(value: float, draws: FloatArray, lowest: float, largest: float, unit: 
     return Estimate(value if inside else math.nan, ends[0], ends[1], words)
 
 
-def combine(
+def combine_drugs(
     points: FloatArray, viability: FloatArray, draws: FloatArray | None, curves: Sequence[DoseCurve]
 ) -> tuple[list[dict[str, float | bool]], dict[str, Estimate]]:  # fmt: skip
     """Compare two drugs together with what each does alone.

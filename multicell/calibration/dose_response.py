@@ -1,4 +1,4 @@
-"""What doses do to a population: viability, half-maximal doses, two drugs together."""
+"""Dose response of a population: viability, half-maximal doses, two drugs together."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.columns import MAX_BYTES, finite
-from multicell.calibration.dose_curve import DOSES, LEAST, combine, draw_means, fit_curve
+from multicell.calibration.columns import MAX_DATA_BYTES, finite_entry
+from multicell.calibration.dose_curve import DOSES, LEAST, combine_drugs, draw_means, fit_curve
 from multicell.calibration.dose_response_result import DoseResponse, Row
 from multicell.errors import DataError, FitFailed, SceneError
 from multicell.host.extras import needs
@@ -21,7 +21,7 @@ from multicell.studies.keys import key_of
 from multicell.studies.limits import check_seeds
 from multicell.studies.picture_data import key_words, words
 from multicell.studies.plan import Plan, make_plan
-from multicell.studies.readings import observables_of, read_final
+from multicell.studies.readings import chosen_observables, read_final
 from multicell.studies.study import Study, write_study
 from multicell.tables.columns import read_table
 from multicell.tables.titles import split_title, unknown_title
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from multicell.calibration.dose_curve import Estimate
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.studies.engine import Outcome
+    from multicell.studies.engine import RunOutcome
 
 LIVING: Final = "proliferating+quiescent"
 """The living cells: columns of the history, added up."""
@@ -57,7 +57,7 @@ def dose_response(
     scheduler: str | None = None,
     retry: bool = False,
     report: bool = True,
-    progress: Callable[[Outcome], None] | None = None,
+    progress: Callable[[RunOutcome], None] | None = None,
 ) -> DoseResponse:
     """Find the dose at which half of a population is left, from runs or from measured data.
 
@@ -115,11 +115,13 @@ def dose_response(
         if output is not None:
             result.write_tables()
     else:
-        plan = plan_of(scene, dose, doses, combine=combine, observable=observable, seeds=seeds)
+        plan = plan_dose_response(
+            scene, dose, doses, combine=combine, observable=observable, seeds=seeds
+        )
         folder = Path("dose-response" if output is None else output)
         write_study(plan.study, folder, overwrite=overwrite)
         how = {"cores": cores, "scheduler": scheduler, "progress": progress, "retry": retry}
-        result = carry_out(plan, folder, **how)
+        result = run_dose_plan(plan, folder, **how)
     if report and result.folder is not None:
         result.report()
     return result
@@ -144,7 +146,7 @@ class DosePlan:
     study: Plan
 
 
-def plan_of(
+def plan_dose_response(
     scene: Scene | str | Path | None,
     dose: str | None,
     doses: Any,
@@ -165,7 +167,7 @@ def plan_of(
         raise SceneError("dose", problem, "Or measured data.")
     described = load_scene(scene) if isinstance(scene, str | Path) else scene
     check_seeds(seeds, described.seed)
-    observables_of(described, observable.split("+"))
+    chosen_observables(described, observable.split("+"))
     if combine is None:
         assert dose is not None
         keys, given = [dose], [doses]
@@ -229,7 +231,7 @@ def _doses(axis: Axis) -> tuple[FloatArray, str]:
 
 
 def _setting(scene: Scene, key: str) -> Callable[[Any], Any]:
-    """Return what makes the value of a key from a dose."""
+    """Return a function from a dose to the value of a key."""
     found = key_of(scene, key)
     if found.spec.kind != "schedule":
         return lambda dose: dose
@@ -240,7 +242,7 @@ def _setting(scene: Scene, key: str) -> Callable[[Any], Any]:
     return lambda dose: [[time, dose if level > 0.0 else 0.0] for time, level in course]
 
 
-def carry_out(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
+def run_dose_plan(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
     """Do all runs of a plan that are not done, and return what they show.
 
     - ``how``: as :meth:`multicell.studies.study.Study.run` takes it
@@ -264,7 +266,7 @@ def carry_out(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
             "doses may end at different times"
         )
     known = "living cells" if plan.observable == LIVING else words(plan.observable)
-    result = analyse(
+    result = analyse_doses(
         plan.points, values, rows, names=plan.names, units=plan.units, response=known,
         shared=True, notes=notes,
         scene=plan.scene, folder=folder, title=plan.scene.title or "Untitled scene",
@@ -278,7 +280,7 @@ def of_table(source: Any) -> DoseResponse:
 
     Parameters and errors are those of :func:`dose_response`.
     """
-    table = read_table(source, MAX_BYTES)
+    table = read_table(source, MAX_DATA_BYTES)
     known = [split_title(title) for title in table.titles]
     columns = {name: place for place, (name, _) in enumerate(known)}
     pair = "dose A" in columns or "dose B" in columns
@@ -300,7 +302,7 @@ def of_table(source: Any) -> DoseResponse:
             continue  # not measured, or a run that failed
         place = f"{table.name}, {row_place}"
         *doses, value = (
-            finite(row[columns[name]], f"{place}, '{name}'") for name in (*drugs, "response")
+            finite_entry(row[columns[name]], f"{place}, '{name}'") for name in (*drugs, "response")
         )
         point = tuple(doses)
         if min(point) < 0.0:
@@ -315,7 +317,7 @@ def of_table(source: Any) -> DoseResponse:
     _check_points(rising, len(drugs), table.name)
     values = np.array([[cells.get((p, label), math.nan) for label in labels] for p in rising])
     rows = [{"replicate": label, "run": "", "reason": ""} for _ in rising for label in labels]
-    return analyse(
+    return analyse_doses(
         np.array(rising), values, rows, names=drugs,
         units=[known[columns[name]][1] for name in drugs], response="response",
         shared=shared, title=table.name,
@@ -340,7 +342,7 @@ def _check_points(points: Sequence[tuple[float, ...]], drugs: int, table: str) -
                 raise DataError(table, problem, "Both references need each dose alone.")
 
 
-def analyse(
+def analyse_doses(
     points: FloatArray, values: FloatArray, rows: Sequence[Row], *,
     names: Sequence[str], units: Sequence[str], response: str, shared: bool,
     title: str, notes: Sequence[str] = (), scene: Scene | None = None, folder: Path | None = None,
@@ -388,7 +390,7 @@ def analyse(
         drawn = None
         if draws is not None:
             drawn = draws / np.where(draws[:, :1] > 0.0, draws[:, :1], np.nan)
-        pairs, totals = combine(points, means / means[0], drawn, curves)
+        pairs, totals = combine_drugs(points, means / means[0], drawn, curves)
     if draws is None:
         found.append(
             "no replicates: intervals are from the scatter of the responses about the curve"

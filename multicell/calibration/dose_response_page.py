@@ -11,7 +11,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 
 from multicell.calibration.dose_curve import DOSES, TOTALS
 from multicell.report.html import write_page
-from multicell.report.plots.style import BLUE, INK, QUIET, RED, SIZE, save, styled
+from multicell.report.plots.style import BLUE, INK, QUIET, RED, SIZE, save_figure, styled
 from multicell.report.wording import written
 from multicell.studies.picture_data import number_text, sentence, with_unit
 from multicell.studies.pictures import with_heading
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from multicell.calibration.dose_response_result import DoseResponse
 
 
-def write_report(result: DoseResponse, folder: Path) -> Path:
+def write_dose_report(result: DoseResponse, folder: Path) -> Path:
     """Write ``report.html`` and the picture as PNG and SVG, and return the page."""
     drugs = " and ".join(curve.name for curve in result.curves)
     caption = (
@@ -45,7 +45,7 @@ def write_report(result: DoseResponse, folder: Path) -> Path:
         tiles["slope h"] = f"{result.curve.slope.value:.3g}"
     tiles |= {TOTALS[name]: f"{entry.value:.3g}" for name, entry in result.totals.items()}
     tiles["replicates" if result.scene is None else "seeds"] = f"{result.replicates}"
-    save(result.plot(), folder / "dose_response.svg")
+    save_figure(result.plot(), folder / "dose_response.svg")
     return write_page(
         folder / "report.html",
         "dose_response.html",

@@ -1,4 +1,4 @@
-"""What doses do: responses, curves with their intervals, combinations."""
+"""Results of a dose response: responses, curves with their intervals, combinations."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class DoseResponse:
       failure
     - ``combination``: a row for each pair of doses: ``viability``, ``bliss_excess`` and
       ``loewe_index``, each with ``..._low`` and ``..._high``, and ``extrapolated``; see
-      :func:`multicell.calibration.dose_curve.combine`
+      :func:`multicell.calibration.dose_curve.combine_drugs`
     - ``totals``: mean ``bliss_excess`` and geometric mean ``loewe_index``
     - ``notes``: what the reader must know
     """
@@ -117,9 +117,9 @@ class DoseResponse:
 
         Raises ``OutputError`` if there is no folder, or it cannot be written to.
         """
-        from multicell.calibration.dose_response_page import write_report
+        from multicell.calibration.dose_response_page import write_dose_report
 
-        return write_report(self, self.write_tables(folder))
+        return write_dose_report(self, self.write_tables(folder))
 
     def write_tables(self, folder: str | Path | None = None) -> Path:
         """Write ``dose_response.csv`` and ``.json``, and ``combination.csv``; return the folder.

@@ -1,4 +1,4 @@
-"""What runs would give between the parameters that were tried: Gaussian processes.
+"""Emulator of runs between the parameters that were tried: Gaussian processes.
 
 The mean over runs of each datum is a polynomial of second degree in the parameters (places in
 their ranges) and what is beyond that: a Gaussian process with a Matern covariance of degree 5/2.
@@ -31,7 +31,7 @@ from multicell.calibration.noise import Array, Noise
 from multicell.calibration.priors import Prior
 
 PARTICLES: Final = 2000  # draws from a posterior
-FEW: Final = 500  # draws that are enough to see where a posterior is, if not where its tails end
+ENOUGH_DRAWS: Final = 500  # to see where a posterior is, if not where its tails end
 _MOVES: Final = 8
 _MAX_POINTS: Final = 100
 """Points that a process is fitted to, the nearest ones: its cost is their number cubed."""
@@ -48,7 +48,7 @@ Mask = NDArray[np.bool_]
 
 @final
 @dataclass(frozen=True, eq=False)
-class Column:
+class GaussianProcesses:
     """Gaussian processes of some data that the same points say something of.
 
     - ``data``, (m,): numbers of the data
@@ -78,7 +78,7 @@ class Process:
 
     smooth: Any
     points: Array
-    columns: tuple[Column, ...]
+    columns: tuple[GaussianProcesses, ...]
 
     def predict(self, shares: Array, means: Array, variances: Array) -> None:
         """Fill in the columns of means and variances of the smooth part for parameters (k, d)."""
@@ -212,7 +212,9 @@ def _process(points: Array, residuals: Array, numbers: NDArray[np.int64], lowest
             )
             root = cholesky(covariance[np.ix_(used, used)] + np.diag(noise), lower=True)
             weights = cho_solve((root, True), targets)
-            columns.append(Column(numbers[own], used, root, weights, centre[own], width[own]))
+            columns.append(
+                GaussianProcesses(numbers[own], used, root, weights, centre[own], width[own])
+            )
     return Process(kernel.k1, points, tuple(columns))
 
 

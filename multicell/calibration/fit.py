@@ -7,17 +7,17 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.calibration.columns import MAX_BYTES
+from multicell.calibration.columns import MAX_DATA_BYTES
 from multicell.calibration.data import ASSUMED, read_data
 from multicell.calibration.fit_plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitted import Fit
 from multicell.calibration.likelihood import CHECKS, DEFAULT_REPEATS, MAX_REPEATS, MIN_REPEATS
 from multicell.calibration.pool import open_pool
-from multicell.calibration.problem import Problem, free_of
+from multicell.calibration.problem import FitProblem, free_of
 from multicell.calibration.simulator import SceneSimulator
 from multicell.errors import SceneError
 from multicell.host.extras import needs
-from multicell.studies.limits import MAX_RUNS, check_cores, check_runs, check_seeds, whole
+from multicell.studies.limits import MAX_RUNS, check_cores, check_runs, check_seeds, whole_between
 from multicell.tables.columns import read_table
 
 if TYPE_CHECKING:
@@ -97,17 +97,17 @@ def fit(
     FitFailed
         If no run gives anything to compare, or a budget ends before there is a result.
     """
-    plan = plan_of(
+    plan = plan_fit(
         scene, data, free, seeds=seeds, repeats=repeats, budget=budget, sd=sd,
         specimens=specimens, simulator=simulator,
     )  # fmt: skip
-    return carry_out(
+    return run_fit_plan(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
         progress=progress,
     )  # fmt: skip
 
 
-def plan_of(
+def plan_fit(
     scene: Scene | str | Path,
     data: Any,
     free: Mapping[str, Any],
@@ -125,25 +125,25 @@ def plan_of(
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     seeds = check_seeds(seeds, scene.seed)
-    whole(
+    whole_between(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
-    table = read_table(data, MAX_BYTES)
+    table = read_table(data, MAX_DATA_BYTES)
     measured = read_data(table, scene, sd=sd, specimens=specimens)
     ranges, prior = free_of(free, measured)
     check_runs(len(measured.conditions), seeds)
     simulator = simulator or SceneSimulator.of(measured, ranges)
     numbers = tuple(range(scene.seed, scene.seed + seeds))
-    problem = Problem(measured, ranges, simulator, numbers, prior)
+    problem = FitProblem(measured, ranges, simulator, numbers, prior)
     points = _points(problem, budget, repeats + CHECKS)
     return FitPlan(problem, scene, table, points, sd, repeats, specimens)
 
 
-def _points(problem: Problem, budget: int | None, fresh: int) -> int:
+def _points(problem: FitProblem, budget: int | None, fresh: int) -> int:
     """Return how many sets of parameters a search tries."""
     if budget is None:
         return 20 + 15 * len(problem.ranges)
-    whole("budget", budget, 1, MAX_RUNS, "It is the number of runs in all.")
+    whole_between("budget", budget, 1, MAX_RUNS, "It is the number of runs in all.")
     conditions, each = len(problem.measured.conditions), len(problem.tasks())
     left = max(0, budget - fresh * conditions)
     points = left // each
@@ -157,7 +157,7 @@ def _points(problem: Problem, budget: int | None, fresh: int) -> int:
     return points
 
 
-def carry_out(
+def run_fit_plan(
     plan: FitPlan,
     *,
     output: str | Path | None = None,

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.calibration.verdict import in_words
+from multicell.calibration.verdict import value_in_words
 from multicell.errors import OutputError
 from multicell.report.html import write_page
 from multicell.report.wording import clock, time_unit, written
@@ -25,7 +25,7 @@ _POSTERIOR: Final = (
 )
 
 
-def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
+def write_fit_report(fit: Fit, folder: str | Path | None = None) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
     place = fit.folder if folder is None else Path(folder)
     if place is None:
@@ -52,7 +52,7 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
 
 
 def _checked(fit: Fit) -> str:
-    """Return what posterior predictive checks say in words."""
+    """Return the outcome of posterior predictive checks in words."""
     if fit.sample is None:
         return ""
     found = fit.predictive_check()
@@ -86,16 +86,17 @@ def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
     rows = []
     for free in fit.problem.ranges:
         interval = known.get(free.name)
+        low, high = value_in_words(free.low, free.unit), value_in_words(free.high, free.unit)
         row = {
             "key": free.key,
             "best": fit.best.words[free.key],
-            "range": f"{in_words(free.low, free.unit)} to {in_words(free.high, free.unit)}",
+            "range": f"{low} to {high}",
             "median": "", "interval": "", "part": "",
         }  # fmt: skip
         if interval is not None:
-            row["median"] = in_words(interval.median, free.unit)
-            low, high = in_words(interval.low, free.unit), in_words(interval.high, free.unit)
-            row["interval"] = f"{low} to {high}"
+            row["median"] = value_in_words(interval.median, free.unit)
+            ends = [value_in_words(end, free.unit) for end in (interval.low, interval.high)]
+            row["interval"] = " to ".join(ends)
             row["part"] = f"{100.0 * interval.part:.0f} %"
         rows.append(row)
     return rows

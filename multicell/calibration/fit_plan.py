@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.likelihood import CHECKS, fresh
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import Problem
+from multicell.calibration.problem import FitProblem
 from multicell.errors import OutputError
-from multicell.results.documents import Lines, read_table, write_table
+from multicell.results.documents import Lines, read_document, write_table
 from multicell.results.folder import (
     copy_of,
     file_errors,
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 FIT: Final = "fit.json"  # what the folder is a fit of
 SEARCH: Final = "search.log"  # points and readings of the search, and of fresh runs
-FILES: Final = (
+FIT_FILES: Final = (
     FIT, "scene.toml", "data.csv", SEARCH, "result.json", "best.toml", "posterior.csv",
     "residuals.csv", "runs.csv", "report.html", "data.png", "parameters.png", "profiles.png",
     *COPIES,
@@ -60,7 +60,7 @@ class FitPlan:
     - ``points``: sets of parameters that the search will try
     """
 
-    problem: Problem
+    problem: FitProblem
     scene: Scene
     table: Table
     points: int
@@ -75,7 +75,7 @@ class FitPlan:
         return searched + (self.repeats + CHECKS) * len(self.problem.measured.conditions)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides all numbers of the fit; a fit of anything else is another one."""
+        """Return all that decides the numbers of the fit; a fit of anything else is another one."""
         problem, table = self.problem, self.table
         return {
             "model": MODEL_VERSION,
@@ -125,7 +125,7 @@ class FitPlan:
             )
         with lock_folder(folder):
             if overwrite:
-                remove(folder, FILES)
+                remove(folder, FIT_FILES)
             new = _read_fit(folder) is None
             for name, content in self._first(folder).items():
                 if new or not _holds(folder / name, content):  # damaged since, or changed
@@ -194,8 +194,8 @@ def write_result(fit: Fit, folder: Path) -> None:
 
 
 def _read_fit(folder: Path) -> dict[str, Any] | None:
-    """Return what a folder is a fit of, None where there is none."""
+    """Return the description of the fit in a folder, None where there is none."""
     try:
-        return read_table(folder / FIT)
+        return read_document(folder / FIT)
     except OutputError as error:
         raise OutputError(f"{error}. Allow overwriting to begin anew") from error

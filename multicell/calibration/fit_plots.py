@@ -122,7 +122,7 @@ def _panels(fit: Fit) -> list[tuple[str, bool, list[int]]]:
 
 
 def _abscissa(datum: Datum) -> float | None:
-    """Return what a datum is drawn against: its depth, else its time."""
+    """Return the abscissa of a datum in a chart: its depth, else its time."""
     return datum.time if datum.depth is None else datum.depth
 
 

@@ -1,4 +1,4 @@
-"""What a fit has found."""
+"""The result of a fit."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import numpy as np
 from multicell.calibration.emulator import draws as draws_of
 from multicell.calibration.likelihood import Fresh
 from multicell.calibration.noise import Array
-from multicell.calibration.problem import ABSENT, Problem, misfit
+from multicell.calibration.problem import ABSENT_DEVIATIONS, FitProblem, misfit
 from multicell.calibration.search import Evaluation, Run
 from multicell.calibration.simulator import Reading
 from multicell.calibration.verdict import (
     Interval,
     Undetermined,
-    in_words,
     intervals,
     quantiles,
     undetermined,
+    value_in_words,
 )
 from multicell.errors import FitFailed
 from multicell.host.extras import needs
@@ -86,7 +86,7 @@ class Fit:
       place in the ranges, condition and seed; :attr:`runs` is a table of them
     """
 
-    problem: Problem
+    problem: FitProblem
     scene: Scene
     evaluations: Sequence[Evaluation]
     folder: Path | None
@@ -112,7 +112,9 @@ class Fit:
         settings = {free.key: free.setting(values[free.key]) for free in problem.ranges}
         return Best(
             values=values,
-            words={free.key: in_words(values[free.key], free.unit) for free in problem.ranges},
+            words={
+                free.key: value_in_words(values[free.key], free.unit) for free in problem.ranges
+            },
             readings=problem.unscale(there.means),
             residuals=there.residuals,
             chi_squared=there.chi_squared,
@@ -152,7 +154,7 @@ class Fit:
 
     @cached_property
     def undetermined(self) -> list[Undetermined]:
-        """What the data do not determine; empty if they determine all."""
+        """Combinations of parameters that the data leave undetermined; empty if there are none."""
         if self.sample is None:
             return []
         return undetermined(self.problem.ranges, self.sample, self.problem.prior)
@@ -271,7 +273,7 @@ class Fit:
 
     @property
     def notes(self) -> list[str]:
-        """What whoever reads the result must know of how it was found."""
+        """Notes for readers of the result on how it was found."""
         notes = []
         data = self.problem.measured.data
         assumed = sum(datum.assumed for datum in data)
@@ -298,7 +300,7 @@ class Fit:
         if failed:
             words = failed[0].reasons[0]
             notes.append(f"Runs of {len(failed)} sets of parameters failed, for example: {words}.")
-        absent = int((self.best.residuals == ABSENT).sum())
+        absent = int((self.best.residuals == ABSENT_DEVIATIONS).sum())
         if absent:
             notes.append(f"The best runs have nothing in place of {absent} of the data.")
         return notes
@@ -318,9 +320,9 @@ class Fit:
         OutputError
             If there is no folder, or it cannot be written to.
         """
-        from multicell.calibration.fit_page import write_report
+        from multicell.calibration.fit_page import write_fit_report
 
-        return write_report(self, folder)
+        return write_fit_report(self, folder)
 
     def summary(self) -> dict[str, Any]:
         """Return the result as plain values."""
@@ -373,7 +375,7 @@ class Fit:
 
 
 def _emulator_notes(checks: Checks, data: Sequence[Datum]) -> list[str]:
-    """Return what is known of intervals that an emulator gives."""
+    """Return notes on the intervals that an emulator gives."""
     notes = ["Intervals are those of Gaussian processes through the runs of the search."]
     off = np.flatnonzero(checks.off)
     if len(off):

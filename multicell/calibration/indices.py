@@ -46,7 +46,7 @@ CLEAR, NOISE, ZERO, CLEAR_SINGLE, UNKNOWN = (
     "unknown",
 )
 """What can be said of an index."""
-COLUMNS: Final = ("mu", "mu_star", "mu_star_conf", "sigma", "noise")
+INDEX_COLUMNS: Final = ("mu", "mu_star", "mu_star_conf", "sigma", "noise")
 """The columns of an analysis."""
 
 
@@ -82,7 +82,7 @@ def sample(names: Sequence[str], size: int) -> FloatArray:
     return np.asarray(morris.sample(_problem(names), size, num_levels=_LEVELS, seed=_SAMPLE))
 
 
-def analyse(names: Sequence[str], shares: FloatArray, values: FloatArray) -> Analysis:
+def sensitivity_indices(names: Sequence[str], shares: FloatArray, values: FloatArray) -> Analysis:
     """Return the indices of one observable.
 
     - ``names``: of the parameters
@@ -113,7 +113,7 @@ def _problem(names: Sequence[str]) -> dict[str, Any]:
 
 def _alike(count: int, value: float, verdict: str, used: int) -> Analysis:
     """Return an analysis whose indices are all one number: 0 of what is the same everywhere."""
-    columns = {name: np.full(count, value) for name in COLUMNS}
+    columns = {name: np.full(count, value) for name in INDEX_COLUMNS}
     return Analysis(columns, [verdict] * count, used, constant=value == 0.0)
 
 
@@ -155,7 +155,7 @@ def _noise(shares: FloatArray, blocks: FloatArray, whole: Mask) -> FloatArray:
 
 
 def _verdict(lower: float, floor: float) -> str:
-    """Return what can be said of an index by its lower end and the noise."""
+    """Return the verdict on an index by its lower end and the noise."""
     if not math.isfinite(lower):
         return UNKNOWN
     if not math.isfinite(floor):

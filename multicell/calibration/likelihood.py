@@ -37,10 +37,10 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg import eigh
 
-from multicell.calibration.emulator import FEW, PARTICLES, Emulator, best_of, draws
+from multicell.calibration.emulator import ENOUGH_DRAWS, PARTICLES, Emulator, best_of, draws
 from multicell.calibration.noise import Array, Noise, shrink
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import Problem
+from multicell.calibration.problem import FitProblem
 from multicell.calibration.search import Search
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
@@ -52,7 +52,7 @@ _EXACT: Final = 1e6  # degrees of freedom that stand for a variance that is know
 @final
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """What fresh runs at one point show, in σ of the data.
+    """Residuals of fresh runs at one point, in σ of the data.
 
     - ``mean``, (n,): of (reading - datum) / σ
     - ``variance``, (n,): of one run
@@ -155,7 +155,7 @@ def likelihood(
 
 def _student(working: Likelihood, noise: Noise, known: Array, away: Array) -> Likelihood:
     """Return a likelihood whose covariance counts as estimated where the parameters move data."""
-    shares, count = working.draws(FEW), len(away)
+    shares, count = working.draws(ENOUGH_DRAWS), len(away)
     white = working.predict(shares)[0] @ working.whitening.T
     _, sizes, vectors = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)
     most = min(shares.shape[1], count - 3)
@@ -198,7 +198,7 @@ _CHANCE: Final = 0.01  # chance at which a check finds an error at a datum that 
 @final
 @dataclass(frozen=True, eq=False)
 class Checks:
-    """What runs at draws from the intervals say of the emulator, in σ of the data, (n,) each.
+    """Checks of the emulator by runs at draws from the intervals, in σ of the data, (n,) each.
 
     - ``found``: root mean square of run less emulator
     - ``expected``: what scatter of runs and the emulator's own error explain of it
@@ -213,7 +213,7 @@ class Checks:
 @final
 @dataclass(frozen=True, eq=False)
 class Fresh:
-    """What fresh runs have shown.
+    """Fresh runs at the best point, summarised.
 
     - ``shares``, (d,): the best point
     - ``runs``, (R, n): readings there, on the scales of the data; NaN where a run has nothing
@@ -232,7 +232,7 @@ class Fresh:
 
 
 def fresh(
-    problem: Problem,
+    problem: FitProblem,
     search: Search,
     pool: Pool,
     count: int = DEFAULT_REPEATS,
@@ -249,7 +249,7 @@ def fresh(
     if emulator is None:
         best = min(search.evaluations(), key=lambda e: e.loss).shares
     else:  # no single lucky run decides it
-        likely = draws(emulator.loss, problem.prior, seed=0, count=FEW)
+        likely = draws(emulator.loss, problem.prior, seed=0, count=ENOUGH_DRAWS)
         best = best_of(emulator.loss, problem.prior, likely)
     first = max(problem.seeds) + 1
     here = best.tolist()
@@ -265,7 +265,7 @@ def fresh(
     if emulator is None:
         return Fresh(best, runs, tuple(reasons), scatter, None, None)
     found = likelihood(emulator, problem.noise, best, scatter)
-    likely = found.draws(FEW)
+    likely = found.draws(ENOUGH_DRAWS)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
     points = [(x.tolist(), first + MAX_REPEATS + k) for k, x in enumerate(chosen)]
     runs_there, more = search.extra(pool, points, progress)
@@ -277,7 +277,7 @@ def fresh(
 
 
 def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:
-    """Return what runs say of an emulator, and the variance that is missing in its error."""
+    """Check an emulator by runs; return the checks, and the variance missing in its error."""
     from scipy import stats
 
     known = np.isfinite(away).sum(axis=0)

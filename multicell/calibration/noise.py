@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from multicell.calibration.data import Datum
 
 Array = NDArray[np.float64]
-PRIOR: Final = 1.0
+SPECIMEN_PRIOR: Final = 1.0
 """Degrees of freedom that the usual scatter of specimens counts for beside that of one datum."""
 _SHRINKAGE: Final = 0.1
 
@@ -75,7 +75,7 @@ class Noise:
             errors, shared = _of_specimens(data)
         counts = [len(d.specimens) for d in data if d.specimens and math.isinf(d.tissues)]
         if counts:
-            freedom = float(np.median(counts)) - 1.0 + PRIOR
+            freedom = float(np.median(counts)) - 1.0 + SPECIMEN_PRIOR
         return cls(errors, shared, freedom)
 
     def loss(self, residuals: Array, more: Array | float) -> Array:
@@ -180,7 +180,9 @@ def _scattered(data: Sequence[Datum]) -> list[Datum]:
     if data[0].log or (sizes <= variance).any():
         sizes[:] = 1.0
     usual = float(np.median((variance / sizes)[variance > 0.0])) if variance.any() else 0.0
-    variance = ((counts - 1) * variance + PRIOR * usual * sizes) / (counts - 1 + PRIOR)
+    variance = ((counts - 1) * variance + SPECIMEN_PRIOR * usual * sizes) / (
+        counts - 1 + SPECIMEN_PRIOR
+    )
     found = []
     for datum, deviation, count in zip(data, np.sqrt(variance / counts), counts, strict=True):
         zero = datum.assumed and datum.value == 0.0

@@ -1,4 +1,4 @@
-"""Where the runs of a fit are made: in this process, or by the workers of a Dask cluster."""
+"""Pools that make the runs of a fit: in this process, or on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _here(function: Callable[..., Any], *arguments: Any) -> Any:
 
 @final
 class Pool:
-    """What makes calls: workers, or this process.
+    """A pool that makes calls: of workers, or in this process.
 
     - ``client``: of Dask; None: this process
     - ``call``: makes one call in this process
@@ -58,7 +58,7 @@ class Pool:
         ended = as_completed(list(pending), loop=self._client.loop)
         try:
             for future in ended:
-                call, found = pending.pop(future), result_of(future)
+                call, found = pending.pop(future), future_result(future)
                 if isinstance(found, Refusal):
                     client.note(found)
                     again = submit(call)
@@ -73,8 +73,8 @@ class Pool:
             raise
 
 
-def result_of(future: Any) -> Any:
-    """Return what a call came to; raises ClusterError or FitFailed where it came to nothing."""
+def future_result(future: Any) -> Any:
+    """Return the result of a call; raises ClusterError or FitFailed where it has none."""
     try:
         return future.result()
     except CancelledError as error:

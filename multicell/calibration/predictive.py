@@ -1,4 +1,4 @@
-"""What a fit predicts of its data: checks by replicated data, and how well it would have predicted.
+"""Predictive checks of a fit: replicated data, and the accuracy of prediction left out.
 
 Given parameters θ, data minus mean m(θ) of runs are taken to be normal with the covariance C of
 :mod:`multicell.calibration.likelihood` at the best point: errors of measurement, scatter of tissues
@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from multicell.calibration.emulator import FEW, best_of, draws
+from multicell.calibration.emulator import ENOUGH_DRAWS, best_of, draws
 from multicell.calibration.noise import Array
 from multicell.calibration.priors import Prior
 from multicell.calibration.verdict import quantiles
@@ -152,7 +152,7 @@ def _smoothed(ratios: Array) -> Array:
 
 
 def predictive_of(fit: Fit) -> Predictive:
-    """Return what a fit predicts; raises FitFailed where it has no posterior."""
+    """Return the predictions of a fit; raises FitFailed where it has no posterior."""
     shares = fit.some_sample()
     problem = fit.problem
     logs = np.array([math.log(d.value) if d.log else 0.0 for d in problem.measured.data])
@@ -173,7 +173,7 @@ def least_residuals(fit: Fit, predictive: Predictive) -> Array:
         return np.asarray(np.einsum("si,ij,sj->s", r, predictive.precision, r))
 
     flat = Prior(len(fit.problem.ranges))
-    best = best_of(loss, flat, draws(loss, flat, seed=0, count=FEW))
+    best = best_of(loss, flat, draws(loss, flat, seed=0, count=ENOUGH_DRAWS))
     return np.asarray(known.predict(best[None])[0][0])
 
 

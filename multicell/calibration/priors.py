@@ -1,4 +1,4 @@
-"""What is known of the parameters before the data: ranges and distributions.
+"""Priors of the parameters: ranges and distributions.
 
 A parameter has a range in which all values are equally likely (on a logarithmic one: all ratios),
 or a normal or log-normal distribution with units::
@@ -73,7 +73,7 @@ class Density:
 @final
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the parameters beforehand; by default only that they are in their ranges.
+    """Prior of the parameters; by default uniform over their ranges.
 
     - ``dimensions``: number of parameters
     - ``ranges``, ``densities``: one for each where one has a density, else empty; a density of None
@@ -138,7 +138,7 @@ class Prior:
         return np.asarray(frozen.logpdf(values) + np.log(slope) - math.log(high - low))
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides it; empty where it is uniform."""
+        """Return the numbers that decide it; empty where it is uniform."""
         densities = {
             free.key: [density.name, *density.shapes, density.loc, density.scale]
             for free, density in zip(self.ranges, self.densities, strict=False)

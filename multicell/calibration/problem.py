@@ -1,4 +1,4 @@
-"""What a fit has to solve: data, free parameters, what simulates, and runs compared with data.
+"""The problem of a fit: data, free parameters, a simulator, and the comparison of runs with data.
 
 A datum y with standard deviation σ (both on the scale of its comparison, see
 :class:`multicell.calibration.data.Datum`) is taken to be what one tissue shows, measured with a
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @final
 @dataclass(frozen=True)
-class Problem:
+class FitProblem:
     """Data and how runs are compared with them.
 
     - ``ranges``: the free parameters
@@ -90,7 +90,7 @@ class Problem:
 
     @cached_property
     def prior(self) -> Prior:
-        """What is known of the parameters beforehand."""
+        """Prior of the parameters."""
         return Prior(len(self.ranges)) if self.known is None else self.known
 
     @property
@@ -170,13 +170,13 @@ def free_of(free: Mapping[str, Any], measured: Measured) -> tuple[tuple[Range, .
     return ranges, prior_of(ranges, list(densities.values()))
 
 
-ABSENT: Final = 100.0
+ABSENT_DEVIATIONS: Final = 100.0
 """Standard deviations that a datum counts for of which a run has nothing.
 
 Such are the rim at a size that the tissue never reaches, and all data of a run that fails.
 """
 
-PRIOR: Final = 4.0
+SCATTER_PRIOR: Final = 4.0
 """Degrees of freedom that the mean scatter of an observable counts for beside that of one datum."""
 
 
@@ -244,12 +244,12 @@ def misfit(
         if groups is not None:
             scatter = _moderate(scatter, known, count - 1.0, *groups)
     noise = noise or Noise.of_means(np.ones(len(observed)))
-    away = np.where(known, (means - observed) / sigma, ABSENT)
+    away = np.where(known, (means - observed) / sigma, ABSENT_DEVIATIONS)
     more = scatter / sigma**2 * (np.diag(noise.shared) + 1.0 / count)
     total = np.diag(noise.errors) + more
-    residuals = np.where(known, away / np.sqrt(total), ABSENT)
+    residuals = np.where(known, away / np.sqrt(total), ABSENT_DEVIATIONS)
     # what is absent counts as it is, however runs scatter elsewhere
-    away = np.where(known, away, ABSENT * np.sqrt(total))
+    away = np.where(known, away, ABSENT_DEVIATIONS * np.sqrt(total))
     return Misfit(means, scatter, residuals, float(noise.loss(away[None], more)[0]))
 
 
@@ -261,5 +261,7 @@ def _moderate(
     relative = np.where(known, scatter / sizes**2, 0.0)
     members = np.bincount(groups, weights=known)
     mean = np.bincount(groups, weights=relative) / np.maximum(members, 1.0)
-    drawn = (freedom * scatter + PRIOR * mean[groups] * sizes**2) / (freedom + PRIOR)
+    drawn = (freedom * scatter + SCATTER_PRIOR * mean[groups] * sizes**2) / (
+        freedom + SCATTER_PRIOR
+    )
     return np.where(known, drawn, 0.0)

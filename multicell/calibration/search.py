@@ -22,10 +22,10 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.emulator import FEW, Emulator, best_of, draws, emulator
+from multicell.calibration.emulator import ENOUGH_DRAWS, Emulator, best_of, draws, emulator
 from multicell.calibration.noise import Array
 from multicell.calibration.pool import Call, Pool
-from multicell.calibration.problem import Misfit, Problem
+from multicell.calibration.problem import FitProblem, Misfit
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed, OutputError
 from multicell.host.extras import needs, quiet
@@ -41,7 +41,7 @@ BATCH: Final = 5  # points that are tried together, at least
 @final
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What was found for one set of parameters.
+    """Evaluation of one set of parameters.
 
     - ``shares``, (d,): places in the ranges
     - ``misfit``: of its runs
@@ -63,7 +63,7 @@ class Search:
     - ``seed``: of the choice of points
     """
 
-    def __init__(self, problem: Problem, path: Path | None, seed: int = 0) -> None:
+    def __init__(self, problem: FitProblem, path: Path | None, seed: int = 0) -> None:
         needs("optuna")
         self._problem = problem
         self._seed = seed
@@ -197,7 +197,7 @@ class Search:
         if found is None:
             return []
         wanted = max(1, count - max(1, count // 4))
-        likely = draws(found.loss, found.prior, self._seed + known, FEW)
+        likely = draws(found.loss, found.prior, self._seed + known, ENOUGH_DRAWS)
         best = best_of(found.loss, found.prior, likely)
         return [best.tolist(), *likely[: wanted - 1].tolist()]
 
@@ -256,7 +256,7 @@ class Search:
         self._readings[run] = Reading(values, str(entry["reason"]))
 
     def _evaluation(self, shares: Point) -> Evaluation:
-        """Return what a point has come to."""
+        """Return the evaluation of a point."""
         tasks = self._problem.tasks()
         readings = {(k, seed): self._readings[shares, k, seed] for k, seed in tasks}
         known = {(k, seed): self._problem.on_scales(k, r) for (k, seed), r in readings.items()}

@@ -1,4 +1,4 @@
-"""Which parameters of a scene decide its observables: Morris' screening."""
+"""Sensitivity of a scene's observables to its parameters: Morris' screening."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.calibration.indices import (
-    COLUMNS,
+    INDEX_COLUMNS,
     MIN_SIZE,
     RELIABLE,
     Analysis,
-    analyse,
     sample,
+    sensitivity_indices,
 )
 from multicell.calibration.sensitivity_result import Sensitivity
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import Range, check_ranges, parse_ranges
-from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole
+from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole_between
 from multicell.studies.plan import Plan, make_plan
-from multicell.studies.readings import observables_of, read_final
+from multicell.studies.readings import chosen_observables, read_final
 from multicell.studies.study import Study, write_study
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.studies.engine import Outcome
+    from multicell.studies.engine import RunOutcome
 
 
 def sensitivity(
@@ -44,7 +44,7 @@ def sensitivity(
     scheduler: str | None = None,
     retry: bool = False,
     report: bool = True,
-    progress: Callable[[Outcome], None] | None = None,
+    progress: Callable[[RunOutcome], None] | None = None,
 ) -> Sensitivity:
     """Find out which parameters of a scene decide its observables.
 
@@ -88,10 +88,10 @@ def sensitivity(
     ClusterError
         If the scheduler does not answer.
     """
-    plan = plan_of(scene, free, size=size, seeds=seeds, observables=observables)
+    plan = plan_sensitivity(scene, free, size=size, seeds=seeds, observables=observables)
     write_study(plan.study, output, overwrite=overwrite)
     how = {"cores": cores, "scheduler": scheduler, "progress": progress, "retry": retry}
-    result = carry_out(plan, output, **how)
+    result = run_sensitivity_plan(plan, output, **how)
     if report:
         result.report()
     return result
@@ -120,7 +120,7 @@ class SensitivityPlan:
         return tuple(range(self.scene.seed, self.scene.seed + self.study.seeds))
 
 
-def plan_of(
+def plan_sensitivity(
     scene: Scene | str | Path,
     free: Mapping[str, Any],
     *,
@@ -137,10 +137,10 @@ def plan_of(
     needs("SALib", "distributed")
     described = load_scene(scene) if isinstance(scene, str | Path) else scene
     hint = "It is the number of trajectories; fewer have no interval."
-    whole("size", size, MIN_SIZE, MAX_POINTS, hint)
+    whole_between("size", size, MIN_SIZE, MAX_POINTS, hint)
     ranges = parse_ranges(free, described)
     check_ranges(described, ranges)
-    chosen = observables_of(described, observables)
+    chosen = chosen_observables(described, observables)
     check_seeds(seeds, described.seed)
     check_runs(size * (len(ranges) + 1), seeds, "size")
     shares = sample([one.name for one in ranges], size)
@@ -156,7 +156,7 @@ def plan_of(
     return SensitivityPlan(described, ranges, size, tuple(chosen), study, rows)
 
 
-def carry_out(plan: SensitivityPlan, output: str | Path, **how: Any) -> Sensitivity:
+def run_sensitivity_plan(plan: SensitivityPlan, output: str | Path, **how: Any) -> Sensitivity:
     """Do all runs of a plan that are not done, and return what they show.
 
     - ``how``: as :meth:`multicell.studies.study.Study.run` takes it
@@ -167,13 +167,13 @@ def carry_out(plan: SensitivityPlan, output: str | Path, **how: Any) -> Sensitiv
     final, failures = read_final(outcomes, folder, plan.observables)
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
-    result = result_of(plan.scene, plan.ranges, plan.seeds, values, failures)
+    result = sample_sensitivity(plan.scene, plan.ranges, plan.seeds, values, failures)
     result = replace(result, folder=folder)
     result.write_tables()  # numbers do not wait for a page
     return result
 
 
-def result_of(
+def sample_sensitivity(
     scene: Scene,
     ranges: Sequence[Range],
     seeds: Sequence[int],
@@ -190,7 +190,7 @@ def result_of(
     names = [free.name for free in ranges]
     size = len(next(iter(values.values()))) // (len(names) + 1)
     shares = sample(names, size)
-    found = {name: analyse(names, shares, known) for name, known in values.items()}
+    found = {name: sensitivity_indices(names, shares, known) for name, known in values.items()}
     table = [
         {
             "observable": name,
@@ -200,7 +200,7 @@ def result_of(
             "low": free.low,
             "high": free.high,
             "parameter_unit": free.unit,
-            **{n: float(analysis.columns[n][k]) for n in COLUMNS},
+            **{n: float(analysis.columns[n][k]) for n in INDEX_COLUMNS},
             "verdict": analysis.verdicts[k],
         }
         for name, analysis in found.items()
@@ -213,7 +213,7 @@ def result_of(
 def _notes(
     size: int, seeds: Sequence[int], found: Mapping[str, Analysis], failures: Mapping[str, str]
 ) -> list[str]:
-    """Return what the reader must know of the result."""
+    """Return notes for readers of the result."""
     notes = []
     if failures:
         reason = next(iter(failures.values()))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.calibration.indices import CLEAR, CLEAR_SINGLE
-from multicell.calibration.verdict import in_words
+from multicell.calibration.verdict import value_in_words
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from multicell.studies.axes import Range
 
 
-def write_report(result: Sensitivity, folder: Path) -> Path:
+def write_sensitivity_report(result: Sensitivity, folder: Path) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
     pictures: dict[str, Drawing] = {}
     for name in result.observables:
@@ -53,7 +53,7 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
 def _ends(free: Range) -> tuple[str, str]:
     """Return both ends of a range in words; long times in minutes, hours or days."""
     log = ", by ratio" if free.log else ""
-    return in_words(free.low, free.unit), in_words(free.high, free.unit) + log
+    return value_in_words(free.low, free.unit), value_in_words(free.high, free.unit) + log
 
 
 def _tiles(result: Sensitivity) -> dict[str, str]:

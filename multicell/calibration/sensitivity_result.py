@@ -1,4 +1,4 @@
-"""What an analysis of sensitivity has found: indices, intervals, what noise hides."""
+"""Results of an analysis of sensitivity: indices, intervals, what noise hides."""
 
 from __future__ import annotations
 
@@ -120,9 +120,9 @@ class Sensitivity:
         OutputError
             If there is no folder, or it cannot be written to.
         """
-        from multicell.calibration.sensitivity_page import write_report
+        from multicell.calibration.sensitivity_page import write_sensitivity_report
 
-        return write_report(self, self.write_tables(folder))
+        return write_sensitivity_report(self, self.write_tables(folder))
 
     def write_tables(self, folder: str | Path | None = None) -> Path:
         """Write ``sensitivity.csv`` and ``sensitivity.json``; return the folder.

@@ -31,7 +31,7 @@ OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
 @final
 @dataclass(frozen=True)
 class Reading:
-    """What a run has in place of each datum.
+    """Readings of a run in place of each datum.
 
     - ``values``: one for each datum of the condition, in base units; NaN where the run has none
     - ``reason``: why a run failed; empty for one that did not
@@ -144,7 +144,7 @@ class _Watch:
         return self.outgrown or all(d.time is not None and now >= d.time for d in self._data)
 
     def reading(self, datum: Datum, summary: Mapping[str, Any]) -> float:
-        """Return what the run has in place of a datum, NaN if nothing."""
+        """Return the reading of a run's history in place of a datum, NaN if it has none."""
         if datum.column not in self.columns:
             return entry_of(summary, datum.observable)
         history = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0]}
@@ -167,7 +167,7 @@ def _at_depths(simulation: Simulation, data: Sequence[Datum]) -> dict[str, float
 def reading(
     history: Mapping[str, NDArray[np.float64]], datum: Datum, *, outgrown: bool = False
 ) -> float:
-    """Return what the history of a run has in place of a datum, NaN if it has nothing.
+    """Return the run's reading in place of a datum, NaN if it has none.
 
     Values are linear between rows. Where there is no necrotic core the viable rim is taken to be
     the radius, which is what it tends to as a core vanishes. A run that has outgrown its data and

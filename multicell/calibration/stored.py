@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from multicell.calibration.fit import plan_of
+from multicell.calibration.fit import plan_fit
 from multicell.calibration.fit_plan import FIT, FitPlan, make_runs
 from multicell.calibration.fitted import Fit
 from multicell.calibration.pool import Pool
 from multicell.calibration.priors import Density
 from multicell.errors import MulticellError, OutputError
-from multicell.results.documents import read_table as read_document
+from multicell.results.documents import read_document
 from multicell.results.folder import to_json
 from multicell.studies.runs import MODEL_VERSION
 
@@ -55,7 +55,7 @@ def load_fit(folder: str | Path) -> Fit:
 
 
 def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
-    """Return what a folder holds a fit of."""
+    """Return the plan of the fit that a folder holds."""
     entry = read_document(folder / FIT)
     if entry is None:
         raise OutputError(f"'{folder}' holds no fit")
@@ -76,7 +76,7 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
             )
             for key, r in problem["free"].items()
         }
-        plan = plan_of(
+        plan = plan_fit(
             folder / "scene.toml", folder / "data.csv", free, seeds=len(problem["seeds"]),
             repeats=result["repeats"], sd=problem["sd"], specimens=problem["specimens"],
         )  # fmt: skip

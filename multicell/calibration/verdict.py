@@ -1,4 +1,4 @@
-"""What data say of the parameters: intervals, and what they cannot determine."""
+"""Intervals of the parameters from data, and combinations that the data leave undetermined."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def quantiles(values: Array, levels: Sequence[float]) -> Array:
 def undetermined(
     ranges: Sequence[Range], shares: Array, prior: Prior | None = None
 ) -> list[Undetermined]:
-    """Return what the data do not determine: open intervals, ridges, ends of ranges."""
+    """Return open intervals, ridges, and ends of ranges that the data leave undetermined."""
     found = []
     known = intervals(ranges, shares)
     prior = Prior(len(ranges)) if prior is None else prior
@@ -84,7 +84,7 @@ def undetermined(
         interval, before = known[free.name], prior.part(k, 0.95)
         if interval.part >= OPEN * before / 0.95:
             of = "its range" if before == 0.95 else f"its range, {100.0 * before:.0f} % beforehand"
-            low, high = (in_words(x, free.unit) for x in (interval.low, interval.high))
+            low, high = (value_in_words(x, free.unit) for x in (interval.low, interval.high))
             words = (
                 f"{free.name} is not determined: its 95 % interval, {low} to {high}, covers "
                 f"{100.0 * interval.part:.0f} % of {of}"
@@ -94,8 +94,9 @@ def undetermined(
         edges = ("lower", free.low, column < EDGE), ("upper", free.high, column > 1.0 - EDGE)
         for end, value, near in edges:
             if near.mean() > 0.5:
+                there = value_in_words(value, free.unit)
                 words = (
-                    f"{free.name} lies at the {end} end of its range, {in_words(value, free.unit)}:"
+                    f"{free.name} lies at the {end} end of its range, {there}:"
                     " the data may ask for more"
                 )
                 found.append(Undetermined((free.name,), "edge", words))
@@ -113,7 +114,7 @@ def undetermined(
     return found
 
 
-def in_words(value: float, unit: str) -> str:
+def value_in_words(value: float, unit: str) -> str:
     """Return a value in base units in words, times in a unit that suits them."""
     if unit == "s" and value:
         return time_unit(abs(value)).text(value)

@@ -27,7 +27,7 @@ def _observables(what: str, several: str) -> shared.Option:
     )  # fmt: skip
 
 
-@click.command()
+@click.command("sensitivity")
 @shared.of_scene
 @shared.output_option("Folder of the analysis; its runs are kept there.")
 @studies.free_option
@@ -47,7 +47,7 @@ def _observables(what: str, several: str) -> shared.Option:
     "May be given several times; by default the usual ones of the scene.",
 )
 @studies.analysis_options
-def sensitivity(
+def sensitivity_command(
     scene: Scene,
     output: Path,
     free: Sequence[str],
@@ -64,10 +64,10 @@ def sensitivity(
     take the runs that are there.
     """
     pairs = studies.key_values(free, "--free")
-    from multicell.calibration.sensitivity import carry_out, plan_of
+    from multicell.calibration.sensitivity import plan_sensitivity, run_sensitivity_plan
 
-    plan = plan_of(scene, pairs, observables=observables or None, size=size, seeds=seeds)
-    result = studies.carry_out_study(plan, output, carry_out, how)
+    plan = plan_sensitivity(scene, pairs, observables=observables or None, size=size, seeds=seeds)
+    result = studies.carry_out_study(plan, output, run_sensitivity_plan, how)
     studies.print_analysis(result, bool(result.failures), how)
 
 
@@ -96,7 +96,7 @@ def sensitivity(
 @shared.changes_option
 @shared.law_option
 @studies.analysis_options
-def dose_response(
+def dose_response_command(
     scene: str | None,
     output: Path,
     drugs: Sequence[str],
@@ -121,14 +121,19 @@ def dose_response(
     if scene is not None and len(pairs) not in (1, 2):
         raise click.UsageError(f"--dose is given {len(pairs)} times, must be once or twice.")
     described = None if scene is None else shared.scene_of(scene, changes, law)
-    from multicell.calibration.dose_response import LIVING, carry_out, of_table, plan_of
+    from multicell.calibration.dose_response import (
+        LIVING,
+        of_table,
+        plan_dose_response,
+        run_dose_plan,
+    )
 
     if described is None:
         result = replace(of_table(data), folder=output)
         result.write_tables()
     else:
         keys, doses = list(pairs), tuple(pairs.values())
-        plan = plan_of(
+        plan = plan_dose_response(
             described,
             keys[0] if len(keys) == 1 else None,
             doses[0] if len(keys) == 1 else doses,
@@ -136,5 +141,5 @@ def dose_response(
             observable="+".join(observables) or LIVING,
             seeds=seeds,
         )
-        result = studies.carry_out_study(plan, output, carry_out, how)
+        result = studies.carry_out_study(plan, output, run_dose_plan, how)
     studies.print_analysis(result, any(row["reason"] for row in result.table), how)

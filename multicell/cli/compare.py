@@ -50,7 +50,7 @@ _comparing = shared.grouped(
 """What both commands take."""
 
 
-@click.command()
+@click.command("compare")
 @_comparing
 @click.option(
     "--stepwise",
@@ -71,7 +71,9 @@ _comparing = shared.grouped(
 @click.option(
     "--budget", type=float, callback=_positive, help="Time for all methods together in s."
 )
-def compare(scene: Scene, stepwise: int | None, quiet: bool, as_json: bool, **options: Any) -> None:
+def compare_command(
+    scene: Scene, stepwise: int | None, quiet: bool, as_json: bool, **options: Any
+) -> None:
     """Chart error against cost of integration methods on a SCENE.
 
     All methods replay the same events at the same times. The reference is computed twice, and
@@ -86,9 +88,9 @@ def compare(scene: Scene, stepwise: int | None, quiet: bool, as_json: bool, **op
     _show(result, options["output"], quiet, as_json, result.verdict())
 
 
-@click.command()
+@click.command("stability")
 @_comparing
-def stability(scene: Scene, quiet: bool, as_json: bool, **options: Any) -> None:
+def stability_command(scene: Scene, quiet: bool, as_json: bool, **options: Any) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
     Limits are compared with theory. The cells settle first: how methods do in tissue that moves is

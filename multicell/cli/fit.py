@@ -10,7 +10,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli import study as studies
-from multicell.cli.options import filled_table, plain
+from multicell.cli.options import escape_markup, filled_table
 from multicell.cli.process import complain, print_json
 from multicell.cli.progress import display
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-@click.command()
+@click.command("fit")
 @shared.of_scene
 @click.option(
     "--data",
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 @shared.overwrite_option("Replace another fit in the folder.")
 @shared.quiet_option
 @shared.as_json_option
-def fit(
+def fit_command(
     scene: Scene,
     data: Path,
     free: Sequence[str],
@@ -83,9 +83,9 @@ def fit(
     was stopped continues with the same command; a larger --budget adds to it.
     """
     pairs = studies.key_values(free, "--free")
-    from multicell.calibration.fit import carry_out, plan_of
+    from multicell.calibration.fit import plan_fit, run_fit_plan
 
-    plan = plan_of(scene, data, pairs, **options)
+    plan = plan_fit(scene, data, pairs, **options)
     count, words = studies.cores_wanted(cores, scheduler), "starting"
 
     def note(what: str, done: int, wanted: int) -> float:
@@ -96,7 +96,7 @@ def fit(
     studies.confirm(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
     try:
         with display(lambda: [words], note, show=not quiet) as progress:
-            found = carry_out(
+            found = run_fit_plan(
                 plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
                 progress=progress,
             )  # fmt: skip
@@ -110,7 +110,7 @@ def fit(
 
 
 def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
-    """Return what is left of a fit, and what it is expected to take at most."""
+    """Return the rest of a fit, and its expected cost at most."""
     from multicell.studies.cost import StudyCost, cost_of
 
     runs, core_seconds = plan.left(folder)
@@ -126,9 +126,9 @@ def _print(out: Console, found: Fit, output: Path) -> None:
     cells = [[row[key] for key in ("key", "best", "interval", "part")] for row in rows]
     out.print(filled_table(("parameter", "best >", "95 % interval >", "of its range >"), cells))
     data = found.best
-    out.print(plain(f"χ² = {data.chi_squared:.3g} for {len(data.residuals)} data"))
+    out.print(escape_markup(f"χ² = {data.chi_squared:.3g} for {len(data.residuals)} data"))
     for entry in found.undetermined:
-        out.print(plain(f"{entry}."), style="yellow")
+        out.print(escape_markup(f"{entry}."), style="yellow")
     for note in found.notes:
-        out.print(plain(f"Note: {note}"), style="dim")
-    out.print(plain(f"Results are in '{output}'."))
+        out.print(escape_markup(f"Note: {note}"), style="dim")
+    out.print(escape_markup(f"Results are in '{output}'."))

@@ -17,7 +17,7 @@ import click
 
 from multicell import __version__
 from multicell.cli import options as shared
-from multicell.cli.options import filled_table, key_table, plain
+from multicell.cli.options import escape_markup, filled_table, key_table
 from multicell.cli.process import Commands, complain, print_json
 from multicell.errors import OutputError, StepFailed
 from multicell.units import time_text
@@ -30,12 +30,22 @@ if TYPE_CHECKING:
 
 
 _ELSEWHERE = {
-    "compare": "compare:compare", "stability": "compare:stability",
-    "dose-response": "analyses:dose_response", "sensitivity": "analyses:sensitivity",
-    "fit": "fit:fit", "import": "scenes:importing", "play": "play:play", "study": "study:study",
-    "scenes": "scenes:scenes", "init": "scenes:init", "coarsen": "scenes:coarsen",
-    "schema": "scenes:schema", "plot": "show:plot", "view": "show:view", "movie": "show:movie",
-}  # fmt: skip
+    "compare": "compare:compare_command",
+    "stability": "compare:stability_command",
+    "dose-response": "analyses:dose_response_command",
+    "sensitivity": "analyses:sensitivity_command",
+    "fit": "fit:fit_command",
+    "import": "scenes:importing",
+    "play": "play:play",
+    "study": "study:study_commands",
+    "scenes": "scenes:scenes",
+    "init": "scenes:init",
+    "coarsen": "scenes:coarsen_command",
+    "schema": "scenes:schema",
+    "plot": "show:plot",
+    "view": "show:view_command",
+    "movie": "show:movie_command",
+}
 """Commands of other modules, which are loaded with them."""
 
 _TASKS = {
@@ -64,10 +74,10 @@ def main() -> None:
     """
 
 
-@main.command()
+@main.command("explain")
 @shared.of_scene
 @shared.as_json_option
-def explain(scene: Scene, as_json: bool) -> None:
+def explain_command(scene: Scene, as_json: bool) -> None:
     """Explain what a SCENE uses and why, without running it."""
     from multicell.report.explain.scene import explain as explained
 
@@ -91,7 +101,7 @@ _run_options = shared.grouped(
 """What ``run`` and ``resume`` take."""
 
 
-@main.command()
+@main.command("run")
 @click.argument("scene", **shared.offering(shared.known_scenes))
 @shared.output_option("Folder for the results; it must be empty or new.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of the random numbers.")
@@ -102,7 +112,7 @@ _run_options = shared.grouped(
 )
 @shared.law_option
 @_run_options
-def run(
+def run_command(
     scene: str,
     output: Path,
     seed: int | None,
@@ -127,13 +137,13 @@ def run(
     _simulate(simulate, described, output, **options)
 
 
-@main.command()
+@main.command("resume")
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.valued("--frame", type=int, default=-1, help="Frame to resume from.")
 @shared.output_option("Folder for the whole run; by default FOLDER itself.", required=False)
 @shared.loaded_law_option
 @_run_options
-def resume(
+def resume_command(
     folder: Path,
     frame: int,
     output: Path | None,
@@ -157,7 +167,7 @@ def resume(
     _simulate(go_on, scene, output or folder, **options)
 
 
-@main.command()
+@main.command("export")
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.output_option("Folder for the files.")
 @shared.valued(
@@ -178,7 +188,9 @@ def resume(
 @shared.loaded_law_option
 @shared.overwrite_option("Replace files of the same names.")
 @shared.as_json_option
-def export(folder: Path, output: Path, tables: str | None, as_json: bool, **options: Any) -> None:
+def export_command(
+    folder: Path, output: Path, tables: str | None, as_json: bool, **options: Any
+) -> None:
     """Write the results in FOLDER as files for other programs, with units in their names."""
     from multicell.report.exports.files import export as write
 
@@ -268,8 +280,10 @@ def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: 
 
 
 def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
-    console.print(plain(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold")
-    marks = {True: plain("used"), False: plain("absent")}
+    console.print(
+        escape_markup(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold"
+    )
+    marks = {True: escape_markup("used"), False: escape_markup("absent")}
     marks[True].stylize("green")
     marks[False].stylize("dim")
     parts = [(marks[part["used"]], part["part"], part["what"]) for part in facts["parts"]]
@@ -283,7 +297,7 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
     console.print()
     console.print(filled_table(("derived number", "value >", "unit", "meaning"), numbers))
     for note in facts["notes"]:
-        console.print(plain(f"\nNote: {note}"), style="yellow")
+        console.print(escape_markup(f"\nNote: {note}"), style="yellow")
 
 
 def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
@@ -297,7 +311,7 @@ def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> N
         rows.append(("force evaluations", f"{work['evaluations']:,}"))
     console.print(key_table(rows, justify="right"))
     for note in summary.get("notes", ()):
-        console.print(plain(f"Note: {note}"), style="yellow")
-    console.print(plain(f"Results are in '{output}'."))
+        console.print(escape_markup(f"Note: {note}"), style="yellow")
+    console.print(escape_markup(f"Results are in '{output}'."))
     longer = f"multicell resume {shlex.quote(str(output))} --set duration='…'"
-    console.print(plain(f"To continue the run: {longer}"))
+    console.print(escape_markup(f"To continue the run: {longer}"))

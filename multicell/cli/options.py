@@ -1,4 +1,4 @@
-"""What commands share: options and how they are read, the console, and tables on it."""
+"""Options that commands share and how they are read, the console, and tables on it."""
 
 from __future__ import annotations
 
@@ -220,9 +220,9 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
     """Return the scene that SCENE, ``--law`` and ``--set`` describe."""
     parsed = parse_changes(changes)
     named = {} if law is None else name_law(law)
-    from multicell.coupling.start_check import check_population
     from multicell.scene.bare import nested, note_written
     from multicell.scene.scene import load_scene
+    from multicell.simulation.start_check import check_population
 
     scene = load_scene(source)
     given = scene.to_dict()
@@ -330,7 +330,7 @@ def filled_table(columns: Sequence[str], rows: Iterable[Sequence[object]], **opt
         name, right, _ = title.partition(" >")
         table.add_column(name, justify="right" if right else "left")
     for row in rows:
-        shown: list[Any] = [text if hasattr(text, "plain") else plain(text) for text in row]
+        shown: list[Any] = [text if hasattr(text, "plain") else escape_markup(text) for text in row]
         table.add_row(*shown)
     return table
 
@@ -343,7 +343,7 @@ def key_table(rows: Iterable[tuple[str, object]], *, justify: Any = "left") -> T
     return table
 
 
-def plain(text: object) -> Any:
+def escape_markup(text: object) -> Any:
     """Return text in which square brackets are no markup."""
     from rich.text import Text
 

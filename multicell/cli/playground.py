@@ -1,4 +1,4 @@
-"""What ``multicell play`` serves: one page, the run for its sliders, and the view of that run.
+"""Server of ``multicell play``: one page, the run for its sliders, and the view of that run.
 
 The server listens on the loopback device. Each request needs the secret of the address, and the
 name of this machine as its host and, where the browser states one, its origin, so that no page of
@@ -89,7 +89,7 @@ class Playground:
         return page
 
     def sliders(self) -> list[dict[str, Any]]:
-        """Return what the page needs of each slider; places are from 0 to 1000."""
+        """Return the data of each slider for the page; places are from 0 to 1000."""
         found = []
         for item, share in zip(self.ranges, self._shares(), strict=True):
             place = round(1000.0 * share)
@@ -225,10 +225,10 @@ class Playground:
 
     def view(self) -> str:
         """Return the view of the newest run."""
-        from multicell.report.viewer.pack import view
+        from multicell.report.viewer.pack import pack_view
 
         result = self.result()
-        viewer = None if result is None else view(result)
+        viewer = None if result is None else pack_view(result)
         if viewer is None:
             raise OutputError("there is no frame yet")
         return rendered("view.html", title="", subtitle="", tiles={}, scene="", viewer=viewer)

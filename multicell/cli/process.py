@@ -192,7 +192,7 @@ def _explain(error: Exception, as_json: bool) -> int:
             error.show(file=sys.stderr)
         message, code = error.format_message(), error.exit_code
     else:
-        message, code = in_words(error)
+        message, code = error_in_words(error)
         complain(f"Error: {message}")
         if os.environ.get(DEBUG) and not isinstance(error, MulticellError):
             import traceback
@@ -241,7 +241,7 @@ def _with_key(error: click.NoSuchOption) -> click.ClickException:
     return click.UsageError(said, error.ctx)
 
 
-def in_words(error: Exception) -> tuple[str, int]:
+def error_in_words(error: Exception) -> tuple[str, int]:
     """Return one line about an error, and its exit code."""
     if isinstance(error, MulticellError):
         return str(error), exit_code_of(error)

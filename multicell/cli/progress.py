@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.studies.engine import Outcome
-    from multicell.studies.runs import Run
+    from multicell.studies.engine import RunOutcome
+    from multicell.studies.runs import StudyRun
     from multicell.studies.study import Study
 
 
@@ -38,7 +38,7 @@ Progress = Callable[[Any], None]  # called after every coupling step with the si
 def reporter(
     scene: Scene, *, show: bool = True, page: Path | None = None
 ) -> Iterator[Progress | None]:
-    """Yield what a run calls after each coupling step.
+    """Yield the callback of a run after each coupling step.
 
     - ``page``: of the live picture, if the run has one; a report is drawn at its end
     """
@@ -62,7 +62,7 @@ def display(
     lines: int = 20,
     show: bool = True,
 ) -> Iterator[Callable[..., None] | None]:
-    """Yield what is called with whatever ``share`` takes, or None if nothing shall be shown.
+    """Yield a callback with the arguments of ``share``, or None if nothing shall be shown.
 
     - ``words``: returns what stands beside the bar, or in a line: what matters most comes first,
       and what finds no room in a line of the terminal is left out
@@ -156,14 +156,14 @@ def on_stderr() -> Console:
     return Console(file=stream, highlight=False, force_terminal=False if notebook else None)
 
 
-def status(simulation: Any, wall: float, left: float | None = None) -> list[str]:
+def progress_line(simulation: Any, wall: float, left: float | None = None) -> list[str]:
     """Return time, time left, cells, speed and step in words, ``wall`` s after the start."""
     speed = simulation.time / 3600.0 / wall if wall > 0.0 else 0.0
     unit, size = time_unit(simulation.scene.duration)
     return [
         f"{simulation.time / size:.2f} of {simulation.scene.duration / size:.4g} {unit}",
         *([] if left is None else [f"{time_text(left, 2)} left"]),
-        cell_count(len(simulation.cells)),
+        cell_count(len(simulation.state.cells)),
         f"{speed:.3g} h simulated per s",
         f"step {simulation.step_index:,}",
     ]
@@ -260,14 +260,14 @@ class _Clock:
         if done is None:
             return compiling or ["loading"]
         left = self._remaining(now)
-        known = status(done, now - self._start, left)
+        known = progress_line(done, now - self._start, left)
         if compiling:
             return [*compiling, *known[:1]]
         long = now - self._last
         return [*known, f"the next for {time_text(long, 2)}"] if long > _SLOW else known
 
     def _compiling(self, now: float) -> list[str]:
-        """Return what numba compiles now, and what it has; nothing where it does not compile."""
+        """Return the part that numba compiles now, with those before; nothing where it does not."""
         from multicell.compiling import COMPILATION
 
         if not COMPILATION.part:
@@ -318,13 +318,13 @@ class _Clock:
         return _PICTURES + _PICTURE_OF_CELL * self._forecast.cells
 
     def _closing(self, now: float) -> list[str]:
-        """Return what is done after the last step."""
+        """Return the words of the time after the last step."""
         passed = now - self._last
         if not self._report:
             return ["writing results", wall_time(passed)]
         left = self._drawing() - passed
         when = f"{wall_time(left)} left" if left > 1.0 else f"for {wall_time(passed)}"
-        return ["drawing pictures", when, cell_count(len(self._simulation.cells))]
+        return ["drawing pictures", when, cell_count(len(self._simulation.state.cells))]
 
     def note(self, simulation: Any) -> float:
         """Note a step, and return the part of the time that is simulated."""
@@ -362,7 +362,7 @@ class Pace:
     - ``now``: of the clock, s
     """
 
-    def __init__(self, runs: Sequence[Run], cores: int | None, now: float) -> None:
+    def __init__(self, runs: Sequence[StudyRun], cores: int | None, now: float) -> None:
         self.expected = {run.name: run.expected for run in runs}
         self.left = dict(self.expected)
         self.total = len(self.expected)
@@ -378,7 +378,7 @@ class Pace:
         whole = sum(self.expected.values())
         return 1.0 - sum(self.left.values()) / whole if self.left and whole > 0.0 else 1.0
 
-    def note(self, outcome: Outcome, now: float) -> None:
+    def note(self, outcome: RunOutcome, now: float) -> None:
         """Note that a run has ended."""
         foreseen = self.left.pop(outcome.name, 0.0)
         self.failed += outcome.state != "done"
@@ -407,11 +407,11 @@ class Pace:
 
 def study_reporter(
     study: Study, cores: int | None, *, show: bool = True
-) -> AbstractContextManager[Callable[[Outcome], None] | None]:
+) -> AbstractContextManager[Callable[[RunOutcome], None] | None]:
     """Return a context with what is called with every outcome."""
     pace = Pace(study.runs, cores, time.perf_counter())
 
-    def note(outcome: Outcome) -> float | None:
+    def note(outcome: RunOutcome) -> float | None:
         pace.note(outcome, time.perf_counter())
         return None if outcome.reused else pace.share
 

@@ -77,13 +77,15 @@ def init(name: str, output: Path | None, overwrite: bool, as_json: bool) -> None
     click.echo(f"'{path}' is written. Edit it, then: multicell run {path} -o out", file=sys.stdout)
 
 
-@click.command()
+@click.command("coarsen")
 @shared.of_scene
 @shared.output_option("File to write.")
 @shared.valued("--factor", default=2.0, help="Of the cells' widths.")
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
-def coarsen(scene: Scene, output: Path, factor: float, overwrite: bool, as_json: bool) -> None:
+def coarsen_command(
+    scene: Scene, output: Path, factor: float, overwrite: bool, as_json: bool
+) -> None:
     """Write SCENE with fewer, larger cells and the same tissue, for any other command."""
     from multicell.results.folder import write_text
     from multicell.scene.coarsening import coarsen as coarse_scene

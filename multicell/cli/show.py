@@ -26,12 +26,12 @@ _OPTIONS = {
 """Options of pictures by the names that their methods have for them."""
 
 
-@click.command()
+@click.command("view")
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--no-browser", is_flag=True, help="Write the page, and do not open it.")
 @shared.loaded_law_option
 @shared.as_json_option
-def view(folder: Path, no_browser: bool, as_json: bool) -> None:
+def view_command(folder: Path, no_browser: bool, as_json: bool) -> None:
     """Open the page of the run in FOLDER, also while it goes on: with all frames so far.
 
     The page is written anew unless it is younger than the results. A run that has no frame yet
@@ -108,7 +108,7 @@ def plot(
     """Draw a picture of the run in FOLDERS, or a quantity of the runs in several of them."""
     given = {name: value for name, value in options.items() if value is not None}
     _refuse_mixed(folders, picture, quantity, given)
-    from multicell.report.plots.style import save
+    from multicell.report.plots.style import save_figure
     from multicell.report.result import load_result
 
     shared.refuse_existing(output, overwrite=overwrite)
@@ -122,7 +122,7 @@ def plot(
             figure = getattr(runs[0].plot, picture or "section")(**given)
         except ValueError as error:  # there is nothing to draw
             raise OutputError(f"no picture of '{runs[0].folder}': {error}") from error
-    save(figure, output)
+    save_figure(figure, output)
     print_file(output, as_json)
 
 
@@ -152,7 +152,7 @@ def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) ->
     return overlay({label: run.history for label, run in zip(labels, runs, strict=True)}, quantity)
 
 
-@click.command()
+@click.command("movie")
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.output_option("File for the movie: .gif, .webp, or .mp4 with multicell[movie].")
 @shared.section_option
@@ -173,7 +173,7 @@ def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) ->
 @shared.overwrite_option("Replace the file.")
 @shared.quiet_option
 @shared.as_json_option
-def movie(
+def movie_command(
     folder: Path,
     output: Path,
     space: bool,

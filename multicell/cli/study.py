@@ -21,7 +21,7 @@ from multicell.units import time_text
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.studies.cost import StudyCost
-    from multicell.studies.engine import Outcome
+    from multicell.studies.engine import RunOutcome
     from multicell.studies.study import Study
 
 _ASKED: Final = 3600.0  # expected time in s above which a study is asked for
@@ -61,12 +61,12 @@ analysis_options = shared.grouped(
 """What the commands take that carry out a study and report what follows from it."""
 
 
-@click.group()
-def study() -> None:
+@click.group("study")
+def study_commands() -> None:
     """Run a scene many times over: plan, run, watch and report; each with --json for machines."""
 
 
-@study.command()
+@study_commands.command()
 @shared.of_scene
 @shared.output_option("Folder of the study.")
 @shared.keyed(
@@ -165,11 +165,11 @@ def _cost_words(cost: StudyCost, cores: int | None) -> str:
     )
 
 
-@study.command()
+@study_commands.command("run")
 @folder_argument
 @_studied
 @_carrying_out
-def run(folder: Path, **how: Any) -> None:
+def study_run_command(folder: Path, **how: Any) -> None:
     """Compute all runs of the study in FOLDER that are not done.
 
     It may be stopped by anything, Ctrl-C or a kill, and started again: nothing is computed twice,
@@ -288,7 +288,7 @@ def _print_page(page: Path | None) -> None:
 
 def _print_outcomes(
     made: Study,
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[RunOutcome],
     page: Path | None,
     trouble: MulticellError | None,
     quiet: bool,
@@ -358,11 +358,11 @@ def _where(coordinates: Mapping[str, Any], made: Study) -> str:
     return ", ".join(parts)
 
 
-@study.command()
+@study_commands.command("status")
 @folder_argument
 @_studied
 @shared.as_json_option
-def status(folder: Path, as_json: bool) -> None:
+def study_status_command(folder: Path, as_json: bool) -> None:
     """Report the state of all runs of the study in FOLDER, why runs failed, and the time left."""
     from multicell.studies.status import STATES
 
@@ -402,7 +402,7 @@ def status(folder: Path, as_json: bool) -> None:
     _name_others(made)
 
 
-@study.command()
+@study_commands.command()
 @folder_argument
 @_studied
 @shared.as_json_option

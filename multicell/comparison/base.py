@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]  # one row of a table: column -> value
 
-DONE: str = "done"  # how a solve went
+SOLVED: str = "done"  # how a solve went
 FAILED, SKIPPED = "failed", "skipped"
 
 CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
@@ -29,7 +29,7 @@ Pictures = dict[str, tuple[Callable[[], "Figure"], str]]
 
 
 class Comparison(ABC):
-    """What a comparison found: one row for each solve, and facts about the problem."""
+    """Results of a comparison: one row for each solve, and facts about the problem."""
 
     scene: Scene
     table: list[Row]
@@ -56,7 +56,7 @@ class Comparison(ABC):
 
     @abstractmethod
     def page(self) -> dict[str, Any]:
-        """Return what the template of the page asks for."""
+        """Return the fields of the page's template."""
 
     def column(self, name: str) -> list[Any]:
         """Return the different entries of a column, in the order of the table."""

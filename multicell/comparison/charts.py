@@ -94,7 +94,7 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
 
 
 def _error_words(result: WorkPrecision, norm: str) -> str:
-    """Return what the axis of the error shows, in lines."""
+    """Return the label of the axis of the error, in lines."""
     measure = result.measures()[norm]
     words = _DISTANCES.get(measure.quantity, measure.quantity)
     over = f" / {measure.scale}" if measure.scale else ""

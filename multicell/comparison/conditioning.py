@@ -18,11 +18,8 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.comparison.base import Row
 from multicell.comparison.norms import Norm, Observed, displacements, errors
-from multicell.comparison.replay import Problem
-from multicell.integrators import shift as online
-
-SHIFT: Final[float] = online.SHIFT
-"""Root mean square of the shift of each coordinate, µm, unless another one is asked for."""
+from multicell.comparison.replay import ReplayProblem
+from multicell.integrators.shift import shifted_positions
 
 _COLUMNS: Final = {"begin_s": "begin", "rms_um": "rms", "worst_cell_um": "worst_cell"}
 
@@ -54,7 +51,7 @@ class Conditioning:
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any] | None) -> Conditioning | None:
-        """Return what :meth:`to_dict` has given; None for None.
+        """Read the output of :meth:`to_dict`; None for None.
 
         Raises KeyError if something is missing.
         """
@@ -77,7 +74,7 @@ class Conditioning:
         ]
 
 
-def shift_starts(problem: Problem, shift: float) -> Problem:
+def shift_starts(problem: ReplayProblem, shift: float) -> ReplayProblem:
     """Return a step-wise problem whose steps start from shifted positions.
 
     Each coordinate is moved by ``shift`` µm times a standard normal number, which depends on the
@@ -88,16 +85,14 @@ def shift_starts(problem: Problem, shift: float) -> Problem:
         raise ValueError("only single coupling steps start from positions that can be shifted")
     scene = problem.scene
     starts = [
-        online.shifted_positions(
-            start, shift, scene.seed, k, np.arange(len(start)), scene.dimensions
-        )
+        shifted_positions(start, shift, scene.seed, k, np.arange(len(start)), scene.dimensions)
         for k, start in enumerate(problem.starts)
     ]
     return replace(problem, starts=starts)
 
 
 def conditioning_of(
-    problem: Problem,
+    problem: ReplayProblem,
     shift: float,
     found: Observed,
     exact: Observed,

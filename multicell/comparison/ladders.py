@@ -10,10 +10,10 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from multicell.comparison.null_methods import NULL_METHODS
-from multicell.comparison.replay import Problem, Trajectory
+from multicell.comparison.replay import ReplayProblem, Trajectory
 from multicell.errors import SceneError
 from multicell.integrators import registry
-from multicell.integrators.base import Control, Integrator, MethodInfo, build
+from multicell.integrators.base import Control, Integrator, MethodInfo, build_method
 from multicell.integrators.own import method_info
 from multicell.integrators.registry import METHODS
 from multicell.mechanics.motion import Work
@@ -24,7 +24,7 @@ Ladder = Mapping[str, Sequence[float]]
 SMALLEST_TOLERANCE: Final = 1e-13
 """Below, a tolerance is lost in the rounding of coordinates that are some radii large."""
 
-TOLERANCES: Final = tuple(10.0 ** (-0.5 * k) for k in range(2, 15))
+LADDER_TOLERANCES: Final = tuple(10.0 ** (-0.5 * k) for k in range(2, 15))
 """Default ladder of tolerances, 1e-1 to 1e-7 in half decades."""
 
 # a step far beyond the limit of stability to one far below it, in units of that limit
@@ -79,14 +79,14 @@ def find_method(method: Any, scene: Scene, radius: float) -> Method:
 
     def by_tolerance(tolerance: float) -> Integrator:
         rtol = max(0.01 * tolerance, SMALLEST_TOLERANCE)
-        return build(info, rtol=rtol, atol=tolerance * radius, **limits)
+        return build_method(info, rtol=rtol, atol=tolerance * radius, **limits)
 
     def by_step(step: float) -> Integrator:
         # an implicit one solves its equations far more exactly than its step is exact
-        return build(info, step=step, atol=_SOLVED * radius, **limits)
+        return build_method(info, step=step, atol=_SOLVED * radius, **limits)
 
     if ("step" if info.control == "step" else "atol") not in info.settings:
-        return Method(info.name, "none", lambda _: build(info, **limits), info)
+        return Method(info.name, "none", lambda _: build_method(info, **limits), info)
     if info.control == "step":
         return Method(info.name, "step", by_step, info)
     return Method(info.name, "tolerance", by_tolerance, info)
@@ -110,7 +110,7 @@ def capable_methods(scene: Scene) -> list[str]:
 
 
 def settings(
-    method: Method, ladder: Ladder | None, problem: Problem, stiffness: float
+    method: Method, ladder: Ladder | None, problem: ReplayProblem, stiffness: float
 ) -> list[float]:
     """Return the settings of a method from coarse to fine.
 
@@ -127,7 +127,7 @@ def settings(
         return [math.nan]
     if given is None:
         if method.control == "tolerance":
-            return list(TOLERANCES)
+            return list(LADDER_TOLERANCES)
         return _steps(problem, 0.0 if method.info.implicit else stiffness)
     path = f"ladder.{method.name if method.name in (ladder or {}) else method.control}"
     if len(given) == 0:
@@ -141,7 +141,7 @@ def settings(
     return sorted(map(float, given), reverse=True)
 
 
-def stiffness(problem: Problem, trajectory: Trajectory, samples: int = 40) -> float:
+def stiffness(problem: ReplayProblem, trajectory: Trajectory, samples: int = 40) -> float:
     """Return the largest bound on decay rates along a trajectory, 1/s.
 
     Taken at the beginnings of up to ``samples`` coupling steps, those after events first: a
@@ -161,7 +161,7 @@ def stiffness(problem: Problem, trajectory: Trajectory, samples: int = 40) -> fl
     return largest
 
 
-def _steps(problem: Problem, stiffness: float) -> list[float]:
+def _steps(problem: ReplayProblem, stiffness: float) -> list[float]:
     """Return steps that halve, each a whole part of the longest coupling step."""
     length = max(step.motion.end - step.motion.begin for step in problem.steps)
     count = max(1, math.ceil(length * stiffness / (2.0 * _COARSEST)))

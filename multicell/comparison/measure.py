@@ -10,12 +10,12 @@ from functools import partial
 from statistics import median
 from typing import Any, final
 
-from multicell.comparison.base import DONE, FAILED, SKIPPED, Row
+from multicell.comparison.base import FAILED, SKIPPED, SOLVED, Row
 from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import WORST_CELL, errors, observe
 from multicell.comparison.reference import Reference
-from multicell.comparison.replay import Problem, Trajectory, replay, solve_compiled
-from multicell.mechanics.motion import Work
+from multicell.comparison.replay import ReplayProblem, Trajectory, replay, solve_compiled
+from multicell.integrators.auto import ChosenWork
 
 _MAX_FAILURES = 3
 """Tolerances at which a method may fail before it counts as too slow for finer ones."""
@@ -109,7 +109,7 @@ def climb(
     return rows, again, clock.perf_counter() - begin + reserved
 
 
-def time_again(points: Sequence[TimedPoint], problem: Problem, repeats: int) -> None:
+def time_again(points: Sequence[TimedPoint], problem: ReplayProblem, repeats: int) -> None:
     """Time points of all methods in turns, and keep minimum, median and maximum of each.
 
     A machine is slower for minutes at a time. In turns all methods meet the same minutes, and
@@ -141,7 +141,7 @@ def _solve_row(
         replay(problem, solver)
     timed = replay(problem, solver)
     return _row(
-        method, setting, exact, DONE, **_times([(timed.wall, timed.cpu)]), spent=found.wall,
+        method, setting, exact, SOLVED, **_times([(timed.wall, timed.cpu)]), spent=found.wall,
         cost=weighted_cost(found.work), **vars(found.work),
         **_columns(errors(problem, observe(problem, found), exact.observed, exact.norms), exact),
     )  # fmt: skip
@@ -150,7 +150,7 @@ def _solve_row(
 def _row(method: Method, setting: float, exact: Reference, status: str, **known: Any) -> Row:
     """Return one row of the table; what is not known is NaN."""
     unmeasured = _columns(dict.fromkeys(exact.norms, math.nan), exact)
-    unknown = (*_times([(0.0, 0.0)]), "spent", *unmeasured, "cost", *vars(Work()))
+    unknown = (*_times([(0.0, 0.0)]), "spent", *unmeasured, "cost", *vars(ChosenWork()))
     first = {"method": method.name, "control": method.control, "setting": setting}
     known = {"status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
     return {**first, **known, "mode": exact.problem.mode}

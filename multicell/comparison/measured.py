@@ -1,4 +1,4 @@
-"""What a comparison has measured: on disk method by method, before anything is made of it."""
+"""Log of a comparison's measurements, on disk method by method, before anything is made of it."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from multicell.comparison.ladders import Method
     from multicell.scene.scene import Scene
 
-NAME: Final = "measured.log"
+LOG_FILE: Final = "measured.log"
 """File of what is measured; it is there until all files of the comparison are."""
 
 
 @final
 class Measurements:
-    """What was measured of each method in a folder, also by processes that were ended.
+    """Measurements of each method in a folder, also by processes that were ended.
 
     - ``lines``: its file; None where nothing is written
     - ``names``: methods whose entries are taken from it
@@ -36,7 +36,7 @@ class Measurements:
         self._known = {entry["method"]: entry for entry in entries if entry["method"] in names}
 
     def find(self, method: Method) -> dict[str, Any] | None:
-        """Return what was measured of a method; None where nothing was."""
+        """Return the measurements of a method; None where there are none."""
         return self._known.get(method.name)
 
     def has(self, methods: Sequence[Method]) -> bool:
@@ -84,13 +84,13 @@ def open_measurements(
         }
     )
     with file_errors("use the output folder", folder):
-        continued = not overwrite and (folder / NAME).is_file()
+        continued = not overwrite and (folder / LOG_FILE).is_file()
     if not continued:
         make_folder(folder, overwrite=overwrite)
     with lock_folder(folder):
         if not continued:
-            remove(folder, (NAME, *files))
-        lines = Lines(folder / NAME)
+            remove(folder, (LOG_FILE, *files))
+        lines = Lines(folder / LOG_FILE)
         if not lines.entries:
             lines.append([asked])
         there = lines.entries[0]
@@ -104,10 +104,10 @@ def open_measurements(
         try:
             yield Measurements(lines, names)
         except SceneError:  # of input that shows itself as wrong when the reference is known
-            if len(Lines(folder / NAME).entries) == 1:
-                remove(folder, [NAME])
+            if len(Lines(folder / LOG_FILE).entries) == 1:
+                remove(folder, [LOG_FILE])
             raise
-        remove(folder, [NAME])
+        remove(folder, [LOG_FILE])
 
 
 def named_only(methods: Sequence[Any]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""How far a trajectory is from the reference, in several norms.
+"""Norms of the distance of a trajectory from the reference.
 
 Positions of single cells are the sharpest measure, but in a cluster where contacts form and
 break single cells diverge below any tolerance. Energy and size still show whether the population
@@ -16,7 +16,7 @@ from typing import Final, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.comparison.replay import Problem, Trajectory
+from multicell.comparison.replay import ReplayProblem, Trajectory
 from multicell.errors import SceneError
 
 Metric = Callable[[FloatArray], float]
@@ -34,7 +34,7 @@ _MOMENTS: Final = {
 @final
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What is compared of a trajectory.
+    """Quantities of a trajectory that are compared.
 
     - ``positions``, list of (n, 3) float64, µm: at every common time
     - ``energy``, (k,) float64, fJ: contact energy at up to 100 common times, the last one among
@@ -66,20 +66,23 @@ class Norm:
     measure: Callable[[Observed, Observed, float], float]
 
     def words(self, stepwise: bool = False) -> str:
-        """Return what is measured, of a whole run or of single coupling steps."""
+        """Return the name of the norm, of a whole run or of single coupling steps."""
         where = f"{self.quantity}, {_MOMENTS[self.moment][stepwise]}"
         return f"{where} / {self.scale}" if self.scale else where
 
 
-def observe(problem: Problem, trajectory: Trajectory) -> Observed:
-    """Return what is compared of a trajectory that reached the end."""
+def observe(problem: ReplayProblem, trajectory: Trajectory) -> Observed:
+    """Return the quantities of a trajectory that reached the end."""
     positions = trajectory.positions
     sizes = np.array([gyration(position) for position in positions])
     return Observed(positions, _energies(problem, positions), sizes)
 
 
 def errors(
-    problem: Problem, found: Observed, exact: Observed, norms: Mapping[str, Norm] | None = None
+    problem: ReplayProblem,
+    found: Observed,
+    exact: Observed,
+    norms: Mapping[str, Norm] | None = None,
 ) -> dict[str, float]:
     """Return the error of ``found`` in every norm, by default in all of :data:`NORMS`."""
     radius = problem.mean_radius
@@ -116,7 +119,7 @@ def gyration(position: FloatArray) -> float:
     return float(_rms(position, position.mean(axis=0)))
 
 
-def _energies(problem: Problem, positions: list[FloatArray]) -> FloatArray:
+def _energies(problem: ReplayProblem, positions: list[FloatArray]) -> FloatArray:
     """Return the contact energy at evenly chosen common times, (k,) fJ."""
     system = problem.system()
     count = len(positions)

@@ -53,7 +53,7 @@ NULL_METHODS: Final = {info.name: info for info in map(info_of, (StandStill, Dil
 
 
 def residual_motion(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return what the best translation and dilation leave of a motion, (n, 3) µm.
+    """Subtract the best translation and dilation from a motion, (n, 3) µm.
 
     - ``start``, ``end``: positions of the same cells, (n, 3) µm
     """

@@ -36,8 +36,8 @@ CAPTIONS: Final = {
 }
 
 
-def context(result: WorkPrecision) -> dict[str, Any]:
-    """Return what ``compare.html`` asks for."""
+def comparison_context(result: WorkPrecision) -> dict[str, Any]:
+    """Return the fields of ``compare.html``."""
     return {
         "title": f"{result.title}: work and precision",
         "subtitle": _subtitle(result),
@@ -60,7 +60,7 @@ def context(result: WorkPrecision) -> dict[str, Any]:
 
 
 def _conditioning(result: WorkPrecision) -> dict[str, str]:
-    """Return what a shift of all positions does to the ends of the steps; nothing of a run."""
+    """Return the effect of a shift of all positions on the ends of the steps; none of a run."""
     known = result.conditioning
     if known is None:
         return {}

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from multicell.cells import Cells, FloatArray
-from multicell.comparison.replay import Events, Problem, Step, Trajectory
+from multicell.comparison.replay import RecordedEvents, ReplayProblem, Step, Trajectory
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator, Outcome
 from multicell.mechanics.motion import Motion
@@ -56,7 +56,7 @@ class RecordedStep(NamedTuple):
 
 
 @final
-class Recorder:
+class StepRecorder:
     """Record the steps of another integrator: all of them, or an even sample.
 
     The number of steps is not known before the end. For a sample every step is stored at first;
@@ -108,7 +108,7 @@ def record(
     cells: Cells | None = None,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
-) -> tuple[Problem, Trajectory]:
+) -> tuple[ReplayProblem, Trajectory]:
     """Simulate a scene and return what happened: the problem, and where the method led.
 
     Coupling steps in which nothing can move (no cell, or one on which nothing acts) are left out:
@@ -123,14 +123,15 @@ def record(
     step.
     """
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
-    recorder = Recorder(integrator, samples)
+    recorder = StepRecorder(integrator, samples)
     simulation = Simulation(scene, threads=threads, cells=cells, integrator=recorder)
-    simulation.replays = None  # the recorder notes every step that it sees
+    # the recorder notes every step that it sees
+    simulation.state = replace(simulation.state, replays=None)
     first: Cells | None = None
-    events: list[Events | None] = []
-    happened: Events | None = None
-    while not simulation.finished and len(simulation.cells):
-        before, seen = simulation.cells, recorder.total
+    events: list[RecordedEvents | None] = []
+    happened: RecordedEvents | None = None
+    while not simulation.finished and len(simulation.state.cells):
+        before, seen = simulation.state.cells, recorder.total
         simulation.step()
         moved = recorder.total > seen
         if moved and first is None:
@@ -140,7 +141,7 @@ def record(
                 events.append(happened)
                 happened = None
             end = recorder.end if moved else before.position
-            happened = compose_events(happened, events_between(before, end, simulation.cells))
+            happened = compose_events(happened, events_between(before, end, simulation.state.cells))
         if progress is not None:
             progress(simulation.time / scene.duration)
     if recorder.system is None or first is None:
@@ -156,7 +157,7 @@ def record(
         Step(state.motion, events[k] if samples is None else None)
         for k, state in enumerate(recorded)
     ]
-    problem = Problem(
+    problem = ReplayProblem(
         scene, recorder.system, first.position, first.radius, steps, starts, recorder.total
     )
     wall, cpu = clock.perf_counter() - begin, clock.process_time() - begin_cpu
@@ -164,15 +165,17 @@ def record(
     return problem, Trajectory(ends, replace(recorder.system.work), wall, cpu)
 
 
-def compose_events(first: Events | None, second: Events | None) -> Events | None:
-    """Return what two events do to the cells one after the other, None for nothing."""
+def compose_events(
+    first: RecordedEvents | None, second: RecordedEvents | None
+) -> RecordedEvents | None:
+    """Return two events of the cells as one, None for nothing."""
     if first is None or second is None:
         return second if first is None else first
     offset = first.offset[second.source] + second.offset
-    return Events(first.source[second.source], offset)
+    return RecordedEvents(first.source[second.source], offset)
 
 
-def events_between(before: Cells, position: FloatArray, after: Cells) -> Events | None:
+def events_between(before: Cells, position: FloatArray, after: Cells) -> RecordedEvents | None:
     """Return how the cells ``after`` follow from those ``before``, which ended at ``position``.
 
     None if no cell divided, died or changed its place in the order.
@@ -186,4 +189,4 @@ def events_between(before: Cells, position: FloatArray, after: Cells) -> Events 
     source = order[np.searchsorted(known, origin)]
     offset = after.position - position[source]
     offset[survives] = 0.0
-    return Events(source, offset)
+    return RecordedEvents(source, offset)

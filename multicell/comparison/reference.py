@@ -13,13 +13,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, final
 
-from multicell.comparison.conditioning import SHIFT, Conditioning, conditioning_of, shift_starts
+from multicell.comparison.conditioning import Conditioning, conditioning_of, shift_starts
 from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.norms import NORMS, Norm, Observed, errors, observe
 from multicell.comparison.record import record
-from multicell.comparison.replay import Problem, Trajectory, replay
+from multicell.comparison.replay import ReplayProblem, Trajectory, replay
 from multicell.errors import StepFailed
 from multicell.integrators.runge_kutta import Euler
+from multicell.integrators.shift import SHIFT
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
@@ -48,7 +49,7 @@ class Reference:
     - ``norms``, name -> Norm: in which errors are measured
     """
 
-    problem: Problem
+    problem: ReplayProblem
     trajectory: Trajectory
     observed: Observed
     uncertainty: dict[str, float]
@@ -86,7 +87,7 @@ def reference(
     unsolved = unsolved_problem(scene, threads)
     shift = 0.0 if stepwise is None else shift
     recording = {"samples": stepwise, "threads": threads}
-    sampled: tuple[Problem, Trajectory] | None = None
+    sampled: tuple[ReplayProblem, Trajectory] | None = None
     pairs = default_pairs(scene, unsolved, stepwise) if pair is None else [pair]
     for k, chosen in enumerate(pairs):
         try:
@@ -102,7 +103,7 @@ def reference(
     raise AssertionError("there is always a pair")
 
 
-def default_pairs(scene: Scene, unsolved: Problem, stepwise: int | None = None) -> list[Pair]:
+def default_pairs(scene: Scene, unsolved: ReplayProblem, stepwise: int | None = None) -> list[Pair]:
     """Return the tightest methods that a scene of its size can afford, the best first.
 
     SciPy's DOP853 of order 8 needs least evaluations for twelve digits. It is checked by CVODE,
@@ -133,12 +134,12 @@ def method_pair(
     return first, second
 
 
-def unsolved_problem(scene: Scene, threads: int | None) -> Problem:
+def unsolved_problem(scene: Scene, threads: int | None) -> ReplayProblem:
     """Return the problem before anything has moved: it has no steps yet."""
     # the scene's own method moves nothing here, and may be one that is not at hand
     simulation = Simulation(scene, threads=threads, integrator=Euler(1.0))
     cells = simulation.cells
-    return Problem(scene, simulation.prepared(), cells.position, cells.radius)
+    return ReplayProblem(scene, simulation.prepared(), cells.position, cells.radius)
 
 
 def _expected_cells(scene: Scene, count: int) -> float:
@@ -151,9 +152,9 @@ def _expected_cells(scene: Scene, count: int) -> float:
 
 
 def _solve(
-    unsolved: Problem,
+    unsolved: ReplayProblem,
     pair: Pair,
-    sampled: tuple[Problem, Trajectory] | None,
+    sampled: tuple[ReplayProblem, Trajectory] | None,
     shift: float,
     norms: Mapping[str, Norm],
     recording: dict[str, Any],
@@ -181,12 +182,12 @@ def _solve(
 
 
 def _record(
-    unsolved: Problem,
+    unsolved: ReplayProblem,
     method: Method,
     setting: float,
     recording: dict[str, Any],
     tell: Callable[[str], None],
-) -> tuple[Problem, Trajectory]:
+) -> tuple[ReplayProblem, Trajectory]:
     """Return the run, or a sample of it, by a method; report every tenth of it."""
     states = "" if recording["samples"] is None else "states by "
     tell(f"reference: {states}{method.name} at {setting:g}")
@@ -202,7 +203,7 @@ def _record(
 
 
 def _replay(
-    problem: Problem, method: Method, setting: float, what: str, tell: Callable[[str], None]
+    problem: ReplayProblem, method: Method, setting: float, what: str, tell: Callable[[str], None]
 ) -> Trajectory:
     """Return the solution by a method, which must succeed."""
     tell(f"{what}: {method.name} at {setting:g}")

@@ -1,4 +1,4 @@
-"""What is compared: the same cells, events and radii for every method.
+"""Replay of recorded coupling steps: the same cells, events and radii for every method.
 
 A scene is simulated once (:mod:`multicell.comparison.record`). A method then *replays* the record:
 it integrates over the same coupling steps and undergoes the same events at the same times, so
@@ -19,6 +19,7 @@ import numpy as np
 
 from multicell.cells import FloatArray, IntArray
 from multicell.compiling.numba_068 import install_recorder
+from multicell.integrators.auto import ChosenWork
 from multicell.integrators.base import Integrator
 from multicell.mechanics.motion import Motion, Work
 from multicell.mechanics.system import Mechanics
@@ -29,8 +30,8 @@ T = TypeVar("T")
 
 @final
 @dataclass(frozen=True, eq=False)
-class Events:
-    """What happened to the cells between two coupling steps.
+class RecordedEvents:
+    """Divisions and removals of cells between two coupling steps.
 
     - ``source``, (n,) int64: for each cell after the events the index of the cell before them that
       it was, or that was its mother
@@ -52,12 +53,12 @@ class Step:
     """One coupling step: its motion, and the events before it (None if there were none)."""
 
     motion: Motion
-    before: Events | None = None
+    before: RecordedEvents | None = None
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Problem:
+class ReplayProblem:
     """Coupling steps and events that every method goes through.
 
     - ``scene``, Scene: the scene that was recorded
@@ -100,7 +101,7 @@ class Problem:
 
     @property
     def mode(self) -> str:
-        """What is compared, in words: the whole run, or a number of its steps."""
+        """The kind of comparison, in words: the whole run, or a number of its steps."""
         if self.stepwise:
             return f"step-wise, {len(self.steps)} of {self.total} coupling steps"
         return "whole run"
@@ -118,7 +119,7 @@ class Problem:
 
     def system(self) -> Mechanics:
         """Return mechanics of its own, with all counts at zero."""
-        return replace(self.template, work=Work())
+        return replace(self.template, work=ChosenWork())
 
 
 @final
@@ -136,7 +137,7 @@ class Trajectory:
     """
 
     positions: list[FloatArray]
-    work: Work = field(default_factory=Work)
+    work: Work = field(default_factory=ChosenWork)
     wall: float = 0.0
     cpu: float = 0.0
     problem: str = ""
@@ -147,7 +148,7 @@ class Trajectory:
         return not self.problem
 
 
-def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> Trajectory:
+def replay(problem: ReplayProblem, integrator: Integrator, limit: float = np.inf) -> Trajectory:
     """Carry the cells of a problem through all its coupling steps and events.
 
     - ``limit``: wall time in s after which the replay ends, at the next coupling step or at the
@@ -166,7 +167,7 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     for k, step in enumerate(problem.steps):
         position = problem.beginning(k, position)
         system.begin(step.motion)
-        words, position = advance(system, integrator, position)
+        words, position = advance_system(system, integrator, position)
         last = k + 1 == len(problem.steps)
         if not words and not last and clock.perf_counter() - begin > limit:
             words = f"{timeout_words(limit)} (t = {step.motion.end:.6g} s)"
@@ -213,7 +214,7 @@ def set_deadline(system: Mechanics, deadline: float, words: str) -> None:
     system.velocity = velocity  # type: ignore[method-assign]
 
 
-def advance(
+def advance_system(
     system: Mechanics, integrator: Integrator, position: FloatArray
 ) -> tuple[str, FloatArray]:
     """Integrate over the coupling step of ``system``, whatever happens.

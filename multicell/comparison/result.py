@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Self, final
 
 import numpy as np
 
-from multicell.comparison.base import DONE, FAILED, Comparison, Pictures, Row
+from multicell.comparison.base import FAILED, SOLVED, Comparison, Pictures, Row
 from multicell.comparison.conditioning import Conditioning
 from multicell.comparison.norms import NORMS, Norm, described
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.integrators.registry import find
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 from multicell.results.folder import file_errors
 from multicell.scene.scene import Scene
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
-NUMBERS: Final = "workprecision.json"
+NUMBERS_FILE: Final = "workprecision.json"
 """All that was measured; it is written before anything is made of it."""
 
-FILES: Final = (
+COMPARISON_FILES: Final = (
     "workprecision.csv",
-    NUMBERS,
+    NUMBERS_FILE,
     "conditioning.csv",
     "workprecision.png",
     "worst-cell.png",
@@ -43,7 +43,7 @@ FILES: Final = (
 @final
 @dataclass(frozen=True, eq=False)
 class WorkPrecision(Comparison):
-    """What each method reached, and at what cost.
+    """Error and cost of each method.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class WorkPrecision(Comparison):
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Self:
-        """Return what :meth:`to_dict` has described, with NaN where JSON has null.
+        """Read the output of :meth:`to_dict`, with NaN where JSON has null.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class WorkPrecision(Comparison):
         KeyError, ValueError
             If it describes something else.
         """
-        table = read_table(Path(path))
+        table = read_document(Path(path))
         if table is None:
             raise OutputError(f"'{path}' is not there")
         return cls.from_dict(table)
@@ -138,7 +138,7 @@ class WorkPrecision(Comparison):
         """
         with file_errors("use the output folder", Path(folder)):
             Path(folder).mkdir(parents=True, exist_ok=True)
-        write_table(Path(folder) / NUMBERS, self.to_dict())
+        write_table(Path(folder) / NUMBERS_FILE, self.to_dict())
         return super().save(folder)
 
     @property
@@ -155,7 +155,7 @@ class WorkPrecision(Comparison):
         """Return all norms of the table by their names, those of the user's own among them."""
         return NORMS | {name: described(name) for name in self.facts.get("metrics", ())}
 
-    def rows(self, method: str, status: str = DONE) -> list[Row]:
+    def rows(self, method: str, status: str = SOLVED) -> list[Row]:
         """Return the rows of a method that have a status."""
         return self.with_values(method=method, status=status)
 
@@ -182,7 +182,7 @@ class WorkPrecision(Comparison):
         reached: dict[str, Row] = {}
         open_error = self.uncertainty[norm]
         for row in self.table:
-            if row["status"] == DONE and row[f"error_{norm}"] + open_error <= error:
+            if row["status"] == SOLVED and row[f"error_{norm}"] + open_error <= error:
                 best = reached.get(row["method"])
                 if best is None or row[self.clock] < best[self.clock]:
                     reached[row["method"]] = row
@@ -197,7 +197,7 @@ class WorkPrecision(Comparison):
         if self.conditioning is None:
             return []
         floor = self.conditioning.floor[norm]
-        return [r for r in self.table if r["status"] == DONE and r[f"error_{norm}"] <= floor]
+        return [r for r in self.table if r["status"] == SOLVED and r[f"error_{norm}"] <= floor]
 
     def fastest(self, error: float = 0.01, norm: str = "position") -> Row | None:
         """Return the row of least time that reaches an error, or None (:meth:`within`)."""
@@ -305,10 +305,10 @@ class WorkPrecision(Comparison):
         return {name: (drawn, CAPTIONS[name]) for name, drawn in draw.items()}
 
     def page(self) -> dict[str, Any]:
-        """Return what the template of the page asks for."""
-        from multicell.comparison.page import context
+        """Return the fields of the page's template."""
+        from multicell.comparison.page import comparison_context
 
-        return context(self)
+        return comparison_context(self)
 
     def _check(self, norm: str) -> None:
         if norm not in self.uncertainty:

@@ -1,4 +1,4 @@
-"""Which methods a chart shows in colour, at most eight, and in which style each is drawn."""
+"""Styles of methods in a chart, of which at most eight are in colour."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Style(NamedTuple):
     line: str
 
 
-class Point(NamedTuple):
+class ChartPoint(NamedTuple):
     """One solve in a chart.
 
     The cost is the median of the repeats, between the shortest and the longest of them; `error`
@@ -40,7 +40,7 @@ class Point(NamedTuple):
     longest: float
 
 
-def points(result: WorkPrecision, norm: str, cost: str, method: str = "") -> list[Point]:
+def points(result: WorkPrecision, norm: str, cost: str, method: str = "") -> list[ChartPoint]:
     """Return the solves of a method, or of all, that have a place on logarithmic axes."""
     methods = [method] if method else result.methods
     found = [_point(row, norm, cost) for name in methods for row in result.rows(name)]
@@ -48,16 +48,16 @@ def points(result: WorkPrecision, norm: str, cost: str, method: str = "") -> lis
     return [p for p in found if p.cost > 0.0 and p.error > 0.0]
 
 
-def _point(row: Row, norm: str, cost: str) -> Point:
+def _point(row: Row, norm: str, cost: str) -> ChartPoint:
     # counts are the same in every repeat
     shortest: float = row[cost]
     middle, longest = (row.get(f"{cost}_{which}", shortest) for which in ("median", "longest"))
-    return Point(row["method"], middle, row[f"error_{norm}"], shortest, longest)
+    return ChartPoint(row["method"], middle, row[f"error_{norm}"], shortest, longest)
 
 
-def pareto_front(solves: list[Point]) -> list[Point]:
+def pareto_front(solves: list[ChartPoint]) -> list[ChartPoint]:
     """Return the solves that none at the same or less cost beats in error, the cheapest first."""
-    front: list[Point] = []
+    front: list[ChartPoint] = []
     for point in sorted(solves, key=lambda p: (p.cost, p.error)):
         if not front or point.error < front[-1].error:
             front.append(point)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from multicell.comparison.base import CLOCKS, Row
-from multicell.comparison.conditioning import SHIFT
 from multicell.comparison.ladders import (
     Ladder,
     Method,
@@ -21,10 +20,11 @@ from multicell.comparison.measured import Measurements, named_only, open_measure
 from multicell.comparison.norms import Metric, norms_with
 from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, method_pair, reference, unsolved_problem
-from multicell.comparison.result import FILES, NUMBERS, WorkPrecision
+from multicell.comparison.result import COMPARISON_FILES, NUMBERS_FILE, WorkPrecision
 from multicell.comparison.styles import unregistered_styles
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator
+from multicell.integrators.shift import SHIFT
 from multicell.results.folder import versions
 from multicell.scene.bare import note_bare
 from multicell.scene.scene import Scene, load_scene
@@ -149,10 +149,10 @@ def compare(
     given = [m for m, _ in references or ()]
     own = bool(metrics) or named_only(given) != given  # they may have changed since
     with open_measurements(
-        output, FILES, described, what, chosen, () if own else asked, overwrite=overwrite
+        output, COMPARISON_FILES, described, what, chosen, () if own else asked, overwrite=overwrite
     ) as measured:
-        if output is not None and measured.has(chosen) and (Path(output) / NUMBERS).is_file():
-            result = WorkPrecision.read(Path(output) / NUMBERS)
+        if output is not None and measured.has(chosen) and (Path(output) / NUMBERS_FILE).is_file():
+            result = WorkPrecision.read(Path(output) / NUMBERS_FILE)
             result.save(output)  # what is made of it is all that was lacking
             return result
         exact = reference(
@@ -197,7 +197,7 @@ def _measure(
     measured: Measurements,
     tell: Callable[[str], None],
 ) -> tuple[list[Row], list[TimedPoint], float]:
-    """Return what :func:`climb` does, from the folder where it was measured before."""
+    """Do as :func:`climb`, from the folder where it was measured before."""
     known = measured.find(method)
     if known is not None:
         tell(f"{method.name}: was measured before")
@@ -215,7 +215,7 @@ def _measure(
 
 
 def _facts(exact: Reference, decay: float) -> dict[str, Any]:
-    """Return what a reader of the chart must know of the problem."""
+    """Return facts about the problem for readers of the chart."""
     problem = exact.problem
     return {
         "cells": [len(problem.start), int(problem.counts[-1])],

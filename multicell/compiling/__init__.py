@@ -1,4 +1,4 @@
-"""What kernels ask of numba: options, calls at addresses, stamps of code on disk, listeners."""
+"""Compilation by numba: options, calls at addresses, stamps of code on disk, listeners."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Final
 
-PACKAGE: Final = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+PACKAGE_FOLDER: Final = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 ROOMS: Final = ("compiling", "contact", "integrators", "mechanics", "nutrient")
 """Folders whose files kernels are made of."""
 
@@ -23,9 +23,9 @@ ROOMS: Final = ("compiling", "contact", "integrators", "mechanics", "nutrient")
 def stamp_of(file: str) -> bytes | None:
     """Return the stamp of the kernels in a file of this package; None for all other files."""
     file = os.path.abspath(file)
-    if not file.startswith(PACKAGE + os.sep):
+    if not file.startswith(PACKAGE_FOLDER + os.sep):
         return None
-    folder = os.path.relpath(file, PACKAGE).split(os.sep)[0]
+    folder = os.path.relpath(file, PACKAGE_FOLDER).split(os.sep)[0]
     return stamp() if folder in ROOMS or folder.endswith(".py") else stamp(file)
 
 
@@ -36,16 +36,16 @@ def stamp(*more: str) -> bytes:
     for file in (*sources(), *more):
         with open(file, "rb", buffering=0) as source:
             content = source.read()
-        digest.update(b"%s %d\n" % (os.path.relpath(file, PACKAGE).encode(), len(content)))
+        digest.update(b"%s %d\n" % (os.path.relpath(file, PACKAGE_FOLDER).encode(), len(content)))
         digest.update(content)
     return digest.digest()
 
 
 def sources() -> Iterator[str]:
     """Yield the files that kernels are made of, in the order of their names."""
-    yield from _modules(PACKAGE, deep=False)
+    yield from _modules(PACKAGE_FOLDER, deep=False)
     for room in ROOMS:
-        yield from _modules(os.path.join(PACKAGE, room), deep=True)
+        yield from _modules(os.path.join(PACKAGE_FOLDER, room), deep=True)
 
 
 def _modules(folder: str, *, deep: bool) -> Iterator[str]:

@@ -22,7 +22,7 @@ _OWNED = 0x4  # flag of arrays whose memory is their own, which is no part of th
 
 
 def kind_of(value: Any) -> Any:
-    """Return what stands for the type of an argument: equal where numba's types are equal.
+    """Return a key for the type of an argument: equal where numba's types are equal.
 
     Numba's own ``typeof`` takes a quarter of a millisecond for the tuples that loops are given.
     """
@@ -53,7 +53,7 @@ def address_of(function: Any, result: Any, *arguments: Any) -> int:
 
 
 def call_at(result: Any, address: Any, *arguments: Any) -> tuple[Any, Any]:
-    """Return what an intrinsic needs that calls the function at an address, its first argument.
+    """Return signature and code of an intrinsic that calls the function at an address.
 
     The function must have been compiled for exactly the types of the other arguments, literal
     ones apart, and return ``result``. Exceptions come through.
@@ -74,7 +74,7 @@ def call_at(result: Any, address: Any, *arguments: Any) -> tuple[Any, Any]:
 
 
 def called_at(count: int, result: Any) -> Any:
-    """Return what compiled code calls with an address and ``count`` arguments of a function there.
+    """Return an intrinsic that calls the function at an address with ``count`` arguments.
 
     ``result`` returns its type, given those of address and arguments.
     """

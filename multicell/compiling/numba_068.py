@@ -122,7 +122,7 @@ _plain_jit = _OverloadFunctionTemplate._get_jit_decorator
 
 
 def _jit_of_overloads(template: Any) -> Callable[..., Any]:
-    """Return what compiles numba's own functions, such as ``np.empty``: as pieces of callers."""
+    """Return a jit for numba's own functions, such as ``np.empty``: as pieces of callers."""
     compiles = _plain_jit(template)  # type: ignore[no-untyped-call]
     return lambda **options: compiles(
         **{"pipeline_class": PieceCompiler, "no_cfunc_wrapper": True, **options}

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @final
 class _Numba:
-    """What is known of numba's threads in this process.
+    """State of numba's threads in this process.
 
     - ``launched``: whether they were started
     - ``forked``: whether that was in the process that this one was forked from: they are not here

@@ -159,7 +159,7 @@ def _code(code: CodeType) -> Iterator[bytes]:
 
 
 def _read_by(function: Any) -> list[tuple[str, Any]]:
-    """Return what a function reads by name: globals, enclosing variables, attributes of modules."""
+    """Return all that a function reads: globals, enclosing variables, attributes of modules."""
     names = list(_names(function.__code__))
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     found = [(n, function.__globals__[n]) for n in names if n in function.__globals__]

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from multicell.contact.constants import constants_of, fingerprint, further_arguments, helpers_of
 from multicell.contact.derived import Scalar, force_alone, whole_law, with_arguments, without_energy
 from multicell.contact.law import PairLaw
-from multicell.contact.registry import LAWS
+from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
 from multicell.plugins.laws import Laws, OwnLaw
 from multicell.plugins.named import load_object, own_code
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 _POINTS = 401
-_HIDDEN = ("force", "stiffness", "energy")
+_HIDDEN = ("force", "stiffness", "energy", "surface_energy")
 
 
 class UserLaw(OwnLaw, PairLaw):
@@ -51,6 +51,7 @@ class UserLaw(OwnLaw, PairLaw):
     _reach: ClassVar[Scalar | None]
     _asks_rest: ClassVar[bool]
     _parts: ClassVar[Mapping[str, Scalar]]
+    scales: ClassVar[bool] = False
 
     def describe(self, energy: str) -> str:
         """Return the law in words: its name and its parameters."""
@@ -210,7 +211,7 @@ def pair_law(
             "_parts": {name: part for name, part in parts.items() if part is not None},
             "_asks_rest": reach is not None or "rest" in further_arguments(force),
         }
-        return law_of(UserLaw, force, parameters, LAWS, [whole], own)
+        return law_of(UserLaw, force, parameters, CONTACT_LAWS, [whole], own)
 
     return make
 
@@ -227,7 +228,7 @@ class Compiling:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         failed = kind is not None and kind.__module__.startswith("numba.")
-        if failed and isinstance(self._law, UserLaw):
+        if failed:
             self._law.refuse_uncompilable()
 
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from multicell.contact.constants import TINY, constants_of
 from multicell.contact.law import PairLaw
+from multicell.errors import SceneError
 from multicell.schema import parameters, quantity
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
+    from multicell.scene.scene import Scene
 
 
 def jkr(
@@ -82,6 +84,15 @@ class JKR(PairLaw):
         at_least=0.0,
         doc="Overlap below which adhesion sets in linearly; 0 is eq. 3.6",
     )
+
+    without_adhesion: ClassVar[str] = "A surface energy of zero makes JKR the same as Hertz."
+
+    def check_scene(self, scene: Scene) -> None:
+        """Raise ``SceneError`` where the smoothing is longer than the least radius of a cell."""
+        smallest = 0.5 ** (1.0 / 3.0) * scene.cells.division_radius
+        if self.smoothing > smallest:
+            problem = f"is {self.smoothing:g} um, must be at most the birth radius {smallest:g} um"
+            raise SceneError("contact.smoothing", problem, "0 turns it off.")
 
     def constants(self) -> Any:
         """Return nothing, or the smoothing length (µm): the adhesion is the pair's own."""

@@ -14,16 +14,19 @@ it is for arrays of any shape. See :mod:`multicell.contact.constants` for its ar
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from multicell.contact.constants import function_of
+from multicell.schema import specs
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
+    from multicell.scene.scene import Scene
 
 
 _NEAR_CONTACT = 1e-3  # overlap, µm
@@ -53,7 +56,37 @@ class PairLaw(ABC):
     Shapes broadcast. Overlaps and lengths are in µm, ``modulus`` is E_ij in kPa (eq. 3.3),
     ``radius`` r_ij in µm (eq. 3.4). ``rest`` is r_i + r_j in µm, which only some laws need, and
     ``touching`` says whether the pair was in contact before, which only laws with a memory ask.
+
+    What a law has it declares here; nobody else asks for its class or attributes.
+
+    - ``surface_energy``: σ, nN/µm; zero for laws that have no parameter of this name
+    - ``scales``: whether larger cells with parameters scaled by their dimensions follow the same
+      law, F(f h, f r) = f² F
+    - ``without_adhesion``: in words, what the law becomes where nothing attracts
     """
+
+    surface_energy: float = 0.0
+    scales: ClassVar[bool] = True
+    without_adhesion: ClassVar[str] = ""
+
+    @property
+    def is_sticky(self) -> bool:
+        """Whether it has a surface energy, which may differ between the types of cells."""
+        return "surface_energy" in specs(self)
+
+    def with_surface_energy(self, surface_energy: float) -> Self:
+        """Return the law with another surface energy, nN/µm; itself if it has none."""
+        if not self.is_sticky:
+            return self
+        return replace(self, surface_energy=surface_energy)  # type: ignore[type-var]
+
+    def check_scene(self, scene: Scene) -> None:
+        """Raise ``SceneError`` where parameters of the law contradict other parts of a scene."""
+        return
+
+    def refuse_uncompilable(self) -> None:
+        """Raise ``SceneError`` with file and line if numba cannot compile the law."""
+        return
 
     @abstractmethod
     def constants(self) -> Any:
@@ -76,6 +109,18 @@ class PairLaw(ABC):
         extremes of a population bound it for all pairs.
         """
         return np.zeros(np.broadcast(modulus, radius).shape)
+
+    def list_radius(self, radius: FloatArray, modulus: float) -> FloatArray:
+        """Return half of the distance within which each cell matters to others, (n,) µm.
+
+        Two cells act on each other only while they are closer than the sum of both.
+
+        - ``radius``, (n,), µm: of the cells
+        - ``modulus``, kPa: the least E_ij of a pair
+        """
+        largest = float(radius.max())
+        reach = self.reach(modulus, 0.5 * largest, rest=2.0 * largest)
+        return np.asarray(radius + 0.5 * float(reach))
 
     def contact_radius(
         self,
@@ -101,7 +146,7 @@ class PairLaw(ABC):
     @cached_property
     def adhesion(self) -> float:
         """√(6πσ) of the law's surface energy in (nN/µm)^½, zero for a law that has none."""
-        return float(self.adhesion_of(getattr(self, "surface_energy", 0.0)))
+        return float(self.adhesion_of(self.surface_energy))
 
     @cached_property
     def snaps(self) -> bool:

@@ -8,21 +8,21 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.physicell import PhysiCell
-from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
+from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring, LinearSpring
 from multicell.plugins.laws import Laws
 
 if TYPE_CHECKING:
     from multicell.contact.law import PairLaw
 
 
-LAWS: Laws[PairLaw] = Laws(
+CONTACT_LAWS: Laws[PairLaw] = Laws(
     {
         "hertz": Hertz,
         "jkr": JKR,
         "exact-jkr": ExactJKR,
-        "linear": Linear,
-        "cubic": Cubic,
-        "generalised-linear": GeneralisedLinear,
+        "linear": LinearSpring,
+        "cubic": CubicSpring,
+        "generalised-linear": GeneralisedLinearSpring,
         "physicell": PhysiCell,
     }
 )

@@ -8,10 +8,10 @@ dF/dh at rest in nN/µm for all three laws. Attraction ends at the distance ``cu
 =====================  ===================================================  ====================
 law                    force for h > -H, else 0                             source
 =====================  ===================================================  ====================
-``Linear``             μ h                                                  CBMOS ``Linear``; in
+``linear``             μ h                                                  CBMOS ``Linear``; in
                                                                             Chaste's meshes
-``Cubic``              μ h (1 + h / H)²                                     CBMOS ``Cubic``
-``GeneralisedLinear``  -μ s log(1 - h / s) for h >= 0, μ h e^{α h / s}      CBMOS ``Gls``;
+``cubic``              μ h (1 + h / H)²                                     CBMOS ``Cubic``
+``generalised-linear`` -μ s log(1 - h / s) for h >= 0, μ h e^{α h / s}      CBMOS ``Gls``;
                        for h < 0                                            Chaste's nodes
 =====================  ===================================================  ====================
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 def linear(
     overlap: float, modulus: float, radius: float, p: Any, rest: float
 ) -> tuple[float, float, float]:
-    """Return force, stiffness and energy of ``Linear``."""
+    """Return force, stiffness and energy of ``LinearSpring``."""
     end = (p.cutoff - 1.0) * rest
     if overlap <= -end:
         return 0.0, 0.0, 0.0
@@ -51,7 +51,7 @@ def linear(
 def cubic(
     overlap: float, modulus: float, radius: float, p: Any, rest: float
 ) -> tuple[float, float, float]:
-    """Return force, stiffness and energy of ``Cubic``."""
+    """Return force, stiffness and energy of ``CubicSpring``."""
     mu, end = p.stiffness, (p.cutoff - 1.0) * rest
     # zero beyond the cutoff, where the square would rise again
     h = max(overlap, -end)
@@ -64,7 +64,7 @@ def cubic(
 def generalised_linear(
     overlap: float, modulus: float, radius: float, p: Any, rest: float
 ) -> tuple[float, float, float]:
-    """Return force, stiffness and energy of ``GeneralisedLinear``."""
+    """Return force, stiffness and energy of ``GeneralisedLinearSpring``."""
     end = (p.cutoff - 1.0) * rest
     if overlap <= -end:
         return 0.0, 0.0, 0.0
@@ -117,6 +117,10 @@ class Spring(PairLaw):
         """Return zero: the pair rests at s (µm)."""
         return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))
 
+    def list_radius(self, radius: FloatArray, modulus: float) -> FloatArray:
+        """Return the radii times the cutoff, (n,) µm."""
+        return np.asarray(self.cutoff * radius)
+
     def reach(
         self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None
     ) -> FloatArray:
@@ -129,7 +133,7 @@ class Spring(PairLaw):
 
 @final
 @parameters
-class Linear(Spring):
+class LinearSpring(Spring):
     """A linear spring, F = μ h, that ends with a jump at its cutoff.
 
     With ``cutoff = 1`` it only repels. Else the force jumps at the distance ``cutoff`` times s by
@@ -143,7 +147,7 @@ class Linear(Spring):
 
 @final
 @parameters
-class Cubic(Spring):
+class CubicSpring(Spring):
     """The cubic law of CBMOS, F = μ h (1 + h / H)²: force and slope end in zero at the cutoff."""
 
     stiffness_at_rest: float = _stiffness()
@@ -153,7 +157,7 @@ class Cubic(Spring):
 
 @final
 @parameters
-class GeneralisedLinear(Spring):
+class GeneralisedLinearSpring(Spring):
     """Chaste's law for nodes: logarithmic repulsion, attraction that fades exponentially.
 
     The force grows without bound as the centres come together (h → s), slower than a power, and

@@ -1,1 +1,1 @@
-"""What the package asks of the machine: files, memory, signals, settings, other packages."""
+"""The machine: files, memory, signals, settings, other packages."""

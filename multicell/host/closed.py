@@ -1,4 +1,4 @@
-"""Where compiled code is kept: in a folder that nobody else can write to, since it is run.
+"""The folder of compiled code, which nobody else can write to, since it is run.
 
 A folder is closed if it, all above it and every link on the way to it belong to the user or to
 root, and nobody else may write there. A sticky folder such as ``/tmp`` is closed for what lies in

@@ -66,7 +66,7 @@ def quiet(*packages: str) -> Iterator[None]:
 
 
 def checkup() -> dict[str, Any]:
-    """Return what decides speed and abilities here.
+    """Return the facts that decide speed and abilities here.
 
     ``system``, ``python``; ``versions`` of multicell and of what it always needs; ``cores``,
     ``threads`` that numba will use, ``memory_GiB``; ``cache`` (where compiled code is kept) and

@@ -4,9 +4,9 @@ Python calls the handler of a signal between any two of its instructions. What t
 may leave half of something behind. So the handlers, whatever they are, are replaced meanwhile by
 one that notes the signal, and called afterwards.
 
-Two blocks nest in each other. :data:`STEP` is a coupling step, or a whole run: Ctrl-C waits for its
-end, a second one does not. :data:`UNCUT` is what numba compiles, a file that is written, or a
-library that calls Python back: every signal waits for its end, or for a pause that it makes. In
+Two blocks nest in each other. :data:`WHOLE_STEP` is a coupling step, or a whole run: Ctrl-C waits
+for its end, a second one does not. :data:`UNCUT` is what numba compiles, a file that is written, or
+a library that calls Python back: every signal waits for its end, or for a pause that it makes. In
 other threads than the main one, where Python calls no handlers, both do nothing.
 """
 
@@ -137,7 +137,7 @@ def _in_main_thread() -> bool:
     return threading.get_ident() == _MAIN.ident
 
 
-STEP: Final = Block([signal.SIGINT])
+WHOLE_STEP: Final = Block([signal.SIGINT])
 UNCUT: Final = Block(_ALL)
 
 

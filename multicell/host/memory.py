@@ -12,7 +12,7 @@ import sys
 import time as clock
 from typing import Any, Final, final
 
-MANY: Final = 10_000  # cells below which nothing is worth giving back
+WORTH_RETURNING: Final = 10_000  # cells below which nothing is worth giving back
 
 _EVERY: Final = 0.5  # s of the wall clock: to give back and to get again takes some milliseconds
 
@@ -27,7 +27,7 @@ class Returns:
 
     def now_and_then(self, cells: int) -> None:
         """Give back what is free if there are many cells, and the last time is a while ago."""
-        if self._trim is None or cells < MANY or clock.monotonic() - self._last < _EVERY:
+        if self._trim is None or cells < WORTH_RETURNING or clock.monotonic() - self._last < _EVERY:
             return
         self._trim(0)
         self._last = clock.monotonic()

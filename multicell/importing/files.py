@@ -22,7 +22,7 @@ from multicell.schema import Bounds
 _MAX_BYTES = 100_000_000
 
 
-def read_text(path: Path) -> str:
+def read_imported_text(path: Path) -> str:
     """Return the text of a file."""
     name = str(path)
     try:
@@ -38,7 +38,7 @@ def read_text(path: Path) -> str:
 def read_rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return the rows of a CSV file that hold something, each with the number of its line."""
     rows = []
-    for number, line in enumerate(read_text(path).split("\n"), start=1):
+    for number, line in enumerate(read_imported_text(path).split("\n"), start=1):
         try:
             row = [word.strip() for word in next(csv.reader([line]), [])]
         except csv.Error as error:
@@ -202,7 +202,7 @@ def read_xml(path: Path) -> Element:
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = text, document_type
     try:
-        parser.Parse(read_text(path), True)
+        parser.Parse(read_imported_text(path), True)
     except expat.ExpatError as error:
         problem = f"is not well-formed XML: {expat.errors.messages[error.code]}"
         raise SceneError(f"{path.name}, line {error.lineno}", problem) from None

@@ -97,7 +97,7 @@ class Account:
         return tuple(sorted(self.entries, key=lambda e: last if e.line is None else e.line))
 
 
-FILES = ("scene.toml", "cells.csv", "account.md")
+IMPORT_FILES = ("scene.toml", "cells.csv", "account.md")
 """What is written of an import."""
 
 _HEAD = ("| line | element | value | key | note |", "|---|---|---|---|---|")
@@ -142,7 +142,7 @@ class Imported:
             If one of them exists and ``overwrite`` is not set, or the folder cannot be written.
         """
         place = Path(folder)
-        paths = [place / name for name in FILES]
+        paths = [place / name for name in IMPORT_FILES]
         with file_errors("use", place):
             place.mkdir(parents=True, exist_ok=True)
             there = [path for path in paths if path.exists() or path.is_symlink()]
@@ -164,7 +164,7 @@ class Imported:
         return head + with_units(self.scene, tomli_w.dumps(ordered))
 
     def account(self) -> str:
-        """Return what became of all as a page of Markdown."""
+        """Return the account of all elements as a page of Markdown."""
         parts = [f"# {self.scene.title}"]
         for fate in Fate:
             entries, lines = self.of(fate), [*_HEAD]

@@ -30,7 +30,7 @@ class AdamsBashforth2(EqualSteps):
         from multicell.integrators import driver
         from multicell.integrators.loops.adams_bashforth import fixed_adams
 
-        return driver.equal_steps(system, position, fixed_adams, self)
+        return driver.run_equal_steps(system, position, fixed_adams, self)
 
 
 @final

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field, make_dataclass
 from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
@@ -37,6 +37,7 @@ from multicell.integrators.cvode import Cvode
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.runge_kutta import AdaptiveRungeKutta4
+from multicell.mechanics.motion import Work
 from multicell.vectors import squares
 
 if TYPE_CHECKING:
@@ -99,8 +100,8 @@ class Choice:
 class Auto(ErrorControl):
     """Chooses for each coupling step between explicit methods, RKC2 and an implicit method.
 
-    The steps by each method are counted in ``Work``. If a method cannot continue, the next
-    one starts from the beginning of the coupling step.
+    The steps by each method are counted in :data:`ChosenWork`. If a method cannot continue, the
+    next one starts from the beginning of the coupling step.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -120,7 +121,7 @@ class Auto(ErrorControl):
         return outcome
 
     def choose(self, system: Mechanics, position: FloatArray) -> Choice:
-        """Return what to do in the coupling step of ``system``, as at its beginning.
+        """Choose a method for the coupling step of ``system``, as at its beginning.
 
         λ is not measured in one that is surely mild.
         """
@@ -187,6 +188,14 @@ CANDIDATES: dict[
     type[AdaptiveAdams] | type[AdaptiveRungeKutta4] | type[Rkc2] | type[Rosenbrock] | type[Cvode],
 ] = {kind.info.name: kind for kind in (AdaptiveAdams, AdaptiveRungeKutta4, Rkc2, Rosenbrock, Cvode)}
 """What is chosen from."""
+COUNTERS = {name: f"steps_{name.replace('-', '_')}" for name in CANDIDATES}
+"""Name of each of them -> where its steps are counted."""
+ChosenWork: type[Work] = make_dataclass(
+    "ChosenWork",
+    [(counter, int, field(default=0)) for counter in COUNTERS.values()],
+    bases=(Work,),
+    namespace={"__module__": __name__, "__doc__": "Counts of work, with the steps of each method."},
+)
 MILD, EXACT = AdaptiveAdams.info.name, AdaptiveRungeKutta4.info.name
 _STABLE = (Rkc2.info.name, Rosenbrock.info.name, Cvode.info.name)
 """What is tried after another method, in this order."""
@@ -207,9 +216,8 @@ def _first(name: str, able: Collection[str]) -> tuple[str, ...]:
 
 def _count(system: Mechanics, name: str, before: int) -> None:
     """Count the steps since ``before`` as those of a method."""
-    work = system.work
-    counter = f"steps_{name.replace('-', '_')}"
-    setattr(work, counter, getattr(work, counter) + work.steps - before)
+    counts = vars(system.work)
+    counts[COUNTERS[name]] = counts.get(COUNTERS[name], 0) + system.work.steps - before
 
 
 def _tolerance(system: Mechanics, rtol: float, atol: float) -> float:

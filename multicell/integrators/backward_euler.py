@@ -24,13 +24,20 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from multicell.integrators.base import EqualSteps, MethodInfo, Outcome, equal_steps, move_words
+from multicell.integrators.base import (
+    EqualSteps,
+    MethodInfo,
+    Outcome,
+    count_equal_steps,
+    move_words,
+)
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.preconditioners import Sweeps
     from multicell.mechanics.system import Mechanics
 
+_EXACT = 1e-2  # tolerance of Newton's method over that of the method
 _HALVINGS = 30
 _MAX_ITERATIONS = 200
 _RESIDUAL = 100.0
@@ -62,26 +69,26 @@ class BackwardEuler(EqualSteps):
         "backward-euler", "implicit Euler with a fixed step, Newton's method along the energy",
         "step", order=1, implicit=True, stable=math.inf, colour="#0d4a3a", marker="v",
         make=lambda step, atol, max_displacement: BackwardEuler(
-            step, max_displacement, tolerance=0.01 * atol
+            step, max_displacement, tolerance=_EXACT * atol
         ),
     )  # fmt: skip
 
-    tolerance: float = 1e-4
+    tolerance: float = _EXACT * info.atol
     newton: int = 100
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        from multicell.integrators.limits import beyond
+        from multicell.integrators.limits import find_failure
         from multicell.integrators.stepping import furthest_move
         from multicell.mechanics.motion import StateRejected
 
         if len(system) == 0:
             return Outcome(system.motion.end, np.array(position))
-        refused = beyond(system, position, self.tolerance)
+        refused = find_failure(system, position, self.tolerance)
         if refused is not None:
             return refused
         motion = system.motion
-        count = equal_steps(motion.end - motion.begin, self.step)
+        count = count_equal_steps(motion.end - motion.begin, self.step)
         step = (motion.end - motion.begin) / count
         position = np.array(position)
         for k in range(count):

@@ -111,6 +111,7 @@ class EqualSteps:
     max_displacement: float = 0.5
 
 
+USUAL_ATOL = 0.1  # absolute tolerance of methods whose worst cell is safe with it, µm
 OUT_OF_STEPS_HINT = "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
 
 
@@ -122,7 +123,7 @@ def move_words(step: float, moved: float, allowed: float) -> str:
     )
 
 
-def equal_steps(length: float, longest: float) -> int:
+def count_equal_steps(length: float, longest: float) -> int:
     """Return how many equal steps no longer than ``longest`` make up an interval; both in s."""
     return max(1, math.ceil(length / longest * (1.0 - 1e-12)))
 
@@ -131,8 +132,8 @@ def equal_steps(length: float, longest: float) -> int:
 class ErrorControl:
     """Options of the methods under error control; abstract.
 
-    - ``rtol``, ``atol``: relative tolerance, and absolute tolerance in µm; a scene has defaults of
-      its own for each method (:attr:`MethodInfo.atol`)
+    - ``rtol``, ``atol``: relative tolerance, and absolute tolerance in µm, by default
+      :attr:`MethodInfo.atol` of the method
     - ``max_steps``: largest number of steps in a coupling step
     - ``max_displacement``: fraction of its radius that a cell may move in one step; a step that
       moves a cell further is refused and tried shorter
@@ -141,7 +142,7 @@ class ErrorControl:
     """
 
     rtol: float = 1e-6
-    atol: float = 1e-2
+    atol: float = USUAL_ATOL
     max_steps: int = 10_000
     max_displacement: float = 0.5
 
@@ -182,8 +183,9 @@ class MethodInfo:
     friction : bool
         Whether it can solve scenes with friction between cells, where J is a full matrix.
     atol : float, µm
-        Absolute tolerance in a scene that names none. What it means for single cells is measured
-        by ``docs/tolerances.py``.
+        Absolute tolerance where a scene, or a caller of the class, names none: a class with
+        another one than usual has ``atol: float = info.atol``. What it means for single cells is
+        measured by ``docs/tolerances.py``.
     most_cells : int or None
         Most cells that it holds; None for any number.
     why_no_more : str
@@ -209,7 +211,7 @@ class MethodInfo:
     marker: str = "h"
     outside: bool = False
     friction: bool = True
-    atol: float = 0.1
+    atol: float = USUAL_ATOL
     most_cells: int | None = None
     why_no_more: str = ""
     make: Callable[..., Integrator] | None = None
@@ -246,7 +248,7 @@ def hold(info: MethodInfo, system: Mechanics) -> None:
 
 
 def info_of(method: Any) -> MethodInfo:
-    """Return what is known of a method: a class, an integrator, or what is known already.
+    """Return the information on a method: a class, an integrator, or the information itself.
 
     A class without ``info`` is known by its name and the first line of its docstring. What an
     integrator is made with again is what it was made with.
@@ -269,7 +271,7 @@ def info_of(method: Any) -> MethodInfo:
     return replace(info, control="step" if "step" in info.settings else "tolerance")
 
 
-def build(info: MethodInfo, **options: Any) -> Integrator:
+def build_method(info: MethodInfo, **options: Any) -> Integrator:
     """Return the integrator with those of the options that it takes.
 
     Raises SceneError if it cannot be made with them.

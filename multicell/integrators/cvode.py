@@ -11,7 +11,7 @@ from multicell.integrators.base import ErrorControl, MethodInfo, Outcome
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.integrators.cvode_solver import Krylov, UnpreconditionedCvode
-    from multicell.integrators.restarts import Run
+    from multicell.integrators.restarts import IntegrationProgress
     from multicell.mechanics.system import Mechanics
 
 
@@ -38,6 +38,7 @@ class Cvode(ErrorControl):
         meant=("bdf", "ode15s", "sundials"),
     )  # fmt: skip
 
+    atol: float = info.atol
     formula: str = "BDF"
     light: bool = True
     each_cell: bool = True
@@ -46,12 +47,12 @@ class Cvode(ErrorControl):
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
         from multicell.integrators.cvode_solver import Krylov, UnpreconditionedCvode
-        from multicell.integrators.restarts import Run
+        from multicell.integrators.restarts import IntegrationProgress
 
-        run = Run(self, system, position, each_cell=self.each_cell, part=self.part)
+        run = IntegrationProgress(self, system, position, each_cell=self.each_cell, part=self.part)
         mild = self.light
 
-        def start(run: Run, ceiling: float) -> Krylov | UnpreconditionedCvode:
+        def start(run: IntegrationProgress, ceiling: float) -> Krylov | UnpreconditionedCvode:
             nonlocal mild
             # a ceiling comes with a refusal: nothing mild about that
             mild = mild and ceiling == 0.0 and run.steps == 0
@@ -82,6 +83,8 @@ class CvodeAdams(ErrorControl):
         "cvode-adams", "implicit: SUNDIALS CVODE, Adams formulas, solved by the same Newton-Krylov",
         "tolerance", implicit=True, stable=math.inf, colour="#a3c644", marker="D", atol=0.01,
     )  # fmt: skip
+
+    atol: float = info.atol
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""

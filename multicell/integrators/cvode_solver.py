@@ -14,9 +14,9 @@ from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL, typed
 from multicell.integrators.restarts import (
+    IntegrationProgress,
     Predictor,
     Restart,
-    Run,
     StepImpossible,
     Taken,
     one_step,
@@ -73,7 +73,7 @@ def _divide(out: FloatArray, before: FloatArray, share: float) -> None:
 class _Session:
     """CVODE between two restarts, begun at the last accepted state; abstract."""
 
-    def __init__(self, method: Cvode, run: Run, **options: Any) -> None:
+    def __init__(self, method: Cvode, run: IntegrationProgress, **options: Any) -> None:
         self.run, self.method = run, method
         self._predictor = Predictor(run)
         self.solver = CVODE(
@@ -92,7 +92,7 @@ class _Session:
 class UnpreconditionedCvode(_Session):
     """CVODE as it comes: products by difference quotients, each of which is an evaluation."""
 
-    def __init__(self, method: Cvode, run: Run) -> None:
+    def __init__(self, method: Cvode, run: IntegrationProgress) -> None:
         self._counts = [run.system.work.evaluations]
         self._others = 0
         self._small = _INCREMENT * float(run.system.motion.radius.mean())
@@ -169,7 +169,7 @@ class UnpreconditionedCvode(_Session):
 class Krylov(_Session):
     """CVODE with our products and preconditioners, and the callbacks that it needs."""
 
-    def __init__(self, method: Cvode, run: Run, ceiling: float) -> None:
+    def __init__(self, method: Cvode, run: IntegrationProgress, ceiling: float) -> None:
         self.system = run.system
         self._fresh, self._stale = False, True
         self._reference = np.full(3 * len(run.position), np.inf)

@@ -24,7 +24,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.integrators import base, stepping
 from multicell.integrators.base import Outcome
-from multicell.integrators.limits import beyond, norm_share
+from multicell.integrators.limits import find_failure, norm_share
 from multicell.mechanics import forces
 from multicell.mechanics.system import Mechanics
 
@@ -67,11 +67,11 @@ def control(method: ErrorControl, system: Mechanics, order: float, lower: int) -
     )
 
 
-def equal_steps(
+def run_equal_steps(
     system: Mechanics, position: FloatArray, loop: Any, method: EqualSteps | Rkc2, *settings: Any
 ) -> Outcome:
     """Run a loop with equal steps no longer than ``method.step``; see :class:`Integrator`."""
-    steps = base.equal_steps(system.motion.end - system.motion.begin, method.step)
+    steps = base.count_equal_steps(system.motion.end - system.motion.begin, method.step)
     allowed = method.max_displacement
     return _run(system, position, loop, (steps, allowed, *settings), allowed, _STEP_HINT, 0.0)
 
@@ -114,7 +114,7 @@ def _run(
     state = np.array(position, dtype=float, order="C")
     if len(system) == 0 or length <= 0.0:
         return Outcome(motion.end, state)
-    refused = beyond(system, state, atol)
+    refused = find_failure(system, state, atol)
     if refused is not None:
         return refused
     counts = np.zeros(5, dtype=np.int64)
@@ -125,7 +125,7 @@ def _run(
     else:
         source, pairs = source_of(system, counts, passes=passes, watched=watched)
         report, pairs = loop(source, pairs, *common, *settings)
-        system.take_list(source.cells, pairs)
+        system.take_list(pairs)
     work = system.work
     work.evaluations += int(counts[stepping.EVALUATIONS])
     work.list_builds += int(counts[stepping.LIST_BUILDS])
@@ -170,7 +170,7 @@ def _failure(
 def source_of(
     system: Mechanics, counts: Any, *, passes: bool = False, watched: bool = False
 ) -> tuple[stepping.Source, forces.PairData]:
-    """Return what a loop needs, with a neighbour list of its own."""
+    """Return the arguments of a loop, with a neighbour list of its own."""
     known, pairs, shared = system.kernel_data()
     source = stepping.Source(*known, counts)
     watched = watched and stepping.meets_driven(system)

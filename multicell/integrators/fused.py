@@ -22,6 +22,7 @@ from multicell.compiling import arithmetic, called_at
 from multicell.compiling.threads import two_drivers
 
 _CHUNK = 4096  # cells in a chunk
+_AMOUNT, _CELL = range(2)  # columns of what is found for a chunk
 
 
 @arithmetic
@@ -47,7 +48,7 @@ def _foresee(a, u, b, v, position, radius, out, found):
             square = (x * x + y * y + z * z) / (radius[i] * radius[i])
             if not square <= most:
                 most, cell = square if square == square else math.inf, i
-        found[c, 0], found[c, 1] = most, cell
+        found[c, _AMOUNT], found[c, _CELL] = most, cell
     return found.shape[0]
 
 
@@ -67,14 +68,14 @@ def _assess(a, new, b, now, c, old, position, trial, rtol, atol, found):
             q /= atol + rtol * max(abs(position[i, 1]), abs(trial[i, 1]))
             r /= atol + rtol * max(abs(position[i, 2]), abs(trial[i, 2]))
             x, y, z = x + p * p, y + q * q, z + r * r
-        found[k, 0] = x + y + z
+        found[k, _AMOUNT] = x + y + z
     return found.shape[0]
 
 
 _FORESEE, _ASSESS = two_drivers(_foresee), two_drivers(_assess)
 
 
-def kernels(radius: FloatArray, *, shared: bool) -> dict[str, tuple[Any, ...]]:
+def fused_kernels(radius: FloatArray, *, shared: bool) -> dict[str, tuple[Any, ...]]:
     """Return the passes, for one thread or for all, as ``compiling.address_of`` takes them."""
     place, found = np.empty((0, 3)), np.empty((0, 2))
     return {
@@ -129,9 +130,9 @@ def _furthest(found):
     """Return the cell that moves furthest, in its radius, and how far."""
     k = 0
     for c in range(found.shape[0]):
-        if found[c, 0] > found[k, 0]:
+        if found[c, _AMOUNT] > found[k, _AMOUNT]:
             k = c
-    return np.int64(found[k, 1]), math.sqrt(found[k, 0])
+    return np.int64(found[k, _CELL]), math.sqrt(found[k, _AMOUNT])
 
 
 @arithmetic
@@ -139,5 +140,5 @@ def _overall(found, numbers):
     """Return the weighted root mean square of an error."""
     total = 0.0
     for c in range(found.shape[0]):
-        total += found[c, 0]
+        total += found[c, _AMOUNT]
     return math.sqrt(total / numbers)

@@ -19,6 +19,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.integrators.base import Outcome
+from multicell.mechanics.rows import COMPLIANCE
 from multicell.mechanics.system import Mechanics
 
 LARGEST_STIFFNESS = 1e-3 / float(np.finfo(float).eps)
@@ -50,14 +51,14 @@ def stiffness_scale(system: Mechanics) -> float:
     if len(system) < 2 or system.stiffness_scale is not None:
         return system.stiffness_scale or 0.0
     motion = system.motion
-    radius, least = float(motion.radius.mean()), float(system.rows[:, 4].min())
+    radius, least = float(motion.radius.mean()), float(system.rows[:, COMPLIANCE].min())
     modulus = 0.5 / least  # of two cells with the least compliance
     _, slope, _ = system.law.evaluate(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
     system.stiffness_scale = _CONTACTS * abs(float(slope)) / (system.drag * radius)
     return system.stiffness_scale
 
 
-def beyond(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcome | None:
+def find_failure(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcome | None:
     """Return how a coupling step ends that cannot be followed, or None if it can.
 
     - ``system``: made ready for the coupling step

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def method_info(method: Any, what: str = "integrator") -> MethodInfo:
-    """Return what is known of a method of any kind.
+    """Return the information on a method of any kind.
 
     - ``method``: name in the registry, ``file.py:Name``, a class or an object
     - ``what``: where it was asked for, as the path of errors

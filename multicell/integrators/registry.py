@@ -18,7 +18,7 @@ from multicell.integrators import (
     runge_kutta,
     scipy,
 )
-from multicell.integrators.base import MethodInfo, build, info_of
+from multicell.integrators.base import MethodInfo, build_method, info_of
 
 if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
@@ -45,7 +45,7 @@ def meant_by(name: str) -> str:
 
 
 def find(name: str) -> MethodInfo | None:
-    """Return what is known of a method, or of a variant such as ``"rkc2-5"``."""
+    """Return the information on a method, or on a variant such as ``"rkc2-5"``."""
     whole, _, number = name.rpartition("-")
     if name in METHODS or whole not in METHODS or not number.isdecimal():
         return METHODS.get(name)
@@ -71,7 +71,7 @@ def from_options(options: IntegratorOptions) -> Integrator:
 def instantiate(info: MethodInfo, options: IntegratorOptions) -> Integrator:
     """Return the integrator of a method with a scene's options."""
     step = {"step": options.step} if info.control == "step" else {}
-    return build(
+    return build_method(
         info,
         rtol=options.rtol,
         atol=info.atol if options.atol is None else options.atol,

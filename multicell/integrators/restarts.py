@@ -24,7 +24,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.host.interrupts import UNCUT
 from multicell.integrators.base import OUT_OF_STEPS_HINT, ErrorControl, Outcome, move_words
-from multicell.integrators.limits import beyond, norm_share
+from multicell.integrators.limits import find_failure, norm_share
 from multicell.integrators.stepping import LEAST_PART, furthest_move, largest_length
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
@@ -71,12 +71,12 @@ class Solver(Protocol):
         """Let go of what calls it back: such a circle would hold its arrays for long."""
 
 
-Start = Callable[["Run", float], Solver]
+Start = Callable[["IntegrationProgress", float], Solver]
 """Makes a solver for the rest of the interval; the number is the ceiling of its steps, or 0."""
 
 
 @final
-class Run:
+class IntegrationProgress:
     """One integration: the last accepted state and the counts so far.
 
     Attributes
@@ -126,7 +126,7 @@ class Run:
 
     @property
     def left(self) -> float:
-        """What was left of the interval when the present solver was started, s."""
+        """Rest of the interval when the present solver was started, s."""
         return self.length - self.offset
 
     def clock(self, t: float) -> float:
@@ -150,7 +150,7 @@ class Run:
     def _integrate(self, start: Start) -> Outcome:
         if len(self.system) == 0:
             return Outcome(self.system.motion.end, self.position)
-        refused = beyond(self.system, self.position, self.method.atol)
+        refused = find_failure(self.system, self.position, self.method.atol)
         if refused is not None:
             return refused
         ceiling = 0.0
@@ -259,7 +259,7 @@ class Run:
 
 
 def one_step(solver: Any, left: float) -> Any:
-    """Return what one internal step of a solver of SUNDIALS, up to ``left``, says of itself."""
+    """Return the report of SUNDIALS on one internal step, up to ``left``."""
     result = solver.step(left, method="onestep", tstop=left)
     if not result.success:
         raise StepImpossible(f"SUNDIALS: {result.message}")
@@ -277,7 +277,7 @@ class Predictor:
     too large.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: IntegrationProgress) -> None:
         self._run = run
         self._time = 0.0
         self._state = run.position.ravel().copy()
@@ -294,7 +294,7 @@ class Predictor:
             self._run.speed = self._speed.copy()
 
     def taken(self, t: float, y: FloatArray, order: int = 1) -> Taken:
-        """Return what is known of a step that ended at ``t``.
+        """Return the progress after a step that ended at ``t``.
 
         The velocity there is that of the last iterate, which differs from the solution by less than
         the tolerance of Newton's method.

@@ -50,7 +50,7 @@ class Rkc2(ErrorControl):
         from multicell.integrators.loops import chebyshev
 
         if self.step > 0.0:
-            return driver.equal_steps(
+            return driver.run_equal_steps(
                 system, position, chebyshev.fixed_chebyshev, self, self.stages, _MAX_FIXED_STAGES
             )
         control = driver.control(self, system, 3.0, lower=2)
@@ -62,7 +62,7 @@ class Rkc2(ErrorControl):
 
 
 def _of_stages(stages: int) -> MethodInfo | None:
-    """Return what is known of the method with a fixed step and number of stages."""
+    """Return the information on the method with a fixed step and number of stages."""
     if not 2 <= stages <= _MAX_STAGES:
         return None
     from multicell.integrators.loops.chebyshev import stable_length

@@ -66,6 +66,7 @@ class Rosenbrock(ErrorControl):
         friction=False, atol=0.01,
     )  # fmt: skip
 
+    atol: float = info.atol
     worst: float = 25.0
     sharp: float = 0.5
     growth: float = 0.5
@@ -78,13 +79,13 @@ class Rosenbrock(ErrorControl):
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        from multicell.integrators.limits import beyond
+        from multicell.integrators.limits import find_failure
         from multicell.integrators.rosenbrock_solver import Walk
 
         hold(self.info, system)
         if len(system) == 0 or system.motion.end <= system.motion.begin:
             return Outcome(system.motion.end, np.array(position))
-        refused = beyond(system, position, self.atol)
+        refused = find_failure(system, position, self.atol)
         if refused is not None:
             return refused
         return Walk(self, system, np.array(position)).integrate()

@@ -82,7 +82,7 @@ class _Fixed(EqualSteps):
         from multicell.integrators import driver
         from multicell.integrators.loops.runge_kutta import fixed_runge_kutta
 
-        return driver.equal_steps(system, position, fixed_runge_kutta, self, self.tableau)
+        return driver.run_equal_steps(system, position, fixed_runge_kutta, self, self.tableau)
 
 
 class _Adaptive(ErrorControl):
@@ -168,6 +168,7 @@ class AdaptiveRungeKutta4(_Adaptive):
         "rk4-adaptive", "explicit Runge-Kutta of order 4 under error control", "tolerance",
         order=4, colour="#d6c400", marker=">", atol=0.01,
     )  # fmt: skip
+    atol: float = info.atol
     tableau: ClassVar[Tableau] = RUNGE_KUTTA_4_3
     estimate: ClassVar[float] = 4.0
 
@@ -185,6 +186,7 @@ class Dopri5(_Adaptive):
         "tolerance", order=5, colour="#14919b", marker="P", atol=0.01,
         meant=("ode45", "rk45", "dormand-prince"),
     )  # fmt: skip
+    atol: float = info.atol
     tableau: ClassVar[Tableau] = DORMAND_PRINCE
     estimate: ClassVar[float] = 5.0
 

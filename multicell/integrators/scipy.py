@@ -19,7 +19,7 @@ from multicell.integrators.base import ErrorControl, MethodInfo, Outcome, hold
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.integrators.restarts import Run, Taken
+    from multicell.integrators.restarts import IntegrationProgress, Taken
     from multicell.mechanics.system import Mechanics
 
 _LEAST_RTOL = 100.0 * sys.float_info.epsilon
@@ -60,11 +60,12 @@ class Scipy(ErrorControl):
     Raises SceneError for a relative tolerance below what SciPy carries.
     """
 
+    atol: float = 0.01
     name: str = field(kw_only=True)
 
     @property
     def info(self) -> MethodInfo:
-        """What is known of the method."""
+        """Information on the method."""
         return _INFOS[self.name]
 
     def __post_init__(self) -> None:
@@ -81,10 +82,10 @@ class Scipy(ErrorControl):
 
         Raises SceneError if the method cannot hold the scene.
         """
-        from multicell.integrators.restarts import Run
+        from multicell.integrators.restarts import IntegrationProgress
 
         hold(self.info, system)
-        run = Run(self, system, position)
+        run = IntegrationProgress(self, system, position)
         return run.integrate(lambda run, ceiling: _Stepped(self, run, ceiling))
 
 
@@ -92,7 +93,7 @@ class Scipy(ErrorControl):
 class _Stepped:
     """A session of one of SciPy's solvers between two restarts."""
 
-    def __init__(self, method: Scipy, run: Run, ceiling: float) -> None:
+    def __init__(self, method: Scipy, run: IntegrationProgress, ceiling: float) -> None:
         from scipy import integrate
 
         self.run, self.system = run, run.system
@@ -144,6 +145,8 @@ class _Stepped:
 
 
 METHODS = tuple(
-    replace(info, control="tolerance", outside=True, atol=0.01, make=partial(Scipy, name=name))
+    replace(
+        info, control="tolerance", outside=True, atol=Scipy.atol, make=partial(Scipy, name=name)
+    )
     for name, info in _INFOS.items()
 )

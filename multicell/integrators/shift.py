@@ -54,7 +54,7 @@ class Replays(NamedTuple):
         return 0.0 < self.spent + self.step <= SHARE * self.total
 
     def after(self, cost: float, replay: float = 0.0, effect: float | None = None) -> Replays:
-        """Return what is known after a coupling step of some cost, and perhaps its replay."""
+        """Return the replays after a coupling step of some cost, and perhaps its replay."""
         noted = self._replace(total=self.total + cost, spent=self.spent + replay, step=cost)
         if effect is None:
             return noted

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
-from multicell.integrators.base import equal_steps, info_of
+from multicell.integrators.base import count_equal_steps, info_of
 from multicell.integrators.shift import SHARE
 from multicell.mechanics.decay_rate import RECORDED, largest_decay_rate
 from multicell.mechanics.motion import StateRejected
@@ -30,7 +30,7 @@ _FIRST = 2
 """Coupling steps at the beginning of a run before each of which λ is measured: cells that are
 placed anew hardly press each other in the first."""
 _GLANCE = 5  # evaluations that |J v| / |v| costs
-NEAR = 0.8
+NEAR_LIMIT = 0.8
 """|J v| / |v| over the limit from which on λ is measured; rattling cells have 0.88 to 0.96."""
 _SAFE = 0.9  # part of the limit that is recommended
 
@@ -80,7 +80,7 @@ def limit_of(method: Any) -> float:
 
 def actual_step(method: Any, length: float) -> float:
     """Return how long the equal steps of a coupling step are, s."""
-    return length / equal_steps(length, method.step)
+    return length / count_equal_steps(length, method.step)
 
 
 def is_due(known: Stability, cells: int, product: float) -> bool:
@@ -98,12 +98,12 @@ def may_glance(known: Stability, cells: int) -> bool:
 
 
 def add_glance(known: Stability, cells: int) -> Stability:
-    """Return what is known after an evaluation of |J v| / |v|, with its cost."""
+    """Add an evaluation of |J v| / |v|, with its cost."""
     return known._replace(looked=known.looked + _cost(cells, _GLANCE))
 
 
 def add_measurement(known: Stability, rate: float, product: float, cells: int) -> Stability:
-    """Return what is known after a measurement of λ; see :func:`is_due`."""
+    """Add a measurement of λ; see :func:`is_due`."""
     ratio = rate / product
     return known._replace(
         rate=rate, latest=ratio, largest=max(ratio, known.largest), measured=known.measured + 1.0,

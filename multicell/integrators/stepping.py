@@ -33,8 +33,9 @@ from multicell.compiling import (
     kind_of,
 )
 from multicell.integrators import fused
-from multicell.mechanics import forces, neighbours
+from multicell.mechanics import forces
 from multicell.mechanics.motion import StateRejected
+from multicell.mechanics.neighbours import updating
 from multicell.mechanics.system import Mechanics
 
 DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
@@ -53,7 +54,7 @@ _BLOCK = 1024  # numbers of an array that are worked on at a time
 
 
 class Source(NamedTuple):
-    """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
+    """Arguments of the kernels besides the pairs; ``cells.reference``, ``.margin`` are written.
 
     ``forces_at``, ``rebuild_at`` and ``repair_at`` (0: lists are not repaired) are the addresses of
     the kernels, for one thread or for all, ``evaluation_at`` that of the function that calls them.
@@ -202,43 +203,20 @@ def _evaluation(source, pairs, elapsed, position, out):
     ):  # fmt: skip
         if not _is_finite(position):
             return NOT_FINITE, pairs
-        if source.repair_at != 0:
-            repaired, inner_end, outer_end = _repair_at(
-                source.repair_at, position, cells.reference, source.reach, cells.margin,
-                source.least_margin, cells.chunk, pairs.first, pairs.second, pairs.start,
-                pairs.inner_end, pairs.outer_end,
-            )  # fmt: skip
-            if repaired:
-                source.counts[LIST_REPAIRS] += 1
-                pairs = forces.PairData(
-                    pairs.first, pairs.second, pairs.start, inner_end, outer_end, pairs.sticky,
-                    pairs.unit, pairs.onset,
-                )  # fmt: skip
-                continue
-        source.counts[LIST_BUILDS] += 1
-        reach = neighbours.widened(
-            position, cells.reference, source.reach, source.least_margin, cells.margin
-        )
-        crowded, first, second, start, inner_end, outer_end = _rebuild_at(
-            source.rebuild_at, position, reach, 0.0, cells.chunk, pairs.first, pairs.second
-        )
-        if crowded:
-            # the old list is overwritten, and does not fit the new margins: the next state builds
-            cells.reference[:] = np.nan
+        found, listed = updating.update_list(
+            source.rebuild_at, source.repair_at, position, cells.reference, source.reach,
+            cells.margin, source.least_margin, cells.chunk,
+            (pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end),
+            pairs.first, pairs.second,
+        )  # fmt: skip
+        source.counts[LIST_REPAIRS if found == updating.REPAIRED else LIST_BUILDS] += 1
+        if found == updating.TOO_CROWDED:
             return REJECTED, pairs
-        copy(position, cells.reference)
-        pairs = forces.PairData(
-            first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
-        )
+        pairs = forces.PairData(*listed, pairs.sticky, pairs.unit, pairs.onset)
     return DONE, pairs
 
 
-_INDEX, _ENDS = types.int32[::1], types.int64[::1]
-_LISTED = types.Tuple((types.boolean, _INDEX, _INDEX, _ENDS, _ENDS, _ENDS))
-_REPAIRED = types.Tuple((types.boolean, _ENDS, _ENDS))
 _forces_at = called_at(8, lambda *_: types.boolean)
-_rebuild_at = called_at(6, lambda *_: _LISTED)
-_repair_at = called_at(11, lambda *_: _REPAIRED)
 _missed_at = called_at(12, lambda *_: types.float64)
 # the evaluation would be compiled into a loop at every call
 _evaluate_at = called_at(5, lambda _, source, pairs, *__: types.Tuple((types.intp, pairs)))
@@ -263,10 +241,10 @@ def with_addresses(
         shared,
         passes,
         watched,
-        len(source.reach) >= neighbours.REPAIRED,
+        len(source.reach) >= updating.REPAIR_FROM,
     )
     if key not in _PLACES:
-        used = kernels(source, pairs, shared=shared, passes=passes)
+        used = stepping_kernels(source, pairs, shared=shared, passes=passes)
         if watched:
             at = np.empty((0, 3))
             used["missed_at"] = (
@@ -292,29 +270,23 @@ def with_addresses(
 _PLACES: dict[Any, dict[str, Any]] = {}
 
 
-def kernels(
+def stepping_kernels(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, tuple[Any, ...]]:
-    """Return what :func:`address_of` takes of the kernels by their names in :class:`Source`."""
-    place, found = np.empty((0, 3)), (True, *pairs[:5])
-    run, build, repair = forces.forces, neighbours.rebuild, neighbours.repair
-    if shared:
-        run, build = forces.forces_parallel, neighbours.rebuild_parallel
-        repair = neighbours.repair_parallel
+    """Return the kernels as :func:`address_of` takes them, by their names in :class:`Source`."""
+    place = np.empty((0, 3))
+    run = forces.forces_parallel if shared else forces.forces
     known: dict[str, tuple[Any, ...]] = {
         "forces_at": (
             run, True, source.cells, pairs, source.law, place, 0.0, True, source.rows, place
         ),
-        "rebuild_at": (build, found, place, source.reach, 0.0, source.cells.chunk, *pairs[:2]),
         "evaluation_at": (_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }  # fmt: skip
-    if len(source.reach) >= neighbours.REPAIRED:
-        known["repair_at"] = (
-            repair, (True, *pairs[3:5]), place, place, source.reach, source.cells.margin, 0.0,
-            source.cells.chunk, *pairs[:5],
-        )  # fmt: skip
+    known |= updating.kernel_calls(
+        place, source.reach, source.cells.chunk, pairs[:5], shared=shared
+    )
     if passes:
-        known |= fused.kernels(source.cells.radius, shared=shared)
+        known |= fused.fused_kernels(source.cells.radius, shared=shared)
     return known
 
 
@@ -343,7 +315,7 @@ def displace(position, step, direction, out):
 
 
 @arithmetic
-def combine(position, step, weights, slopes, count, out):
+def combine_slopes(position, step, weights, slopes, count, out):
     """Write position + step Σ_j weights_j slopes_j over the first ``count`` slopes.
 
     In blocks that stay in the nearest cache, while each slope streams through once.
@@ -367,7 +339,7 @@ def error_of(step, weights, slopes, out):
     y = out.reshape(-1)
     for k in range(y.size):
         y[k] = 0.0
-    combine(out, step, weights, slopes, weights.size, out)
+    combine_slopes(out, step, weights, slopes, weights.size, out)
 
 
 @arithmetic

@@ -5,6 +5,9 @@ from __future__ import annotations
 from numba import njit
 
 from multicell.compiling import INLINED, KERNEL
+from multicell.mechanics.rows import RADIUS
+
+XX, YY, ZZ, XY, XZ, YZ = range(6)  # columns of symmetric matrices, one a row
 
 NEARLY_SINGULAR = 1e7  # ratio of eigenvalues from which on cofactors of a block have no digits left
 
@@ -12,12 +15,12 @@ NEARLY_SINGULAR = 1e7  # ratio of eigenvalues from which on cofactors of a block
 @njit(**INLINED)
 def add_block(out, i, k, t, nx, ny, nz):
     """Add k n nᵀ + t I to the block of cell i."""
-    out[i, 0] += k * nx * nx + t
-    out[i, 1] += k * ny * ny + t
-    out[i, 2] += k * nz * nz + t
-    out[i, 3] += k * nx * ny
-    out[i, 4] += k * nx * nz
-    out[i, 5] += k * ny * nz
+    out[i, XX] += k * nx * nx + t
+    out[i, YY] += k * ny * ny + t
+    out[i, ZZ] += k * nz * nz + t
+    out[i, XY] += k * nx * ny
+    out[i, XZ] += k * nx * nz
+    out[i, YZ] += k * ny * nz
 
 
 @njit(**KERNEL)
@@ -53,32 +56,32 @@ def invert_by_pivots(a, b, c, f, g, h, least, out):
     s = (h - p * g) * two
     three = 1.0 / max(c - q * g - s * (h - p * g), least)
     t = p * s - q
-    out[0] = one + p * p * two + t * t * three
-    out[1] = two + s * s * three
-    out[2] = three
-    out[3] = -p * two - t * s * three
-    out[4] = t * three
-    out[5] = -s * three
+    out[XX] = one + p * p * two + t * t * three
+    out[YY] = two + s * s * three
+    out[ZZ] = three
+    out[XY] = -p * two - t * s * three
+    out[XZ] = t * three
+    out[YZ] = -s * three
 
 
 @njit(**KERNEL)
 def invert_blocks(rows, blocks, gamma, drag, out):
     """Write the inverse of I + γ/Γ_i times each block, in the same six entries."""
     for i in range(rows.shape[0]):
-        w = gamma / (drag * rows[i, 3])
-        a, b, c = 1.0 + w * blocks[i, 0], 1.0 + w * blocks[i, 1], 1.0 + w * blocks[i, 2]
-        f, g, h = w * blocks[i, 3], w * blocks[i, 4], w * blocks[i, 5]
+        w = gamma / (drag * rows[i, RADIUS])
+        a, b, c = 1.0 + w * blocks[i, XX], 1.0 + w * blocks[i, YY], 1.0 + w * blocks[i, ZZ]
+        f, g, h = w * blocks[i, XY], w * blocks[i, XZ], w * blocks[i, YZ]
         if max(a, b, c) > NEARLY_SINGULAR:
             invert_by_pivots(a, b, c, f, g, h, 1.0, out[i])
             continue
         xx, xy, xz = b * c - h * h, g * h - f * c, f * h - b * g
         scale = 1.0 / (a * xx + f * xy + g * xz)
-        out[i, 0] = xx * scale
-        out[i, 1] = (a * c - g * g) * scale
-        out[i, 2] = (a * b - f * f) * scale
-        out[i, 3] = xy * scale
-        out[i, 4] = xz * scale
-        out[i, 5] = (f * g - a * h) * scale
+        out[i, XX] = xx * scale
+        out[i, YY] = (a * c - g * g) * scale
+        out[i, ZZ] = (a * b - f * f) * scale
+        out[i, XY] = xy * scale
+        out[i, XZ] = xz * scale
+        out[i, YZ] = (f * g - a * h) * scale
 
 
 @njit(**KERNEL)
@@ -86,6 +89,6 @@ def apply_blocks(inverse, vector, out):
     """Write the product of each cell's symmetric 3 x 3 matrix with its part of ``vector``."""
     for i in range(inverse.shape[0]):
         x, y, z = vector[i, 0], vector[i, 1], vector[i, 2]
-        out[i, 0] = inverse[i, 0] * x + inverse[i, 3] * y + inverse[i, 4] * z
-        out[i, 1] = inverse[i, 3] * x + inverse[i, 1] * y + inverse[i, 5] * z
-        out[i, 2] = inverse[i, 4] * x + inverse[i, 5] * y + inverse[i, 2] * z
+        out[i, 0] = inverse[i, XX] * x + inverse[i, XY] * y + inverse[i, XZ] * z
+        out[i, 1] = inverse[i, XY] * x + inverse[i, YY] * y + inverse[i, YZ] * z
+        out[i, 2] = inverse[i, XZ] * x + inverse[i, YZ] * y + inverse[i, ZZ] * z

@@ -39,6 +39,7 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics import forces, neighbours
+from multicell.mechanics.rows import RADIUS
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
@@ -58,12 +59,12 @@ def _overlap(rows, pairs, p):
     """Return π r_ij, the overlap (0 without) and the vector of a pair, µm, and its length."""
     i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
     dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
-    total, square = rows[i, 3] + rows[j, 3], dx * dx + dy * dy + dz * dz
+    total, square = rows[i, RADIUS] + rows[j, RADIUS], dx * dx + dy * dy + dz * dz
     if square >= total * total:
         return 0.0, 0.0, dx, dy, dz, 1.0
     d = math.sqrt(square + _TINY)
     h = total - d
-    return math.pi * rows[i, 3] * rows[j, 3] / total, max(h, 0.0), dx, dy, dz, d
+    return math.pi * rows[i, RADIUS] * rows[j, RADIUS] / total, max(h, 0.0), dx, dy, dz, d
 
 
 @njit(**INNER)
@@ -170,7 +171,7 @@ _SOFTEN, _PRODUCTS = two_drivers(_soften), two_drivers(_products)
 
 
 class Coupling(NamedTuple):
-    """What the change of pressures needs at one state.
+    """Derivatives that the change of pressures needs at one state.
 
     - ``slope``, (m,) µm²: dv/dh of each place of the list, v half the lens of a pair
     - ``weight``, (n,) kPa/µm³: f''(s_i)/V_i
@@ -193,7 +194,7 @@ class Pressed(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Compression:
+class TissueCompression:
     """Resistance of tissue to compression; see the module's text.
 
     Cells come as ``rows`` (n, 5 or more), pairs as :class:`multicell.mechanics.forces.PairData`.
@@ -239,9 +240,9 @@ class Compression:
             walls.settle(rows, self, taken)
             contacts = walls.contacts(rows)
         if contacts is not None:
-            caps = np.pi * rows[contacts.cell, 3] * contacts.overlap**2
+            caps = np.pi * rows[contacts.cell, RADIUS] * contacts.overlap**2
             np.add.at(taken, contacts.cell, caps)
-        taken /= SPHERE * cubes(rows[:, 3])
+        taken /= SPHERE * cubes(rows[:, RADIUS])
         return Pressed(taken, self.law(taken)[1], contacts)
 
     def add_forces(
@@ -266,7 +267,7 @@ class Compression:
 
         Walls that yield do so.
         """
-        near = neighbours.build(rows[:, :3].copy(), rows[:, 3].copy(), 0.0)
+        near = neighbours.build(rows[:, :3].copy(), rows[:, RADIUS].copy(), 0.0)
         ends = near.start, near.inner_end, near.outer_end
         pairs = forces.PairData(near.first, near.second, *ends, None, None, None)
         pressed = self.pressed(rows, pairs, near.chunk, walls)
@@ -276,7 +277,7 @@ class Compression:
 
     def energy(self, rows: FloatArray, pressed: Pressed) -> float:
         """Return Σ V_i f(s_i), fJ."""
-        return float(SPHERE * (cubes(rows[:, 3]) * self.law(pressed.compression)[0]).sum())
+        return float(SPHERE * (cubes(rows[:, RADIUS]) * self.law(pressed.compression)[0]).sum())
 
     def linearise(
         self, rows: FloatArray, pressed: Pressed,
@@ -285,13 +286,15 @@ class Compression:
         """Add the stiffness at fixed pressures to a linearisation; return what is left."""
         slope, found = np.zeros(len(linear.along)), pressed.contacts
         _SOFTEN[shared](rows, linear.data, pressed.pressure, slope, linear.along, linear.across)
-        weight = self.law(pressed.compression)[2] / (SPHERE * cubes(rows[:, 3]))
+        weight = self.law(pressed.compression)[2] / (SPHERE * cubes(rows[:, RADIUS]))
         area = np.empty(0)
         if found is not None:
             area = areas(rows, found)
             own = pressed.pressure[found.cell]
             found.add_blocks(
-                own * 2.0 * np.pi * rows[found.cell, 3], own * area * found.curvature, linear.walls
+                own * 2.0 * np.pi * rows[found.cell, RADIUS],
+                own * area * found.curvature,
+                linear.walls,
             )
         return Coupling(slope, weight, found, area)
 
@@ -302,7 +305,7 @@ class Compression:
         """Add the derivative of the forces by the radius of a spherical wall, (n, 3) nN/µm."""
         found, still = pressed.contacts, np.zeros_like(out)
         assert found is not None
-        fixed = pressed.pressure[found.cell] * 2.0 * np.pi * rows[found.cell, 3]
+        fixed = pressed.pressure[found.cell] * 2.0 * np.pi * rows[found.cell, RADIUS]
         out[found.cell] += fixed[:, None] * found.normal
         self.add_products(chunk, rows, linear, 0.0, still, out, shared=shared, widened=1.0)
 
@@ -335,12 +338,12 @@ class Compression:
 
 def _mobility(rows: FloatArray, drag: float) -> FloatArray:
     """Return 1/(6πη r) of each cell for velocities, or ones for forces, where ``drag`` is zero."""
-    return np.asarray(1.0 / (drag * rows[:, 3])) if drag > 0.0 else np.ones(len(rows))
+    return np.asarray(1.0 / (drag * rows[:, RADIUS])) if drag > 0.0 else np.ones(len(rows))
 
 
 def areas(rows: FloatArray, contacts: Contacts) -> FloatArray:
     """Return 2π r h of contacts with walls, µm²."""
-    return np.asarray(2.0 * np.pi * rows[contacts.cell, 3] * contacts.overlap)
+    return np.asarray(2.0 * np.pi * rows[contacts.cell, RADIUS] * contacts.overlap)
 
 
 def stiffened(linear: Linearisation) -> Linearisation:

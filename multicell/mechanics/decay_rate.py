@@ -1,4 +1,4 @@
-"""How fast the stiffest motion of a state decays: an eigenvalue of the Jacobian.
+"""Largest decay rate of a state: an eigenvalue of the Jacobian.
 
 The Jacobian is J = -Γ⁻¹K with a symmetric stiffness K and, without friction between cells, a
 diagonal drag Γ. So Γ^{1/2} J Γ^{-1/2} is symmetric and has the same, real eigenvalues.
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from multicell.mechanics.rows import RADIUS
 from multicell.random import Purpose, normal
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def _by_one_sweep(
 def symmetric_product(system: Mechanics, dimensions: int) -> Callable[[FloatArray], FloatArray]:
     """Return v -> Γ^{1/2} J Γ^{-1/2} v, (d n,) 1/s, at the system's last linearisation."""
     # the constant 6πη of the drag cancels
-    root = np.sqrt(system.rows[:, 3])[:, None]
+    root = np.sqrt(system.rows[:, RADIUS])[:, None]
     shape = (len(system), dimensions)
     out = np.empty((len(system), 3))
 

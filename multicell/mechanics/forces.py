@@ -30,15 +30,19 @@ from numpy.typing import NDArray
 
 from multicell.compiling import ADDRESSED, INLINED, INNER, KERNEL
 from multicell.compiling.threads import two_drivers
-from multicell.mechanics.pairs import pair_law
+from multicell.mechanics.pairs import evaluate_pair
+from multicell.mechanics.rows import COMPLIANCE, LIGAND, RADIUS, RECEPTOR
 
 BLOCK = 256  # pairs that are gathered before the law is evaluated on them
 
 _TINY = 1e-300  # keeps coincident centres finite: their direction, and so their force, is zero
 
 
+_RECEPTOR, _LIGAND, _RECEPTOR_RATE, _LIGAND_RATE = range(4)  # columns of the cells' bonds
+
+
 class CellData(NamedTuple):
-    """What is known of the cells over a coupling step; times count from its beginning.
+    """Data of the cells over a coupling step; times count from its beginning.
 
     ``reference`` are the positions that the list was built at, ``margin`` how far each cell may
     drift from there, µm. ``bonds`` is (n, 4) with receptor, ligand and their rates, ``push`` (n, 6)
@@ -122,7 +126,7 @@ def _pack_chunk(c, cells, position, elapsed, rows):
         rows[i, 0] = x
         rows[i, 1] = y
         rows[i, 2] = z
-        rows[i, 3] = cells.radius[i] + cells.radius_rate[i] * elapsed
+        rows[i, RADIUS] = cells.radius[i] + cells.radius_rate[i] * elapsed
         x -= cells.reference[i, 0]
         y -= cells.reference[i, 1]
         z -= cells.reference[i, 2]
@@ -136,8 +140,8 @@ def _pack_bonds(bonds, begin, end, elapsed, rows):
     if bonds is None:
         return
     for i in range(begin, end):
-        rows[i, 5] = bonds[i, 0] + bonds[i, 2] * elapsed
-        rows[i, 6] = bonds[i, 1] + bonds[i, 3] * elapsed
+        rows[i, RECEPTOR] = bonds[i, _RECEPTOR] + bonds[i, _RECEPTOR_RATE] * elapsed
+        rows[i, LIGAND] = bonds[i, _LIGAND] + bonds[i, _LIGAND_RATE] * elapsed
 
 
 @final
@@ -293,9 +297,9 @@ def _gather(rows, pairs, bond, begin, count, block):
         block[_DX, p] = rows[j, 0] - rows[i, 0]
         block[_DY, p] = rows[j, 1] - rows[i, 1]
         block[_DZ, p] = rows[j, 2] - rows[i, 2]
-        block[_TOTAL, p] = rows[i, 3] + rows[j, 3]
-        block[_PRODUCT, p] = rows[i, 3] * rows[j, 3]
-        block[_SOFT, p] = rows[i, 4] + rows[j, 4]
+        block[_TOTAL, p] = rows[i, RADIUS] + rows[j, RADIUS]
+        block[_PRODUCT, p] = rows[i, RADIUS] * rows[j, RADIUS]
+        block[_SOFT, p] = rows[i, COMPLIANCE] + rows[j, COMPLIANCE]
     _gather_bonds(rows, pairs, bond, begin, count, block)
 
 
@@ -305,7 +309,7 @@ def _gather_bonds(rows, pairs, bond, begin, count, block):
         return
     for p in range(count):
         i, j = np.uint32(pairs.first[begin + p]), np.uint32(pairs.second[begin + p])
-        block[_BONDS, p] = rows[i, 5] * rows[j, 6] + rows[i, 6] * rows[j, 5]
+        block[_BONDS, p] = rows[i, RECEPTOR] * rows[j, LIGAND] + rows[i, LIGAND] * rows[j, RECEPTOR]
 
 
 @njit(**INLINED)
@@ -325,7 +329,7 @@ def _evaluate(pairs, law, elapsed, begin, count, block, slope):
         h = block[_TOTAL, p] - d
         modulus = w * block[_TOTAL, p] * d
         radius = block[_PRODUCT, p] * (w * block[_SOFT, p] * d)
-        force, stiffness, _ = pair_law(
+        force, stiffness, _ = evaluate_pair(
             law, h, modulus, radius, block[_TOTAL, p],
             _at(pairs.sticky, begin + p, law.adhesion_constant),
             _unit_at(pairs.unit, begin + p, elapsed), _at(pairs.onset, begin + p, 0.0),
@@ -382,7 +386,7 @@ def _force_chunk(c, cells, rows, pairs, law, elapsed, stokes, out):
         # reading the rows in their order brings them near for the gather, which has none
         sums[i - low, 0] = 0.0 * abs(rows[i, 0])
         sums[i - low, 1] = 0.0
-        sums[i - low, 2] = 0.0 * rows[i, 4]
+        sums[i - low, 2] = 0.0 * rows[i, COMPLIANCE]
         sums[i - low, 3] = 0.0
     block = np.empty((9, BLOCK))
     for side in range(2):
@@ -395,7 +399,7 @@ def _force_chunk(c, cells, rows, pairs, law, elapsed, stokes, out):
             _scatter(pairs, begin, count, low, side == 0, block, sums)
     for i in range(low, high):
         # Stokes
-        mobility = 1.0 / (law.medium_drag * rows[i, 3]) if stokes else 1.0
+        mobility = 1.0 / (law.medium_drag * rows[i, RADIUS]) if stokes else 1.0
         for axis in range(3):
             out[i, axis] = _pushed(cells.push, i, axis, elapsed, sums[i - low, axis]) * mobility
 
@@ -438,10 +442,10 @@ def _vector(rows, i, j):
 def _energy_between(rows, i, j, pairs, p, law, elapsed):
     """Return the energy of two cells, whose pair stands at place ``p``."""
     d = _vector(rows, i, j)[3]
-    total = rows[i, 3] + rows[j, 3]
-    h, radius = total - d, rows[i, 3] * rows[j, 3] / total
-    _, _, energy = pair_law(
-        law, h, 1.0 / (rows[i, 4] + rows[j, 4]), radius, total,
+    total = rows[i, RADIUS] + rows[j, RADIUS]
+    h, radius = total - d, rows[i, RADIUS] * rows[j, RADIUS] / total
+    _, _, energy = evaluate_pair(
+        law, h, 1.0 / (rows[i, COMPLIANCE] + rows[j, COMPLIANCE]), radius, total,
         _at(pairs.sticky, p, law.adhesion_constant), _unit_at(pairs.unit, p, elapsed),
         _at(pairs.onset, p, 0.0), True, True,
     )  # fmt: skip
@@ -453,7 +457,7 @@ def _energy_between(rows, i, j, pairs, p, law, elapsed):
 def _bonds_of(bond, rows, i, j):
     if bond is None:
         return 0.0
-    return rows[i, 5] * rows[j, 6] + rows[i, 6] * rows[j, 5]
+    return rows[i, RECEPTOR] * rows[j, LIGAND] + rows[i, LIGAND] * rows[j, RECEPTOR]
 
 
 @njit(**KERNEL)
@@ -496,7 +500,7 @@ half_virials, half_virials_parallel = two_drivers(_half_virials)
 
 
 @njit(**KERNEL)
-def overlaps(rows, pairs, elapsed, out):
+def mark_contacts(rows, pairs, elapsed, out):
     """Mark the pairs in contact: an overlap above zero, or above the onset.
 
     Of an outer pair, which stands in two chunks, only the one with the smaller first cell. A law
@@ -508,7 +512,7 @@ def overlaps(rows, pairs, elapsed, out):
             i, j = pairs.first[p], pairs.second[p]
             if p >= pairs.inner_end[c] and j < i:
                 continue
-            h = rows[i, 3] + rows[j, 3] - _vector(rows, i, j)[3]
+            h = rows[i, RADIUS] + rows[j, RADIUS] - _vector(rows, i, j)[3]
             out[p] = _touches(h, pairs.unit, pairs.onset, p, elapsed)
 
 
@@ -525,12 +529,12 @@ _PARTS = 16  # of a step, in which the attraction of a contact that forms is add
 @njit(**INLINED)
 def _attraction(rows, i, j, pairs, p, law, elapsed, overlap):
     """Return with how much force two cells attract each other at an overlap, nN, or zero."""
-    total = rows[i, 3] + rows[j, 3]
-    radius = rows[i, 3] * rows[j, 3] / total
-    force, _, _ = pair_law(
+    total = rows[i, RADIUS] + rows[j, RADIUS]
+    radius = rows[i, RADIUS] * rows[j, RADIUS] / total
+    force, _, _ = evaluate_pair(
         law,
         overlap,
-        1.0 / (rows[i, 4] + rows[j, 4]),
+        1.0 / (rows[i, COMPLIANCE] + rows[j, COMPLIANCE]),
         radius,
         total,
         _at(pairs.sticky, p, law.adhesion_constant),
@@ -563,7 +567,7 @@ def pairs_about_to_touch(pairs, rows, elapsed, horizon, places):
         for p in range(pairs.start[c], pairs.outer_end[c]):
             i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
             dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
-            reach = rows[i, 3] + rows[j, 3]
+            reach = rows[i, RADIUS] + rows[j, RADIUS]
             reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
             low, square = max(reach - horizon, 0.0), dx * dx + dy * dy + dz * dz
             places[count] = p
@@ -619,7 +623,7 @@ def missed_among_all(
     """Do what :func:`missed_contact` does with all pairs; cells move by ``moved`` of a radius."""
     largest, growth = 0.0, 0.0
     for i in range(cells.radius.size):
-        largest, growth = max(largest, rows[i, 3]), max(growth, abs(cells.radius_rate[i]))
+        largest, growth = max(largest, rows[i, RADIUS]), max(growth, abs(cells.radius_rate[i]))
     way = 2.0 * (moved * largest + growth * step)
     places = np.empty(pairs.first.size, dtype=np.int64)
     count = pairs_about_to_touch(pairs, rows, elapsed, way, places)
@@ -657,7 +661,7 @@ def _part_taken(
     nearest = min(min(gap, end) - dip, gap - step * max(narrowing, end_narrowing))
     if nearest >= 0.0:
         return 1.0
-    mobility = (1.0 / rows[i, 3] + 1.0 / rows[j, 3]) / law.medium_drag
+    mobility = (1.0 / rows[i, RADIUS] + 1.0 / rows[j, RADIUS]) / law.medium_drag
     least = tolerance / _PARTS
     # a law that acts from afar has some of it before
     afar = _attraction(rows, i, j, pairs, p, law, elapsed, begin - least)
@@ -771,7 +775,7 @@ def _product_chunk(c, chunk, rows, pairs, normal, along, across, drag, v, out):
                 if side == 0:
                     sums[j - low, axis] += pull
     for i in range(low, high):
-        mobility = 1.0 / (drag * rows[i, 3]) if drag > 0.0 else 1.0
+        mobility = 1.0 / (drag * rows[i, RADIUS]) if drag > 0.0 else 1.0
         for axis in range(3):
             out[i, axis] = sums[i - low, axis] * mobility
 

@@ -33,6 +33,7 @@ from multicell.compiling import KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.neighbours import PairList
+from multicell.mechanics.rows import RADIUS
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from multicell.mechanics.prescribed import Prescribed
 
 _TINY = 1e-300
+_OWN, _OTHER = range(2)  # columns of ``near``
+_ACROSS, _X, _Y, _Z = range(4)  # columns of ``link``
 _MOST = 2000  # iterations after which a solution is given up
 
 
@@ -92,19 +95,19 @@ def _touching(begin, end, at, rows, first, second, normal, tangential, near, lin
         dx = rows[j, 0] - rows[i, 0]
         dy = rows[j, 1] - rows[i, 1]
         dz = rows[j, 2] - rows[i, 2]
-        gap = rows[i, 3] + rows[j, 3]
+        gap = rows[i, RADIUS] + rows[j, RADIUS]
         d = math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
         w = 1.0 / (d * gap)
         h = gap - d
-        area = math.pi * (rows[i, 3] * rows[j, 3]) * (w * d) * max(h, 0.0)
-        near[at, 0] = first[p]
-        near[at, 1] = second[p]
-        link[at, 0] = area * tangential
+        area = math.pi * (rows[i, RADIUS] * rows[j, RADIUS]) * (w * d) * max(h, 0.0)
+        near[at, _OWN] = first[p]
+        near[at, _OTHER] = second[p]
+        link[at, _ACROSS] = area * tangential
         if spread > 0.0:
             root = math.sqrt(area * spread) * (w * gap)
-            link[at, 1] = dx * root
-            link[at, 2] = dy * root
-            link[at, 3] = dz * root
+            link[at, _X] = dx * root
+            link[at, _Y] = dy * root
+            link[at, _Z] = dz * root
         at += np.int64(h > 0.0)
     return at
 
@@ -122,16 +125,16 @@ def _measure_chunk(c, gamma, first, second, inner_end, outer_end, rows, normal, 
         ends[c, side] = at
     low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, rows.shape[0])
     for i in range(low, high):
-        gamma.stokes[i] = drag * rows[i, 3]
+        gamma.stokes[i] = drag * rows[i, RADIUS]
         inverse[i] = gamma.stokes[i]
     for p in range(start, at):
-        mean = link[p, 0]
+        mean = link[p, _ACROSS]
         if gamma.sign != 0.0:
-            x, y, z = link[p, 1], link[p, 2], link[p, 3]
+            x, y, z = link[p, _X], link[p, _Y], link[p, _Z]
             mean += (gamma.sign / 3.0) * (x * x + y * y + z * z)
-        inverse[np.uint32(near[p, 0])] += mean
+        inverse[np.uint32(near[p, _OWN])] += mean
         if p < ends[c, 0]:
-            inverse[np.uint32(near[p, 1])] += mean
+            inverse[np.uint32(near[p, _OTHER])] += mean
     for i in range(low, high):
         inverse[i] = 1.0 / inverse[i]
 
@@ -142,18 +145,18 @@ def _pair_sums(begin, end, inner, sign, near, link, v, out):
     p = begin
     # pairs with the same first cell follow each other: its sum stays in registers
     while p < end:
-        own = near[p, 0]
+        own = near[p, _OWN]
         i = np.uint32(own)
         vx, vy, vz = v[i, 0], v[i, 1], v[i, 2]
         sx, sy, sz = 0.0, 0.0, 0.0
-        while p < end and near[p, 0] == own:
-            j = np.uint32(near[p, 1])
+        while p < end and near[p, _OWN] == own:
+            j = np.uint32(near[p, _OTHER])
             ux, uy, uz = vx - v[j, 0], vy - v[j, 1], vz - v[j, 2]
-            w = link[p, 0]
+            w = link[p, _ACROSS]
             if sign == 0.0:
                 fx, fy, fz = w * ux, w * uy, w * uz
             else:
-                x, y, z = link[p, 1], link[p, 2], link[p, 3]
+                x, y, z = link[p, _X], link[p, _Y], link[p, _Z]
                 along = sign * (x * ux + y * uy + z * uz)
                 fx, fy, fz = w * ux + along * x, w * uy + along * y, w * uz + along * z
             sx += fx
@@ -290,7 +293,7 @@ conjugate_gradients, conjugate_gradients_parallel = two_drivers(_conjugate_gradi
 
 
 @njit(**KERNEL)
-def apply(gamma, v, out):
+def apply_friction(gamma, v, out):
     """Write Γ v, nN."""
     for c in range(gamma.start.size):
         _apply_chunk(c, gamma, v, out)
@@ -349,7 +352,7 @@ class FrictionMatrix:
 
     def apply(self, vector: FloatArray, out: FloatArray) -> None:
         """Write Γ v, nN, for ``vector`` in µm/s."""
-        apply(self.gamma, vector, out)
+        apply_friction(self.gamma, vector, out)
 
     def solve(
         self,

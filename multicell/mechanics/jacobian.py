@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from multicell.compiling import KERNEL
 from multicell.mechanics import neighbours
+from multicell.mechanics.rows import COMPLIANCE, RADIUS
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -39,8 +40,8 @@ def limit_softening(rows, first, second, start, outer_end, fraction, along, acro
             stiffest = max(stiffest, along[p] - across[p])
             if along[p] < across[p]:
                 i, j = first[p], second[p]
-                radius = rows[i, 3] * rows[j, 3] / (rows[i, 3] + rows[j, 3])
-                least = -fraction * radius / (rows[i, 4] + rows[j, 4])
+                radius = rows[i, RADIUS] * rows[j, RADIUS] / (rows[i, RADIUS] + rows[j, RADIUS])
+                least = -fraction * radius / (rows[i, COMPLIANCE] + rows[j, COMPLIANCE])
                 along[p] = max(along[p], across[p] + least)
     return stiffest
 
@@ -88,7 +89,7 @@ def sparse_jacobian(system: Mechanics, linear: Linearisation | None = None) -> A
     sides = np.stack([np.ones(len(place), np.bool_), inner], axis=1).ravel()
     i = np.stack([first, second], axis=1).ravel()[sides].astype(np.int64)
     j = np.stack([second, first], axis=1).ravel()[sides].astype(np.int64)
-    mobility = 1.0 / (system.drag * system.rows[:, 3])
+    mobility = 1.0 / (system.drag * system.rows[:, RADIUS])
     six = mobility[i, None] * np.repeat(six, 2, axis=0)[sides]
     own = -np.stack([np.bincount(i, six[:, k], n) for k in range(6)], axis=1).astype(float)
     if linear.walls.size:

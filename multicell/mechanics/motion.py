@@ -1,4 +1,4 @@
-"""What is known of the cells during one coupling step, and what its integration has cost."""
+"""The cells' motion during one coupling step as integrators see it, and its cost."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, 
     """A trial state that has no meaning: not finite, or with too many cells in one place."""
 
 
-@final
 @dataclass
 class Work:
-    """Counts of what an integration has cost."""
+    """Counts of what an integration has cost; methods may add counts of their own."""
 
     evaluations: int = 0
     linearisations: int = 0
@@ -33,11 +32,6 @@ class Work:
     newton_iterations: int = 0
     linear_iterations: int = 0
     factorisations: int = 0
-    steps_ab2_adaptive: int = 0
-    steps_rk4_adaptive: int = 0
-    steps_rkc2: int = 0
-    steps_rosenbrock: int = 0
-    steps_cvode: int = 0
     friction_iterations: int = 0
 
     @property
@@ -58,7 +52,7 @@ class Work:
 @final
 @dataclass
 class Motion:
-    """What is known of the cells during one coupling step, from ``begin`` to ``end``.
+    """Motion of the cells during one coupling step, from ``begin`` to ``end``.
 
     - ``radius``, ``radius_rate``, (n,): radius at ``begin``, µm, and its constant rate, µm/s
     - ``young``, ``poisson``, (n,): elastic constants, kPa and dimensionless

@@ -1,8 +1,9 @@
 """The pair laws as the kernels call them: chosen by the type of a law's constants.
 
-:func:`pair_law` stands for the function of any law. Where numba meets it, the type of the constants
-says which function is compiled in its place, and that is inlined: what the caller does not use of
-force, stiffness and energy costs nothing, and laws that a scene does not use are not compiled.
+:func:`evaluate_pair` stands for the function of any law. Where numba meets it, the type of the
+constants says which function is compiled in its place, and that is inlined: what the caller does
+not use of force, stiffness and energy costs nothing, and laws that a scene does not use are not
+compiled.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numba.extending import overload, register_jitable
 from multicell.contact.constants import function_of, helpers_of
 
 
-def pair_law(p, overlap, modulus, radius, rest, adhesion, unit, onset, slope, energy):
+def evaluate_pair(p, overlap, modulus, radius, rest, adhesion, unit, onset, slope, energy):
     """Return force (nN), stiffness (nN/µm) and energy (fJ) of a pair.
 
     The arguments are those of :mod:`multicell.contact.constants`; a law gets those that its
@@ -27,7 +28,7 @@ def pair_law(p, overlap, modulus, radius, rest, adhesion, unit, onset, slope, en
     return found.whole(overlap, modulus, radius, p, *map(values.get, found.further))
 
 
-@overload(pair_law, jit_options={"error_model": "numpy", "forceinline": True})
+@overload(evaluate_pair, jit_options={"error_model": "numpy", "forceinline": True})
 def _compiled(p, overlap, modulus, radius, rest, adhesion, unit, onset, slope, energy):
     if not isinstance(p, types.BaseNamedTuple):
         return None

@@ -25,7 +25,18 @@ from numba import njit, prange
 
 from multicell.compiling import KERNEL
 from multicell.compiling.threads import two_drivers
-from multicell.mechanics.blocks import NEARLY_SINGULAR, add_block, invert_by_pivots
+from multicell.mechanics.blocks import (
+    NEARLY_SINGULAR,
+    XX,
+    XY,
+    XZ,
+    YY,
+    YZ,
+    ZZ,
+    add_block,
+    invert_by_pivots,
+)
+from multicell.mechanics.rows import RADIUS
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -57,8 +68,8 @@ def _collect_chunk(
     low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])
     for i in range(low, high):
         begin[i, 0] = begin[i, 1] = 0
-        blocks[i, 0] = blocks[i, 1] = blocks[i, 2] = drag * rows[i, 3]
-        blocks[i, 3] = blocks[i, 4] = blocks[i, 5] = 0.0
+        blocks[i, XX] = blocks[i, YY] = blocks[i, ZZ] = drag * rows[i, RADIUS]
+        blocks[i, XY] = blocks[i, XZ] = blocks[i, YZ] = 0.0
     if walls.shape[0] > 0:
         for i in range(low, high):
             for k in range(walls.shape[1]):
@@ -92,20 +103,20 @@ def _collect_chunk(
 @njit(**KERNEL)
 def _invert(blocks, i):
     """Replace a symmetric 3 x 3 block by its inverse."""
-    a, b, c = blocks[i, 0], blocks[i, 1], blocks[i, 2]
-    f, g, h = blocks[i, 3], blocks[i, 4], blocks[i, 5]
+    a, b, c = blocks[i, XX], blocks[i, YY], blocks[i, ZZ]
+    f, g, h = blocks[i, XY], blocks[i, XZ], blocks[i, YZ]
     xx, xy, xz = b * c - h * h, g * h - f * c, f * h - b * g
     determinant = a * xx + f * xy + g * xz
     if not determinant > _FLAT * a * b * c:
         invert_by_pivots(a, b, c, f, g, h, _EPS * max(a, b, c), blocks[i])
         return
     scale = 1.0 / determinant
-    blocks[i, 0] = xx * scale
-    blocks[i, 1] = (a * c - g * g) * scale
-    blocks[i, 2] = (a * b - f * f) * scale
-    blocks[i, 3] = xy * scale
-    blocks[i, 4] = xz * scale
-    blocks[i, 5] = (f * g - a * h) * scale
+    blocks[i, XX] = xx * scale
+    blocks[i, YY] = (a * c - g * g) * scale
+    blocks[i, ZZ] = (a * b - f * f) * scale
+    blocks[i, XY] = xy * scale
+    blocks[i, XZ] = xz * scale
+    blocks[i, YZ] = (f * g - a * h) * scale
 
 
 def _factor(
@@ -127,14 +138,14 @@ def _sweep_chunk(c, chunk, rows, drag, begin, near, link, blocks, vector, out):
     """Solve (D + L) D⁻¹ (D + U) x = Γ b for the cells of one chunk."""
     low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])
     for i in range(low, high):
-        weight = drag * rows[i, 3]
+        weight = drag * rows[i, RADIUS]
         for k in range(3):
             out[i, k] = weight * vector[i, k]
     for i in range(low, high):
         x, y, z = out[i, 0], out[i, 1], out[i, 2]
-        u = blocks[i, 0] * x + blocks[i, 3] * y + blocks[i, 4] * z
-        v = blocks[i, 3] * x + blocks[i, 1] * y + blocks[i, 5] * z
-        t = blocks[i, 4] * x + blocks[i, 5] * y + blocks[i, 2] * z
+        u = blocks[i, XX] * x + blocks[i, XY] * y + blocks[i, XZ] * z
+        v = blocks[i, XY] * x + blocks[i, YY] * y + blocks[i, YZ] * z
+        t = blocks[i, XZ] * x + blocks[i, YZ] * y + blocks[i, ZZ] * z
         out[i, 0], out[i, 1], out[i, 2] = u, v, t
         for e in range(begin[i, 0], begin[i, 1]):
             nx, ny, nz, s = link[e, 0], link[e, 1], link[e, 2], link[e, 4]
@@ -153,9 +164,9 @@ def _sweep_chunk(c, chunk, rows, drag, begin, near, link, blocks, vector, out):
             x += a * nx + s * u
             y += a * ny + s * v
             z += a * nz + s * t
-        out[i, 0] += blocks[i, 0] * x + blocks[i, 3] * y + blocks[i, 4] * z
-        out[i, 1] += blocks[i, 3] * x + blocks[i, 1] * y + blocks[i, 5] * z
-        out[i, 2] += blocks[i, 4] * x + blocks[i, 5] * y + blocks[i, 2] * z
+        out[i, 0] += blocks[i, XX] * x + blocks[i, XY] * y + blocks[i, XZ] * z
+        out[i, 1] += blocks[i, XY] * x + blocks[i, YY] * y + blocks[i, YZ] * z
+        out[i, 2] += blocks[i, XZ] * x + blocks[i, YZ] * y + blocks[i, ZZ] * z
 
 
 def _sweep(chunks, chunk, rows, drag, begin, near, link, blocks, vector, out):

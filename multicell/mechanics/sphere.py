@@ -24,12 +24,13 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from multicell.mechanics.rows import COMPLIANCE, RADIUS
 from multicell.mechanics.walls import Contacts
 from multicell.vectors import lengths
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.mechanics.compression import Compression
+    from multicell.mechanics.compression import TissueCompression
 
 _ITERATIONS = 200  # bisection alone needs 60
 _TINY = 1e-300
@@ -56,14 +57,14 @@ class Sphere:
         return 4.0 / 3.0 * math.pi * self.radius**3
 
     def settle(
-        self, rows: FloatArray, compression: Compression | None, taken: FloatArray | None
+        self, rows: FloatArray, compression: TissueCompression | None, taken: FloatArray | None
     ) -> None:
         """Find R for cells at a state; ``taken`` is half of their lenses, µm³."""
         if self.shear is None:
             return
-        reach = lengths(rows[:, :3]) + rows[:, 3]
+        reach = lengths(rows[:, :3]) + rows[:, RADIUS]
         near = reach > self.rest
-        reach, radius, soft = reach[near], rows[near, 3], rows[near, 4]
+        reach, radius, soft = reach[near], rows[near, RADIUS], rows[near, COMPLIANCE]
         lenses = None if taken is None else taken[near]
         low, high = self.rest, max(float(reach.max(initial=self.rest)), self.rest)
         guess = min(max(self.radius, low), high)
@@ -84,7 +85,7 @@ class Sphere:
 
     def _excess(
         self, wall: float, reach: FloatArray, radius: FloatArray, soft: FloatArray,
-        compression: Compression | None, lenses: FloatArray | None,
+        compression: TissueCompression | None, lenses: FloatArray | None,
     ) -> tuple[float, float]:  # fmt: skip
         """Return N - 4π R² p of a radius R, nN, and minus its derivative, b."""
         h = np.maximum(reach - wall, 0.0)
@@ -103,15 +104,17 @@ class Sphere:
     def contacts(self, rows: FloatArray) -> Contacts:
         """Return the contacts of cells at the last radius."""
         distance = lengths(rows[:, :3])
-        cell = np.flatnonzero(distance + rows[:, 3] > self.radius)
+        cell = np.flatnonzero(distance + rows[:, RADIUS] > self.radius)
         inverse = 1.0 / (distance[cell] + _TINY)
         gap = self.radius - distance[cell]
-        return Contacts(cell, rows[cell, :3] * inverse[:, None], rows[cell, 3] - gap, gap, inverse)
+        return Contacts(
+            cell, rows[cell, :3] * inverse[:, None], rows[cell, RADIUS] - gap, gap, inverse
+        )
 
     def _pressed(self, rows: FloatArray) -> tuple[Contacts, FloatArray, FloatArray]:
         """Return contacts with their forces, nN, and dF/dh, nN/µm."""
         found = self.contacts(rows)
-        strength = np.sqrt(rows[found.cell, 3]) / (rows[found.cell, 4] + self.soft)
+        strength = np.sqrt(rows[found.cell, RADIUS]) / (rows[found.cell, COMPLIANCE] + self.soft)
         root = np.sqrt(found.overlap)
         return found, strength * found.overlap * root, 1.5 * strength * root
 
@@ -119,7 +122,7 @@ class Sphere:
         """Add the forces to ``out``, (n, 3) nN, or with a ``drag`` 6πη the velocities, µm/s."""
         found, force, _ = self._pressed(rows)
         if drag > 0.0:
-            force = force / (drag * rows[found.cell, 3])
+            force = force / (drag * rows[found.cell, RADIUS])
         out[found.cell] -= force[:, None] * found.normal
 
     def stiffness(self, rows: FloatArray) -> FloatArray:

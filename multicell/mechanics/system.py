@@ -7,7 +7,7 @@ values at the two ends, so that volumes are exact at both ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, final
 
@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 
 from multicell.cells import SPHERE, FloatArray, stokes_drag
 from multicell.compiling.threads import launch, may_share
-from multicell.contact.law import PairLaw, compliance, effective_radius
-from multicell.contact.springs import Spring
-from multicell.mechanics import blocks, forces, neighbours
+from multicell.contact.law import PairLaw, compliance
+from multicell.mechanics import blocks, forces, neighbours, pair_values
 from multicell.mechanics.motion import Motion, StateRejected, Work
+from multicell.mechanics.neighbours import NeighbourList, PairList
+from multicell.mechanics.rows import COMPLIANCE, RADIUS
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
-    from multicell.mechanics.compression import Compression, Coupling, Pressed
+    from multicell.mechanics.compression import Coupling, Pressed, TissueCompression
     from multicell.mechanics.friction import PairFriction
     from multicell.mechanics.prescribed import Prescribed
     from multicell.mechanics.sphere import Sphere
@@ -31,13 +32,10 @@ if TYPE_CHECKING:
 
 
 _NOTHING = np.empty((0, 0))
-_NOWHERE = np.empty(0, dtype=np.int32)
 _NO_PLACES = np.empty(0, dtype=np.int64)
 _HORIZON, _FAR = 8.0, 0.05
 """Gap up to which pairs are watched, over the way of two cells in a step, and at most, in the
 largest radius, unless that way is longer."""
-_ROOM = 50
-"""Places of a list for each cell up to which it is kept for the next: twice what is usual."""
 
 
 @final
@@ -51,7 +49,7 @@ class Linearisation:
     the + g gᵀ that the yielding of a gel adds to the derivative of forces.
     """
 
-    pairs: neighbours.PairList
+    pairs: PairList
     normal: FloatArray
     along: FloatArray
     across: FloatArray
@@ -61,7 +59,7 @@ class Linearisation:
     yielding: FloatArray | None = None
 
     @classmethod
-    def room(cls, pairs: neighbours.PairList) -> Linearisation:
+    def room(cls, pairs: PairList) -> Linearisation:
         """Return arrays of the size that a list needs, not filled yet."""
         size = len(pairs.first)
         return cls(pairs, np.empty((size, 3)), np.empty(size), np.empty(size))
@@ -114,17 +112,16 @@ class Mechanics:
     friction: tuple[float, float] = (0.0, 0.0)
     surface_energies: FloatArray | None = None
     walls: Walls | Sphere | None = None
-    compression: Compression | None = None
+    compression: TissueCompression | None = None
     work: Work = field(default_factory=Work)
 
     def __post_init__(self) -> None:
         if self.threads > 1:
             launch()
         self.drag = stokes_drag(self.viscosity)
-        self._pairs: neighbours.PairList | None = None
-        # room for a list: that of the last coupling step
-        self.spare = _NOWHERE, _NOWHERE
+        self.neighbours = NeighbourList(np.empty(0), 0.0)
         self._cells: forces.CellData
+        self._pair_data: forces.PairData
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
         self.prescribed: Prescribed | None = None
@@ -144,18 +141,22 @@ class Mechanics:
             medium_drag=self.drag,
         )
         self._rows = np.zeros((n, width))
-        self._rows[:, 4] = compliance(motion.young, motion.poisson)
+        self._rows[:, COMPLIANCE] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)
-        self._list_radius = self._reaching(largest)
-        self._least_margin = 0.5 * self.skin * float(largest.sum() / n) if n else 0.0
-        self._margin = np.full(n, self._least_margin)
-        newborn = motion.newborn
-        if newborn is not None and np.count_nonzero(newborn) * neighbours.FEW <= n:
-            self._margin[newborn] *= neighbours.WIDEST
-        if self._pairs is not None and len(self._pairs.first) <= _ROOM * (n + 100):
-            self.spare = self._pairs.first, self._pairs.second
-        self._pairs = self._linear = None
-        self._watched: tuple[neighbours.PairList | None, float, NDArray[np.int64]]
+        self.neighbours = NeighbourList(
+            self._list_radius(largest),
+            0.5 * self.skin * float(largest.sum() / n) if n else 0.0,
+            chunk=self.chunk,
+            newborn=motion.newborn,
+            room=self.neighbours.release(n),
+            shared=self.shared(-(-n // self.chunk)),
+        )
+        self._cells = forces.CellData(
+            self.chunk, self.neighbours.margin, self.neighbours.reference, motion.radius,
+            motion.radius_rate, motion.bonds, motion.push,
+        )  # fmt: skip
+        self._linear = None
+        self._watched: tuple[PairList | None, float, NDArray[np.int64]]
         self._watched = None, 0.0, _NO_PLACES
         self._largest = float(largest.max(initial=0.0))
         self._fastest_growth = float(np.abs(motion.radius_rate).max(initial=0.0))
@@ -169,6 +170,15 @@ class Mechanics:
             from multicell.mechanics.prescribed import Prescribed
 
             self.prescribed = Prescribed(motion.held, motion.velocity, motion.begin)
+
+    def _list_radius(self, radius: FloatArray) -> FloatArray:
+        """Return half of the distances within which cells matter to each other, (n,) µm."""
+        if len(radius) == 0:
+            return radius
+        law, softest = self.law, 0.5 / float(self._rows[:, 4].max())
+        if self.surface_energies is not None:
+            law = law.with_surface_energy(float(self.surface_energies.max()))
+        return law.list_radius(radius, softest)
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -287,18 +297,18 @@ class Mechanics:
         - ``moved``: how far a cell has moved at most, in its radius
         - ``tolerance``: how far attraction may be missed, µm
         """
-        if self._pairs is None or not (self.law.snaps or self.motion.bonds is not None):
+        if self.neighbours.pairs is None or not (self.law.snaps or self.motion.bonds is not None):
             return 1.0
         elapsed, way = begin - self.motion.begin, 2.0 * moved * self._largest
         way += 2.0 * self._fastest_growth * (end - begin)
         pairs, left, places = self._watched
         left -= way
-        if pairs is not self._pairs or left < way:
+        if pairs is not self.neighbours.pairs or left < way:
             places = np.empty(len(self._pair_data.first), dtype=np.int64)
             left = max(way, min(_HORIZON * way, _FAR * self._largest))
             count = forces.pairs_about_to_touch(self._pair_data, self._rows, elapsed, left, places)
             places, left = places[:count].copy(), left - way
-        self._watched = self._pairs, left, places
+        self._watched = self.neighbours.pairs, left, places
         given = self.prescribed
         if given is not None:
             before, after = given.placed(begin, before), given.placed(end, after)
@@ -325,7 +335,7 @@ class Mechanics:
         self._fill_blocks(linear)
         if self._pair_friction is not None:
             # the drag that the blocks are divided by is that of Γ's diagonal
-            stokes = self.drag * self._rows[:, 3]
+            stokes = self.drag * self._rows[:, RADIUS]
             self._blocks *= (stokes / self._pair_friction.diagonal())[:, None]
         if len(self._inverse) < len(self):
             self._inverse = np.empty((len(self), 6))
@@ -351,7 +361,7 @@ class Mechanics:
         pairs = self._settle(time, position)
         marked = np.empty(len(pairs.first), dtype=np.bool_)
         elapsed = time - self.motion.begin
-        forces.overlaps(self._rows, self._pair_data, elapsed, marked)
+        forces.mark_contacts(self._rows, self._pair_data, elapsed, marked)
         found = np.stack([pairs.first[marked], pairs.second[marked]], axis=1).astype(np.int64)
         found.sort(axis=1)
         return found[np.lexsort((found[:, 1], found[:, 0]))]
@@ -384,7 +394,7 @@ class Mechanics:
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
         self._resist(pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
-        return np.asarray(virials / (3.0 * SPHERE * cubes(self._rows[:, 3])))
+        return np.asarray(virials / (3.0 * SPHERE * cubes(self._rows[:, RADIUS])))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
         """Return an upper bound on the decay rates of the linearised motion, 1/s.
@@ -399,7 +409,7 @@ class Mechanics:
         xx, yy, zz, xy, xz, yz = self._blocks.T
         full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
         largest = np.linalg.eigvalsh(full)[:, -1]
-        return float((2.0 * largest / (self.drag * self._rows[:, 3])).max())
+        return float((2.0 * largest / (self.drag * self._rows[:, RADIUS])).max())
 
     def _fill_blocks(self, linear: Linearisation) -> None:
         linear = linear.stiffened()
@@ -413,18 +423,18 @@ class Mechanics:
         if self.prescribed is not None:
             self._blocks[self.prescribed.held] = 0.0
 
-    def _forces(
-        self, time: float, position: FloatArray, stokes: bool, out: FloatArray
-    ) -> neighbours.PairList:
+    def _forces(self, time: float, position: FloatArray, stokes: bool, out: FloatArray) -> PairList:
         """Write forces or velocities; return the list that holds at this state."""
         position = _frozen(self._placed(time, position))
-        pairs = self._pairs if self._pairs is not None else self._rebuild(position)
+        pairs = self.neighbours.pairs
+        if pairs is None:
+            pairs = self._update(position)
         run = forces.forces_parallel if self._shared(pairs) else forces.forces
         while run(
             self._cells, self._pair_data, self._law, position, time - self.motion.begin, stokes,
             self._rows, out,
         ):  # fmt: skip
-            pairs = self._rebuild(position)
+            pairs = self._update(position)
         pressed = self._settle_pressures(pairs)
         if self.walls is not None:
             self.walls.add_forces(self._rows, self.drag if stokes else 0.0, out)
@@ -432,7 +442,7 @@ class Mechanics:
         self._resist(pairs, pressed, drag, out, np.empty(len(self)))
         return pairs
 
-    def _settle_pressures(self, pairs: neighbours.PairList) -> Pressed | None:
+    def _settle_pressures(self, pairs: PairList) -> Pressed | None:
         """Let walls that yield do so at the state in ``rows``; return the cells' pressures."""
         if self.compression is None:
             if self.walls is not None:
@@ -443,7 +453,7 @@ class Mechanics:
         )  # fmt: skip
 
     def _resist(
-        self, pairs: neighbours.PairList, pressed: Pressed | None, drag: float,
+        self, pairs: PairList, pressed: Pressed | None, drag: float,
         out: FloatArray, virials: FloatArray,
     ) -> None:  # fmt: skip
         """Add what compressed tissue adds to forces or velocities, and to virials."""
@@ -471,154 +481,59 @@ class Mechanics:
             return np.asarray(self.drag * self._rows[:, 3, None] * velocity)
         return self._pair_friction.resistance(velocity)
 
-    def _settle(self, time: float, position: FloatArray) -> neighbours.PairList:
+    def _settle(self, time: float, position: FloatArray) -> PairList:
         """Bring rows and list to a state; return the list."""
         position = _frozen(self._placed(time, position))
-        pairs = self._pairs if self._pairs is not None else self._rebuild(position)
+        pairs = self.neighbours.pairs
+        if pairs is None:
+            pairs = self._update(position)
         while forces.pack(self._cells, position, time - self.motion.begin, self._rows):
-            pairs = self._rebuild(position)
+            pairs = self._update(position)
         return pairs
 
-    def _rebuild(self, position: FloatArray) -> neighbours.PairList:
-        """Build the neighbour list at a state, and what the law keeps for each pair."""
+    def _update(self, position: FloatArray) -> PairList:
+        """Bring the neighbour list to a state, with what the law keeps for each pair."""
         if not np.isfinite(position).all():
             raise StateRejected("a position is not a number")
-        pairs = self._repaired(position)
-        if pairs is not None:
-            self.work.list_repairs += 1
-            return self._listing(pairs)
-        self.work.list_builds += 1
-        reference = np.array(position)
-        last = self._cells.reference if self._pairs is not None else np.full((len(self), 3), np.nan)
-        reach = neighbours.widened(
-            reference, last, self._list_radius, self._least_margin, self._margin
+        found = self.neighbours.update(position)
+        repaired = found == neighbours.REPAIRED
+        self.work.list_repairs += repaired
+        self.work.list_builds += not repaired
+        pairs = self.neighbours.pairs
+        if pairs is None:
+            problem = neighbours.too_many_pairs(len(self))
+            raise StateRejected(f"cells lie on top of each other ({problem})")
+        self._pair_data = pair_values.pair_data(
+            pairs, self.law, self.motion, self.surface_energies, self._rows[:, COMPLIANCE]
         )
-        try:
-            threads = self.threads if self.shared(len(self) // self.chunk) else 1
-            room, self.spare = self.spare, (_NOWHERE, _NOWHERE)
-            pairs = neighbours.build(reference, reach, 0.0, threads, self.chunk, room)
-        except neighbours.TooManyPairsError as error:
-            # the old list does not fit the new margins
-            self._pairs = None
-            raise StateRejected(f"cells lie on top of each other ({error})") from error
-        self._cells = self._cell_data(reference)
-        return self._listing(pairs)
-
-    def _repaired(self, position: FloatArray) -> neighbours.PairList | None:
-        """Return the list brought up to date, if there is one and few cells have drifted."""
-        last = self._pairs
-        if last is None or len(self) < neighbours.REPAIRED:
-            return None
-        run = neighbours.repair_parallel if self._shared(last) else neighbours.repair
-        # whoever has linearised with the last list still needs it
-        first, second = last.first.copy(), last.second.copy()
-        repaired, inner_end, outer_end = run(
-            position, self._cells.reference, self._list_radius, self._margin, self._least_margin,
-            self.chunk, first, second, last.start, last.inner_end, last.outer_end,
-        )  # fmt: skip
-        if not repaired:
-            return None
-        return replace(last, first=first, second=second, inner_end=inner_end, outer_end=outer_end)
-
-    def _listing(self, pairs: neighbours.PairList) -> neighbours.PairList:
-        """Take over a list, with what the law keeps for each pair; return it."""
-        values: tuple[FloatArray | None, ...] = (None, None, None)
-        if self.has_pair_values:
-            values = self._values_of(*neighbours.listed(pairs))
-        self._pair_data = forces.PairData(
-            pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end, *values
-        )
-        self._pairs = pairs
         return pairs
-
-    def _reaching(self, radius: FloatArray) -> FloatArray:
-        """Return the radii that the list is built with: half of all distances that matter."""
-        if len(radius) == 0:
-            return radius
-        if isinstance(self.law, Spring):
-            return np.asarray(self.law.cutoff * radius)
-        softest = 0.5 / float(self._rows[:, 4].max())
-        largest = float(radius.max())
-        law = self.law
-        if self.surface_energies is not None and hasattr(law, "surface_energy"):
-            law = replace(law, surface_energy=float(self.surface_energies.max()))  # type: ignore[type-var]
-        reach = law.reach(softest, 0.5 * largest, rest=2.0 * largest)
-        return np.asarray(radius + 0.5 * float(reach))
 
     @property
     def has_pair_values(self) -> bool:
         """Whether the law keeps values for each pair, which are made with each list."""
-        between_types = self.surface_energies is not None and self.motion.kind is not None
-        return between_types or self.law.remembers
+        return pair_values.has_pair_values(self.law, self.motion, self.surface_energies)
 
     def kernel_data(self) -> tuple[Kernels, forces.PairData, bool]:
-        """Return what the kernels take, for a loop that rebuilds the neighbour list itself.
+        """Return the data of the kernels, for a loop that updates the neighbour list itself.
 
-        The last says whether threads share them. The list is a copy; :meth:`take_list` takes the
-        one that the loop has built last.
+        The last says whether threads share them. :meth:`take_list` takes the list that the loop
+        leaves.
         """
-        chunks = -(-len(self) // self.chunk)
-        if self._pairs is None:
-            ends = np.zeros(chunks, dtype=np.int64)
-            room, self.spare = self.spare, (_NOWHERE, _NOWHERE)
-            pairs = forces.PairData(*room, ends, ends, ends, None, None, None)
-            # no cell is close to a place that is not a number: the first evaluation builds
-            reference = np.full((len(self), 3), np.nan)
-        else:
-            pairs, reference = self._pair_data, np.array(self._cells.reference)
-        shared = self.shared(chunks)
-        law, reach, margin = self._law, self._list_radius, self._least_margin
-        return (self._cell_data(reference), law, reach, margin, self._rows), pairs, shared
+        known = self.neighbours
+        if known.pairs is None:
+            self._pair_data = forces.PairData(*known.hand_out(), None, None, None)
+        pairs = self._pair_data
+        shared = self.shared(len(pairs.start))
+        return (self._cells, self._law, known.reach, known.least, self._rows), pairs, shared
 
-    def _cell_data(self, reference: FloatArray) -> forces.CellData:
-        """Return what is known of the cells, with the positions that a list was built at."""
-        motion = self.motion
-        return forces.CellData(
-            self.chunk, self._margin, reference, motion.radius, motion.radius_rate, motion.bonds,
-            motion.push,
-        )  # fmt: skip
-
-    def take_list(self, cells: forces.CellData, pairs: forces.PairData) -> None:
+    def take_list(self, pairs: forces.PairData) -> None:
         """Take over the neighbour list of a loop that was given :meth:`kernel_data`."""
-        if np.isnan(cells.reference[0, 0]):
-            self._pairs = None
-            return
-        self._cells, self._pair_data = cells, pairs
+        self._pair_data = pairs
         # the list that was linearised may have been overwritten
         self._linear = None
-        self._pairs = neighbours.PairList(
-            pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
-            self.chunk, len(self),
-        )  # fmt: skip
+        self.neighbours.adopt(pairs[:5])
 
-    def _values_of(
-        self, first: NDArray[np.int64], second: NDArray[np.int64]
-    ) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
-        """Return √(6πσ) of pairs, the law's unit of overlap with its rate, and its onset.
-
-        Each is None where it is one number for all pairs.
-        """
-        sticky = None
-        energies, kind = self.surface_energies, self.motion.kind
-        if energies is not None and kind is not None:
-            table = self.law.adhesion_of(energies)
-            sticky = np.ascontiguousarray(table[kind[first], kind[second]])
-        if not self.law.remembers:
-            return sticky, None, None
-        adhesion = self.law.adhesion if sticky is None else sticky
-        modulus = 1.0 / (self._rows[first, 4] + self._rows[second, 4])
-        touching = neighbours.are_listed(self.motion.touching, first, second, len(self))
-        (begin, onset), (end, _) = (
-            self.law.pair_memory(
-                adhesion, modulus, effective_radius(radius[first], radius[second]), touching
-            )
-            for radius in (self.motion.radius, self.motion.end_radius)
-        )
-        length = self.motion.end - self.motion.begin
-        rate = (end - begin) / length if length > 0.0 else np.zeros(len(first))
-        return sticky, np.stack([begin, rate]), onset
-
-    def _shared(self, pairs: neighbours.PairList) -> bool:
+    def _shared(self, pairs: PairList) -> bool:
         return self.shared(len(pairs.start))
 
     def shared(self, chunks: int) -> bool:

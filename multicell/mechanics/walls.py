@@ -24,17 +24,18 @@ from numba import njit
 
 from multicell.cells import FloatArray, IntArray
 from multicell.compiling import KERNEL
+from multicell.mechanics.rows import COMPLIANCE, RADIUS
 
 if TYPE_CHECKING:
-    from multicell.mechanics.compression import Compression
+    from multicell.mechanics.compression import TissueCompression
 
 
 @njit(**KERNEL)
 def _add_forces(rows, low, high, soft, drag, out):
     """Add the forces of the sides, nN, or with ``drag`` what they add to velocities, µm/s."""
     for i in range(rows.shape[0]):
-        radius = rows[i, 3]
-        strength = math.sqrt(radius) / (rows[i, 4] + soft)
+        radius = rows[i, RADIUS]
+        strength = math.sqrt(radius) / (rows[i, COMPLIANCE] + soft)
         if drag > 0.0:
             strength /= drag * radius
         for a in range(3):
@@ -50,8 +51,8 @@ def _add_forces(rows, low, high, soft, drag, out):
 def _stiffness(rows, low, high, soft, out):
     """Write minus the derivative of each component of the force by its coordinate, nN/µm."""
     for i in range(rows.shape[0]):
-        radius = rows[i, 3]
-        strength = 1.5 * math.sqrt(radius) / (rows[i, 4] + soft)
+        radius = rows[i, RADIUS]
+        strength = 1.5 * math.sqrt(radius) / (rows[i, COMPLIANCE] + soft)
         for a in range(3):
             near = max(radius - (rows[i, a] - low[a]), 0.0)
             far = max(radius - (high[a] - rows[i, a]), 0.0)
@@ -63,8 +64,8 @@ def _energies_and_virials(rows, low, high, soft, virials):
     """Return the energy of all indentations, fJ; add F d of each cell to ``virials``, nN µm."""
     total = 0.0
     for i in range(rows.shape[0]):
-        radius = rows[i, 3]
-        strength = math.sqrt(radius) / (rows[i, 4] + soft)
+        radius = rows[i, RADIUS]
+        strength = math.sqrt(radius) / (rows[i, COMPLIANCE] + soft)
         for a in range(3):
             for distance in (rows[i, a] - low[a], high[a] - rows[i, a]):
                 h = radius - distance
@@ -79,7 +80,7 @@ def _energies_and_virials(rows, low, high, soft, virials):
 def _subtract_products(rows, stiffness, drag, vector, out):
     """Subtract stiffness times ``vector``; over ``drag`` times the radius where there is drag."""
     for i in range(rows.shape[0]):
-        scale = 1.0 / (drag * rows[i, 3]) if drag > 0.0 else 1.0
+        scale = 1.0 / (drag * rows[i, RADIUS]) if drag > 0.0 else 1.0
         for a in range(3):
             out[i, a] -= scale * stiffness[i, a] * vector[i, a]
 
@@ -146,7 +147,7 @@ class Walls:
         normal = np.zeros((len(cell), 3))
         normal[np.arange(len(cell)), axis] = np.where(side == 0, -1.0, 1.0)
         near = distance[side, cell, axis]
-        return Contacts(cell, normal, rows[cell, 3] - near, near, np.zeros(len(cell)))
+        return Contacts(cell, normal, rows[cell, RADIUS] - near, near, np.zeros(len(cell)))
 
     def pressures(
         self, position: FloatArray, radius: FloatArray, softness: FloatArray
@@ -165,7 +166,7 @@ class Walls:
         return np.asarray(force * lengths / lengths.prod())
 
     def settle(
-        self, rows: FloatArray, compression: Compression | None, taken: FloatArray | None
+        self, rows: FloatArray, compression: TissueCompression | None, taken: FloatArray | None
     ) -> None:
         """Do nothing: the sides do not yield."""
 

@@ -1,4 +1,4 @@
-"""Where every molecule of a field and its medium came from and went to, over a whole run."""
+"""Balance of every molecule of a field and its medium over a whole run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SIGNS: Final = {
 }  # fmt: skip
 """Entries of an account, and what each adds to the content; zero: it is a part of another entry."""
 
-COLUMNS: Final = (*SIGNS, "level")
+BALANCE_COLUMNS: Final = (*SIGNS, "level")
 """What solvers say of a field: its entries, and the concentration of the medium (mM)."""
 
 _MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
@@ -34,8 +34,8 @@ more with an error relative to itself: steps would stay as short as ever down to
 
 
 @final
-class Exchange(NamedTuple):
-    """What a field exchanged, and what it took to find that out.
+class FieldExchange(NamedTuple):
+    """Exchange of a field, and the cost of finding it.
 
     Rates (amol/s) of a field at rest, amounts (amol) of one that was brought through some time.
 
@@ -59,7 +59,7 @@ class Exchange(NamedTuple):
     residual: float = 0.0
 
     def entries(self) -> dict[str, float]:
-        """Return what another one can be made from."""
+        """Return the numbers that another one can be made from."""
         found = self._asdict().items()
         return {name: x for name, x in found if x or (x is not None and name in _WHERE_ANY)}
 
@@ -112,8 +112,14 @@ class Ledger:
     made: float | None = None
     used: float | None = None
 
+    def copy(self) -> Ledger:
+        """Return the same account, to be continued."""
+        made = object.__new__(Ledger)
+        made.__dict__.update(self.__dict__)
+        return made
+
     def entries(self) -> dict[str, float]:
-        """Return what another ledger can be made from; without a medium that is not finite."""
+        """Return the numbers that another ledger can be made from; no medium that is not finite."""
         return {
             name: value
             for name, value in asdict(self).items()
@@ -129,7 +135,7 @@ class Ledger:
         self.fresh, self.discarded = medium.fresh, medium.discarded
         self.spoiled, self.changes = medium.decayed, medium.changes
 
-    def add(self, found: Exchange, dt: float = 1.0, *, stored: float = 0.0) -> None:
+    def add(self, found: FieldExchange, dt: float = 1.0, *, stored: float = 0.0) -> None:
         """Enter rates that held for a time ``dt`` (s), or amounts where it is left out.
 
         ``relaid`` and ``stored`` are amounts (amol) always.
@@ -147,13 +153,13 @@ class Ledger:
         self.content = max(self.content, content)
 
     def _changes(self) -> list[float]:
-        """Return what each entry has added to the content, amol."""
+        """Return the change of the content by each entry, amol."""
         signed = [sign * (getattr(self, name) or 0.0) for name, sign in SIGNS.items()]
         return [*signed, self.relaid]
 
     @property
     def remainder(self) -> float:
-        """What came in and was secreted but neither left nor is there, amol."""
+        """Remainder of the balance: inflow and secretion that neither left nor is there, amol."""
         return sum(self._changes()) - self.stored
 
     @property
@@ -174,7 +180,7 @@ class Ledger:
 
     @property
     def medium_remainder(self) -> float:
-        """What fresh medium brought that went nowhere and is not there, amol."""
+        """Remainder of fresh medium that went nowhere and is not there, amol."""
         gone = self.discarded + self.spoiled + self.inflow + self.relaid
         return self.fresh - gone - (self.held or 0.0)
 
@@ -228,7 +234,7 @@ class WellMixed:
         )  # fmt: skip
 
 
-def beyond(name: str, nutrient: Nutrient, covered: float) -> float:
+def volume_beyond_grid(name: str, nutrient: Nutrient, covered: float) -> float:
     """Return the volume of the medium beyond the grid, µm³."""
     assert nutrient.finite_medium is not None
     volume = nutrient.finite_medium.volume

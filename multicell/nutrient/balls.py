@@ -1,4 +1,4 @@
-"""How much of a cell lies at each node: one operator spreads amounts of cells and reads fields.
+"""Shares of a cell at each node: one operator spreads amounts of cells and reads fields.
 
 A cell is a ball of uniform density to its fields, a disc in a plane, and a point where its radius
 is zero. Its weight at a node is the mean of the node's hat function over it: cells read the mean of
@@ -74,7 +74,7 @@ def _boxes_of(count: int, flat: bool) -> tuple[FloatArray, float]:
 
 
 def _filled(count: int, axes: int) -> FloatArray:
-    """Return what of each square or cube lies in a disc or ball of radius count / 2, by lines."""
+    """Return the part of each square or cube in a disc or ball of radius count / 2, by lines."""
     half, lines = 0.5 * count, ((np.arange(count * _LINES) + 0.5) / _LINES - 0.5 * count) ** 2
     square = half**2 - (lines if axes == 2 else lines[:, None] + lines)
     chord = np.sqrt(np.maximum(square, 0.0))[..., None]

@@ -1,4 +1,4 @@
-"""Where the nutrient grid lies: round the cells at every moment."""
+"""Boxes of the nutrient grid, which lie round the cells at every moment."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None
     return _box([float(x) for x in low], list(counts), step, height)
 
 
-def overlaps(old: Box, new: Box) -> list[FloatArray]:
+def covered_fractions(old: Box, new: Box) -> list[FloatArray]:
     """Return for each axis the part of every new interval that lies in every old one, (n, m)."""
     found = []
     for axis in range(3):
@@ -212,7 +212,7 @@ def _refuse_too_far(ends: Iterable[tuple[float, float]], spacing: float) -> None
         )
 
 
-FEW = 20
+MIN_ROUND_CELLS = 20
 """Cells up to which a cluster is never taken as round: its field costs nothing anyway."""
 
 ROUND = 0.1
@@ -245,6 +245,6 @@ def round_enough(position: FloatArray, radius: FloatArray, now_radial: bool) -> 
     It depends on the state and on the present geometry only: what is radial stays so up to the
     limit, and what is not goes back well below it, so that it does not change all the time.
     """
-    if len(position) <= FEW:
+    if len(position) <= MIN_ROUND_CELLS:
         return False
     return departure(position, radius) <= (ROUND if now_radial else _BACK * ROUND)

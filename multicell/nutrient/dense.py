@@ -1,10 +1,10 @@
 """The inverse of diffusion on few nodes, by sine and cosine transforms that are matrix products.
 
-On up to :data:`MOST` nodes along an axis the product with the matrix of a transform takes less time
-than a fast transform. What is even about the middle of an axis has coefficients of its own, and so
-has what is odd: two products of half the size. The axis that is transformed comes first and the
-others are one long row, which the vector units want: so the array is turned between transforms, and
-in the spectrum, where the order does not matter, stays turned.
+On up to :data:`MAX_DENSE_NODES` nodes along an axis the product with the matrix of a transform
+takes less time than a fast transform. What is even about the middle of an axis has coefficients of
+its own, and so has what is odd: two products of half the size. The axis that is transformed comes
+first and the others are one long row, which the vector units want: so the array is turned between
+transforms, and in the spectrum, where the order does not matter, stays turned.
 
 Sums are made in a fixed order: the result has the same bits on all machines.
 """
@@ -26,7 +26,7 @@ Float32Array = NDArray[np.float32]
 _jit = typed(**KERNEL)
 _inner = typed(**INNER)
 
-MOST = 48
+MAX_DENSE_NODES = 48
 """Nodes along an axis up to which its transform is a matrix product."""
 
 

@@ -87,7 +87,7 @@ class Diffusion:
         self._dense = dense.Inverse(halves, self.stiffness) if halves else None
 
     def flows(self, c: FloatArray) -> tuple[float, float]:
-        """Return what flows in and out through the faces, amol/s."""
+        """Return the flows in and out through the faces, amol/s."""
         inward, outward = stencil.flows(c, self.ghost, self.const, self.weights)
         scale = self.stiffness * self.volumes
         return scale * inward, scale * outward
@@ -119,7 +119,7 @@ class Diffusion:
         return [self.stiffness * eigenvalues(n, kind) for n, kind in axes]
 
     def brought(self) -> FloatArray:
-        """Return what the faces bring to the balance of the nodes, (nx, ny, nz) mM/s."""
+        """Return the gain of the nodes over the faces, (nx, ny, nz) mM/s."""
         # a node at a face exchanges with it by its own coefficient
         return self.source if self.varied is None else self.source * self.varied
 
@@ -134,7 +134,7 @@ _FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 
 @final
 class _Sides(NamedTuple):
-    """What follows from the shape of a grid and the conditions on its faces alone.
+    """Constants of a grid's shape and the conditions on its faces.
 
     - ``ghost``, ``const``: see :class:`Diffusion`
     - ``kinds``, (3,) of (bool, bool): of each axis which ends have values, the others have slopes
@@ -155,12 +155,12 @@ class _Sides(NamedTuple):
 def _sides(
     shape: tuple[int, int, int], constants: tuple[float, ...], factors: tuple[float, ...]
 ) -> _Sides:
-    """Return what follows from constants (mM) and factors; a plane has two walls besides."""
+    """Return the sides for constants (mM) and factors; a plane has two walls besides."""
     walls = 6 - len(factors)
     ghost, const = np.array((*factors, *[1.0] * walls)), np.array((*constants, *[0.0] * walls))
     kinds = [(bool(low < 0.0), bool(high < 0.0)) for low, high in ghost.reshape(3, 2)]
     halves = []
-    if max(shape) <= dense.MOST and all(low == high for low, high in kinds):
+    if max(shape) <= dense.MAX_DENSE_NODES and all(low == high for low, high in kinds):
         halves = [dense.halves(n, low) for n, (low, _) in zip(shape, kinds, strict=True)]
     return _Sides(ghost, const, kinds, halves, _brought(shape, const) if halves else None)
 
@@ -183,7 +183,7 @@ def _transform(
 
 
 def _brought(shape: tuple[int, int, int], const: FloatArray) -> FloatArray:
-    """Return what nodes gain by the constants of the six faces, (nx, ny, nz) mM."""
+    """Return the gain of nodes by the constants of the six faces, (nx, ny, nz) mM."""
     found = np.zeros(shape)
     for face, each in enumerate(const):
         found[(slice(None),) * (face // 2) + (-(face % 2),)] += each

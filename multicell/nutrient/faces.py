@@ -1,4 +1,4 @@
-"""What a field is near the faces of its grid, where the last nodes lie half a spacing inside.
+"""Values of a field near the faces of its grid, whose last nodes lie half a spacing inside.
 
 Beyond each face nodes are added. By the condition on the face they are ``const + factor c`` with
 the c of the node that mirrors them: the line between the two has the value or the slope that the
@@ -55,12 +55,14 @@ def by_parabola(values: FloatArray, axes: int) -> FloatArray:
     """
     for axis in range(axes):
         v = np.moveaxis(values, axis, 0)
-        values = np.moveaxis(np.concatenate([beyond(v)[None], v, beyond(v[::-1])[None]]), 0, axis)
+        values = np.moveaxis(
+            np.concatenate([extrapolate_face(v)[None], v, extrapolate_face(v[::-1])[None]]), 0, axis
+        )
     return np.ascontiguousarray(values)
 
 
-def beyond(v: FloatArray) -> FloatArray:
-    """Return what comes before the first entry along the first axis, by the parabola there."""
+def extrapolate_face(v: FloatArray) -> FloatArray:
+    """Return the value before the first entry of the first axis, by the parabola there."""
     if len(v) >= 3:
         return np.asarray(3.0 * v[0] - 3.0 * v[1] + v[2])
     return np.asarray(2.0 * v[0] - v[1] if len(v) == 2 else v[0])

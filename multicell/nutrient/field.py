@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
@@ -14,11 +14,32 @@ from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball, reaching
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
-    from multicell.nutrient.balance import Exchange, WellMixed
+    from multicell.nutrient.balance import FieldExchange, WellMixed
     from multicell.nutrient.equations.substance import Schedule
     from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.parameters import FieldParameters
     from multicell.results.frame import Field
+
+
+@final
+class Solution(NamedTuple):
+    """The last solution of a field, which is all that it holds from step to step.
+
+    - ``layout``: None before the first solve
+    - ``values``, mM: at its nodes
+    - ``conditions``: on its sides
+    - ``medium``: the stirred part of a finite one, once it is attached
+    """
+
+    layout: Layout | None
+    values: FloatArray
+    conditions: dict[str, Any]
+    medium: WellMixed | None
+
+    def field(self, name: str) -> Field:
+        """Return it as a field of that name; its values are read-only."""
+        assert self.layout is not None
+        return self.layout.field(name, self.values)
 
 
 @final
@@ -68,7 +89,7 @@ class NutrientField:
         production: FloatArray | None = None,
         radius: FloatArray | None = None,
         time: float = 0.0,
-    ) -> Exchange:
+    ) -> FieldExchange:
         """Solve for the steady field that the cells' uptake and secretion leave.
 
         Cell i takes up ``capacity_i * sum_g w_ig c_g / (K + c_g)``, with the weights w_ig of its
@@ -93,10 +114,13 @@ class NutrientField:
 
     def attach_medium(self) -> None:
         """Let a finite medium lie round the grid, as it is at the start."""
-        from multicell.nutrient.balance import WellMixed, beyond
+        from multicell.nutrient.balance import WellMixed, volume_beyond_grid
 
         nutrient = self.parameters.nutrient
-        volume, level = beyond(self.name, nutrient, self.layout.whole), nutrient.medium(0.0)
+        volume, level = (
+            volume_beyond_grid(self.name, nutrient, self.layout.whole),
+            nutrient.medium(0.0),
+        )
         done = sum(time <= 0.0 for time, _ in nutrient.media or ())
         self.well_mixed = WellMixed(level * volume, volume, level * volume, changes=done)
 
@@ -143,7 +167,7 @@ class NutrientField:
     def uptake(
         self, position: FloatArray, capacity: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
-        """Return what each cell takes up, (n,) amol/s; see :meth:`solve`."""
+        """Return the uptake of each cell, (n,) amol/s; see :meth:`solve`."""
         rate = uptake(1.0, self.values, self.parameters.nutrient.half_saturation)
         reached, extent = self._reached(position, radius)
         return np.asarray(capacity * self.layout.gather(reached, rate, extent))
@@ -156,7 +180,7 @@ class NutrientField:
         return self.stored() - before
 
     def stored(self) -> float:
-        """Return what the field holds, amol."""
+        """Return the content of the field, amol."""
         return float((self.layout.volumes * self.values).sum())
 
     def field(self) -> Field:
@@ -170,14 +194,14 @@ class NutrientField:
         self.values = values
         self._conditions = self.parameters.conditions(self._layout, self.level(time))
 
-    def snapshot(self) -> tuple[Any, ...]:
-        """Return what :meth:`undo` needs to undo a solve."""
-        return self._layout, self.values, self._conditions, self.well_mixed, self.parameters
+    @property
+    def solution(self) -> Solution:
+        """The last solution; a solve makes the next one, and leaves this as it is."""
+        return Solution(self._layout, self.values, self._conditions, self.well_mixed)
 
-    def undo(self, snapshot: tuple[Any, ...]) -> None:
-        """Make a solution the last one again."""
-        self._layout, self.values, self._conditions = snapshot[:3]
-        self.well_mixed, self.parameters = snapshot[3:]
+    @solution.setter
+    def solution(self, solution: Solution) -> None:
+        self._layout, self.values, self._conditions, self.well_mixed = solution
 
     def _reached(
         self, position: FloatArray, radius: FloatArray | None = None

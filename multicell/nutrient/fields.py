@@ -12,13 +12,13 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.balance import Exchange, Ledger
+from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
 from multicell.results.observables import viable_volume
 from multicell.scene.checks import circles, followed, solving_order
@@ -26,7 +26,8 @@ from multicell.scene.checks import circles, followed, solving_order
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from multicell.nutrient.field import NutrientField
+    from multicell.cells import IntArray
+    from multicell.nutrient.field import NutrientField, Solution
     from multicell.nutrient.group import FieldGroup
     from multicell.results.frame import Field, Frame
     from multicell.scene.scene import Scene
@@ -35,13 +36,53 @@ if TYPE_CHECKING:
 _MAX_TURNS = 200  # in which fields whose uptakes depend on each other are solved for
 _SETTLED = 1e-8  # change of a field, over its highest concentration, that ends the turns
 
-_CHANGED = ("concentrations", "reports", "_uptake", "_changes")  # by a step, beside the fields
-
 Demand = tuple[FloatArray, FloatArray | None]
 """Largest uptake of each cell, and its secretion, (n,) amol/s."""
 
 Respond = Callable[[str, Cells, Mapping[str, FloatArray]], FloatArray | None]
 """Returns the factor that responses give a behaviour of each cell, (n,), or None for one."""
+
+
+@final
+class FieldsState(NamedTuple):
+    """All that the fields of a run hold from step to step; a step makes the next one.
+
+    - ``solutions``, name -> Solution
+    - ``ledger``, name -> Ledger
+    - ``concentrations``, name -> (n,) mM: at the cells
+    - ``reports``, name -> FieldExchange: what a steady field exchanges now
+    - ``grids``: changes of the geometry that a run chooses, as frames store them
+    - ``taken``, name -> (n,) amol/s: what cells take up of fields that others are made from; it
+      follows from the rest, and a step finds it anew
+    """
+
+    solutions: dict[str, Solution]
+    ledger: dict[str, Ledger]
+    concentrations: dict[str, FloatArray]
+    reports: dict[str, FieldExchange]
+    grids: dict[str, Mapping[str, float]]
+    taken: dict[str, FloatArray]
+
+    def fields(self) -> dict[str, Field]:
+        """Return the fields as they were last solved."""
+        return {name: solution.field(name) for name, solution in self.solutions.items()}
+
+    def progress(self) -> dict[str, Any]:
+        """Return what a frame needs, beside fields and concentrations, to be resumed from."""
+        return {
+            "ledger": {name: account.entries() for name, account in self.ledger.items()},
+            "rates": {name: report.entries() for name, report in self.reports.items()},
+            "grids": dict(self.grids),
+        }
+
+    def at_rows(self, rows: IntArray) -> FieldsState:
+        """Return the state for some of the cells, in another order."""
+        found = {name: values[rows] for name, values in self.concentrations.items()}
+        taken = {name: values[rows] for name, values in self.taken.items()}
+        return self._replace(concentrations=found, taken=taken)
+
+
+_NO_FIELDS = FieldsState({}, {}, {}, {}, {}, {})
 
 
 @final
@@ -94,7 +135,7 @@ class FieldSystem:
         self._changes: dict[str, Mapping[str, float]] = {}  # of geometry, as frames store them
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
-        self.reports: dict[str, Exchange] = {}
+        self.reports: dict[str, FieldExchange] = {}
         self.courses: dict[str, tuple[FloatArray, FloatArray]] = {}
         self._uptake: dict[str, FloatArray] = {}
         self._sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
@@ -105,13 +146,13 @@ class FieldSystem:
     ) -> None:  # fmt: skip
         """Make the fields, and the groups that are solved for together."""
         from multicell.nutrient.field import NutrientField
-        from multicell.nutrient.group import joined, together
+        from multicell.nutrient.group import joined_parameters, together
         from multicell.nutrient.parameters import FieldParameters
 
         self.order = solving_order(scene.nutrients, known, scene.responses)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
-            parameters |= joined(scene, parameters, reactions)
+            parameters |= joined_parameters(scene, parameters, reactions)
         self.fields = {
             name: NutrientField(name, parameters[name], threads) for name in scene.nutrients
         }
@@ -203,7 +244,7 @@ class FieldSystem:
         - ``until``, (n,) or a number: part of the step after which cells exchange nothing with
           transient fields
         """
-        self.courses = {}
+        self._continue()
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
         if before is not None and self._marched:
@@ -307,25 +348,33 @@ class FieldSystem:
                 self.ledger[name].fill(field.stored())
                 self._sample(name, group, cells, capacity)
 
-    def _none(self, name: str) -> Exchange:
+    def _none(self, name: str) -> FieldExchange:
         """Return the account of a field to which nothing happens."""
         none = 0.0 if self.reacts(name) else None
-        return Exchange(made=none, used=none)
+        return FieldExchange(made=none, used=none)
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return what :meth:`undo` needs to undo an :meth:`advance`."""
-        return {
-            "fields": {name: field.snapshot() for name, field in self.fields.items()},
-            "ledger": {name: vars(account).copy() for name, account in self.ledger.items()},
-            "rest": {name: getattr(self, name).copy() for name in _CHANGED},
-        }
+    @property
+    def state(self) -> FieldsState:
+        """All that the fields hold; to assign one makes it the last that was found."""
+        if not self.fields:
+            return _NO_FIELDS
+        return FieldsState(
+            {name: field.solution for name, field in self.fields.items()},
+            self.ledger, self.concentrations, self.reports, self._changes, self._uptake,
+        )  # fmt: skip
 
-    def undo(self, snapshot: Mapping[str, Any]) -> None:
-        """Make fields, concentrations and accounts what they were."""
+    @state.setter
+    def state(self, state: FieldsState) -> None:
         for name, field in self.fields.items():
-            field.undo(snapshot["fields"][name])
-            vars(self.ledger[name]).update(snapshot["ledger"][name])
-        vars(self).update(snapshot["rest"])
+            field.solution = state.solutions[name]
+        _, self.ledger, self.concentrations, self.reports, self._changes, self._uptake = state
+
+    def _continue(self) -> None:
+        """Continue in accounts and tables of their own: those that are there belong to a state."""
+        self.ledger = {name: account.copy() for name, account in self.ledger.items()}
+        self.concentrations, self.reports = self.concentrations.copy(), self.reports.copy()
+        self._changes, self._uptake = self._changes.copy(), self._uptake.copy()
+        self.courses = {}
 
     def _on_shells(self, name: str) -> bool:
         return self.fields[name].layout.kind == "radial"
@@ -369,14 +418,6 @@ class FieldSystem:
             found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
         return found
 
-    def progress(self) -> dict[str, Any]:
-        """Return what a frame needs so that the fields can be resumed from it."""
-        return {
-            "ledger": {name: account.entries() for name, account in self.ledger.items()},
-            "rates": {name: report.entries() for name, report in self.reports.items()},
-            "grids": dict(self._changes),
-        }
-
     def restore(self, frame: Frame) -> None:
         """Take fields, concentrations and accounts from a frame."""
         assert frame.progress is not None
@@ -397,7 +438,7 @@ class FieldSystem:
                 field.restore(frame.fields[name], frame.time)
             self.concentrations[name] = np.array(frame.concentrations[name])
         self.reports = {
-            name: Exchange(**report)  # type: ignore[arg-type]
+            name: FieldExchange(**report)  # type: ignore[arg-type]
             for name, report in frame.progress.rates.items()
         }
 
@@ -406,10 +447,6 @@ class FieldSystem:
         """Number of nodes of the largest field in a box; zero before there is one."""
         laid = [field.layout for field in self.fields.values() if field.laid]
         return max((math.prod(x.shape) for x in laid if x.kind == "box"), default=0)
-
-    def solved(self) -> dict[str, Field]:
-        """Return the fields as they were last solved."""
-        return {name: field.field() for name, field in self.fields.items()}
 
     def demand(
         self,
@@ -423,18 +460,18 @@ class FieldSystem:
         - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: what each cell finds of all
           fields, and takes up of those that others are made from; absent: what they do now
         """
-        found = self.concentrations if concentrations is None else concentrations
+        concentrations = self.concentrations if concentrations is None else concentrations
         taken = self._uptake if taken is None else taken
-        nutrient, capacity = self._nutrients[name], self._capacity(name, cells, found)
+        nutrient, capacity = self._nutrients[name], self._capacity(name, cells, concentrations)
         if nutrient.secretion == 0.0 and not nutrient.secretion_from:
             return capacity, None
-        production = nutrient.secretion * self._active("secretion", name, cells, found)
+        production = nutrient.secretion * self._active("secretion", name, cells, concentrations)
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * taken[other]
         return capacity, production
 
     def _active(
-        self, what: str, name: str, cells: Cells, found: Mapping[str, FloatArray]
+        self, what: str, name: str, cells: Cells, concentrations: Mapping[str, FloatArray]
     ) -> FloatArray:
         """Return uptake or secretion of each cell over that of a proliferating one, (n,)."""
         by_state, by_kind = self._factors[what, name]
@@ -443,19 +480,21 @@ class FieldSystem:
             active = active * by_kind[cells.kind]
         if self._respond is None:
             return active
-        response = self._respond(f"{what} of {name}", cells, found)
+        response = self._respond(f"{what} of {name}", cells, concentrations)
         return active if response is None else active * response
 
-    def _capacity(self, name: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray:
+    def _capacity(
+        self, name: str, cells: Cells, concentrations: Mapping[str, FloatArray]
+    ) -> FloatArray:
         """Return each cell's largest uptake, (n,) amol/s."""
         nutrient = self._nutrients[name]
-        active = self._active("uptake", name, cells, found)
+        active = self._active("uptake", name, cells, concentrations)
         volume = 0.0 if nutrient.uptake_per_volume is None else cells.volume
         capacity = nutrient.largest_uptake(volume) * active
         factor: Any = 1.0
         for other, law in nutrient.uptake_on.items():
-            if other in found:  # at the start one of a circle is not there yet
-                factor = factor * law.factor(found[other])
+            if other in concentrations:  # at the start one of a circle is not there yet
+                factor = factor * law.factor(concentrations[other])
         return np.asarray(capacity * factor)
 
     def _sample(self, name: str, group: FieldGroup, cells: Cells, capacity: FloatArray) -> None:
@@ -466,7 +505,7 @@ class FieldSystem:
             self._uptake[name] = field.uptake(cells.position, capacity, cells.radius)
 
     def _uptake_rate(self, name: str, cells: Cells) -> float:
-        """Return what all cells take up of a field now, amol/s."""
+        """Return the uptake of a field by all cells now, amol/s."""
         capacity = self._capacity(name, cells, self.concentrations)
         return float(self.fields[name].uptake(cells.position, capacity, cells.radius).sum())
 

@@ -29,7 +29,13 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.balance import COLUMNS, SIGNS, Exchange, WellMixed, beyond
+from multicell.nutrient.balance import (
+    BALANCE_COLUMNS,
+    SIGNS,
+    FieldExchange,
+    WellMixed,
+    volume_beyond_grid,
+)
 
 if TYPE_CHECKING:
     from multicell.nutrient.group import Demand, FieldGroup
@@ -54,9 +60,9 @@ _ROUNDING: Final = 1e-12
 """Part of what a field holds below which what its grid has enclosed anew is rounding."""
 
 
-def advance(
+def advance_finite_fields(
     group: FieldGroup, tissue: Tissue, demand: Demand, begin: float, end: float
-) -> dict[str, Exchange]:
+) -> dict[str, FieldExchange]:
     """Bring fields, one of them with a finite medium, from ``begin`` to ``end`` (s).
 
     Parameters as for :meth:`FieldGroup.advance`; changes of the medium up to and at ``end`` that
@@ -92,7 +98,7 @@ class _Exchange:
         self.relaid = group.masses() - self.before
         medium = self.field.well_mixed
         assert medium is not None
-        volume = beyond(self.field.name, self.nutrient, group.layout.whole)
+        volume = volume_beyond_grid(self.field.name, self.nutrient, group.layout.whole)
         amount = medium.amount - (0.0 if self.steady else float(self.relaid[self.row]))
         if abs(amount) <= _ROUNDING * float(self.before[self.row]):
             amount = max(amount, 0.0)  # of an empty medium rounding of what the grid holds is left
@@ -104,7 +110,7 @@ class _Exchange:
         self.medium = replace(medium, volume=volume, amount=amount)
         self.total = float(self.before[self.row]) + medium.amount
         self.guess = self.medium.concentration
-        self.amounts = np.zeros((len(fields), len(COLUMNS)))
+        self.amounts = np.zeros((len(fields), len(BALANCE_COLUMNS)))
 
     def change(self, level: float) -> None:
         """Replace medium by fresh one of a concentration in mM."""
@@ -148,7 +154,7 @@ class _Exchange:
     def _enter(self, info: dict[str, Any]) -> None:
         """Enter what happened to the fields, and what decayed in the medium."""
         self.amounts = self.amounts + info["amounts"]
-        level = float(info["amounts"][self.row][COLUMNS.index("level")])
+        level = float(info["amounts"][self.row][BALANCE_COLUMNS.index("level")])
         decayed = self.nutrient.decay * self.medium.volume * level
         self.medium = replace(self.medium, decayed=self.medium.decayed + decayed)
 
@@ -170,7 +176,7 @@ class _Exchange:
         # what the balance says, but for rounding beside an empty medium
         self.medium = replace(self.medium, amount=max(self.total - self._content(), 0.0))
 
-    def finish(self) -> dict[str, Exchange]:
+    def finish(self) -> dict[str, FieldExchange]:
         """Give the fields what has been found, and return the account of the step."""
         self.field.well_mixed = self.medium
         self.group.finish(self.now)
@@ -201,7 +207,7 @@ class _Medium:
         self._slope = 0.0  # of what the field takes over the concentration, µm³/s
 
     def _content(self, nodes: FloatArray) -> float:
-        """Return what the field that has the medium holds, amol."""
+        """Return the content of the field that has the medium, amol."""
         layout = self.equation.layout
         return float(np.sum(layout.volumes * nodes.reshape(-1, *layout.shape)[self.row]))
 
@@ -263,7 +269,7 @@ class WithMedium(_Medium):
             self._placed.follow(trial)
             found, reports = eq.solution(found, t, dt, before)
             rows = dt * eq.exchanges(found, t, reports)
-            taken = float(rows[self.row, COLUMNS.index("inflow")])
+            taken = float(rows[self.row, BALANCE_COLUMNS.index("inflow")])
             return volume * (share * trial - level) + taken, self._content(found)
 
         new = self._root(excess, level, volume * share, dt)
@@ -280,7 +286,7 @@ class WithMedium(_Medium):
 
 
 _OTHERS: Final = np.array([
-    0.0 if name in ("inflow", "decayed") else SIGNS.get(name, 0.0) for name in COLUMNS
+    0.0 if name in ("inflow", "decayed") else SIGNS.get(name, 0.0) for name in BALANCE_COLUMNS
 ])  # fmt: skip
 """What entries of an account add to field and medium together, but for what decays in both."""
 
@@ -332,5 +338,5 @@ class AtRestWithMedium(_Medium):
         self.level = self._root(excess, self.level, volume + self.equation.layout.whole, 0.0)
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
-        """Return what errors of the total are small beside, (1,) amol."""
+        """Return the scale for errors of the total, (1,) amol."""
         return np.array([max(self.level, float(self._faded[self.row])) * self._volume])

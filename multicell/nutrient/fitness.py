@@ -1,4 +1,4 @@
-"""How well the grids of all fields fit the cells as they are, and what they cost in accuracy."""
+"""Fit of all grids to the cells as they are, and its cost in accuracy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from multicell.errors import NutrientFailed
 from multicell.nutrient.cartesian import ROUND, departure
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.grid import ShellLayout, tissue_radius
+from multicell.nutrient.grid import ShellLayout, equivalent_ball_radius
 from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.scene import domain
 
@@ -75,7 +75,7 @@ def _rate_layer(
     if len(cells) == 0:
         return
     drawn = drawn_to_ball(drawn_in(cells.position, cells.radius), cells.radius)
-    found = shells.radius - tissue_radius(drawn, cells.radius)
+    found = shells.radius - equivalent_ball_radius(drawn, cells.radius)
     fields[name]["layer"] = found
     if found > wanted * (1.0 + 1e-9):
         notes.append(

@@ -1,4 +1,4 @@
-"""Where a field lives: a box of cubes, a plane of squares, or a ball of shells.
+"""Layouts of a field: a box of cubes, a plane of squares, or a ball of shells.
 
 Each layout spreads amounts of the cells over its nodes, interpolates at the cells, takes over the
 values of the layout before it, and makes the operator that solves on it.
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from multicell.cells import SPHERE, FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import balls, faces
-from multicell.nutrient.cartesian import Box, extent, fill, lay, mesh, moved, overlaps
+from multicell.nutrient.cartesian import Box, covered_fractions, extent, fill, lay, mesh, moved
 from multicell.vectors import corners, cubes, lengths, squares, weighted_mean
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ class BoxLayout:
         """Return the values of another layout, each as often as it overlaps: amounts stay."""
         if not isinstance(old, BoxLayout):
             return self._from_shells(values, old, fill)
-        x, y, z = overlaps(old.box, self.box)
+        x, y, z = covered_fractions(old.box, self.box)
         inside = np.einsum("il,jm,kn,lmn->ijk", x, y, z, values, optimize=True)
         covered = [w.sum(axis=1) for w in (x, y, z)]
         share = covered[0][:, None, None] * covered[1][None, :, None] * covered[2]
@@ -233,7 +233,7 @@ class BoxLayout:
         )
 
 
-def tissue_radius(position: FloatArray, radius: FloatArray) -> float:
+def equivalent_ball_radius(position: FloatArray, radius: FloatArray) -> float:
     """Return the radius in µm of the uniform ball with the same radius of gyration.
 
     Weighted by volume and with the cells' own extent: half the diameter of the summary. It is
@@ -282,7 +282,7 @@ class ShellLayout:
             low, high = extent(position, margin)
             outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
         else:
-            outer = max(tissue_radius(position, radius) + layer, outermost)
+            outer = max(equivalent_ball_radius(position, radius) + layer, outermost)
         return cls.to(centre, outer, spacing)
 
     @classmethod
@@ -365,7 +365,7 @@ class ShellLayout:
         h, distance = self.spacing, self._distance(position)
         mirrored = np.concatenate([values[:1], values])
         nodes = (np.arange(self.count + 2) - 0.5) * h
-        known = np.append(mirrored, faces.beyond(mirrored[::-1]))
+        known = np.append(mirrored, faces.extrapolate_face(mirrored[::-1]))
         ahead = np.interp(distance + 0.5 * h, nodes, known)
         behind = np.interp(np.abs(distance - 0.5 * h), nodes, known)
         outward = (position - self.centre) / np.where(distance > 0.0, distance, 1.0)[:, None]

@@ -18,7 +18,7 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.nutrient import finite
-from multicell.nutrient.balance import COLUMNS, FADED, Exchange
+from multicell.nutrient.balance import BALANCE_COLUMNS, FADED, FieldExchange
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout, relative_diffusion, tissue_share
@@ -70,7 +70,7 @@ class FieldGroup:
         self.info: dict[str, Any] = {}
         self.watch: Callable[[float, FloatArray], None] | None = None
 
-    def solve(self, tissue: Tissue, demand: Demand, *, time: float) -> dict[str, Exchange]:
+    def solve(self, tissue: Tissue, demand: Demand, *, time: float) -> dict[str, FieldExchange]:
         """Bring the fields to rest with the cells' uptake and secretion."""
         self.begin(tissue, demand, time, carry=False)
         self._run("multicell-steady", time, time)
@@ -84,14 +84,14 @@ class FieldGroup:
 
     def advance(
         self, tissue: Tissue, demand: Demand, *, begin: float, end: float
-    ) -> dict[str, Exchange]:
+    ) -> dict[str, FieldExchange]:
         """Bring transient fields from ``begin`` to ``end`` (s).
 
         The grid is laid round the cells first. What it encloses then and did not before is the
         medium of the moment, counted as ``relaid``.
         """
         if any(field.well_mixed is not None for field in self.fields.values()):
-            return finite.advance(self, tissue, demand, begin, end)
+            return finite.advance_finite_fields(self, tissue, demand, begin, end)
         before = [field.stored() for field in self.fields.values()]
         self.begin(tissue, demand, begin, carry=True)
         relaid = self.masses() - np.array(before)
@@ -135,7 +135,7 @@ class FieldGroup:
         return found if found is field.values else np.maximum(found, 0.0)
 
     def masses(self) -> FloatArray:
-        """Return what each field holds, (m,) amol."""
+        """Return the content of each field, (m,) amol."""
         return np.array([float(np.sum(self.layout.volumes * c)) for c in self.state.data])
 
     def _run(self, name: str, begin: float, end: float, **options: Any) -> None:
@@ -154,15 +154,15 @@ class FieldGroup:
             conditions = field.parameters.conditions(self.layout, field.level(time))
             field.take(self.layout, values.copy(), conditions)
 
-    def _exchange(self, row: FloatArray, **more: Any) -> Exchange:
-        """Return what a field exchanged, from a row of what solvers say."""
-        found = dict(zip(COLUMNS[:-1], row.tolist(), strict=False))
+    def _exchange(self, row: FloatArray, **more: Any) -> FieldExchange:
+        """Return the exchange of a field from a row of solvers' reports."""
+        found = dict(zip(BALANCE_COLUMNS[:-1], row.tolist(), strict=False))
         if self.kinetics is None:
             found |= {"made": None, "used": None}
-        return Exchange(**found, **more)
+        return FieldExchange(**found, **more)
 
-    def exchanges(self, amounts: FloatArray, relaid: FloatArray) -> dict[str, Exchange]:
-        """Return what the fields exchanged by a march; ``relaid`` (amol) what the grid gained."""
+    def exchanges(self, amounts: FloatArray, relaid: FloatArray) -> dict[str, FieldExchange]:
+        """Return the exchange of the fields by a march; ``relaid`` (amol) the gain by the grid."""
         rows = zip(self.names, amounts, relaid.tolist(), strict=True)
         return {name: self._exchange(row, relaid=more) for name, row, more in rows}
 
@@ -205,7 +205,7 @@ def substance(
     demand: tuple[FloatArray, FloatArray | None],
     medium: float | Schedule,
 ) -> Substance:
-    """Return what a field of a scene is made of on a grid, with cells of these radii in µm."""
+    """Return a field of a scene as a substance on a grid, with cells of these radii in µm."""
     nutrient = parameters.nutrient
 
     def conditions(level: float) -> dict[str, Any]:
@@ -222,7 +222,7 @@ def substance(
     )  # fmt: skip
 
 
-def joined(
+def joined_parameters(
     scene: Scene, parameters: Mapping[str, FieldParameters], reactions: Mapping[str, Any]
 ) -> dict[str, FieldParameters]:
     """Return the parameters of fields that reactions of the user's own join."""

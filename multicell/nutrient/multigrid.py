@@ -39,15 +39,13 @@ from multicell.cells import FloatArray
 from multicell.compiling.threads import Team
 from multicell.nutrient import multigrid_kernels as kernels
 from multicell.nutrient import stencil
-from multicell.nutrient.stencil import Floats, face_means
+from multicell.nutrient.stencil import MAX_CG, Floats, face_means
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
 
 Float32Array = NDArray[np.float32]
 Triple = tuple[Any, Any, Any]
-
-MAX_CG = 500  # per Newton step; a system not solved by then gives a poorer step, no failure
 
 FINEST = 1e-4
 """Least part of the imbalance that is asked to be left over: single precision allows no less."""
@@ -199,9 +197,9 @@ class MultigridSolver:
         beta = 0.0
         for _ in range(MAX_CG):
             level.share(kernels.direct, p, z, np.float32(beta))
-            level.share(kernels.apply, p, level.rate, level.along, level.weights, q, parts)
+            level.share(kernels.apply_planes, p, level.rate, level.along, level.weights, q, parts)
             step = rho / float(parts.sum())
-            level.share(kernels.advance, np.float32(step), x, p, r, q, parts)
+            level.share(kernels.update_residual_planes, np.float32(step), x, p, r, q, parts)
             self.cg += 1
             if not float(parts.sum()) > max(goal, FINEST) ** 2:
                 break
@@ -233,7 +231,7 @@ class MultigridSolver:
 
 @lru_cache(maxsize=64)
 def _axis(n: int, low: bool, high: bool) -> tuple[_Axis, ...]:
-    """Return what all levels have along an axis, from ``n`` nodes of width one down to one node.
+    """Return the data of all levels along an axis, from ``n`` nodes of width one to one node.
 
     That is its :func:`_along`, the nodes' widths over those of the ones of the next level that they
     lie in, (n,), and :func:`_between`.

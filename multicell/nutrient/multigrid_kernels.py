@@ -271,7 +271,7 @@ def direct(begin: int, end: int, p: Any, z: Any, beta: Any) -> None:
 
 
 @_jit
-def apply(
+def apply_planes(
     begin: int, end: int, p: Any, rate: Any, along: Any, weights: Any, out: Any, parts: Any
 ) -> None:
     """Write ``A p`` to ``out``, and its product with ``p`` in each plane to ``parts``, (nx,)."""
@@ -290,7 +290,9 @@ def apply(
 
 
 @_jit
-def advance(begin: int, end: int, step: Any, x: Any, p: Any, r: Any, q: Any, parts: Any) -> None:
+def update_residual_planes(
+    begin: int, end: int, step: Any, x: Any, p: Any, r: Any, q: Any, parts: Any
+) -> None:
     """Do ``x += step p`` and ``r -= step q``; write ``r . r`` of each plane to ``parts``, (nx,)."""
     ny, nz = x.shape[1:]
     for i in range(begin, end):
@@ -361,7 +363,7 @@ def step(begin: int, end: int, c: Any, correction: Any, share: float, out: Any) 
 
 
 @_jit
-def dot(begin: int, end: int, a: Any, b: Any, parts: Any) -> None:
+def dot_planes(begin: int, end: int, a: Any, b: Any, parts: Any) -> None:
     """Write ``a . b`` of each plane to ``parts``, (nx,)."""
     ny, nz = a.shape[1:]
     for i in range(begin, end):

@@ -1,4 +1,4 @@
-"""What boxes and shells have in common for those who evaluate balances instead of solving them."""
+"""Operators of boxes and shells alike, for balances that are evaluated and not solved."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from multicell.nutrient.uptake import uptake_and_slope
 AnyOperator = Diffusion | Shells
 
 
-def imbalance(
+def source_imbalance(
     operator: AnyOperator,
     c: FloatArray,
     sink: FloatArray,
@@ -23,8 +23,8 @@ def imbalance(
 ) -> tuple[FloatArray, FloatArray]:
     """Return sources less sinks of all nodes (mM/s), and the sinks' derivative (1/s).
 
-    Arguments as for :func:`multicell.nutrient.stencil.imbalance`; ``source`` holds what the sides
-    bring (``brought``).
+    Arguments as for :func:`multicell.nutrient.stencil.write_imbalance`; ``source`` holds what the
+    sides bring (``brought``).
     """
     if isinstance(operator, Shells):
         flow = np.concatenate(
@@ -33,7 +33,7 @@ def imbalance(
         taken, slope = uptake_and_slope(sink, c, half)
         return np.diff(flow) / operator.volumes + source - taken - linear * c, slope + linear
     out, slope = np.empty_like(c), np.empty_like(c)
-    stencil.imbalance(
+    stencil.write_imbalance(
         c, sink, source, half, operator.stiffness, linear, operator.ghost, operator.weights,
         out, slope,
     )  # fmt: skip
@@ -47,7 +47,7 @@ def linearised(operator: AnyOperator, v: FloatArray, rate: FloatArray) -> FloatA
         stencil.apply_operator(v, rate, operator.stiffness, operator.ghost, operator.weights, out)
         return out
     none = np.zeros_like(v)
-    spread, _ = imbalance(operator, v, none, none, 1.0, 0.0)
+    spread, _ = source_imbalance(operator, v, none, none, 1.0, 0.0)
     return np.asarray(rate * v - spread)
 
 

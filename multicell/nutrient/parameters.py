@@ -1,4 +1,4 @@
-"""What a field is made from, out of a scene."""
+"""Parameters of a field, out of a scene."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, final
 
-from multicell.scene.scales import _faces, _side, height, regime, spacing
+from multicell.scene.scales import _faces, _side, largest_spacing, layer_height, regime
 
 if TYPE_CHECKING:
     from multicell.nutrient.equations.substance import Schedule
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True)
 class FieldParameters:
-    """What :class:`multicell.nutrient.field.NutrientField` is made from.
+    """Parameters of :class:`multicell.nutrient.field.NutrientField`.
 
     - ``nutrient``: the substance as the scene has it
     - ``spacing``, float, µm: largest spacing of the grid
@@ -41,7 +41,7 @@ class FieldParameters:
         """Return the parameters of a field of a scene."""
         nutrient = scene.nutrients[name]
         return cls(
-            nutrient, spacing(scene, name), height(scene, name), regime(scene, name),
+            nutrient, largest_spacing(scene, name), layer_height(scene, name), regime(scene, name),
             scene.dimensions, scene.box,
         )  # fmt: skip
 

@@ -142,7 +142,7 @@ def _medium(parameters: FieldParameters, frame: Frame, name: str) -> Schedule:
 
 
 def _taken(system: FieldSystem, scene: Scene, frame: Frame) -> dict[str, FloatArray]:
-    """Return what each cell takes up of the frame's fields from which others are secreted."""
+    """Return the uptake of each cell of the frame's fields from which others are secreted."""
     sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
     taken: dict[str, FloatArray] = {}
     for name in solving_order(scene.nutrients, scene.reactions):

@@ -16,7 +16,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient.faces import ghost_terms
-from multicell.nutrient.steady import TOLERANCE, SolveReport
+from multicell.nutrient.steady import BALANCE_TOLERANCE, SolveReport
 from multicell.nutrient.uptake import rate, uptake, uptake_and_slope
 
 _MAX_NEWTON = 60  # and as many more as there are shells: the edge of a starved core may move by one
@@ -66,14 +66,14 @@ class Shells:
         return float(self._outer * (self._const + (self._factor - 1.0) * c[-1]))
 
     def leak(self) -> float:
-        """Return what leaves through the surface for each mM in the last shell, µm³/s."""
+        """Return the outflow through the surface for each mM in the last shell, µm³/s."""
         ends = np.zeros(self.count)
         without = self.inflow(ends)
         ends[-1] = 1.0
         return without - self.inflow(ends)
 
     def brought(self) -> FloatArray:
-        """Return what the surface brings to shells at 0 mM, (count,) mM/s."""
+        """Return the gain over the surface of shells at 0 mM, (count,) mM/s."""
         return np.asarray(self.gain(np.zeros(self.count)) / self.volumes)
 
     def fastest(self) -> float:
@@ -82,7 +82,7 @@ class Shells:
         return float(((flow + np.append(0.0, flow[:-1])) / self.volumes).max())
 
     def gain(self, c: FloatArray) -> FloatArray:
-        """Return what each shell gains by diffusion, (count,) amol/s."""
+        """Return the gain of each shell by diffusion, (count,) amol/s."""
         flow = self.conductance * np.diff(c)
         gain = np.zeros(self.count)
         gain[:-1] += flow
@@ -107,7 +107,7 @@ class Shells:
         left, total = problem.residual(c)
         for newton in range(_MAX_NEWTON + self.count):
             size = float(np.abs(left).sum())
-            if size <= max(TOLERANCE * total, problem.rounding(c)):
+            if size <= max(BALANCE_TOLERANCE * total, problem.rounding(c)):
                 if c.min() < 0.0:
                     c = problem.lifted(c)
                     size = float(np.abs(problem.residual(c)[0]).sum())

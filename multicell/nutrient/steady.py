@@ -27,10 +27,9 @@ and the search accepts them in full.
 
 **The linear systems** (-D L0 + d) x = r, with d = m + q K / (K + c)^2, go to conjugate gradients
 with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert the middle exactly,
-and the diagonal
-S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than diffusion, and of a
-coefficient w D that differs from place to place. On :data:`MANY` nodes and more a V-cycle of
-multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
+and the diagonal S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than
+diffusion, and of a coefficient w D that differs from place to place. On :data:`MULTIGRID_NODES`
+nodes and more a V-cycle of multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
 """
 
 from __future__ import annotations
@@ -51,19 +50,17 @@ if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
     from multicell.nutrient.multigrid import MultigridSolver
 
-TOLERANCE = 1e-9
+BALANCE_TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
 
 ROUGH = 1e-3
 """The same bound for intermediate solutions with a larger half saturation."""
 
 MAX_NEWTON = 20  # twice what a start far from the solution takes; then K is lowered step by step
-MAX_CG = 500  # per Newton step; a system not solved by then gives a poorer step, no failure
-
 FORCING = 0.03
 """Largest part of the imbalance that the linear solver may leave over."""
 
-NEAR = 1e-3
+NEAR_FORCING = 1e-3
 """The same for the first step from the last solution: there the law is nearly linear, and a good
 solution saves a Newton step."""
 
@@ -71,10 +68,10 @@ MAX_BACKTRACKS = 30
 
 MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 
-MANY = 50_000
+MULTIGRID_NODES = 50_000
 """Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
 
-SHIFT = 1.0
+UPTAKE_SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
 
 
@@ -84,7 +81,7 @@ class StepRefused(Exception):  # noqa: N818 - a shorter step may do
 
 @final
 class SolveReport(NamedTuple):
-    """What a solve took and how well it balances.
+    """Report of a solve: its work and its imbalance.
 
     - ``newton``, ``cg``, int: Newton steps and, over all of them, conjugate-gradient steps
     - ``residual``, float, amol/s: sum of all nodes' absolute imbalances. It bounds the difference
@@ -123,7 +120,7 @@ def solve_steady(
     - ``supply``, (nx, ny, nz), mM/s, optional: what the nodes gain besides diffusion, not negative
     """
     nodes = math.prod(operator.shape)
-    if nodes < MANY:
+    if nodes < MULTIGRID_NODES:
         problem = _Problem(operator, sink, half_saturation, linear, supply, None)
         return _solve(problem, start, _Linear(operator))
     from multicell.nutrient.multigrid import MultigridSolver
@@ -140,7 +137,9 @@ def _solve(
     if not np.count_nonzero(problem.source):
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
-    state, done = _newton(_State(problem, np.array(start, dtype=np.float64)), TOLERANCE, solver)
+    state, done = _newton(
+        _State(problem, np.array(start, dtype=np.float64)), BALANCE_TOLERANCE, solver
+    )
     if not done and np.isfinite(state.size):
         state, done = _descend(problem, start, solver)
     if done and not state.lift():
@@ -151,7 +150,8 @@ def _solve(
     if not done:
         raise NutrientFailed(
             f"the steady nutrient field did not converge: after {solver.newton} Newton steps the "
-            f"imbalance is {state.size:.3g} mM/s, wanted {state.target(TOLERANCE):.3g} mM/s",
+            f"imbalance is {state.size:.3g} mM/s, "
+            f"wanted {state.target(BALANCE_TOLERANCE):.3g} mM/s",
             "Check uptake, diffusion and half_saturation of the nutrient for sensible values",
         )
     return state.c, state.report(solver)
@@ -163,7 +163,7 @@ def _newton(
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
     # far from the solution imbalances are larger than the uptake
     near = state.size * math.sqrt(state.c.size) < state.total
-    trial, forcing = None, NEAR if near else FORCING
+    trial, forcing = None, NEAR_FORCING if near else FORCING
     for _ in range(MAX_NEWTON):
         target = state.target(tolerance)
         if state.size <= target or not math.isfinite(state.size):
@@ -190,13 +190,13 @@ def _descend(
     while half > 2.0 * problem.half:
         state, _ = _newton(_State(replace(problem, half=half), c), ROUGH, linear)
         c, half = state.c, half / 4.0
-    return _newton(_State(problem, c), TOLERANCE, linear)
+    return _newton(_State(problem, c), BALANCE_TOLERANCE, linear)
 
 
 @final
 @dataclass
 class _Problem:
-    """What is solved for: see the module's text."""
+    """The equations that are solved; see the module's text."""
 
     operator: Diffusion
     sink: FloatArray
@@ -225,7 +225,7 @@ class _State:
     def evaluate(self) -> None:
         """Bring all up to date with ``c``."""
         problem, op = self.problem, self.problem.operator
-        squares, self.total, size = stencil.imbalance(
+        squares, self.total, size = stencil.write_imbalance(
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
             op.ghost, op.weights, self.residual, self.rate, problem.team,
         )  # fmt: skip
@@ -245,11 +245,11 @@ class _State:
     def along(self, correction: stencil.Floats) -> float:
         """Return the product of the imbalance and a correction."""
         if self.problem.team is None:
-            return stencil.dot(self.residual.ravel(), correction.ravel())
-        from multicell.nutrient.multigrid_kernels import dot
+            return stencil.flat_dot(self.residual.ravel(), correction.ravel())
+        from multicell.nutrient.multigrid_kernels import dot_planes
 
         parts = np.empty(len(self.c))
-        self.problem.team.share(dot, len(self.c), self.residual, correction, parts)
+        self.problem.team.share(dot_planes, len(self.c), self.residual, correction, parts)
         return float(parts.sum())
 
     def lift(self) -> bool:
@@ -286,7 +286,7 @@ class _State:
         op = self.problem.operator
         crossing = 0.5 * max(op.shape) ** 2 / op.stiffness
         slowest = min(crossing, 1.0 / self.problem.linear) if self.problem.linear else crossing
-        return self.target(TOLERANCE) * slowest
+        return self.target(BALANCE_TOLERANCE) * slowest
 
     def empty_copy(self) -> _State:
         """Return the same problem at another concentration, not filled yet.
@@ -349,17 +349,17 @@ class _Linear:
             rate.ravel(), residual.ravel(), varied, 0.5 / op.stiffness, size, x, r, p, scale,
             self._single.ravel(),
         )  # fmt: skip
-        shift = SHIFT * total / rate.size
+        shift = UPTAKE_SHIFT * total / rate.size
         u, rho = op.invert(self._single, shift)
         beta, direction, image = 0.0, p.reshape(shape), q.reshape(shape)
-        for _ in range(MAX_CG):
+        for _ in range(stencil.MAX_CG):
             stencil.new_direction(p, u.ravel(), scale, beta)
             curvature = stencil.apply_operator(
                 direction, rate, op.stiffness, op.ghost, op.weights, image
             )
             if not curvature > 0.0:  # single precision has no smaller numbers
                 break
-            left = stencil.advance(rho / curvature, x, p, r, q, scale, u.ravel())
+            left = stencil.update_residual(rho / curvature, x, p, r, q, scale, u.ravel())
             self.cg += 1
             if not left > goal**2:
                 break

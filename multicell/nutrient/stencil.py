@@ -25,6 +25,10 @@ from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
 
 Weights = tuple[FloatArray, FloatArray, FloatArray] | None
 Float32Array = NDArray[np.float32]
+
+MAX_CG = 500
+"""Iterations per Newton step; a system not solved by then gives a poorer step, no failure."""
+
 Floats = FloatArray | Float32Array
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
@@ -130,7 +134,7 @@ def apply_operator(
     return product
 
 
-def imbalance(
+def write_imbalance(
     c: FloatArray, sink: FloatArray, source: FloatArray, half: float, stiffness: float,
     linear: float, ghost: FloatArray, weights: Weights, residual: Floats, rate: Floats,
     team: Team | None = None,
@@ -161,7 +165,7 @@ def imbalance_of_planes(
     stiffness: float, linear: float, ghost: FloatArray, weights: Weights, residual: Floats,
     rate: Floats, parts: FloatArray, block: int,
 ) -> None:  # fmt: skip
-    """Do what :func:`imbalance` does for the planes from ``begin`` to ``end``.
+    """Do what :func:`write_imbalance` does for the planes from ``begin`` to ``end``.
 
     ``parts``, (3, planes / block), are the sums over each ``block`` of planes.
     """
@@ -271,7 +275,7 @@ def begin(
 
 
 @_jit
-def advance(
+def update_residual(
     step: float, x: FloatArray, p: FloatArray, r: FloatArray, q: FloatArray, scale: FloatArray,
     y: Float32Array,
 ) -> float:  # fmt: skip
@@ -315,7 +319,7 @@ def divide_spectrum(
 
 
 @_jit
-def dot(a: Floats, b: Floats) -> float:
+def flat_dot(a: Floats, b: Floats) -> float:
     """Return the product of two flat fields (NumPy's may use threads and change its bits)."""
     product = 0.0
     for n in range(a.size):
@@ -327,7 +331,7 @@ def dot(a: Floats, b: Floats) -> float:
 def flows(
     c: FloatArray, ghost: FloatArray, const: FloatArray, weights: Weights
 ) -> tuple[float, float]:
-    """Return what flows in and out through the faces, over D/h² and a node's volume, mM.
+    """Return the flows in and out through the faces, over D/h² and a node's volume, mM.
 
     ``const``, (6,), is what the conditions add to the ghost values of each face, mM.
     """
@@ -355,7 +359,7 @@ def flows(
 def account(c: FloatArray, sink: FloatArray, half: float, residual: Floats) -> tuple[float, float]:
     """Return the sums over all nodes of the sizes of the residual and of uptake, mM/s.
 
-    Arguments as for :func:`imbalance`.
+    Arguments as for :func:`write_imbalance`.
     """
     nx, ny, nz = c.shape
     left, taken = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Which cells carry the unstirred layer of medium: the tissue, and not cells that have left it."""
+"""The cells that carry the unstirred layer of medium: the tissue, without cells that left it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Tissue:
         self._found: dict[Any, Any] = {}
 
     def once(self, find: Callable[..., Any], *given: Any) -> Any:
-        """Return what a function makes of values and of arrays that nobody writes to."""
+        """Cache a function of values and of arrays that nobody writes to."""
         key = find, *(id(x) if isinstance(x, np.ndarray) else x for x in given)
         if key not in self._found:
             self._found[key] = find(*given), given  # arrays that live keep their identities

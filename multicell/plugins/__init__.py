@@ -1,1 +1,1 @@
-"""What users add: laws by their names in a scene, and objects named as `file.py:Name`."""
+"""Additions of users: laws by their names in a scene, and objects named as `file.py:Name`."""

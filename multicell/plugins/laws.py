@@ -9,7 +9,7 @@ L = TypeVar("L")
 
 
 class OwnLaw:
-    """What all laws of the user's own have: where they come from.
+    """Base of all laws of the user's own: their origin.
 
     - ``source``: ``file.py:name`` of the function
     - ``fingerprint``: changes with the function and all that it reads
@@ -57,7 +57,7 @@ class Laws(Mapping[str, type[L]], Generic[L]):
         return len(self._ours)
 
     def hint(self, name: str) -> str:
-        """Return what helps where a scene names a law of the user's own that is not there."""
+        """Return a hint for a scene that names a law of the user's own that is not there."""
         source = name.partition("@")[0]
         if source in self._latest:
             return f"'{source}' has changed since: as it is now it is '{self._latest[source]}'."

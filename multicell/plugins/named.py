@@ -182,7 +182,7 @@ def _is_loaded(file: str) -> bool:
 
 
 def _message(error: BaseException, file: str) -> str:
-    """Return what an error says in one line, with the name that was likely meant."""
+    """Return the message of an error in one line, with the name that was likely meant."""
     missing = _missing_name(error)
     kind, *declared = type(getattr(error, "obj", None)).__name__.split("__")
     if isinstance(error, AttributeError) and kind.startswith("Constants_"):

@@ -1,1 +1,1 @@
-"""What people look at: pages, pictures, explanations."""
+"""Reports for people: pages, pictures, explanations."""

@@ -17,8 +17,8 @@ Progress = Callable[["Simulation"], None]
 
 
 @contextmanager
-def shown(scene: Scene, progress: Progress | bool | None) -> Iterator[Progress | None]:
-    """Yield what is called after every coupling step: what was given, or for True a bar's."""
+def progress_callback(scene: Scene, progress: Progress | bool | None) -> Iterator[Progress | None]:
+    """Yield a callback for the end of coupling steps: the one given, or for True a bar's."""
     if not isinstance(progress, bool):
         yield progress
         return
@@ -40,7 +40,7 @@ def shown(scene: Scene, progress: Progress | bool | None) -> Iterator[Progress |
         bar.set_postfix_str("preparing")
 
         def advance(simulation: Simulation) -> None:
-            bar.set_postfix_str(cell_count(len(simulation.cells)), refresh=False)
+            bar.set_postfix_str(cell_count(len(simulation.state.cells)), refresh=False)
             bar.update(simulation.time / unit.seconds - bar.n)
 
         yield advance

@@ -106,9 +106,9 @@ def script(name: str) -> dict[str, Any]:
 
 
 def _inline(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
-    from multicell.report.plots.style import inline_picture, save
+    from multicell.report.plots.style import inline_picture, save_figure
 
-    save(figure, path)
+    save_figure(figure, path)
     return {"caption": caption, "shown": inline_picture(figure)}
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from multicell.cells import State
 from multicell.errors import OutputError
-from multicell.report.colours import STATES, TYPES
+from multicell.report.colours import STATE_COLOURS, TYPE_COLOURS
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.folder import LIVE, file_errors, remove, write_bytes, write_text
 from multicell.results.observables import centre
@@ -71,7 +71,7 @@ class LivePage:
         """Draw the tissue after a coupling step, if a picture is due."""
         pause = max(_LEAST, self._took / _SHARE)
         if self.works and clock.perf_counter() - self._last >= pause:
-            self._draw(simulation.cells, simulation.time)
+            self._draw(simulation.state.cells, simulation.time)
 
     def close(self) -> None:
         """Remove the page and its picture."""
@@ -123,11 +123,11 @@ def _words(cells: Cells, scene: Scene, time: float) -> str:
 
 def _groups(cells: Cells, scene: Scene) -> tuple[IntArray, Mapping[str, str]]:
     """Return the group of each cell, (n,), and colours by the names of the groups."""
-    if not 1 < len(scene.types) <= len(TYPES):
-        return cells.state.astype(np.int64), {name: STATES[name] for name in NAMED["state"]}
-    palette = dict(zip(scene.types, TYPES, strict=False))
+    if not 1 < len(scene.types) <= len(TYPE_COLOURS):
+        return cells.state.astype(np.int64), {name: STATE_COLOURS[name] for name in NAMED["state"]}
+    palette = dict(zip(scene.types, TYPE_COLOURS, strict=False))
     dead = np.where(cells.state == State.NECROTIC, len(palette), cells.kind)
-    return dead.astype(np.int64), {**palette, "dead (necrotic)": STATES["necrotic"]}
+    return dead.astype(np.int64), {**palette, "dead (necrotic)": STATE_COLOURS["necrotic"]}
 
 
 def _discs(pen: Any, cells: Cells, group: IntArray, colours: list[str], dimensions: int) -> float:

@@ -29,7 +29,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
     place = result.folder if folder is None else Path(folder)
     if place is None:
         raise OutputError("the run has no output folder: say where the report shall go")
-    from multicell.report.viewer.pack import view
+    from multicell.report.viewer.pack import pack_view
 
     summary = result.summary()
     phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}
@@ -41,7 +41,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         subtitle=_subtitle(result, summary),
         tiles=dict(measures(summary)),
         pictures=dict(_drawings(result)),
-        viewer=view(result),
+        viewer=pack_view(result),
         summary=summary,
         diagnostics=dict(diagnostics(summary)),
         phases=phases,

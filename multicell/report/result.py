@@ -1,4 +1,4 @@
-"""What a run hands back, and what its folder can be opened as later."""
+"""The result of a run, and of a run's folder that is opened later."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class Result:
         return f"<Result {', '.join(words)}, {place}>"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: key figures, a section, and the view in space and time."""
+        """Return a notebook's display: key figures, a section, and the view in space and time."""
         from multicell.report.html import rendered
         from multicell.report.plots.style import inline_picture
 
@@ -189,9 +189,9 @@ class Result:
         MissingPackage
             If xarray is not installed.
         """
-        from multicell.results.tables import history_arrays
+        from multicell.results.tables import history_dataset
 
-        return history_arrays(self.history, self.scene.to_toml())
+        return history_dataset(self.history, self.scene.to_toml())
 
     def to_pandas(self, table: str = "history") -> DataFrame:
         """Return a table of the run, its columns titled with their units as in CSV files.
@@ -230,7 +230,7 @@ class Result:
         return write_report(self, folder)
 
 
-def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
+def history_columns(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
     """Return rows of a history as one array per column."""
     rows = list(rows)
     if any(set(row) != set(rows[0]) for row in rows):

@@ -87,17 +87,17 @@ def whole_table(run: Result, name: str) -> DataFrame:
     """Return a table of all frames."""
     if name not in TABLES:
         raise OutputError(f"there is no table {name!r}. {near_miss(name, TABLES)}")
-    return data_frame(joined(TABLES[name](run, enumerate(run.frames))))
+    return data_frame(joined_table(TABLES[name](run, enumerate(run.frames))))
 
 
-def joined(parts: Iterable[Table]) -> dict[str, NDArray[Any]]:
+def joined_table(parts: Iterable[Table]) -> dict[str, NDArray[Any]]:
     """Return a table of the rows of all parts."""
     parts = list(parts)
     titles = parts[0] if parts else {}
     return {title: np.concatenate([part[title] for part in parts]) for title in titles}
 
 
-def write_csv(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+def write_csv_files(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
     """Write tables as CSV into a folder and return the names of the files."""
     names = [f"{table}.csv" for table in tables]
     for table, name in zip(tables, names, strict=True):

@@ -56,7 +56,7 @@ def _bits(values: FloatArray) -> NDArray[np.int64]:
 
 
 def _prediction(values: FloatArray, layer: int, faces: FloatArray) -> FloatArray:
-    """Return what a layer, (ny, nz), is expected to be from those before it; zeros for the first.
+    """Predict a layer, (ny, nz), from those before it; zeros for the first.
 
     The Laplacian vanishes at the layer before: ``c[+1] = 2 d c - c[-1] - other neighbours`` for d
     directions with more than one node.
@@ -85,7 +85,7 @@ def _neighbours(layer: FloatArray, axis: int, faces: FloatArray) -> FloatArray:
 
 
 def _beyond(nodes: FloatArray, face: float) -> FloatArray:
-    """Return what stands beyond a face, for the nodes next to it."""
+    """Return the values beyond a face, for the nodes next to it."""
     return nodes if np.isnan(face) else 2.0 * face - nodes
 
 

@@ -35,7 +35,7 @@ def write_table(path: Path, table: Mapping[str, Any]) -> None:
     write_text(path, to_json({**plain, _CHECKSUM: _checksum(plain)}) + "\n")
 
 
-def read_table(path: Path) -> dict[str, Any] | None:
+def read_document(path: Path) -> dict[str, Any] | None:
     """Return the table that was written to a file; None where there is no file."""
     with file_errors("read", path):
         try:

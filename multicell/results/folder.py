@@ -22,7 +22,7 @@ from multicell.host.interrupts import UNCUT
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
 
-FILES: Final = (
+RUN_FILES: Final = (
     "scene.toml",
     *COPIES,
     "frames.h5",
@@ -296,7 +296,7 @@ def with_copy(scene: Scene, folder: Path) -> Scene:
 
 
 def copy_of(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
-    """Return what :func:`with_copy` does, and the content of the copy by its name."""
+    """Do as :func:`with_copy`, and return the content of the copy by its name."""
     table = scene.initial.cells
     if table is None:
         return scene, {}

@@ -119,6 +119,7 @@ class Progress:
     exposures: Mapping[str, float] = field(default_factory=dict)  # error of events, slopes of rates
     replays: Mapping[str, float] = field(default_factory=dict)
     stability: Mapping[str, float] = field(default_factory=dict)
+    cavity: float | None = None  # radius to which cells have widened a gel, µm
 
 
 @final
@@ -238,6 +239,6 @@ class Frame:
         MissingPackage
             If pyvista is not installed.
         """
-        from multicell.results.tables import blocks
+        from multicell.results.tables import frame_blocks
 
-        return blocks(self)
+        return frame_blocks(self)

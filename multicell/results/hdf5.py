@@ -27,9 +27,16 @@ from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.results.folder import Check, file_errors, package_version, replace_file
-from multicell.results.journal import digest
-from multicell.results.layout import FORMAT, Kind, frame_rows, layout, of_rows, read_frame
-from multicell.results.lineage import COLUMNS
+from multicell.results.journal import array_digest
+from multicell.results.layout import (
+    FRAMES_FORMAT,
+    DatasetKind,
+    frame_rows,
+    layout,
+    of_rows,
+    read_frame,
+)
+from multicell.results.lineage import LINEAGE_COLUMNS
 from multicell.results.quantities import known_unit
 from multicell.results.records import SPARSE, Arrays
 
@@ -112,7 +119,7 @@ class Sink(io.RawIOBase):
                 self._trouble = error
 
 
-NAME: Final = "frames.h5"
+FRAMES_FILE: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
@@ -120,7 +127,7 @@ _AHEAD: Final = 1 << 19  # bytes of a data set that are read back at once
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
 
-def write(
+def write_hdf5(
     path: Path,
     scene: str,
     nutrients: Sequence[str],
@@ -205,7 +212,7 @@ def _fill(
     frames: Iterable[tuple[Arrays, int, Arrays]],
     history: Mapping[str, NDArray[np.float64]],
 ) -> None:
-    target.attrs.update(format=FORMAT, multicell=package_version())
+    target.attrs.update(format=FRAMES_FORMAT, multicell=package_version())
     target.create_group("fields")
     text = np.frombuffer(scene.encode(), "|u1")
     _create(target, "scene", of_rows("|u1"), text)
@@ -216,10 +223,10 @@ def _fill(
     for name, column in history.items():
         kind = of_rows("<f8", known_unit(name))
         _create(target, f"history/{name}", kind, np.asarray(column, "<f8"))
-    group.attrs["digest"] = np.uint32(digest(dict(sorted(history.items()))))
+    group.attrs["digest"] = np.uint32(array_digest(dict(sorted(history.items()))))
     target.attrs["frames"] = np.int64(log.count)
     shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
-    target.attrs["digest"] = np.uint32(digest({"scene": text, **shared}))
+    target.attrs["digest"] = np.uint32(array_digest({"scene": text, **shared}))
 
 
 @cache
@@ -239,7 +246,7 @@ _PARENTS: Final = h5py.h5p.create(h5py.h5p.LINK_CREATE)
 _PARENTS.set_create_intermediate_group(True)
 
 
-def _create(target: Any, path: str, kind: Kind, rows: NDArray[Any]) -> None:
+def _create(target: Any, path: str, kind: DatasetKind, rows: NDArray[Any]) -> None:
     """Create a data set with its first rows, and its unit."""
     # a chunk that is nearly empty is as small at level 1, in a quarter of the time
     storage = _storage((kind.chunk, *rows.shape[1:]), _LEVEL if 8 * len(rows) > kind.chunk else 1)
@@ -325,11 +332,11 @@ class _Log:
         self._sink.check()
 
 
-def _zeros(kind: Kind, rows: int) -> NDArray[Any]:
+def _zeros(kind: DatasetKind, rows: int) -> NDArray[Any]:
     return np.zeros((rows,) if kind.width is None else (rows, kind.width), kind.dtype)
 
 
-def _shared(sets: Mapping[str, Kind]) -> list[str]:
+def _shared(sets: Mapping[str, DatasetKind]) -> list[str]:
     """Return the data sets of what belongs to no single frame: offsets, times and the lineage."""
     return [
         path
@@ -425,7 +432,7 @@ def _is_locked(path: Path) -> bool:
 
 
 def _in_words(path: Path, error: Exception) -> OutputError:
-    """Return what HDF5 says of a file: of damage, or of a machine that cannot read it."""
+    """Return HDF5's error about a file in words: damage, or a machine that cannot read it."""
     if isinstance(error, MemoryError):
         return OutputError(f"cannot read '{path}': there is not enough memory")
     number = getattr(error, "errno", None)  # of the system; HDF5 has none of its own
@@ -464,8 +471,10 @@ def check_readable(path: Path) -> None:
 
 def _check_format(path: Path, file: Any) -> None:
     written = file.attrs.get("format", 0)
-    if not np.array_equal(written, FORMAT):
-        problem = f"'{path}' has result format {written}; this multicell reads format {FORMAT}"
+    if not np.array_equal(written, FRAMES_FORMAT):
+        problem = (
+            f"'{path}' has result format {written}; this multicell reads format {FRAMES_FORMAT}"
+        )
         raise OutputError(problem)
 
 
@@ -496,7 +505,7 @@ _FILTERS: Final = {
 """Those that unpack to no more than that; others make much of nothing."""
 
 
-def _check_sets(path: Path, file: Any, sets: Mapping[str, Kind]) -> dict[str, int]:
+def _check_sets(path: Path, file: Any, sets: Mapping[str, DatasetKind]) -> dict[str, int]:
     """Refuse data sets that are not of their kinds, before any of them is read.
 
     What is resized in a file takes no room there, and memory where it is read. Returns the number
@@ -597,7 +606,7 @@ class File:
             sets |= {"scene": of_rows("|u1"), **layout(self.nutrients)}
             lengths = {} if own else _check_sets(path, file, sets)
             shared = {p: file[p][()] for p in ("scene", *_shared(layout(self.nutrients)))}
-            if digest(shared) != int(file.attrs["digest"]):
+            if array_digest(shared) != int(file.attrs["digest"]):
                 problem = "its scene, index or lineage is not what was written"
                 raise _damage(path, f"{problem}. Nothing in it can be read")
             self.rows = len(file["history"][self.columns[0]]) if self.columns else 0
@@ -615,10 +624,10 @@ class File:
         self.times, self.steps = shared["frames/time"], shared["frames/step"]
         self.digests = shared["frames/digest"]
         self.scene = shared["scene"].tobytes().decode("utf-8", "replace")
-        self.ends = {log: shared[f"lineage/{log}/offset"] for log in COLUMNS}
+        self.ends = {log: shared[f"lineage/{log}/offset"] for log in LINEAGE_COLUMNS}
         self.logs = {
             f"{log}/{name}": shared[f"lineage/{log}/{name}"]
-            for log, columns in COLUMNS.items()
+            for log, columns in LINEAGE_COLUMNS.items()
             for name in columns
         }
 
@@ -626,7 +635,7 @@ class File:
         """Return the history by column, (m,) each."""
         with self._again() as file:
             columns = {name: file["history"][name][()] for name in self.columns}
-            if digest(columns) != int(file["history"].attrs["digest"]):
+            if array_digest(columns) != int(file["history"].attrs["digest"]):
                 problem = f"the history in '{self.path}' is not what was written"
                 raise OutputError(problem, damaged=True)
         return columns
@@ -646,7 +655,7 @@ class File:
 
     def _frame(self, file: Any, place: int) -> Arrays:
         arrays = read_frame(file, place, self.nutrients, self._offsets)
-        if digest(arrays) != int(self.digests[place]):
+        if array_digest(arrays) != int(self.digests[place]):
             raise OutputError(f"it is not what was written to '{self.path}'", damaged=True)
         return arrays
 

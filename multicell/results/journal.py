@@ -35,7 +35,7 @@ from multicell.results.folder import file_errors, new_file, put_in_place
 
 Arrays = Mapping[str, NDArray[Any]]
 
-NAME: Final = "frames.journal"
+JOURNAL_FILE: Final = "frames.journal"
 
 _TAG: Final = b"mcj3"
 PREFIX: Final = struct.Struct("<4sIQIII")  # tag, lengths and checksums of a record: 28 bytes
@@ -53,7 +53,7 @@ def flat(array: NDArray[Any]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(array).reshape(-1).view(np.uint8)
 
 
-def digest(arrays: Arrays) -> int:
+def array_digest(arrays: Arrays) -> int:
     """Return a checksum of names, types, shapes and values of arrays."""
     value = zlib.crc32(json.dumps(array_headers(arrays)).encode())
     for array in arrays.values():
@@ -91,8 +91,8 @@ class Journal:
     @classmethod
     def create(cls, folder: Path, header: Mapping[str, Any]) -> Journal:
         """Begin a journal; it is in its place only when its first record is on disk."""
-        path = folder / NAME
-        part = path.with_name(f"{NAME}.part")
+        path = folder / JOURNAL_FILE
+        part = path.with_name(f"{JOURNAL_FILE}.part")
         with file_errors("write", path):
             journal = cls(path, new_file(part))
             try:
@@ -178,7 +178,7 @@ def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, 
     text = json.dumps({**header, "arrays": array_headers(arrays)} if arrays else header).encode()
     pieces = [flat(array) for array in arrays.values()]
     length = sum(len(piece) for piece in pieces)
-    head = PREFIX.pack(_TAG, len(text), length, zlib.crc32(text), digest(arrays), 0)[:-4]
+    head = PREFIX.pack(_TAG, len(text), length, zlib.crc32(text), array_digest(arrays), 0)[:-4]
     chain = zlib.crc32(head, chain)
     return chain, [head, chain.to_bytes(4, "little"), text, *pieces]
 
@@ -299,7 +299,7 @@ class Reader:
             for name, kind, shape in record.header.get("arrays", ()):
                 arrays[name] = np.empty(shape, kind)
                 left -= file.readinto(flat(arrays[name]).data)
-        if left or digest(arrays) != record.digest:
+        if left or array_digest(arrays) != record.digest:
             problem = f"the record at byte {record.begin} of '{self.path}' is damaged"
             raise OutputError(problem, damaged=True)
         return arrays

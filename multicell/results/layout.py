@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, FloatArray, State
 from multicell.errors import OutputError
 from multicell.results.coding import decode, encode
-from multicell.results.lineage import COLUMNS
-from multicell.results.records import FIELD, SPARSE, UNIT, Arrays, without_zeros
+from multicell.results.lineage import LINEAGE_COLUMNS
+from multicell.results.records import FIELD_ARRAYS, SPARSE, UNIT, Arrays, without_zeros
 
-FORMAT: Final = 5  # number of the layout that :mod:`multicell.results.writer` describes
+FRAMES_FORMAT: Final = 5  # number of the layout that :mod:`multicell.results.writer` describes
 _LONG: Final = 8192  # rows in a chunk of what grows with cells and nodes: 64 kB for a number each
 _MIDDLE: Final = 4096  # ... of logs and texts
 _SHORT: Final = 256  # ... of what has one row for each frame
 
 
 @final
-class Kind(NamedTuple):
+class DatasetKind(NamedTuple):
     """The kind of a data set: one row for each frame, or ``pool`` rows in all.
 
     The pools ``frames`` and ``ends`` have one row for each frame and one more; any other is the
@@ -39,48 +39,50 @@ class Kind(NamedTuple):
     chunk: int = _SHORT
 
 
-def layout(nutrients: Iterable[str]) -> dict[str, Kind]:
+def layout(nutrients: Iterable[str]) -> dict[str, DatasetKind]:
     """Return all data sets but those of the history, by path; checksums go by their order."""
     sets = {
-        "frames/offset": Kind("<i8", None, "ends"),
-        "frames/time": Kind("<f8", None, "frames", "s"),
-        "frames/step": Kind("<i8", None, "frames"),
-        "frames/digest": Kind("<u4", None, "frames"),
-        "contacts/offset": Kind("<i8", None, "ends"),
-        "contacts/pair": Kind("<i8", 2, "contacts/offset", chunk=_MIDDLE),
-        "progress/offset": Kind("<i8", None, "ends"),
-        "progress/text": Kind("|u1", None, "progress/offset", chunk=_MIDDLE),
+        "frames/offset": DatasetKind("<i8", None, "ends"),
+        "frames/time": DatasetKind("<f8", None, "frames", "s"),
+        "frames/step": DatasetKind("<i8", None, "frames"),
+        "frames/digest": DatasetKind("<u4", None, "frames"),
+        "contacts/offset": DatasetKind("<i8", None, "ends"),
+        "contacts/pair": DatasetKind("<i8", 2, "contacts/offset", chunk=_MIDDLE),
+        "progress/offset": DatasetKind("<i8", None, "ends"),
+        "progress/text": DatasetKind("|u1", None, "progress/offset", chunk=_MIDDLE),
         **{
-            f"cells/{name}": Kind(
+            f"cells/{name}": DatasetKind(
                 np.dtype(spec["dtype"]).str, spec["width"], "frames/offset", spec["unit"], _LONG
             )
             for name, spec in Cells.schema().items()
         },
     }
-    for log, columns in COLUMNS.items():
+    for log, columns in LINEAGE_COLUMNS.items():
         offset = f"lineage/{log}/offset"
-        sets[offset] = Kind("<i8", None, "ends")
+        sets[offset] = DatasetKind("<i8", None, "ends")
         for name, dtype in columns.items():
             unit = "s" if name == "time" else ""
-            kind = Kind(np.dtype(dtype).str, None, offset, unit, _MIDDLE)
+            kind = DatasetKind(np.dtype(dtype).str, None, offset, unit, _MIDDLE)
             sets[f"lineage/{log}/{name}"] = kind
     for name in nutrients:
         group = f"fields/{name}"
         sets |= {
-            f"{group}/offset": Kind("<i8", None, "ends"),
-            f"{group}/coded": Kind("<u8", None, f"{group}/offset", chunk=_LONG),
-            f"{group}/shape": Kind("<i8", 3, "frames"),
-            f"{group}/faces": Kind("<f8", 6, "frames", UNIT),
+            f"{group}/offset": DatasetKind("<i8", None, "ends"),
+            f"{group}/coded": DatasetKind("<u8", None, f"{group}/offset", chunk=_LONG),
+            f"{group}/shape": DatasetKind("<i8", 3, "frames"),
+            f"{group}/faces": DatasetKind("<f8", 6, "frames", UNIT),
         }
-        for key, entry in FIELD.items():
-            sets[f"{group}/{key}"] = Kind(entry.dtype, entry.width or None, "frames", entry.unit)
-        sets[f"cells/concentration_{name}"] = Kind("<f8", None, "frames/offset", UNIT, _LONG)
+        for key, entry in FIELD_ARRAYS.items():
+            sets[f"{group}/{key}"] = DatasetKind(
+                entry.dtype, entry.width or None, "frames", entry.unit
+            )
+        sets[f"cells/concentration_{name}"] = DatasetKind("<f8", None, "frames/offset", UNIT, _LONG)
     return sets
 
 
-def of_rows(dtype: str, unit: str = "") -> Kind:
+def of_rows(dtype: str, unit: str = "") -> DatasetKind:
     """Return the kind of a data set of its own length: the scene, the history."""
-    return Kind(dtype, None, "", unit, _MIDDLE)
+    return DatasetKind(dtype, None, "", unit, _MIDDLE)
 
 
 Ends = Mapping[str, NDArray[np.int64]]  # path of a data set of offsets -> its values, (k + 1,)
@@ -104,7 +106,7 @@ def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
         f"{group}/shape": np.array(values.shape),
         f"{group}/faces": faces,
     }
-    for key, entry in FIELD.items():
+    for key, entry in FIELD_ARRAYS.items():
         absent = np.full((entry.width,) if entry.width else (), entry.absent)
         found[f"{group}/{key}"] = arrays.get(f"{group}/{key}", absent)
     return found
@@ -116,7 +118,9 @@ def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) ->
     sets |= {"time": sets["frames/time"], "step": sets["frames/step"]}
     count = arrays["cells/id"].shape if "cells/id" in arrays else ()
     for path, array in arrays.items():
-        kind = sets.get(path, Kind("<f8", None, "values" if path.endswith("/values") else ""))
+        kind = sets.get(
+            path, DatasetKind("<f8", None, "values" if path.endswith("/values") else "")
+        )
         axes = {"frames": 0, "values": 3}.get(kind.pool, 1)
         rows = count if path.startswith("cells/") else array.shape[:axes]
         width = () if kind.width is None else (kind.width,)
@@ -148,7 +152,7 @@ def read_frame(file: Any, place: int, nutrients: Iterable[str], ends: Ends) -> A
         if len(coded):
             coded = coded.reshape(row(f"{group}/shape"))
             arrays[f"{group}/values"] = decode(coded, row(f"{group}/faces"))
-            arrays |= {f"{group}/{key}": row(f"{group}/{key}") for key in FIELD}
+            arrays |= {f"{group}/{key}": row(f"{group}/{key}") for key in FIELD_ARRAYS}
     arrays["contacts/pair"] = rows("contacts/pair", "contacts/offset")
     arrays["progress/text"] = rows("progress/text", "progress/offset")
     return arrays

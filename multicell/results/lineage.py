@@ -8,9 +8,9 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, IntArray, State, rows_of
+from multicell.cells import Cells, IntArray, State, rows_by_id
 
-COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
+LINEAGE_COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
     "births": {"id": np.int64, "parent": np.int64, "kind": np.int16, "time": np.float64},
     "deaths": {"id": np.int64, "time": np.float64},
     "ends": {"id": np.int64, "time": np.float64, "cause": np.int8},
@@ -24,64 +24,94 @@ Columns = dict[str, NDArray[Any]]
 
 
 @final
+class _Rows:
+    """Rows of a log in arrays with room behind them: lists of numbers take five times as much.
+
+    Lineages that follow from one another share them; each knows how many are its own.
+    """
+
+    def __init__(self, columns: Columns, filled: int) -> None:
+        self.columns, self.filled = columns, filled
+
+    def extended(self, begin: int, end: int, values: tuple[NDArray[Any] | float, ...]) -> _Rows:
+        """Return rows with further ones from ``begin`` to ``end``; what lies before stays."""
+        room = len(self.columns["id"])
+        rows = self
+        if end > room or begin != self.filled:  # others have gone on from here already
+            rows = self.separate(begin, max(end, 3 * room // 2))
+        for column, found in zip(rows.columns.values(), values, strict=True):
+            column[begin:end] = found
+        rows.filled = end
+        return rows
+
+    def separate(self, length: int, room: int) -> _Rows:
+        """Return a copy of so many rows, in arrays of another length."""
+        columns = {name: np.empty(room, column.dtype) for name, column in self.columns.items()}
+        for name, column in columns.items():
+            column[:length] = self.columns[name][:length]
+        return _Rows(columns, length)
+
+
+@final
 class Lineage:
     """Logs of births, deaths and ends, each in the order in which they happened.
 
+    A lineage does not change: what comes to pass makes the next one.
+
     A cell's death is the moment at which it turned necrotic, its end the moment from which it is
     not there any more: it divided, or its remains were removed. The columns are those of
-    :data:`COLUMNS`; the cause of an end is the cell's state then, or -2 for a division.
+    :data:`LINEAGE_COLUMNS`; the cause of an end is the cell's state then, or -2 for a division.
     """
 
     def __init__(self) -> None:
-        # arrays with room behind what counts: lists of numbers take five times as much
-        self._logs: dict[str, Columns] = {
-            log: {name: np.empty(0, dtype) for name, dtype in columns.items()}
-            for log, columns in COLUMNS.items()
+        self._logs = {
+            log: _Rows({name: np.empty(0, dtype) for name, dtype in columns.items()}, 0)
+            for log, columns in LINEAGE_COLUMNS.items()
         }
-        self._lengths = dict.fromkeys(COLUMNS, 0)
+        self._lengths = dict.fromkeys(LINEAGE_COLUMNS, 0)
 
     @property
     def logs(self) -> dict[str, Columns]:
         """The logs: name -> column -> array."""
-        return {log: self.rows(log, 0) for log in COLUMNS}
+        return {log: self.rows(log, 0) for log in LINEAGE_COLUMNS}
 
-    def born(self, cells: Cells, time: float) -> None:
-        """Note cells that came to be."""
-        self._note("births", (cells.id, cells.parent, cells.kind, time))
+    def born(self, cells: Cells, time: float) -> Lineage:
+        """Return the lineage with cells that came to be."""
+        return self._with("births", (cells.id, cells.parent, cells.kind, time))
 
-    def died(self, cells: Cells, dead: NDArray[np.bool_], time: float) -> None:
-        """Note which cells have died by a time in s, each at its own, by identity."""
+    def died(self, cells: Cells, dead: NDArray[np.bool_], time: float) -> Lineage:
+        """Return it with cells that have died by a time in s, each at its own, by identity."""
         rows = np.flatnonzero(dead)
         rows = rows[np.argsort(cells.id[rows])]
-        self._note("deaths", (cells.id[rows], time - cells.age[rows]))
+        return self._with("deaths", (cells.id[rows], time - cells.age[rows]))
 
-    def events(self, before: Cells, after: Cells, time: float) -> None:
-        """Note what changed between two populations: births, divisions and removals."""
+    def events(self, before: Cells, after: Cells, time: float) -> Lineage:
+        """Return it with what changed between two populations: births, divisions and removals."""
         new = np.flatnonzero(before.rows_of(after.id) < 0)
         gone = np.flatnonzero(after.rows_of(before.id) < 0)
         parent, ids = after.parent[new], before.id[gone]
-        self._note("births", (after.id[new], parent, after.kind[new], time))
-        cause = np.where(rows_of(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
-        self._note("ends", (ids, time, cause))
+        born = self._with("births", (after.id[new], parent, after.kind[new], time))
+        cause = np.where(rows_by_id(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
+        return born._with("ends", (ids, time, cause))
 
-    def retype(self, ids: IntArray, kinds: NDArray[np.int16]) -> None:
-        """Note another type of cells of which births have been noted."""
-        if len(ids):
-            births, length = self._logs["births"], self._lengths["births"]
-            births["kind"][rows_of(births["id"][:length], ids)] = kinds
+    def retyped(self, ids: IntArray, kinds: NDArray[np.int16]) -> Lineage:
+        """Return it with another type of cells of which births have been noted."""
+        if not len(ids):
+            return self
+        length = self._lengths["births"]
+        births = self._logs["births"].separate(length, length)
+        births.columns["kind"][rows_by_id(births.columns["id"], ids)] = kinds
+        return self._grown("births", births, length)
 
     def counts(self) -> dict[str, int]:
         """Return the length of each log."""
         return dict(self._lengths)
 
-    def cut(self, counts: Mapping[str, int]) -> None:
-        """Forget what came after the logs had these lengths."""
-        self._lengths |= counts
-
     def rows(self, log: str, begin: int) -> Columns:
         """Return the rows of a log from ``begin`` on, by column."""
         end = self._lengths[log]
-        return {name: column[begin:end].copy() for name, column in self._logs[log].items()}
+        columns = self._logs[log].columns
+        return {name: column[begin:end].copy() for name, column in columns.items()}
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Lineage:
@@ -90,8 +120,8 @@ class Lineage:
         Raises ValueError if they can be none.
         """
         lineage = cls()
-        for log, columns in COLUMNS.items():
-            lineage._note(log, tuple(arrays[f"{log}/{name}"] for name in columns))
+        for log, columns in LINEAGE_COLUMNS.items():
+            lineage = lineage._with(log, tuple(arrays[f"{log}/{name}"] for name in columns))
         for log in ("deaths", "ends"):
             if not np.isin(arrays[f"{log}/id"], arrays["births/id"]).all():
                 raise ValueError(f"{log} are of cells that were not born")
@@ -102,7 +132,7 @@ class Lineage:
     @staticmethod
     def check(arrays: Mapping[str, NDArray[Any]]) -> None:
         """Refuse arrays, log/column -> rows, that have not the columns of the logs: ValueError."""
-        for log, columns in COLUMNS.items():
+        for log, columns in LINEAGE_COLUMNS.items():
             shape = arrays[f"{log}/id"].shape if f"{log}/id" in arrays else ()
             for path, dtype in ((f"{log}/{name}", dtype) for name, dtype in columns.items()):
                 rows = arrays.get(path)
@@ -137,14 +167,16 @@ class Lineage:
             "end": np.array([names[int(c)] for c in cause], dtype=object),
         }
 
-    def _note(self, log: str, columns: tuple[NDArray[Any] | float, ...]) -> None:
-        """Add rows to a log; the first column has one entry for each."""
+    def _with(self, log: str, values: tuple[NDArray[Any] | float, ...]) -> Lineage:
+        """Return it with further rows of a log; the first column has one entry for each."""
         begin = self._lengths[log]
-        end = begin + len(np.atleast_1d(columns[0]))
-        for (name, held), values in zip(self._logs[log].items(), columns, strict=True):
-            if end > len(held):
-                room = np.empty(max(end, 3 * len(held) // 2), held.dtype)
-                room[:begin] = held[:begin]
-                self._logs[log][name] = held = room
-            held[begin:end] = values
-        self._lengths[log] = end
+        end = begin + len(np.atleast_1d(values[0]))
+        if end == begin:
+            return self
+        return self._grown(log, self._logs[log].extended(begin, end, values), end)
+
+    def _grown(self, log: str, rows: _Rows, length: int) -> Lineage:
+        after = object.__new__(Lineage)
+        after._logs = {**self._logs, log: rows}
+        after._lengths = {**self._lengths, log: length}
+        return after

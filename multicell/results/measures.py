@@ -52,7 +52,7 @@ def _walls(state: TissueState) -> Walls | Sphere:
     found = walls(state.scene)
     assert found is not None
     if _has_gel(state.scene):
-        of.settle(state.cells, found, compression(state.scene))
+        of.settle_gel(state.cells, found, compression(state.scene))
     return found
 
 
@@ -297,7 +297,7 @@ OBSERVABLES: Final = (
 )
 
 
-def observables_of(scene: Scene, *, own: bool = True) -> Iterator[tuple[Observable, str]]:
+def scene_observables(scene: Scene, *, own: bool = True) -> Iterator[tuple[Observable, str]]:
     """Yield the observables that exist in a scene, each with what stands for its star.
 
     - ``own``: whether also those of the user's own
@@ -325,5 +325,5 @@ def _ours(scene: Scene) -> tuple[tuple[Observable, str], ...]:
 
 def check_observables(scene: Scene) -> None:
     """Raise ``SceneError`` unless all observables that a scene names can be measured in it."""
-    for _ in observables_of(scene):
+    for _ in scene_observables(scene):
         pass

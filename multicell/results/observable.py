@@ -1,4 +1,4 @@
-"""What an observable is: a number of the state of a run, with its name, unit and title."""
+"""Observables: numbers of the state of a run, with their names, units and titles."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class TissueState:
 
     @cached_property
     def extent(self) -> Extent:
-        """What all lengths of the population have in common."""
+        """Extent of the population, of which all lengths are made."""
         return Extent(self.cells, self.dimensions)
 
     @cached_property
@@ -172,11 +172,11 @@ class Observable:
         return f"<observable {self.name} {self.function}>"
 
     def stated(self) -> dict[str, str]:
-        """Return what a scene says of an observable of the user's own."""
+        """Return the statement of a scene on an observable of the user's own."""
         return {"function": self.function, "unit": self.unit}
 
     def keys(self, scene: Scene) -> list[str]:
-        """Return what stands for the star in a scene; one empty text for a name without a star."""
+        """Return the texts for the star in a scene; one empty text for a name without a star."""
         found = self.exists(scene)
         return list(found) if "*" in self.name else [""] if found else []
 
@@ -193,20 +193,20 @@ def represented(scene: Scene, count: int) -> int:
     return count if each is None else round(count * each)
 
 
-OWN: Final[dict[str, Observable]] = {}
+OWN_OBSERVABLES: Final[dict[str, Observable]] = {}
 """Observables of the user's own by ``function``, as :func:`multicell.observable` enters them."""
 
 
 def find_own(name: str, stated: OwnObservable) -> Observable:
     """Return the observable that a scene names."""
     path, function = f"output.observables.{name}", stated.function
-    found = OWN.get(function)
+    found = OWN_OBSERVABLES.get(function)
     if found is not None and found.name == name:
         if found.unit != stated.unit:
             raise SceneError(f"{path}.unit", f"is '{stated.unit}', must be '{found.unit}'")
         return found
     source = function.partition("@")[0]
-    newer = [known for known in OWN if known.startswith(f"{source}@")]
+    newer = [known for known in OWN_OBSERVABLES if known.startswith(f"{source}@")]
     hint = f"No scene runs a file by itself: name it with --observable {source}, or import it."
     if newer:
         hint = f"'{source}' has changed since: as it is now it is '{newer[-1]}'."

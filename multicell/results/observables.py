@@ -21,7 +21,7 @@ from multicell.contact.law import compliance
 from multicell.vectors import cubes, lengths, squares, weighted_mean
 
 if TYPE_CHECKING:
-    from multicell.mechanics.compression import Compression
+    from multicell.mechanics.compression import TissueCompression
     from multicell.mechanics.sphere import Sphere
     from multicell.mechanics.walls import Walls
     from multicell.results.frame import Field, Frame
@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 
 
 def sizes(cells: Cells, dimensions: int) -> FloatArray:
-    """Return what each cell fills of its space, (n,): volume in µm³, in a plane its area in µm²."""
+    """Return the size of each cell, (n,): volume in µm³, in a plane its area in µm²."""
     return cells.volume if dimensions == 3 else np.asarray(np.pi * cells.radius**2)
 
 
@@ -177,7 +177,7 @@ def inhibited_radius(cells: Cells, dimensions: int, threshold: float = 0.2) -> f
     return float(radius[order[inhibited - 1 : inhibited + 1]].mean())
 
 
-def settle(cells: Cells, walls: Walls | Sphere, compression: Compression | None) -> float:
+def settle_gel(cells: Cells, walls: Walls | Sphere, compression: TissueCompression | None) -> float:
     """Let a gel give way to the cells; return what compressed tissue adds to its pressure, kPa.
 
     Sisters that have just parted count with their whole overlap.
@@ -191,11 +191,11 @@ def settle(cells: Cells, walls: Walls | Sphere, compression: Compression | None)
 
 
 def wall_pressure(
-    cells: Cells, walls: Walls | Sphere, compression: Compression | None = None
+    cells: Cells, walls: Walls | Sphere, compression: TissueCompression | None = None
 ) -> float:
     """Return the pressure on the walls in kPa, of a box the mean of the six sides."""
     softness = np.asarray(compliance(cells.young, cells.poisson))
-    pressed = settle(cells, walls, compression)
+    pressed = settle_gel(cells, walls, compression)
     return float(walls.pressures(cells.position, cells.radius, softness).mean()) + pressed
 
 

@@ -22,7 +22,7 @@ from typing import Any
 from multicell.contact.constants import fingerprint
 from multicell.errors import SceneError
 from multicell.plugins.named import load_object, origin, own_code
-from multicell.results.observable import OWN, Observable, TissueState
+from multicell.results.observable import OWN_OBSERVABLES, Observable, TissueState
 from multicell.results.quantities import is_taken
 from multicell.scene.scene import Scene
 from multicell.units import shown
@@ -91,7 +91,7 @@ def observable(
             function=f"{file}:{source.__qualname__}@{mark}",
             source=origin(source),
         )
-        OWN[made.function] = made
+        OWN_OBSERVABLES[made.function] = made
         return made
 
     return make
@@ -109,7 +109,7 @@ def load_observable(spec: str) -> Observable:
     if not isinstance(found, Observable):
         hint = "A function becomes one by the decorator multicell.observable."
         raise SceneError("output.observables", f"{spec!r} is not an observable", hint)
-    OWN[found.function] = found
+    OWN_OBSERVABLES[found.function] = found
     return found
 
 

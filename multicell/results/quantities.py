@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 from multicell.results.measures import OBSERVABLES
-from multicell.results.observable import OWN
+from multicell.results.observable import OWN_OBSERVABLES
 from multicell.scene.parts import own_units
 
 _AMOUNTS: Final = (
@@ -36,7 +36,7 @@ _RATIOS: Final = (
     "ledger.*.relative_remainder", "ledger.relative_remainder", "fields.*.departure_from_a_ball",
 )  # fmt: skip
 """Further numbers without a unit."""
-UNITS: Final[Mapping[str, str]] = {
+QUANTITY_UNITS: Final[Mapping[str, str]] = {
     **{o.name: o.unit for o in OBSERVABLES},
     **{o.entry: o.unit for o in OBSERVABLES if o.entry is not None},
     # of the computation
@@ -67,7 +67,7 @@ UNITS: Final[Mapping[str, str]] = {
 }  # fmt: skip
 """Unit by name; the columns of ``cells`` that are not here are those of :class:`Cells`."""
 
-ABSENT: Final[Mapping[str, str]] = {
+ABSENT_WORDS: Final[Mapping[str, str]] = {
     **{o.name: o.absent for o in OBSERVABLES if o.absent},
     "shift_effect": "before the first coupling step that is taken twice",
     "stability_ratio": "with methods whose step has no limit of stability",
@@ -81,7 +81,7 @@ All others are finite in every state.
 @lru_cache(maxsize=1024)  # each run of a study asks for the same names
 def _unit_with_star(name: str) -> str | None:
     """Return the unit of a name that matches one with a star, None if it matches none."""
-    for known, unit in UNITS.items():
+    for known, unit in QUANTITY_UNITS.items():
         if "*" in known and re.fullmatch("[^.]+".join(map(re.escape, known.split("*"))), name):
             return unit
     return None
@@ -95,8 +95,8 @@ def unit_of(name: str) -> str:
       (``"cells.radius"``). One of the user's own that has several units in this process has none
       here.
     """
-    if name in UNITS:
-        return UNITS[name]
+    if name in QUANTITY_UNITS:
+        return QUANTITY_UNITS[name]
     table, _, column = name.partition(".")
     if table == "cells":
         from multicell.cells import Cells
@@ -107,15 +107,17 @@ def unit_of(name: str) -> str:
     unit = _unit_with_star(name)
     if unit is not None:
         return unit
-    own = {o.unit for o in OWN.values() if o.name == name} or own_units(name)
+    own = {o.unit for o in OWN_OBSERVABLES.values() if o.name == name} or own_units(name)
     if own:
         return own.pop() if len(own) == 1 else ""
-    raise KeyError(f"no unit is declared for {name!r}: see multicell.results.quantities.UNITS")
+    raise KeyError(
+        f"no unit is declared for {name!r}: see multicell.results.quantities.QUANTITY_UNITS"
+    )
 
 
 def is_taken(name: str) -> bool:
     """Return whether a number or a part of a run or of a study has a name."""
-    first = {declared.partition(".")[0] for declared in UNITS}
+    first = {declared.partition(".")[0] for declared in QUANTITY_UNITS}
     return (
         name in first
         or name in ("title", "notes", "versions", "units", "interrupted", "point", "reason")

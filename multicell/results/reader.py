@@ -14,7 +14,7 @@ from multicell.errors import OutputError
 from multicell.results import hdf5, journal
 from multicell.results.frame import Frame
 from multicell.results.layout import check_frame
-from multicell.results.lineage import COLUMNS, Lineage
+from multicell.results.lineage import LINEAGE_COLUMNS, Lineage
 from multicell.results.records import Arrays, frame_of
 
 _ATTEMPTS: Final = 5  # to open a folder that changes meanwhile
@@ -62,7 +62,7 @@ class Contents:
 
     def _open(self) -> tuple[hdf5.File | None, journal.Reader | None]:
         """Open both files; a run that ends meanwhile makes one of them."""
-        path, beside = self.folder / hdf5.NAME, self.folder / journal.NAME
+        path, beside = self.folder / hdf5.FRAMES_FILE, self.folder / journal.JOURNAL_FILE
         for attempt in range(_ATTEMPTS):
             reader = None
             if beside.is_file():
@@ -83,11 +83,13 @@ class Contents:
                 return file, reader
             if attempt == _ATTEMPTS - 1:
                 raise OutputError(
-                    f"'{beside}' does not belong to the {hdf5.NAME} beside it: one of them is from "
-                    "another run",
+                    f"'{beside}' does not belong to the {hdf5.FRAMES_FILE} beside it: "
+                    "one of them is from another run",
                     damaged=True,
                 )
-        lacking = f"{hdf5.NAME} is missing" if self.folder.exists() else "there is no such folder"
+        lacking = (
+            f"{hdf5.FRAMES_FILE} is missing" if self.folder.exists() else "there is no such folder"
+        )
         lacking = "it is a file, not a folder" if self.folder.is_file() else lacking
         raise OutputError(f"there are no results in '{self.folder}': {lacking}")
 
@@ -179,7 +181,7 @@ class Contents:
 
     def lineage(self, place: int) -> Lineage:
         """Return the lineage up to a frame; raises OutputError if it is damaged."""
-        paths = [f"{log}/{name}" for log, columns in COLUMNS.items() for name in columns]
+        paths = [f"{log}/{name}" for log, columns in LINEAGE_COLUMNS.items() for name in columns]
         parts = [entry.log() for entry in self.places[: place + 1]]
         try:
             for part in parts:
@@ -211,7 +213,7 @@ class Contents:
                 last = len(self.places) - 1
                 rest = f"The frames 0 to {last} can be read: continue from the last of them with "
                 rest += f"'multicell resume --frame {last} --output' and another folder"
-            problem = f"'{self.folder / journal.NAME}' is damaged: {self.damage}. {rest}"
+            problem = f"'{self.folder / journal.JOURNAL_FILE}' is damaged: {self.damage}. {rest}"
             raise OutputError(problem, damaged=True)
 
 

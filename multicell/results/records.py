@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from multicell.cells import HAZARDS, Cells
 from multicell.errors import OutputError
 from multicell.results.frame import Field, Frame, Progress
-from multicell.results.lineage import COLUMNS, Lineage
+from multicell.results.lineage import LINEAGE_COLUMNS, Lineage
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -33,7 +33,7 @@ class FieldArray(NamedTuple):
     absent: float
 
 
-FIELD: Final[Mapping[str, FieldArray]] = {
+FIELD_ARRAYS: Final[Mapping[str, FieldArray]] = {
     "origin": FieldArray("<f8", 3, "um", np.nan),
     "spacing": FieldArray("<f8", 0, "um", np.nan),
     "height": FieldArray("<f8", 0, "um", np.nan),
@@ -43,7 +43,7 @@ FIELD: Final[Mapping[str, FieldArray]] = {
 SPARSE: Final = frozenset(f"cells/{name}" for name in ("doomed", "damage", "lag", *HAZARDS))
 """Arrays that a frame has only where they are not all zero, and a file only if a frame has them."""
 
-_OF_PARTS: Final = ("driven", "exposures", "first_states", "replays", "stability")
+_OF_PARTS: Final = ("cavity", "driven", "exposures", "first_states", "replays", "stability")
 """Entries of a progress that only some runs have."""
 
 
@@ -73,7 +73,7 @@ def without_zeros(arrays: Arrays) -> Arrays:
 
 def _of_field(field: Field) -> Arrays:
     stored = {**vars(field), "radial": field.kind == "radial"}
-    arrays = {name: np.asarray(stored[name], entry.dtype) for name, entry in FIELD.items()}
+    arrays = {name: np.asarray(stored[name], entry.dtype) for name, entry in FIELD_ARRAYS.items()}
     return {"values": np.asarray(field.values, "<f8"), **arrays}
 
 
@@ -101,7 +101,7 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
 
 def _field_of(name: str, arrays: Mapping[str, NDArray[Any]]) -> Field:
     origin, spacing, height, radial, values = (
-        arrays[f"fields/{name}/{key}"] for key in (*FIELD, "values")
+        arrays[f"fields/{name}/{key}"] for key in (*FIELD_ARRAYS, "values")
     )
     kind = "radial" if radial else "box"
     return Field(name, UNIT, origin, float(spacing), values, kind, float(height))
@@ -124,6 +124,6 @@ def log_arrays(lineage: Lineage | None, begin: Mapping[str, int]) -> Arrays:
     logs = Lineage() if lineage is None else lineage
     return {
         f"{log}/{name}": column
-        for log in COLUMNS
+        for log in LINEAGE_COLUMNS
         for name, column in logs.rows(log, begin[log] if lineage is not None else 0).items()
     }

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multicell.errors import OutputError
-from multicell.results.documents import read_table
+from multicell.results.documents import read_document
 from multicell.results.folder import versions
-from multicell.results.measures import observables_of
+from multicell.results.measures import scene_observables
 from multicell.results.observable import TissueState, represented
 from multicell.results.quantities import units_of
 from multicell.scene.sizes import birth_volume
@@ -32,7 +32,7 @@ def history_row(scene: Scene, frame: Frame, **found: float) -> dict[str, float]:
     """
     state = TissueState(frame, scene)
     row = {"time": frame.time, "step": float(frame.step)}
-    for observable, key in observables_of(scene):
+    for observable, key in scene_observables(scene):
         if observable.measure is not None:
             row[observable.name.replace("*", key)] = float(observable.value(state, key))
     amiss = _splitting(scene, frame.cells)
@@ -50,7 +50,7 @@ def state_summary(scene: Scene, frame: Frame, *, own: bool = True) -> dict[str, 
     """
     state = TissueState(frame, scene)
     summary: dict[str, Any] = {"time": float(frame.time)}
-    for observable, key in observables_of(scene, own=own):
+    for observable, key in scene_observables(scene, own=own):
         if observable.measure is not None and observable.entry is not None:
             *tables, name = observable.entry.replace("*", key).split(".")
             place = summary
@@ -125,7 +125,7 @@ def run_summary(
 
 
 def _checks(progress: Progress) -> dict[str, float]:
-    """Return what replays from shifted positions and checks of stability have found, if any."""
+    """Return the findings of replays from shifted positions and checks of stability, if any."""
     found: dict[str, float] = {}
     replays, known = progress.replays, progress.stability
     if replays.get("done"):
@@ -194,7 +194,7 @@ def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
 
 
 def scene_mark(text: str) -> str:
-    """Return what a summary names its scene by: a digest of the text that the frames hold too."""
+    """Return the mark of a scene in a summary: a digest of the text that the frames hold too."""
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
@@ -204,7 +204,7 @@ def read_summary(contents: Contents) -> dict[str, Any] | None:
     Raises OutputError for one that is damaged, or of another run than the frames beside it.
     """
     path = contents.folder / "summary.json"
-    summary = read_table(path)
+    summary = read_document(path)
     if summary is None:
         return None
     if "scene_digest" in summary:

@@ -82,7 +82,7 @@ def data_frame(table: Mapping[str, NDArray[Any]]) -> DataFrame:
     return frame
 
 
-def history_arrays(history: Mapping[str, NDArray[np.float64]], scene: str) -> Dataset:
+def history_dataset(history: Mapping[str, NDArray[np.float64]], scene: str) -> Dataset:
     """Return the history of a run as a data set along ``time``, with units, scene and versions.
 
     - ``history``, column name -> (m,): as that of :class:`multicell.Result`
@@ -138,7 +138,7 @@ def _field(field: Field, places: dict[str, Any]) -> tuple[Sequence[str], Any, di
 _LATITUDES, _LONGITUDES = 12, 24  # of the boxes that a shell is cut into
 
 
-def blocks(frame: Frame, types: Sequence[str] = ()) -> MultiBlock:
+def frame_blocks(frame: Frame, types: Sequence[str] = ()) -> MultiBlock:
     """Return the cells of a frame as points, ``"cells"``, and its fields by name, in µm.
 
     Quantities are named with their units (``radius_um``). States, phases and types are numbers,

@@ -53,9 +53,9 @@ from multicell.errors import OutputError
 from multicell.host.interrupts import UNCUT
 from multicell.results import hdf5
 from multicell.results.folder import (
-    FILES,
     LIVE,
     PASSING,
+    RUN_FILES,
     copy_of,
     file_errors,
     is_begun,
@@ -68,9 +68,9 @@ from multicell.results.folder import (
     write_text,
 )
 from multicell.results.frame import Frame
-from multicell.results.journal import NAME as JOURNAL
+from multicell.results.journal import JOURNAL_FILE as JOURNAL
 from multicell.results.journal import Journal
-from multicell.results.lineage import COLUMNS, Lineage
+from multicell.results.lineage import LINEAGE_COLUMNS, Lineage
 from multicell.results.reader import Contents
 from multicell.results.records import Arrays, arrays_of, log_arrays
 from multicell.scene.scene import Scene
@@ -107,7 +107,7 @@ class Store:
         self._written = clock.monotonic()
         # what is complete: the only truth about what comes next
         self._frames = self._rows = 0
-        self._logged = dict.fromkeys(COLUMNS, 0)
+        self._logged = dict.fromkeys(LINEAGE_COLUMNS, 0)
 
     @classmethod
     def create(cls, folder: str | Path, scene: Scene, overwrite: bool = False) -> Self:
@@ -128,7 +128,7 @@ class Store:
             scene = with_copy(scene, folder)
             table = scene.initial.cells
             kept = "" if table is None else Path(table.file).name
-            remove(folder, (name for name in (*PASSING, *LIVE, *FILES) if name != kept))
+            remove(folder, (name for name in (*PASSING, *LIVE, *RUN_FILES) if name != kept))
             text = scene.to_toml(versions(), beside=folder)
             write_text(folder / "scene.toml", text)
             names = tuple(scene.nutrients)
@@ -167,7 +167,10 @@ class Store:
                 journal.sync()
             with file_errors("write", folder / "scene.toml"):
                 put_in_place(part, folder / "scene.toml")
-            remove(folder, [name for name in FILES if name not in (*_OF_THE_START, hdf5.NAME)])
+            remove(
+                folder,
+                [name for name in RUN_FILES if name not in (*_OF_THE_START, hdf5.FRAMES_FILE)],
+            )
             store = cls(folder, text, journal, names, stack.pop_all())
         store._frames, store._rows = place + 1, rows
         store._columns, store._logged = contents.columns, lineage.counts()
@@ -198,7 +201,7 @@ class Store:
             ({"kind": "lineage", **number}, log), ({"kind": "frame", **number, **frame}, arrays)
         )
         self._frames += 1
-        for name in COLUMNS:
+        for name in LINEAGE_COLUMNS:
             self._logged[name] += len(log[f"{name}/id"])
 
     def _write(self, *records: tuple[Mapping[str, Any], Arrays]) -> None:
@@ -242,7 +245,7 @@ class Store:
         frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
         held = contents.scene, contents.nutrients, frames, contents.history(), contents.identity
         try:
-            hdf5.write(self.folder / hdf5.NAME, *held)
+            hdf5.write_hdf5(self.folder / hdf5.FRAMES_FILE, *held)
         except OutputError as error:
             raise OutputError(
                 f"{error}. All {len(contents.places)} frames of the run are kept in {JOURNAL} and "

@@ -10,9 +10,15 @@ from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
-from multicell.scene.oxygen import NAME, saturated
+from multicell.scene.oxygen import OXYGEN, saturated
 from multicell.scene.reactions import group_of, groups
-from multicell.scene.scales import MAX_NODES, height, level_fixed, spacing, touches_medium
+from multicell.scene.scales import (
+    MAX_NODES,
+    largest_spacing,
+    layer_height,
+    level_fixed,
+    touches_medium,
+)
 from multicell.schema import leaves, near_miss, separated
 
 if TYPE_CHECKING:
@@ -38,7 +44,7 @@ def check_kinds(scene: Scene, path: str, text: str | None) -> None:
             raise SceneError(path, problem, near_miss(kind, scene.types))
 
 
-FIELD = "a field of this scene"
+FIELD_HINT = "a field of this scene"
 
 
 def check_types(scene: Scene) -> None:
@@ -54,7 +60,7 @@ def check_types(scene: Scene) -> None:
         if kind.surface_energy is not None:
             _check_energies(scene, f"types.{name}.surface_energy", kind)
         for key in ("uptake_of", "secretion_of"):
-            check_names(getattr(kind, key), scene.nutrients, f"types.{name}.{key}", FIELD)
+            check_names(getattr(kind, key), scene.nutrients, f"types.{name}.{key}", FIELD_HINT)
         if kind.sticks and scene.adhesion is None:
             path = f"types.{name}.{'receptor' if any(v for _, v in kind.receptor) else 'ligand'}"
             hint = "An [adhesion] table says how strongly receptors bind."
@@ -64,7 +70,7 @@ def check_types(scene: Scene) -> None:
         raise SceneError("adhesion", "has no effect: no type carries receptors or ligands", hint)
 
 
-def check_integrator(scene: Scene) -> None:
+def check_method(scene: Scene) -> None:
     """Raise ``SceneError`` for a method that cannot hold the scene."""
     info = METHODS.get(scene.integrator.method)
     refused = info and info.refusal(scene.initial.count, friction=scene.friction is not None)
@@ -76,7 +82,7 @@ def check_towards(scene: Scene) -> None:
     """Raise ``SceneError`` for motility towards a field that the scene does not have."""
     towards = "" if scene.motility is None else scene.motility.towards
     if towards and towards not in scene.nutrients:
-        problem = f"is {towards!r}, which is not {FIELD}"
+        problem = f"is {towards!r}, which is not {FIELD_HINT}"
         raise SceneError("motility.towards", problem, near_miss(towards, scene.nutrients))
 
 
@@ -115,7 +121,7 @@ def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
     """Check one row of the matrix of surface energies: names, completeness, symmetry."""
     assert kind.surface_energy is not None
     own = path.split(".")[1]
-    if not hasattr(scene.contact, "surface_energy"):
+    if not scene.contact.is_sticky:
         raise SceneError(path, "needs a contact law with a surface energy", "Such as law = 'jkr'.")
     check_names(kind.surface_energy, scene.types, path, "a type of this scene")
     for other, partner in scene.types.items():
@@ -149,14 +155,16 @@ _FINEST = 0.001
 
 def check_nutrients(scene: Scene) -> None:
     """Raise ``SceneError`` for fields that do not fit together or to the rest of the scene."""
-    check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", FIELD)
+    check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", FIELD_HINT)
     for name, reaction in scene.reactions.items():
         for key in ("consumes", "produces"):
-            check_names(getattr(reaction, key), scene.nutrients, f"reactions.{name}.{key}", FIELD)
+            check_names(
+                getattr(reaction, key), scene.nutrients, f"reactions.{name}.{key}", FIELD_HINT
+            )
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
         _check_names(scene, path, nutrient)
-        if name == NAME:
+        if name == OXYGEN:
             _check_oxygen(path, nutrient)
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
@@ -176,7 +184,7 @@ def check_nutrients(scene: Scene) -> None:
 def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that fields which a field refers to exist."""
     for key in ("uptake_on", "secretion_from"):
-        check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", FIELD)
+        check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", FIELD_HINT)
     if nutrient.uptake_on and not nutrient.takes_up:
         hint = "Give an uptake, or remove uptake_on."
         raise SceneError(f"{path}.uptake_on", "has no effect: uptake is zero", hint)
@@ -276,7 +284,7 @@ def _check_plane(scene: Scene, name: str) -> None:
     nutrient = scene.nutrients[name]
     if not nutrient.takes_up or nutrient.height is not None or nutrient.perfusion > 0.0:
         return
-    exchange = nutrient.diffusion / (height(scene, name) * _DEEP)
+    exchange = nutrient.diffusion / (layer_height(scene, name) * _DEEP)
     problem = (
         f"is missing: in a plane cells take up {name}, and a layer as high as one cell would feed "
         "them from its rim alone"
@@ -297,7 +305,7 @@ def _check_in_domain(scene: Scene, name: str) -> None:
     if nutrient.geometry not in (None, "box"):
         problem = f"is '{nutrient.geometry}' in a scene with a domain, which is a box"
         raise SceneError(f"{path}.geometry", problem, "Take geometry = 'box', or leave domain out.")
-    wanted, lengths = spacing(scene, name), box.sides(domain)
+    wanted, lengths = largest_spacing(scene, name), box.sides(domain)
     if math.prod(max(length / wanted, 2.0) for length in lengths) > MAX_NODES:
         problem = f"is {wanted:g} um: the domain would need more than {MAX_NODES} nodes"
         raise SceneError(f"{path}.spacing", problem, "Take a larger spacing or a smaller domain.")
@@ -410,7 +418,7 @@ def check_own(scene: Scene, reactions: Mapping[str, Any]) -> None:
             raise SceneError(path, "is a reaction of the scene already", "Give it another name.")
         for field in reaction.fields:
             if field not in scene.nutrients:
-                problem = f"depends on {field}, which is not {FIELD}"
+                problem = f"depends on {field}, which is not {FIELD_HINT}"
                 raise SceneError(path, problem, near_miss(field, scene.nutrients))
     _check_groups(scene, {**scene.reactions, **reactions})
 
@@ -435,7 +443,7 @@ def _check_grid(scene: Scene, group: list[str]) -> None:
             key: (getattr(nutrient, key), getattr(scene.nutrients[first], key)) for key in _SHARED
         }
         keys["geometry"] = nutrient.layout, scene.nutrients[first].layout
-        keys["spacing"] = spacing(scene, name), spacing(scene, first)
+        keys["spacing"] = largest_spacing(scene, name), largest_spacing(scene, first)
         for key, (own, other) in keys.items():
             if own != other:
                 shown = [x if isinstance(x, str) or x is None else f"{x:g}" for x in (own, other)]

@@ -3,7 +3,7 @@
 Lengths of cells grow by a factor f, lengths of the tissue stay. A continuum does not notice if
 stress, friction per volume, uptake per volume and all times stay: with r the radius of a cell and
 r⁻³ cells in a volume, a force between cells must grow as r² (stress F r / r³), a force or an uptake
-of a cell as r³. From this follow the powers of f in :data:`LAWS`.
+of a cell as r³. From this follow the powers of f in :data:`SCALING_EXPONENTS`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.errors import SceneError
-from multicell.plugins.laws import OwnLaw
 from multicell.schema import Tables, specs
 from multicell.units import finite
 
@@ -41,7 +40,7 @@ _SAME: Final[Mapping[str, str]] = {
 }
 """Keys with lengths of the tissue and of its fields, which stay."""
 
-LAWS: Final[Mapping[str, int | str]] = {
+SCALING_EXPONENTS: Final[Mapping[str, int | str]] = {
     # sizes and numbers of cells
     "cells.division_radius": 1,
     "cells.represents": 3,
@@ -126,7 +125,7 @@ def _refuse(scene: Scene) -> None:
         raise SceneError("dimensions", problem, "Only scenes in space can be made coarse.")
     if scene.initial.shape == "row":
         raise SceneError("initial.shape", "is 'row', which fewer cells would make shorter")
-    if isinstance(scene.contact, OwnLaw):
+    if not scene.contact.scales:
         problem = "is a law of your own, of which nobody knows how it scales"
         raise SceneError("contact.law", problem, "Scale its parameters so that F(f h, f r) = f² F.")
     for name, part in scene.responses.items():
@@ -153,7 +152,7 @@ def _scaled(part: Any, where: str, factor: float) -> dict[str, Any]:
         value, key = getattr(part, name), f"{where}.{name}" if where else name
         if value is None or (isinstance(value, Tables) and not value):
             continue
-        law = LAWS.get(key, 0)
+        law = SCALING_EXPONENTS.get(key, 0)
         if isinstance(law, str):
             raise SceneError(key, f"cannot be made coarse: it {law}")
         plain = spec.plain(value)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
-from multicell.scene.checks import FIELD, check_names
+from multicell.scene.checks import FIELD_HINT, check_names
 from multicell.scene.nutrient import Nutrient, check_order
 from multicell.schema import parameters, quantities, quantity
 
@@ -69,7 +69,7 @@ def check_energy(scene: Scene) -> None:
     energy = scene.energy
     if energy is None:
         return
-    check_names(energy.yields, scene.nutrients, "energy.yields", FIELD)
+    check_names(energy.yields, scene.nutrients, "energy.yields", FIELD_HINT)
     for name in energy.yields or ():
         if scene.nutrients[name].uptake_per_volume is None:
             problem = "is a field whose uptake is that of a cell, not of a volume"

@@ -1,4 +1,4 @@
-"""What a scene says of a dissolved substance: transport, boundary, kinetics, effects."""
+"""Nutrients of a scene: transport, boundary, kinetics and effects of a dissolved substance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from multicell.schema import (
     tables,
 )
 
-MOST = 1e5
+MAX_CONCENTRATION = 1e5
 """Largest concentration, mM: more than pure water, 55,500 mM."""
 
 USUAL_UPTAKE = 20.0
@@ -29,8 +29,8 @@ USUAL_UPTAKE = 20.0
 _DENSE = "Nothing dissolves to more: pure water is 55,500 mM."
 _FLUX = "A cell that takes up its own volume of pure water in a second has 3e7 amol/s."
 
-_level = partial(quantity, "mM", at_least=0, at_most=MOST)
-_level_above_zero = partial(quantity, "mM", above=0, at_most=MOST)
+_level = partial(quantity, "mM", at_least=0, at_most=MAX_CONCENTRATION)
+_level_above_zero = partial(quantity, "mM", above=0, at_most=MAX_CONCENTRATION)
 _rate = partial(quantity, "1/s", default=0.0, at_least=0, at_most=1e6)
 _diffusion = partial(quantity, "um^2/s", at_least=1e-6, at_most=1e8)
 _thickness = partial(quantity, "um", default=None, at_most=1e6)
@@ -57,7 +57,7 @@ class Side:
         "mM/um",
         default=None,
         at_least=0,
-        at_most=MOST,
+        at_most=MAX_CONCENTRATION,
         doc="slope along the outward normal: positive supplies, zero is a wall",
         hint="A drain that takes more than there is would make concentrations negative; "
         "a side brings at most a pure substance within a micrometre.",
@@ -84,7 +84,9 @@ class Dependence:
     effect: float = number(
         at_least=-1, at_most=1e6, doc="relative change of the uptake where g is zero"
     )
-    half: float = quantity("mM", above=0, at_most=MOST, doc="concentration g of half the effect")
+    half: float = quantity(
+        "mM", above=0, at_most=MAX_CONCENTRATION, doc="concentration g of half the effect"
+    )
 
     def factor(self, g: Any) -> Any:
         """Return the factor on the largest uptake where the other field's concentration is g."""
@@ -128,7 +130,7 @@ class Nutrient:
     media: tuple[tuple[float, float], ...] | None = schedule(
         "mM",
         at_least=0,
-        at_most=MOST,
+        at_most=MAX_CONCENTRATION,
         doc="[time, concentration] of the medium from these times on",
     )
     temperature: float = number(
@@ -163,7 +165,7 @@ class Nutrient:
         "mM",
         default=0.005,
         at_least=1e-12,
-        at_most=MOST,
+        at_most=MAX_CONCENTRATION,
         doc="concentration of half the largest uptake",
         hint="1e-12 mM is one molecule in the volume of a tissue of 0.1 mm.",
     )
@@ -261,7 +263,7 @@ class Nutrient:
 
     @property
     def layout(self) -> str:
-        """What its grid may be: ``"box"``, ``"radial"``, or ``"auto"`` for either."""
+        """Kind of its grid: ``"box"``, ``"radial"``, or ``"auto"`` for either."""
         return self.geometry or "box"
 
     def medium(self, time: float) -> float:

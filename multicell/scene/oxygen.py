@@ -12,7 +12,7 @@ from multicell.scene.nutrient import Nutrient
 from multicell.schema import specs
 from multicell.units import PERCENT, oxygen_solubility, shown, to_base, vapour_pressure
 
-NAME: Final = "oxygen"
+OXYGEN: Final = "oxygen"
 """The field whose concentrations may be written as partial pressures."""
 
 _BODY: Final = next(f.default for f in fields(Nutrient) if f.name == "temperature")
@@ -72,9 +72,9 @@ def concentration(text: str, field: str, path: str, nutrients: Any) -> Any:
             amount = to_base(text, "kPa", path)
         except SceneError:
             return text
-    if field != NAME:
+    if field != OXYGEN:
         what = "a partial pressure" if percent is None else "a part of a gas"
-        hint = f"Only of the field named '{NAME}' is known how much dissolves."
+        hint = f"Only of the field named '{OXYGEN}' is known how much dissolves."
         raise SceneError(path, f"is {shown(text)}, {what}, must be a concentration", hint)
     temperature = _temperature(nutrients)
     dry = 1.0 if percent is None else _ATMOSPHERE - vapour_pressure(temperature)
@@ -82,15 +82,15 @@ def concentration(text: str, field: str, path: str, nutrients: Any) -> Any:
 
 
 def saturated(temperature: float) -> float:
-    """Return what water dissolves under pure, moist oxygen, mM; ``temperature`` in °C."""
+    """Return the solubility of pure, moist oxygen in water, mM; ``temperature`` in °C."""
     return (_ATMOSPHERE - vapour_pressure(temperature)) * oxygen_solubility(temperature)
 
 
 def _temperature(nutrients: Any) -> float:
     """Return the temperature of the field of oxygen, °C; that of the body if there is none."""
-    table = nutrients.get(NAME) if isinstance(nutrients, Mapping) else None
+    table = nutrients.get(OXYGEN) if isinstance(nutrients, Mapping) else None
     if isinstance(table, Nutrient):
         return table.temperature
     given = table.get("temperature", _BODY) if isinstance(table, Mapping) else _BODY
     spec = specs(Nutrient)["temperature"]
-    return float(spec.convert(given, f"nutrients.{NAME}.temperature"))
+    return float(spec.convert(given, f"nutrients.{OXYGEN}.temperature"))

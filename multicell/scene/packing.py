@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from multicell.contact.pair import Pair
-from multicell.scene.pairs import pairs
+from multicell.scene.pairs import type_pairs
 from multicell.scene.sizes import birth_radius
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def _nodes() -> tuple[FloatArray, FloatArray]:
 
 
 @lru_cache(maxsize=256)  # the runs of a study have the same pairs
-def moments(pair: Pair, dimensions: int) -> tuple[float, float]:
+def force_moments(pair: Pair, dimensions: int) -> tuple[float, float]:
     """Return the repulsive and the attractive part of ∫F x^d dx, x the distance of the centres.
 
     Where the second is larger, the pair energy integrated over space is negative. Both are
@@ -96,16 +96,16 @@ class Attraction(NamedTuple):
 def strongest_attraction(scene: Scene) -> dict[str, Attraction]:
     """Return the attraction over the repulsion of each two types, by the name of their pair.
 
-    Above 1 tissue collapses. For cells of one type it is the ratio of :func:`moments`. Cells i
-    and j of two types, mixed as they like best, gain energy by packing densely where
+    Above 1 tissue collapses. For cells of one type it is the ratio of :func:`force_moments`. Cells
+    i and j of two types, mixed as they like best, gain energy by packing densely where
     W_ij < -√(W_ii W_jj), with W = repulsion - attraction: what the like ones repel each other
     counts as repulsion. Newborn cells are taken, since small cells overlap most for their size, and
     receptors as they are when they bind most.
     """
     found: dict[str, Attraction] = {}
     for time in _times(scene):
-        own = list(pairs(scene, birth_radius(scene), time))
-        parts = [moments(pair, scene.dimensions) for _, pair in own]
+        own = list(type_pairs(scene, birth_radius(scene), time))
+        parts = [force_moments(pair, scene.dimensions) for _, pair in own]
         kinds = list(combinations_with_replacement(range(max(len(scene.types), 1)), 2))
         net = {
             i: max(repulsion - attraction, 0.0)

@@ -15,7 +15,7 @@ from multicell.contact.pair import Pair
 from multicell.scene.sizes import birth_radius
 
 if TYPE_CHECKING:
-    from multicell.mechanics.compression import Compression
+    from multicell.mechanics.compression import TissueCompression
     from multicell.scene.scene import Scene
 
 
@@ -28,14 +28,14 @@ def surface_energies(scene: Scene) -> FloatArray | None:
     return np.array([[(row or {})[name] for name in names] for row in rows])
 
 
-def compression(scene: Scene) -> Compression | None:
-    """Return what resists compression beside contacts; where nothing does, nothing is loaded."""
+def compression(scene: Scene) -> TissueCompression | None:
+    """Return the resistance to compression beside contacts; nothing is loaded where it is zero."""
     part = scene.compression
     if part is None:
         return None
-    from multicell.mechanics.compression import Compression
+    from multicell.mechanics.compression import TissueCompression
 
-    return Compression(part.bulk_modulus, part.onset)
+    return TissueCompression(part.bulk_modulus, part.onset)
 
 
 def drag(scene: Scene, radius: float) -> float:
@@ -50,10 +50,10 @@ def daughters_stiffness(scene: Scene) -> float:
     """
     mother, daughter = scene.cells.division_radius, birth_radius(scene)
     overlap = 2.0 * daughter - 2.0 * (mother - daughter)
-    return max(pair.stiffness(overlap) for _, pair in pairs(scene, daughter))
+    return max(pair.stiffness(overlap) for _, pair in type_pairs(scene, daughter))
 
 
-def pairs(scene: Scene, radius: float, time: float = 0.0) -> Iterator[tuple[str, Pair]]:
+def type_pairs(scene: Scene, radius: float, time: float = 0.0) -> Iterator[tuple[str, Pair]]:
     """Yield the name and the pair of equal cells for every two types of a scene.
 
     The name is empty where all cells are alike, else for example ``"cohesive-loose"``.

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.behaviours.growth_laws.laws import LAWS, GrowthLaw
+from multicell.behaviours.growth_laws.laws import GROWTH_LAWS, GrowthLaw
 from multicell.errors import SceneError
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS, meant_by
 from multicell.plugins.named import OWN_OBJECT, is_recorded_object
 from multicell.schema import (
-    build,
+    build_part,
     choice,
     count,
     course,
@@ -101,7 +101,7 @@ class Drag:
     )
 
 
-PHASES = ("G1", "S", "G2", "M")
+CYCLE_PHASES = ("G1", "S", "G2", "M")
 """Names of the phases of the cell cycle, in their order."""
 
 
@@ -133,7 +133,7 @@ class PhaseLength:
 
 
 def loaded_in(laws: Any) -> Callable[[str], bool]:
-    """Return what tells names of loaded laws of the user's own, and refuses those not loaded."""
+    """Return a reader for names of loaded laws of the user's own; it refuses those not loaded."""
 
     def known(name: str) -> bool:
         if ":" in name and name not in laws:
@@ -161,17 +161,17 @@ class Growth:
         "s", default=54000.0, above=0, doc="mean shortest cycle time; not used with phases"
     )
     law: str = choice(
-        LAWS,
+        GROWTH_LAWS,
         default="linear",
         doc="how the volume grows in time",
-        other=loaded_in(LAWS),
+        other=loaded_in(GROWTH_LAWS),
         further=OWN_OBJECT,
     )
     parameters: Mapping[str, float] | None = quantities(
         "", doc="of the law by their names, such as relaxation's target"
     )
     phases: Mapping[str, PhaseLength] = tables(
-        PhaseLength, names=PHASES, doc="absent: volume triggers division"
+        PhaseLength, names=CYCLE_PHASES, doc="absent: volume triggers division"
     )
     volume_doubling_time: float | None = quantity(
         "s",
@@ -204,13 +204,13 @@ class Growth:
 
     def check(self) -> None:
         """Raise ``SceneError`` for phases that make no cycle, and for a law's parameters."""
-        build(LAWS[self.law], self.parameters or {}, "parameters")
+        build_part(GROWTH_LAWS[self.law], self.parameters or {}, "parameters")
         if not self.phases:
             for name in ("volume_doubling_time", "ki67_decay"):
                 if getattr(self, name) is not None:
                     raise SceneError(name, "needs phases", "Without them there is cycle_time.")
             return
-        for name in PHASES:
+        for name in CYCLE_PHASES:
             if name not in self.phases:
                 problem = "is missing: a cycle has all of G1, S, G2 and M"
                 raise SceneError(f"phases.{name}", problem, "Give it a duration.")
@@ -228,12 +228,12 @@ class Growth:
     @property
     def growth_law(self) -> GrowthLaw:
         """The law with its parameters."""
-        return LAWS[self.law](**(self.parameters or {}))
+        return GROWTH_LAWS[self.law](**(self.parameters or {}))
 
     @property
     def target_scales(self) -> FloatArray | None:
         """Of each phase, G0 first, (5,); None where all are 1."""
-        scales = [1.0, *(self.phases[name].target_scale for name in PHASES if self.phases)]
+        scales = [1.0, *(self.phases[name].target_scale for name in CYCLE_PHASES if self.phases)]
         return None if set(scales) == {1.0} else np.array(scales)
 
     @property
@@ -241,7 +241,7 @@ class Growth:
         """Mean time of a cycle that nothing limits, s."""
         if not self.phases:
             return self.cycle_time
-        return sum(self.phases[name].duration for name in PHASES)
+        return sum(self.phases[name].duration for name in CYCLE_PHASES)
 
 
 @final
@@ -359,7 +359,7 @@ def own_names() -> list[str]:
 @final
 @parameters
 class OutputOptions:
-    """What is recorded."""
+    """Options of the output."""
 
     every: float = quantity("s", default=21600.0, above=0, doc="simulated time between frames")
     observables: Mapping[str, OwnObservable] = tables(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.errors import SceneError
-from multicell.scene.checks import FIELD, check_kinds, check_phases
+from multicell.scene.checks import FIELD_HINT, check_kinds, check_phases
 from multicell.schema import (
     count,
     moments,
@@ -102,7 +102,7 @@ def check_radiation(scene: Scene) -> None:
         path = f"radiation.{name}"
         check_kinds(scene, f"{path}.cells", part.cells)
         if part.oxygen and part.oxygen not in scene.nutrients:
-            problem = f"is {part.oxygen!r}, which is not {FIELD}"
+            problem = f"is {part.oxygen!r}, which is not {FIELD_HINT}"
             hint = near_miss(part.oxygen, scene.nutrients)
             raise SceneError(f"{path}.oxygen", problem, hint)
         check_phases(scene, f"{path}.phase_factor", part.phase_factor)

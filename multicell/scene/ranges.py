@@ -8,8 +8,7 @@ merely unusual.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
@@ -78,12 +77,12 @@ def _check_overlap(scene: Scene) -> None:
     Two cells must repel each other before their centres meet, at birth and before division, under
     the largest surface energy and the most bonds that occur, with the smallest mean modulus.
     """
-    law: Any = scene.contact
+    law = scene.contact
     energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
     young = min((k.young or scene.cells.young for k in scene.types.values()), default=0.0)
     young, poisson = young or scene.cells.young, scene.cells.poisson
-    if energies and hasattr(law, "surface_energy"):
-        law = replace(law, surface_energy=max(energies))
+    if energies:
+        law = law.with_surface_energy(max(energies))
     modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
     for radius in (0.5 ** (1.0 / 3.0) * scene.cells.division_radius, scene.cells.division_radius):
         pair, deep = effective_radius(radius, radius), 1.99 * radius

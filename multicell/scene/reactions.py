@@ -1,4 +1,4 @@
-"""What a scene says of reactions between its fields, by the law of mass action."""
+"""Reactions between the fields of a scene, by the law of mass action."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from multicell.schema import (
 )
 from multicell.units import to_base
 
-UNITS = ("mM/s", "1/s", "1/mM/s", "1/mM^2/s", "1/mM^3/s")
+RATE_UNITS = ("mM/s", "1/s", "1/mM/s", "1/mM^2/s", "1/mM^3/s")
 """Units of a rate constant by the order of its reaction, mM^(1 - n)/s."""
 
 _LEAST, _LARGEST = 1e-15, 1e12
-_ORDER = len(UNITS) - 1
+_ORDER = len(RATE_UNITS) - 1
 
 
 @final
@@ -79,7 +79,7 @@ class Reaction:
     @property
     def unit(self) -> str:
         """The unit of ``rate``."""
-        return UNITS[self.order]
+        return RATE_UNITS[self.order]
 
     @property
     def changes(self) -> dict[str, float]:

@@ -8,7 +8,7 @@ responses; both become :class:`Effect` here, and nothing else is evaluated in a 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, final
@@ -22,14 +22,11 @@ from multicell.behaviours.catalogue import (
     signal_unit,
 )
 from multicell.behaviours.laws import (
-    KEYS,
-    OWN,
-    Constant,
-    Hill,
-    Linear,
+    OWN_RESPONSES,
+    RESPONSE_LAWS,
+    LinearResponse,
     Monod,
     ResponseLaw,
-    Table,
     Threshold,
 )
 from multicell.cells import Phase
@@ -42,7 +39,7 @@ from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
     Tables,
-    build,
+    build_part,
     choice,
     flag,
     measure,
@@ -85,7 +82,7 @@ class Response:
     )  # fmt: skip
     cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")
     law: str = choice(
-        KEYS, default="hill", doc="by which it responds", other=loaded_in(OWN),
+        RESPONSE_LAWS, default="hill", doc="by which it responds", other=loaded_in(OWN_RESPONSES),
         further=OWN_OBJECT,
     )  # fmt: skip
     falls: bool = flag(default=False, doc="whether the effect falls as the signal rises")
@@ -106,12 +103,12 @@ class Response:
 
     def check(self) -> None:
         """Raise ``SceneError`` for a law without its keys, or with those of another one."""
-        needed, also = KEYS.get(self.law, (("signal",), ("parameters", "falls", "base", "largest")))
+        law = RESPONSE_LAWS.get(self.law, ResponseLaw)
         for name, absent in _ABSENT.items():
             given = getattr(self, name) not in (absent, "")
-            if name in needed and not given:
+            if name in law.needs and not given:
                 raise SceneError(name, f"is missing: the law is {self.law!r}")
-            if given and name not in (*needed, *also):
+            if given and name not in (*law.needs, *law.may_have):
                 raise SceneError(name, f"has no effect: the law is {self.law!r}")
 
     @property
@@ -159,7 +156,7 @@ def effects(scene: Scene) -> tuple[Effect, ...]:
     return (*_short_forms(scene), *named)
 
 
-def read_fields(scene: Scene) -> set[str]:
+def relevant_fields(scene: Scene) -> set[str]:
     """Return the fields that matter to cells, fields and reactions of a scene."""
     read = {*followed(scene), *(part.oxygen for part in scene.radiation.values())}
     read |= {signal for effect in effects(scene) for signal in effect.signals}
@@ -196,7 +193,7 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
         return Effect(what, (signal,), law, falls, 0.0, high, (), combine, key, short=True)
 
     def needs(part: Any, signal: str, path: str) -> Iterator[Effect]:
-        """Yield what cells need of a field or of ATP."""
+        """Yield the needs of cells of a field or of ATP."""
         laws: dict[str, tuple[str, Any, bool, float]] = {
             "growth_half_saturation": ("growth rate", Monod, False, 1.0),
             "growth_inhibition": ("growth rate", Monod, True, 1.0),
@@ -215,12 +212,12 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
         yield from needs(scene.energy, "ATP", "energy")
     if scene.growth is not None and scene.growth.critical_pressure is not None:
         key, critical = "growth.critical_pressure", scene.growth.critical_pressure
-        yield short("growth rate", "pressure", Linear(0.0, critical), key, falls=True)
+        yield short("growth rate", "pressure", LinearResponse(0.0, critical), key, falls=True)
         yield short("rest", "pressure", Threshold(critical), key, falls=False)
 
 
 def _effect(scene: Scene, name: str, part: Response) -> Effect:
-    """Return what a response says; it has been checked."""
+    """Return the effect of a response; it has been checked."""
     behaviour, _ = behaviour_named(part.behaviour, "behaviour")
     full = part.behaviour if behaviour.of else behaviour.name
     low, high = _ends(scene, behaviour, part, falls=part.falls)
@@ -233,41 +230,33 @@ def _ends(
     scene: Scene, behaviour: Behaviour, part: Response, *, falls: bool
 ) -> tuple[float, float]:
     """Return the values of a behaviour at no effect and at the full one."""
-    if part.law == "table":
+    law = RESPONSE_LAWS.get(part.law, ResponseLaw)
+    if law.gives_values:
         return 0.0, 1.0
     own, base, largest = own_value(scene, behaviour), part.base, part.largest
     assert not isinstance(base, str)
     assert not isinstance(largest, str)
-    if largest is None and behaviour.name == "necrosis rate" and part.law == "threshold":
+    if largest is None and behaviour.name == "necrosis rate" and law.jumps:
         return 0.0, math.inf
     # a response that rises from nothing to what the scene gives, such as Monod's
     at_rest = 0.0 if falls or largest is None else own
     low = at_rest if base is None else base
     high = own if largest is None else largest
-    if low == high and part.law != "constant":
+    if low == high and law.has_signal:
         hint = f"Without responses the {behaviour.name} is {own:g}: give another one."
         raise SceneError("largest", f"is missing, or the same as base ({low:g})", hint)
     return low, high
 
 
 def _law(part: Response) -> ResponseLaw:
-    if part.law in OWN:
-        law = OWN[part.law]
-        made: ResponseLaw = build(law, part.parameters or {}, "parameters")
+    if part.law in OWN_RESPONSES:
+        law = OWN_RESPONSES[part.law]
+        made: ResponseLaw = build_part(law, part.parameters or {}, "parameters")
         if law.signals != len(part.signals):
             problem = f"names {len(part.signals)}, but the law takes {law.signals}"
             raise SceneError("signal", problem)
         return made
-    given: Any = part
-    laws: dict[str, Callable[[], ResponseLaw]] = {
-        "hill": lambda: Hill(given.half, given.power),
-        "monod": lambda: Monod(given.half),
-        "threshold": lambda: Threshold(given.half),
-        "linear": lambda: Linear(given.begin, given.end),
-        "table": lambda: Table(given.points),
-        "constant": Constant,
-    }
-    return laws[part.law]()
+    return RESPONSE_LAWS[part.law].from_keys(part)
 
 
 def check_responses(scene: Scene) -> None:
@@ -296,7 +285,7 @@ def check_responses(scene: Scene) -> None:
             raise SceneError(f"{effect.key}.combine", problem, hint)
 
 
-def unit_of(scene: Scene, part: Response, key: str) -> str:
+def response_unit(scene: Scene, part: Response, key: str) -> str:
     """Return the base unit of one of a response's numbers."""
     if key in ("base", "largest"):
         return behaviour_named(part.behaviour, "behaviour")[0].unit
@@ -308,7 +297,7 @@ def in_base_units(scene: Scene, part: Response) -> Response:
     behaviour, of = behaviour_named(part.behaviour, "behaviour")
     _check_behaviour(scene, behaviour, of)
     check_kinds(scene, "cells", part.cells)
-    if len(part.signals) > 1 and part.law not in OWN:
+    if len(part.signals) > 1 and part.law not in OWN_RESPONSES:
         hint = "Give each a response of its own."
         raise SceneError("signal", "names several, as only laws of the user's own have", hint)
     for signal in part.signals:
@@ -364,7 +353,7 @@ def check_signal(scene: Scene, name: str, path: str) -> None:
 
 
 def _signal_reader(scene: Scene, name: str) -> Any:
-    """Return what reads a value of a signal; of oxygen also as a pressure or a percentage."""
+    """Return a reader of a signal's values; of oxygen also as a pressure or a percentage."""
     read = reader(signal_unit(name, scene.nutrients, "signal"), Bounds())
 
     def oxygen(value: Any, path: str) -> float:
@@ -385,7 +374,7 @@ def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
         raise SceneError("behaviour", problem, near_miss(of, known))
     growth, name = scene.growth, behaviour.name
     phases = growth is not None and bool(growth.phases)
-    grows = ("growth rate", "rest", "mutation to", "entry into")
+    grows = ("growth rate", "rest", "mutation to", "asymmetric division to", "entry into")
     lacking = {
         "[growth]": name in grows and growth is None,
         "[growth.phases]": name == "entry into" and not phases,

@@ -84,7 +84,7 @@ def scales(scene: Scene, name: str) -> Scales:
     nutrient = scene.nutrients[name]
     radius = typical_radius(scene)
     typical = SPHERE * radius**3
-    room = typical if scene.dimensions == 3 else math.pi * radius**2 * height(scene, name)
+    room = typical if scene.dimensions == 3 else math.pi * radius**2 * layer_height(scene, name)
     demand = float(nutrient.largest_uptake(typical)) / room
     supply = nutrient.diffusion * nutrient.highest
     depth = math.sqrt(2.0 * supply / demand) if demand > 0.0 else math.inf
@@ -118,7 +118,7 @@ def tissue_radius(scene: Scene) -> float:
     return float(typical_radius(scene) * cells ** (1.0 / scene.dimensions))
 
 
-def height(scene: Scene, name: str) -> float:
+def layer_height(scene: Scene, name: str) -> float:
     """Return the height in µm of the layer that a field in a plane fills."""
     return scene.nutrients[name].height or 2.0 * scene.cells.division_radius
 
@@ -142,7 +142,7 @@ def regime(scene: Scene, name: str) -> str:
     return "steady" if settles and fixed else "transient"
 
 
-def spacing(scene: Scene, name: str) -> float:
+def largest_spacing(scene: Scene, name: str) -> float:
     """Return the largest spacing of a field's grid, µm.
 
     Where the scene does not say: a fifth of the depth to which tissue is fed, but neither above

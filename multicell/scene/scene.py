@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.contact.law import PairLaw
-from multicell.contact.registry import LAWS
+from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
 from multicell.host.files import DEEPEST, parse_toml, read_text
 from multicell.plugins.laws import OwnLaw
@@ -26,7 +26,7 @@ from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.bare import note_written
 from multicell.scene.checks import (
     check_flat,
-    check_integrator,
+    check_method,
     check_nutrients,
     check_reactions,
     check_towards,
@@ -57,15 +57,15 @@ from multicell.scene.parts import (
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.responses import Response, check_responses, read_fields
+from multicell.scene.responses import Response, check_responses, relevant_fields
 from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
-    build,
+    build_part,
     count,
     leaves,
     near_miss,
     parameters,
-    plain,
+    part_as_dict,
     quantity,
     specs,
     table,
@@ -126,8 +126,8 @@ class Scene:
     initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")
     cells: CellParameters = table(CellParameters, default_factory=CellParameters, doc="the cells")
     contact: PairLaw = variant(
-        LAWS, key="law", usual="jkr", default_factory=LAWS["jkr"],
-        doc="the law of touching cells", hint=LAWS.hint, further=OWN_OBJECT,
+        CONTACT_LAWS, key="law", usual="jkr", default_factory=CONTACT_LAWS["jkr"],
+        doc="the law of touching cells", hint=CONTACT_LAWS.hint, further=OWN_OBJECT,
     )  # fmt: skip
     drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
     growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")
@@ -180,15 +180,11 @@ class Scene:
         if self.dimensions == 2:
             check_flat(self)
         check_types(self)
-        check_integrator(self)
+        check_method(self)
         check_towards(self)
         if self.responses:
             check_responses(self)
-        smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
-        smoothing = getattr(self.contact, "smoothing", 0.0)
-        if smoothing > smallest:
-            problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
-            raise SceneError("contact.smoothing", problem, "0 turns it off.")
+        self.contact.check_scene(self)
         check_domain(self)
         check_driven(self)
         check_nutrients(self)
@@ -211,18 +207,18 @@ class Scene:
         SceneError
             For an unknown or missing key and for any value that is refused.
         """
-        return build(cls, entries)
+        return build_part(cls, entries)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scene as nested dicts of base-unit numbers; what is absent has no key."""
-        return plain(self)
+        return part_as_dict(self)
 
     def __repr__(self) -> str:
         facts = ", ".join(f"{name}: {text}" for name, text in key_facts(self).items())
         return f"<Scene {self.title!r}, {facts}>"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: key facts, and all keys where one opens them."""
+        """Return the display of a notebook: key facts, and all keys where one opens them."""
         rows = "".join(
             f"<tr><th style='text-align:left'>{name}</th><td style='text-align:left'>"
             f"{escape(text)}</td></tr>"
@@ -253,16 +249,16 @@ class Scene:
         SceneError
             For a key that does not exist and for any value that is refused.
         """
-        changes = {**_as_changes(changes), **_nested(keys, plain(self))}
+        changes = {**_as_changes(changes), **_nested(keys, self.to_dict() if keys else {})}
         changed = {str(key).partition(".")[0] for key in changes}
         # the other parts are checked already; an unknown key is looked for in all
-        entries = plain(self, changed if changed <= specs(Scene).keys() else None)
+        entries = part_as_dict(self, changed if changed <= specs(Scene).keys() else None)
         for key, value in changes.items():
             check_dotted(key)
             if "." not in key and key not in specs(Scene) and (hint := _meant(self, key)):
                 raise SceneError(key, "is not a key at the top of a scene", hint)
             _change(entries, key, value)
-        made = build(type(self), entries)
+        made = build_part(type(self), entries)
         _refuse_unused(made, changes, self.nutrients)
         return made
 
@@ -427,7 +423,7 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
             problem = f"is not a key: '{'.'.join(parents[:depth])}' is a value, not a table"
             raise SceneError(key, problem)
     if key == "growth.law" and isinstance(value, OwnLaw):
-        node["parameters"], value = plain(value), value.scene_name()
+        node["parameters"], value = part_as_dict(value), value.scene_name()
     if spec is not None and is_dataclass(value):
         value = spec.plain(value)
     inside = node.get(last)
@@ -451,8 +447,8 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         table = node[last] if key == "initial.cells" else {"file": node[last]}
         stage = {k: v for k, v in entries["initial"].items() if k == "stage"}
         entries["initial"] = {"cells": table, **stage}
-    if key == "contact.law" and isinstance(value, str) and value in LAWS:
-        allowed = {"law", *specs(LAWS[value])}
+    if key == "contact.law" and isinstance(value, str) and value in CONTACT_LAWS:
+        allowed = {"law", *specs(CONTACT_LAWS[value])}
         entries["contact"] = {k: v for k, v in node.items() if k in allowed}
 
 
@@ -505,7 +501,7 @@ def _refuse_unused(
     tables = {key: value for key, value in changes.items() if key.split(".")[0] == "nutrients"}
     for name in scene.nutrients.keys() - before.keys():
         whole = f"nutrients.{name}" in tables or name in (tables.get("nutrients") or ())
-        if tables and not whole and name not in read_fields(scene):
+        if tables and not whole and name not in relevant_fields(scene):
             hint = near_miss(name, before, listed=False)
             further = "A further one needs thresholds, or is added by its whole table."
             problem = "is no field of the scene, and no cell would respond to it"
@@ -542,7 +538,7 @@ def _keys(entries: Any) -> tuple[str, ...]:
 
 
 def key_facts(scene: Scene) -> dict[str, str]:
-    """Return what one would ask first of a scene, in words."""
+    """Return the key facts of a scene, in words."""
     hours = scene.duration / 3600.0
     facts = {
         "cells at the start": f"{scene.initial.count:,}",

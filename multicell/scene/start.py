@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell import random
+from multicell.integrators.auto import ChosenWork
 from multicell.mechanics import neighbours
 from multicell.mechanics.system import Mechanics
 from multicell.scene import pairs
@@ -29,6 +30,7 @@ def mechanics(scene: Scene, threads: int) -> Mechanics:
         surface_energies=pairs.surface_energies(scene),
         walls=walls(scene),
         compression=pairs.compression(scene),
+        work=ChosenWork(),
     )
 
 

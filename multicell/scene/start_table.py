@@ -155,7 +155,7 @@ class StartTable:
 
     @property
     def given(self) -> Given:
-        """What the table says; read now if it has not been."""
+        """Content of the table; read now if it has not been."""
         found: Given | None = getattr(self, "_given", None)
         if found is None:
             assert self.sha256 is not None
@@ -253,7 +253,7 @@ def with_cells(scene: Scene, source: Any) -> Scene:
 
 
 def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """Return what a start takes of cells, by title; types by name where there are some."""
+    """Return the columns of cells of a start, by title; types by name where there are some."""
     found = dict(zip(("position_x", "position_y", "position_z"), cells.position.T, strict=True))
     for name in START_COLUMNS:
         column = found[name] if name in found else getattr(cells, name)
@@ -267,7 +267,7 @@ def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]
 
 
 def _title(title: str, place: str) -> Title | None:
-    """Return what the title of a column says, or None if nothing is known of it."""
+    """Return the known title of a column, or None if nothing is known of it."""
     known = {
         **START_COLUMNS,
         **{alias: START_COLUMNS[name] for alias, name in ALIASES.items()},
@@ -277,7 +277,7 @@ def _title(title: str, place: str) -> Title | None:
 
 
 def normalise(source: Columns) -> Given:
-    """Return what a table says, in base units and under the names of :data:`START_COLUMNS`."""
+    """Return a table in base units and under the names of :data:`START_COLUMNS`."""
     titles: dict[str, str] = {}
     factors: dict[str, float] = {}
     for title in source.columns:

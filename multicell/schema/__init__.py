@@ -39,19 +39,19 @@ from multicell.schema.declarations import (
 from multicell.schema.part import (
     Parameter,
     Tables,
-    build,
+    build_part,
     chosen,
     leaves,
     near_miss,
-    plain,
+    part_as_dict,
     separated,
     specs,
 )
 
 __all__ = [
-    "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
-    "flag", "interval", "leaves", "measure", "measure_points", "moments", "names",
-    "near_miss", "number", "parameters", "plain",
+    "Bounds", "Parameter", "Tables", "build_part", "choice", "chosen", "count", "course",
+    "file_path", "flag", "interval", "leaves", "measure", "measure_points", "moments", "names",
+    "near_miss", "number", "parameters", "part_as_dict",
     "quantities", "quantity", "schedule",
     "separated", "specs", "table", "tables", "text", "variant", "vector", "whole_numbers",
 ]  # fmt: skip

@@ -49,7 +49,7 @@ Read = Callable[[Any, str], float]
 
 
 def reader(unit: str, bounds: Bounds, wanted: str = "a number", hint: str = "") -> Read:
-    """Return what reads a quantity, or a number without dimension where ``unit`` is empty.
+    """Return a reader of a quantity, or of a number without dimension where ``unit`` is empty.
 
     Besides the bounds its size is checked (:data:`multicell.units.RANGES`): these ranges are orders
     of magnitude beyond any use and keep out what would hang, overflow or end in nonsense.
@@ -75,7 +75,7 @@ Curve = tuple[tuple[float, float], ...]
 """Points (x, y) of a piecewise linear function, x rising."""
 
 
-def pairs(given: object, path: str, wanted: str, example: str) -> list[tuple[Any, Any]]:
+def read_points(given: object, path: str, wanted: str, example: str) -> list[tuple[Any, Any]]:
     """Return the points that a list of two-element lists gives, or raise ``SceneError``."""
     points = list(given) if isinstance(given, list | tuple) else []
     if not points or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
@@ -93,7 +93,9 @@ def in_time(given: object, path: str, unit: str, y: Read) -> Curve:
     wanted = f"{'' if unit else 'a number or '}a list of [time, value]"
     example = f"[['10 h', '{f'0.1 {unit}' if unit else '0.1'}']]"
     time = reader("s", Bounds())
-    result = tuple((time(a, path), y(b, path)) for a, b in pairs(given, path, wanted, example))
+    result = tuple(
+        (time(a, path), y(b, path)) for a, b in read_points(given, path, wanted, example)
+    )
     if not rises(result):
         times = [time for time, _ in result]
         raise SceneError(path, f"has the times {times} s, must have times that rise")

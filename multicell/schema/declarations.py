@@ -10,16 +10,16 @@ from numbers import Integral
 from typing import Any, NoReturn, TypeVar, dataclass_transform
 
 from multicell.errors import SceneError
-from multicell.schema.bounds import Bounds, Curve, in_time, lists, pairs, reader
+from multicell.schema.bounds import Bounds, Curve, in_time, lists, read_points, reader
 from multicell.schema.part import (
     Tables,
-    build,
+    build_part,
     chosen,
     convert_fields,
     declare,
     mapping,
     near_miss,
-    plain,
+    part_as_dict,
     read_named,
 )
 from multicell.units import finite, shown
@@ -69,7 +69,7 @@ def measure_points(*, doc: str = "") -> Any:
     """Declare an optional list of pairs of numbers as :func:`measure` has them."""
 
     def convert(value: object, path: str) -> tuple[tuple[float | str, float | str], ...]:
-        points = pairs(value, path, "a list of pairs", "[['0 mM', 1], ['0.1 mM', 0.2]]")
+        points = read_points(value, path, "a list of pairs", "[['0 mM', 1], ['0.1 mM', 0.2]]")
         return tuple((_measure(x, path), _measure(y, path)) for x, y in points)
 
     return declare("measure_points", convert, None, plain=lists, doc=doc)
@@ -316,11 +316,11 @@ def table(
     def convert(value: object, path: str) -> Any:
         if shorthand and isinstance(value, str):
             value = {shorthand: value}
-        return value if isinstance(value, part) else build(part, value, path)
+        return value if isinstance(value, part) else build_part(part, value, path)
 
     return declare(
         "table", convert, default, default_factory,
-        plain=plain, doc=doc, shorthand=shorthand, table=part,
+        plain=part_as_dict, doc=doc, shorthand=shorthand, table=part,
     )  # fmt: skip
 
 
@@ -346,7 +346,7 @@ def variant(
             return value
         entries = mapping(value, path)
         name = chosen(entries.pop(key, usual), options, f"{path}.{key}", hint)
-        return build(options[name], entries, path, also=(key,))
+        return build_part(options[name], entries, path, also=(key,))
 
     def name_of(value: object) -> str | None:
         own = getattr(type(value), "scene_name", None)
@@ -355,7 +355,7 @@ def variant(
         return next((name for name, part in options.items() if type(value) is part), None)
 
     def to_plain(value: Any) -> dict[str, Any]:
-        return {key: name_of(value), **plain(value)}
+        return {key: name_of(value), **part_as_dict(value)}
 
     return declare(
         "variant", convert, MISSING, default_factory, plain=to_plain, doc=doc,
@@ -388,11 +388,11 @@ def tables(
         return read_named(entries, path, one)
 
     def one(entry: object, path: str) -> Any:
-        return entry if isinstance(entry, part) else build(part, entry, path)
+        return entry if isinstance(entry, part) else build_part(part, entry, path)
 
     return declare(
         "tables", convert, MISSING, Tables,
-        plain=lambda value: {name: plain(entry) for name, entry in value.items()},
+        plain=lambda value: {name: part_as_dict(entry) for name, entry in value.items()},
         doc=doc, table=part, options=known, listed=listed,
     )  # fmt: skip
 

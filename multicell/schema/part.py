@@ -110,7 +110,7 @@ def specs(part: Any) -> dict[str, Parameter]:
     return {spec.name: spec.metadata["parameter"] for spec in fields(part)}
 
 
-def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = ()) -> T:
+def build_part(part: type[T], value: object, path: str = "", also: tuple[str, ...] = ()) -> T:
     """Return a part made from a table.
 
     - ``part``: a class made by :func:`parameters`
@@ -149,7 +149,7 @@ def leaves(
                 yield inner, entry, spec
 
 
-def plain(part: Any, names: Container[str] | None = None) -> dict[str, Any]:
+def part_as_dict(part: Any, names: Container[str] | None = None) -> dict[str, Any]:
     """Return a part as a dict of plain values in base units; what is absent has no key.
 
     Parts in it that have none of the ``names`` stay as they are.

@@ -1,4 +1,4 @@
-"""What a study varies: values of keys along axes, ranges of free parameters.
+"""Axes of a study: values of keys, and ranges of free parameters.
 
 A text is read as it is typed behind ``--vary`` or ``--free``: ``"0.07,0.14,0.28 mM"`` (a unit at
 the end holds for all that have none), ``"0.05:0.30:6 mM"`` (six values, evenly spaced),
@@ -17,7 +17,7 @@ from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml
-from multicell.results.quantities import UNITS
+from multicell.results.quantities import QUANTITY_UNITS
 from multicell.scene.parts import own_names
 from multicell.scene.scene import Scene
 from multicell.studies.keys import Key, key_of, refuse_ineffective
@@ -181,7 +181,7 @@ def with_unique_names(axes: Iterable[Axis | Range]) -> list[Any]:
 def _reserved() -> set[str]:
     """Return the names that observables of a run and other coordinates have."""
     own = {"point", "state", "reason", *own_names()}
-    return own | {name for name in UNITS if "." not in name}
+    return own | {name for name in QUANTITY_UNITS if "." not in name}
 
 
 def _listed(key: Key, text: str) -> list[Any]:

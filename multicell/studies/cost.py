@@ -1,4 +1,4 @@
-"""What a study is expected to take, before any of it runs."""
+"""The expected cost of a study, before any of it runs."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import OutputError
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.studies.plan import Plan
 
-NAME: Final = "expected.json"
+EXPECTED_FILE: Final = "expected.json"
 """File in the folder of a study: what its runs are expected to take, by their names."""
 _MAX_PREDICTED: Final = 300  # points of a study; a prediction takes 15 to 400 ms
 
@@ -23,7 +23,7 @@ _MAX_PREDICTED: Final = 300  # points of a study; a prediction takes 15 to 400 m
 @final
 @dataclass(frozen=True)
 class Cost:
-    """What a run is expected to take.
+    """Expected cost of a run.
 
     - ``seconds``: wall time on one core, without compilation
     - ``memory``, ``disk``, bytes: of the process at its largest; of the run's folder
@@ -37,7 +37,7 @@ class Cost:
 @final
 @dataclass(frozen=True)
 class StudyCost:
-    """What several runs are expected to take together.
+    """Expected cost of several runs together.
 
     - ``runs``: how many there are
     - ``core_seconds``: sum of their wall times on one core, s
@@ -53,7 +53,7 @@ class StudyCost:
 
 
 def cost_of(scene: Scene) -> Cost:
-    """Return what a run of a scene is expected to take."""
+    """Return the expected cost of a run of a scene."""
     from multicell.report.explain.cost import predict
 
     found = predict(scene)
@@ -61,7 +61,7 @@ def cost_of(scene: Scene) -> Cost:
 
 
 def total_cost(costs: Iterable[Cost], cores: int) -> StudyCost:
-    """Return what runs are expected to take together on a number of cores."""
+    """Return the expected cost of runs together on a number of cores."""
     costs = list(costs)
     total = sum(cost.seconds for cost in costs)
     longest = max((cost.seconds for cost in costs), default=0.0)
@@ -75,14 +75,14 @@ def total_cost(costs: Iterable[Cost], cores: int) -> StudyCost:
 
 
 def costs_of(plan: Plan, folder: Path) -> list[Cost]:
-    """Return what a run of each point of a plan is expected to take.
+    """Return the expected cost of a run of each point of a plan.
 
     It is predicted for some hundred points at most; others are expected to take what one beside
     them does.
 
     - ``folder``: of the study; what is found is kept there for the next time
     """
-    known = _read_known(folder / NAME)
+    known = _read_known(folder / EXPECTED_FILE)
     names = plan.names[:: plan.seeds]
     costs = [known.get(name) for name in names]
     step = -(-len(costs) // _MAX_PREDICTED)
@@ -92,14 +92,14 @@ def costs_of(plan: Plan, folder: Path) -> list[Cost]:
             cost = found[-1] if number % step else cost_of(scene)
         found.append(cost)
     if None in costs and folder.is_dir():
-        _store(folder / NAME, names, found)
+        _store(folder / EXPECTED_FILE, names, found)
     return found
 
 
 def _read_known(path: Path) -> dict[str, Cost]:
-    """Return what was found before; nothing where that cannot be read: it is found again."""
+    """Return the costs found before; none where they cannot be read: they are found again."""
     try:
-        entries: Mapping[str, Any] = read_table(path) or {}
+        entries: Mapping[str, Any] = read_document(path) or {}
         return {name: Cost(**{k: float(v) for k, v in e.items()}) for name, e in entries.items()}
     except (OutputError, ValueError, TypeError, AttributeError):
         return {}

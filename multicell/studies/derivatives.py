@@ -13,9 +13,9 @@ from multicell.results.quantities import known_unit
 from multicell.scene.scene import Scene, load_scene
 from multicell.studies.axes import is_numeric
 from multicell.studies.keys import Key, key_of
-from multicell.studies.limits import MAX_SEEDS, whole
+from multicell.studies.limits import MAX_SEEDS, whole_between
 from multicell.studies.plan import make_plan
-from multicell.studies.readings import observables_of
+from multicell.studies.readings import chosen_observables
 from multicell.studies.run_table import (
     Row,
     RunTable,
@@ -29,7 +29,7 @@ from multicell.units import finite, shown
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.studies.engine import Outcome
+    from multicell.studies.engine import RunOutcome
 
 
 def gradient(
@@ -43,7 +43,7 @@ def gradient(
     output: str | Path | None = None,
     cores: int | None = None,
     scheduler: str | None = None,
-    progress: Callable[[Outcome], None] | None = None,
+    progress: Callable[[RunOutcome], None] | None = None,
 ) -> RunTable:
     """Return derivatives of observables by keys of a scene.
 
@@ -94,8 +94,8 @@ def gradient(
     step = finite(step, "step", "a number")
     if not 0.001 <= step <= 0.5:
         raise SceneError("step", f"is {step:g}, must be from 0.001 to 0.5", "It is a part of x.")
-    whole("seeds", seeds, 2, MAX_SEEDS, "It is the number of runs on each side.")
-    named = observables_of(base, [observables] if isinstance(observables, str) else observables)
+    whole_between("seeds", seeds, 2, MAX_SEEDS, "It is the number of runs on each side.")
+    named = chosen_observables(base, [observables] if isinstance(observables, str) else observables)
     at = checked_times(base, times)
     wanted = [keys] if isinstance(keys, str) else list(keys)
     if not wanted:

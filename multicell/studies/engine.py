@@ -1,7 +1,7 @@
 """Do all runs of a study: the longest first, nothing twice, nothing lost.
 
 What is done is known from the folders of the runs alone, before Dask is even loaded. Workers write
-results themselves; what travels is a scene one way and an :class:`Outcome` the other. There are
+results themselves; what travels is a scene one way and an :class:`RunOutcome` the other. There are
 never more tasks than there are threads of workers, so that the order is ours, and a worker that
 dies is known to have died of the run that it had.
 """
@@ -19,12 +19,12 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.errors import ClusterError, ExitCode, MulticellError, OutputError, exit_code_of
-from multicell.host.interrupts import STEP
+from multicell.host.interrupts import WHOLE_STEP
 from multicell.plugins.named import own_fault
 from multicell.results.folder import (
-    FILES,
     LOCK,
     PASSING,
+    RUN_FILES,
     file_errors,
     in_use,
     lock_folder,
@@ -32,7 +32,7 @@ from multicell.results.folder import (
 )
 from multicell.studies.limits import check_cores
 from multicell.studies.runs import PlainScene
-from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
+from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, run_status, write_note
 from multicell.studies.workers import (
     ANSWER,
     CheckedClient,
@@ -46,9 +46,9 @@ from multicell.studies.workers import (
 
 if TYPE_CHECKING:
     from multicell.simulation import Simulation
-    from multicell.studies.runs import Run
+    from multicell.studies.runs import StudyRun
 
-__all__ = ["Outcome", "carry_out"]
+__all__ = ["RunOutcome", "run_study"]
 
 _POLL: Final = 0.2  # s between checks for Ctrl-C
 _RECOUNT: Final = 2.0  # s between counts of workers
@@ -59,15 +59,15 @@ _SHORT: Final = 10.0
 takes longer, and they need too little memory to be ended for want of it."""
 
 
-def carry_out(
-    runs: Sequence[Run],
+def run_study(
+    runs: Sequence[StudyRun],
     folder: str | Path,
     *,
     cores: int | None = None,
     scheduler: str | None = None,
     retry: bool = False,
-    progress: Callable[[Outcome], None] | None = None,
-) -> list[Outcome]:
+    progress: Callable[[RunOutcome], None] | None = None,
+) -> list[RunOutcome]:
     """Do all runs of a study that are not done; continue those that were begun.
 
     It may be stopped by anything, and called again: runs that are done are recognised by their
@@ -95,16 +95,16 @@ def carry_out(
     folder = Path(folder).absolute()
     with file_errors("use the folder", folder):
         (folder / "runs").mkdir(parents=True, exist_ok=True)
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, RunOutcome] = {}
 
-    def report(outcome: Outcome) -> None:
+    def report(outcome: RunOutcome) -> None:
         outcomes[outcome.name] = outcome
         if progress is not None:
             progress(outcome)
 
-    left: list[tuple[float, Run]] = []
+    left: list[tuple[float, StudyRun]] = []
     for run in {run.name: run for run in runs}.values():
-        found = status(run.name, folder, whole=retry)
+        found = run_status(run.name, folder, whole=retry)
         known = known_outcome(found, retry)
         if known is None:
             part = max(0.0, 1.0 - found.time / run.scene.duration)
@@ -130,29 +130,29 @@ def _do_there(
     folder: Path,
     cores: int | None,
     scheduler: str | None,
-    report: Callable[[Outcome], None],
+    report: Callable[[RunOutcome], None],
 ) -> None:
     """Have workers do tasks, in their order."""
-    with STEP, workers(cores, scheduler) as client:
+    with WHOLE_STEP, workers(cores, scheduler) as client:
         if scheduler is not None:
             check_folder(client, folder)
         work = _Work(client, deque(tasks), report)
         try:
             while work.left:
-                STEP.deliver()
+                WHOLE_STEP.deliver()
                 work.advance()
         except KeyboardInterrupt:
             work.stop()
             raise
 
 
-def _do_here(tasks: Sequence[Task], report: Callable[[Outcome], None]) -> None:
+def _do_here(tasks: Sequence[Task], report: Callable[[RunOutcome], None]) -> None:
     """Do tasks in this process; wait in the end for those that other processes have."""
-    with STEP:
+    with WHOLE_STEP:
         while tasks:
             held = []
             for work in tasks:
-                STEP.deliver()
+                WHOLE_STEP.deliver()
                 outcome = do_run(work)
                 if outcome.state == "held":
                     held.append(work)
@@ -178,7 +178,7 @@ class _Work:
 
     client: Any
     waiting: deque[Task]
-    report: Callable[[Outcome], None]
+    report: Callable[[RunOutcome], None]
     under_way: dict[str, _UnderWay] = field(default_factory=dict)
     held: list[Task] = field(default_factory=list)
 
@@ -242,7 +242,7 @@ class _Work:
         self.waiting.extend(free)
 
     def _submit(self, work: Task) -> None:
-        found = status(work.name, Path(work.folder))
+        found = run_status(work.name, Path(work.folder))
         future = self._checked_client.submit(_on_worker, work, pure=False, retries=0)
         self.under_way[future.key] = _UnderWay(work, future, found.frames)
         future.add_done_callback(lambda ended: self._ended.put(ended.key))
@@ -261,10 +261,10 @@ class _Work:
         elif outcome is not None:
             self.report(outcome)
 
-    def _result(self, entry: _UnderWay) -> Outcome | None:
-        """Return what a worker has answered; None if it died with its answer, or refused."""
+    def _result(self, entry: _UnderWay) -> RunOutcome | None:
+        """Return the answer of a worker; None if it died with its answer, or refused."""
         try:
-            outcome: Outcome | Refusal = entry.future.result(timeout=_RECOUNT)
+            outcome: RunOutcome | Refusal = entry.future.result(timeout=_RECOUNT)
         except Exception:
             self.waiting.appendleft(entry.work)  # its folder says how it ended
             return None
@@ -274,7 +274,7 @@ class _Work:
             return None
         return outcome
 
-    def _trouble(self, entry: _UnderWay, error: BaseException) -> Outcome | None:
+    def _trouble(self, entry: _UnderWay, error: BaseException) -> RunOutcome | None:
         """Return why a run failed of which no worker could say so; None to try it again.
 
         A run loses its workers by chance, too. It is given up where it got no frame further until
@@ -284,7 +284,7 @@ class _Work:
 
         work, folder = entry.work, Path(entry.work.folder)
         if isinstance(error, KilledWorker):
-            if status(work.name, folder).frames > entry.frames:
+            if run_status(work.name, folder).frames > entry.frames:
                 self.waiting.appendleft(work)
                 return None
             reason = (
@@ -301,7 +301,7 @@ class _Work:
             write_note(place, reason, kind)
         except (OSError, OutputError) as trouble:
             reason = f"{reason} ({trouble})"
-        return Outcome(work.name, "failed", reason, kind=kind)
+        return RunOutcome(work.name, "failed", reason, kind=kind)
 
 
 def _scheduler_lost() -> ClusterError:
@@ -312,7 +312,7 @@ def _scheduler_lost() -> ClusterError:
     )
 
 
-def _on_worker(work: Task) -> Outcome:
+def _on_worker(work: Task) -> RunOutcome:
     """Do a run in a worker of Dask, as long as somebody waits for it."""
     from distributed import get_worker
 
@@ -334,7 +334,7 @@ _ATTEMPTS: Final = 5  # how often a folder is looked at that another process cha
 
 @final
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """How a run ended.
 
     - ``state``: ``"done"``, ``"failed"``, or ``"held"`` where another process works on it
@@ -373,7 +373,7 @@ class Stopped(BaseException):
     """Ends a run between two steps, since nobody waits for it any more."""
 
 
-def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
+def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> RunOutcome:
     """Do one run in its folder, unless it is done; this is all that a worker does.
 
     - ``wanted``: asked between steps; where it answers no the run ends there, and can be continued
@@ -383,14 +383,14 @@ def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
     try:
         outcome = _attempt(work, place, wanted)
     except Stopped:
-        outcome = Outcome(work.name, "held", "stopped")
+        outcome = RunOutcome(work.name, "held", "stopped")
     except Exception as error:
         if isinstance(error, OutputError) and error.in_use:
-            return Outcome(work.name, "held")
+            return RunOutcome(work.name, "held")
         reason, kind = _in_words(error)
         with suppress(OutputError):  # where the disk is full there is no room for the reason either
             write_note(place, reason, kind)
-        outcome = Outcome(work.name, "failed", reason, kind=kind)
+        outcome = RunOutcome(work.name, "failed", reason, kind=kind)
     wall = clock.perf_counter() - begin
     return outcome if outcome.reused else replace(outcome, wall=wall, made=own_versions())
 
@@ -412,18 +412,18 @@ def _in_words(error: Exception) -> tuple[str, Kind]:
     return f"unexpected {type(error).__name__}: {said}. This is a bug of multicell", "run"
 
 
-def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
+def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> RunOutcome:
     """Do a run from wherever it stands; another process may come first at any moment."""
     for left in reversed(range(_ATTEMPTS)):
-        found = status(work.name, Path(work.folder), whole=work.retry)
+        found = run_status(work.name, Path(work.folder), whole=work.retry)
         if found.state == "running":
-            return Outcome(work.name, "held")
+            return RunOutcome(work.name, "held")
         known = known_outcome(found, work.retry)
         if known is not None:
             return known
         try:
             _forward(work, place, found, wanted)
-            return Outcome(work.name, "done")
+            return RunOutcome(work.name, "done")
         except OutputError as error:
             # what has gone since it was looked at, another process may have changed
             if error.exit_code == ExitCode.MACHINE or not left:
@@ -431,14 +431,14 @@ def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
     raise AssertionError("unreachable")
 
 
-def known_outcome(found: RunStatus, retry: bool) -> Outcome | None:
+def known_outcome(found: RunStatus, retry: bool) -> RunOutcome | None:
     """Return how a run ended that is not to be worked on any more; None for all others."""
     if found.state == "done":
-        return Outcome(found.name, "done", reused=True)
+        return RunOutcome(found.name, "done", reused=True)
     if found.kind == "unreadable":
-        return Outcome(found.name, "failed", found.reason, kind=found.kind)
+        return RunOutcome(found.name, "failed", found.reason, kind=found.kind)
     if found.state == "failed" and not (retry or found.kind == "machine"):
-        return Outcome(found.name, "failed", found.reason, reused=True, kind=found.kind)
+        return RunOutcome(found.name, "failed", found.reason, reused=True, kind=found.kind)
     return None
 
 
@@ -467,13 +467,13 @@ def _empty(work: Task, place: Path) -> None:
     if not place.is_dir():
         return
     with lock_folder(place):
-        now = status(work.name, Path(work.folder), ours=True, whole=work.retry)
+        now = run_status(work.name, Path(work.folder), ours=True, whole=work.retry)
         if now.kind == "damage":
             _set_aside(place)
         elif now.kind == "unreadable":
             raise OutputError(now.reason, exit_code=ExitCode.MACHINE)
         elif not (now.frames or now.state == "done"):
-            remove(place, (*PASSING, *FILES, NOTE))
+            remove(place, (*PASSING, *RUN_FILES, NOTE))
 
 
 def _set_aside(place: Path) -> None:

@@ -1,4 +1,4 @@
-"""Where a dotted key of a scene leads: its declaration, its unit, and what a value becomes.
+"""Keys of a scene by their dotted paths: declaration, unit, and conversion of values.
 
 To vary a key without effect would be to run the same thing again. The rules for that are of keys
 that studies usually vary; a study of any other one runs, and shows that nothing depends on it.
@@ -15,7 +15,7 @@ from typing import Any, Final, final
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene.oxygen import in_concentrations
-from multicell.scene.responses import Response, in_base_units, unit_of
+from multicell.scene.responses import Response, in_base_units, response_unit
 from multicell.scene.scene import Scene, check_dotted
 from multicell.schema import Parameter, chosen, near_miss, specs
 
@@ -118,7 +118,7 @@ def _unit_of_measure(scene: Scene, part: Any, name: str) -> str:
     if not isinstance(part, Response):
         return str(part.unit)
     needs_signal = name in ("half", "begin", "end")
-    return unit_of(scene, part, name) if part.signals or not needs_signal else ""
+    return response_unit(scene, part, name) if part.signals or not needs_signal else ""
 
 
 def _refusal(name: str, known: Sequence[str], absent: Sequence[str]) -> SceneError:

@@ -1,4 +1,4 @@
-"""How many points, seeds and runs a study, a fit or an analysis may have: one limit for all."""
+"""Limits to the points, seeds and runs of a study, a fit or an analysis: one for all."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_SEEDS: Final = 20_000
 MAX_RUNS: Final = 100_000
 
 
-def whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
+def whole_between(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
     """Return a whole number between two others; raises SceneError if it is none."""
     fits = isinstance(value, Integral) and not isinstance(value, bool)
     if not fits or not least <= int(value) <= most:
@@ -26,7 +26,7 @@ def whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
 
 def check_seeds(seeds: Any, first: int) -> int:
     """Return a number of runs of each point, whose seeds begin with a scene's."""
-    count = whole("seeds", seeds, 1, MAX_SEEDS, "It is the number of runs of each point.")
+    count = whole_between("seeds", seeds, 1, MAX_SEEDS, "It is the number of runs of each point.")
     if first + count - 1 >= 2**63:
         problem = f"is {count}: beginning with the scene's seed {first} they end too high"
         raise SceneError("seeds", problem, "Let the scene begin with a smaller seed.")
@@ -46,4 +46,4 @@ def check_runs(points: int, seeds: int, name: str = "seeds") -> None:
 def check_cores(cores: int | None) -> None:
     """Refuse a number of worker processes that this machine cannot be meant to have."""
     if cores is not None:
-        whole("cores", cores, 1, max(8, 4 * (os.cpu_count() or 1)))
+        whole_between("cores", cores, 1, max(8, 4 * (os.cpu_count() or 1)))

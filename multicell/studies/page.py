@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.scene.scene import Scene
-    from multicell.studies.runs import Run
+    from multicell.studies.runs import StudyRun
     from multicell.studies.status import RunStatus
 
 MAX_ROWS: Final = 4000  # runs that the table of a page lists; a browser takes long over more
@@ -32,11 +32,11 @@ _COLUMNS: Final = 6  # and columns of the table
 _STATE_WORDS: Final = {"waiting": "not run", "partial": "begun"}
 
 
-def write_report(
+def write_study_report(
     folder: str | Path,
     scene: Scene,
     table: xr.Dataset,
-    runs: Sequence[Run],
+    runs: Sequence[StudyRun],
     states: Sequence[RunStatus],
     shown: Sequence[str] | None = None,
 ) -> Path:
@@ -100,7 +100,7 @@ def _drawings(table: xr.Dataset, title: str, names: Sequence[str]) -> dict[str, 
 
 def _subtitle(table: xr.Dataset) -> str:
     sizes = [
-        f"{of.scale(table, name).words} ({len(of.scale(table, name).values)})"
+        f"{of.axis_scale(table, name).words} ({len(of.axis_scale(table, name).values)})"
         for name in of.axes_of(table)
     ]
     seeds = table.sizes[of.SEED]
@@ -133,9 +133,9 @@ def _unfinished(states: Sequence[RunStatus]) -> str:
 
 
 def _run_table(
-    table: xr.Dataset, runs: Sequence[Run], states: Sequence[RunStatus], names: Sequence[str]
+    table: xr.Dataset, runs: Sequence[StudyRun], states: Sequence[RunStatus], names: Sequence[str]
 ) -> dict[str, Any]:
-    axes = [(name, of.scale(table, name)) for name in of.axes_of(table)]
+    axes = [(name, of.axis_scale(table, name)) for name in of.axes_of(table)]
     ends = [of.at_end(table, name).values.ravel() for name in names]
     chosen = _rows_shown(states)
     rows = []

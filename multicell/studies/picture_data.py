@@ -1,4 +1,4 @@
-"""What the pictures of a study read from its table: axes, final values, scatter, labels.
+"""Data of a study's pictures from its table: axes, final values, scatter, labels.
 
 The table is an ``xarray.Dataset`` with the dimensions of the axes, ``seed`` and ``time``; of a
 list of points ``point``, ``seed`` and ``time``, with the value of each axis as a coordinate along
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 POINT, SEED, TIME, STATE = "point", "seed", "time", "state"
-DONE: Final = "done"
+RUN_DONE: Final = "done"
 _PLAIN: Final = ("cells", "growth", "nutrients")  # tables whose keys speak for themselves
 _LOG_RATIO: Final = 30.0  # ratio of the ends of an axis from which it is drawn logarithmically
 
@@ -90,7 +90,7 @@ def observables(table: xr.Dataset) -> list[str]:
     ]
 
 
-def observable(table: xr.Dataset, name: str) -> xr.DataArray:
+def table_variable(table: xr.Dataset, name: str) -> xr.DataArray:
     """Return a variable of the table; raises SceneError if there is none of this name."""
     known = observables(table)
     if name not in known:
@@ -104,7 +104,7 @@ def at_end(table: xr.Dataset, name: str) -> xr.DataArray:
     What does not exist then, such as a viable rim without a core, is NaN, also where it existed
     before.
     """
-    values = observable(table, name)
+    values = table_variable(table, name)
     if TIME not in values.dims:
         return values
     going = table["cells"].notnull() if "cells" in table else values.notnull()
@@ -120,14 +120,14 @@ def statistics(values: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.nanmean(values, axis=-1), np.nanstd(values, axis=-1, ddof=1)
 
 
-def unit_of(table: xr.Dataset, name: str) -> str:
+def reading_unit(table: xr.Dataset, name: str) -> str:
     """Return the unit of a variable or axis as it is read."""
     return written(str(table[name].attrs.get("units") or known_unit(name)))
 
 
 def label(table: xr.Dataset, name: str) -> str:
     """Return name and unit of a variable."""
-    return with_unit(words(name), unit_of(table, name))
+    return with_unit(words(name), reading_unit(table, name))
 
 
 def with_unit(name: str, unit: str) -> str:
@@ -145,7 +145,7 @@ def words(name: str) -> str:
     return name.replace("_", " ").replace(".", " ")
 
 
-def scale(table: xr.Dataset, name: str) -> Scale:
+def axis_scale(table: xr.Dataset, name: str) -> Scale:
     """Return how to show an axis; long times are told in minutes, hours or days."""
     found = table[name].values
     if is_list(table):
@@ -154,7 +154,7 @@ def scale(table: xr.Dataset, name: str) -> Scale:
     if found.dtype.kind not in "fiu":
         values = [str(value) for value in found]
         return Scale(name, long, "", values, None, values, 1.0)
-    unit, factor = unit_of(table, name), 1.0
+    unit, factor = reading_unit(table, name), 1.0
     if unit == "s" and len(found):
         unit, factor = time_unit(float(found.max()))
     numbers = found / factor
@@ -185,7 +185,7 @@ def at_middle(table: xr.Dataset, names: Sequence[str]) -> tuple[xr.Dataset, str]
     """Return the part of a grid at the middle values of some axes, and these in words."""
     parts = []
     for name in names:
-        shown, place = scale(table, name), (table.sizes[name] - 1) // 2
+        shown, place = axis_scale(table, name), (table.sizes[name] - 1) // 2
         table = table.isel({name: place})
         parts.append(f"{shown.words} {shown.texts[place]} {shown.unit}".strip())
     return table, ", ".join(parts)

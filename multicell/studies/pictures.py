@@ -121,7 +121,7 @@ class StudyPlots:
         across, *others = _varied(self._table)
         up = others[:1]
         part, fixed = of.at_middle(self._table, others[1:])
-        sides = [of.scale(part, axis) for axis in (across, *up)]
+        sides = [of.axis_scale(part, axis) for axis in (across, *up)]
         high, wide = len(sides[1].texts) if up else 1, len(sides[0].texts)
         ends, states = (
             entry.transpose(*up, across, of.SEED).values.reshape(high, wide, -1)
@@ -162,7 +162,7 @@ class StudyPlots:
         Raises SceneError for an unknown observable, or one that is a single number of each run.
         """
         table = self._table
-        if of.TIME not in of.observable(table, observable).dims:
+        if of.TIME not in of.table_variable(table, observable).dims:
             courses = [str(n) for n, entry in table.data_vars.items() if of.TIME in entry.dims]
             hint = f"Those over time are {', '.join(courses)}."
             problem = f"'{observable}' is one number of each run and has no course"
@@ -218,7 +218,9 @@ class StudyPlots:
         subtitle = _subtitle(observable, "at the end of each run", table.sizes[of.SEED], bars)
         figure, grid = panels(self._title, subtitle, len(names), columns, height, sharey=True)
         for place, (axes, axis) in enumerate(zip(grid, names, strict=True)):
-            _draw_response(axes, values, table[of.STATE], of.scale(table, axis), table[axis].values)
+            _draw_response(
+                axes, values, table[of.STATE], of.axis_scale(table, axis), table[axis].values
+            )
             if place % columns == 0:
                 axes.set_ylabel(of.label(table, observable))
                 _write_plainly(axes.yaxis)
@@ -240,7 +242,7 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 def _draw_map(axes: Axes, mean: FloatArray, states: NDArray[Any], norm: Normalize) -> None:
     """Draw tiles; what has no mean is grey, or red where it failed."""
-    failed = (states == "failed").any(axis=-1) & ~(states == of.DONE).any(axis=-1)
+    failed = (states == "failed").any(axis=-1) & ~(states == of.RUN_DONE).any(axis=-1)
     missing = ListedColormap([_EMPTY, _FAILED])
     axes.pcolormesh(failed, cmap=missing, vmin=0, vmax=1, edgecolors="white")
     shown = np.ma.masked_invalid(mean)
@@ -264,7 +266,7 @@ def _write_tile(
         lines += [f"{len(known)} of {len(values)} seeds"] * few
         colour = style.INK if luminance(_COLOURS(norm(mean))) > 0.18 else "white"
     else:
-        there = (runs == of.DONE).any()
+        there = (runs == of.RUN_DONE).any()
         lines = ["none" if there else "failed" if failed else "not run"]
         colour = style.RED if failed and not there else style.QUIET
     axes.text(place[1] + 0.5, place[0] + 0.5, "\n".join(lines), ha="center", va="center",
@@ -283,7 +285,7 @@ def _draw_curves(
     figure: Figure, axes: Axes, time: FloatArray, table: xr.Dataset, name: str, axis: str
 ) -> None:
     """Draw one panel: a curve for each value of the axis (each point of a list)."""
-    shown, sampled = of.scale(table, axis), of.is_list(table)
+    shown, sampled = of.axis_scale(table, axis), of.is_list(table)
     side = of.POINT if sampled else axis
     values = table[name].astype(float).transpose(side, of.SEED, of.TIME).values
     states = table[of.STATE].transpose(side, of.SEED).values
@@ -302,7 +304,7 @@ def _draw_curves(
     for k, (courses, runs) in enumerate(zip(values, states, strict=True)) if not sampled else ():
         if not np.isfinite(courses).any():
             lost = "failed" if (runs == "failed").all() else "not run"
-            texts[k] += f" ({'none' if (runs == of.DONE).any() else lost})"
+            texts[k] += f" ({'none' if (runs == of.RUN_DONE).any() else lost})"
     handles = [
         Line2D([], [], color=colours(value), lw=2.2, label=text)
         for value, text in zip(shown.values, texts, strict=True)

@@ -24,10 +24,10 @@ from multicell.schema import near_miss
 from multicell.studies.axes import Axis, change, parse_axis, with_unique_names
 from multicell.studies.keys import refuse_ineffective
 from multicell.studies.limits import check_runs, check_seeds
-from multicell.studies.runs import Run, digest
+from multicell.studies.runs import StudyRun, run_digest
 from multicell.units import BASE_UNITS, shown
 
-NAME: Final = "study.toml"
+PLAN_FILE: Final = "study.toml"
 SCENE: Final = "scene.toml"
 _LARGEST: Final = 20_000_000
 """Bytes of study.toml: 1,000 for each of as many points as there may be."""
@@ -43,7 +43,7 @@ DESIGNS: Final = {
 
 @final
 @dataclass(frozen=True)
-class Point:
+class StudyPoint:
     """One point of a study.
 
     - ``changes``: dotted key -> value, as :meth:`Scene.with_changes` takes them
@@ -76,7 +76,7 @@ class Plan:
     axes: tuple[Axis, ...] = ()
     design: str = "grid"
     seeds: int = 1
-    points: tuple[Point, ...] = field(init=False, repr=False, compare=False)
+    points: tuple[StudyPoint, ...] = field(init=False, repr=False, compare=False)
     scenes: tuple[Scene, ...] = field(init=False, repr=False, compare=False)
     """Of every point, with the first seed."""
 
@@ -95,9 +95,9 @@ class Plan:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all runs: those of one point after the other, each with all its seeds."""
-        return tuple(digest(scene) for _, scene in self._each())
+        return tuple(run_digest(scene) for _, scene in self._each())
 
-    def runs(self, expected: Sequence[float]) -> list[Run]:
+    def runs(self, expected: Sequence[float]) -> list[StudyRun]:
         """Return all runs, in the order of :attr:`names`.
 
         - ``expected``, per point, s: wall time that one of its runs takes
@@ -105,7 +105,7 @@ class Plan:
         made = []
         for name, (k, scene) in zip(self.names, self._each(), strict=True):
             where = {**self.points[k].coordinates, "seed": scene.seed}
-            made.append(Run(name, scene, where, expected[k]))
+            made.append(StudyRun(name, scene, where, expected[k]))
         return made
 
     def _each(self) -> Iterator[tuple[int, Scene]]:
@@ -115,9 +115,9 @@ class Plan:
 
     def _refuse_equal_points(self) -> None:
         """Refuse two points whose runs would be the same."""
-        seen: dict[str, Point] = {}
+        seen: dict[str, StudyPoint] = {}
         for point, scene in zip(self.points, self.scenes, strict=True):
-            name = digest(scene)
+            name = run_digest(scene)
             other = seen.setdefault(name, point)
             if other is not point:
                 problem = f"makes no difference between {other} and {point}: the scenes are equal"
@@ -150,12 +150,12 @@ def _count(axes: Sequence[Axis], design: str) -> int:
     return lengths[0]
 
 
-def _points(axes: Sequence[Axis], design: str) -> Iterator[Point]:
+def _points(axes: Sequence[Axis], design: str) -> Iterator[StudyPoint]:
     """Yield all points, the last axis running fastest."""
     sides = [range(len(axis.values)) for axis in axes]
     for row in zip(*sides, strict=True) if design == "list" else itertools.product(*sides):
         chosen = list(zip(axes, row, strict=True))
-        yield Point(
+        yield StudyPoint(
             {axis.key: axis.values[place] for axis, place in chosen},
             {axis.name: axis.coordinates[place] for axis, place in chosen},
         )
@@ -226,7 +226,7 @@ def read_plan(folder: str | Path) -> Plan:
     - ``folder``: with ``study.toml``, and the scene that it names
     """
     folder = Path(folder)
-    path = folder / NAME
+    path = folder / PLAN_FILE
     entries, marked = _entries(path)
     for key in entries:
         if key not in _KEYS:
@@ -256,12 +256,14 @@ def _has_end(text: str) -> bool:
 
 
 def _entries(path: Path) -> tuple[dict[str, Any], bool]:
-    """Return what is in ``study.toml``, and whether it has its last line."""
+    """Return the entries of ``study.toml``, and whether it has its last line."""
     try:
         text = read_regular(path, _LARGEST).decode("utf-8").replace("\r\n", "\n")
     except FileNotFoundError:
         hint = "'multicell study new SCENE -o FOLDER' makes one."
-        raise SceneError("", f"'{path.parent}' holds no study: there is no {NAME}", hint) from None
+        raise SceneError(
+            "", f"'{path.parent}' holds no study: there is no {PLAN_FILE}", hint
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise SceneError("", f"'{path}' cannot be read: {reason}") from error
@@ -293,7 +295,7 @@ def _lines(plan: Plan) -> Iterator[str]:
 
 
 def axis_line(axis: Axis) -> str:
-    """Return what stands for an axis in ``study.toml``."""
+    """Return the line of an axis in ``study.toml``."""
     unit = f"  # {axis.unit}" if axis.unit else ""
     return f"{_dotted(axis.key)} = [{', '.join(map(_toml, axis.values))}]{unit}"
 

@@ -1,4 +1,4 @@
-"""What can be measured of a scene's runs, known from the scene alone; and what runs have."""
+"""Readings of a scene's runs: what can be measured, from the scene alone, and what runs have."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
-from multicell.results.measures import OBSERVABLES
-from multicell.results.measures import observables_of as measured_in
-from multicell.results.observable import OWN
+from multicell.results.measures import OBSERVABLES, scene_observables
+from multicell.results.observable import OWN_OBSERVABLES
 from multicell.results.quantities import entry, unit_of
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
@@ -22,7 +21,7 @@ from multicell.studies.table import at_times
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.studies.engine import Outcome
+    from multicell.studies.engine import RunOutcome
 
 USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
                  "pull", "largest_pressure")  # fmt: skip
@@ -30,7 +29,7 @@ _MAX_USUAL: Final = 4
 
 
 def read_final(
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[RunOutcome],
     folder: Path,
     observables: Sequence[str],
     times: FloatArray | None = None,
@@ -78,7 +77,7 @@ def _read_run(
     return {name: value(name) for name in observables}
 
 
-def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
+def chosen_observables(scene: Scene, names: Sequence[str] | None) -> list[str]:
     """Return the observables that are asked for, or the usual ones of a scene."""
     history = in_history(scene)
     known = {**history, **at_the_end(scene)}
@@ -98,7 +97,9 @@ def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
 
 def may_be_negative(name: str) -> bool:
     """Return whether an observable may be negative."""
-    return any(o.signed and fnmatchcase(name, o.name) for o in (*OBSERVABLES, *OWN.values()))
+    return any(
+        o.signed and fnmatchcase(name, o.name) for o in (*OBSERVABLES, *OWN_OBSERVABLES.values())
+    )
 
 
 def in_history(scene: Scene) -> dict[str, str]:
@@ -112,7 +113,7 @@ def at_the_end(scene: Scene) -> dict[str, str]:
 
 
 def _units(scene: Scene, *, at_end: bool) -> dict[str, str]:
-    found = (pair for pair in measured_in(scene) if pair[0].at_end == at_end)
+    found = (pair for pair in scene_observables(scene) if pair[0].at_end == at_end)
     return {o.name.replace("*", key): o.unit for o, key in found}
 
 

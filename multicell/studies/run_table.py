@@ -17,8 +17,8 @@ from multicell.results.quantities import known_unit
 from multicell.scene.bare import note_bare
 from multicell.scene.coarsening import coarsen
 from multicell.scene.scene import Scene, load_scene
-from multicell.studies.limits import MAX_SEEDS, whole
-from multicell.studies.readings import observables_of, read_final
+from multicell.studies.limits import MAX_SEEDS, whole_between
+from multicell.studies.readings import chosen_observables, read_final
 from multicell.studies.study import study
 from multicell.units import shown, to_base
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pandas
 
     from multicell.cells import FloatArray
-    from multicell.studies.engine import Outcome
+    from multicell.studies.engine import RunOutcome
     from multicell.studies.study import Study
 
 Row = dict[str, Any]
@@ -136,7 +136,7 @@ def compare_coarse(
     output: str | Path | None = None,
     cores: int | None = None,
     scheduler: str | None = None,
-    progress: Callable[[Outcome], None] | None = None,
+    progress: Callable[[RunOutcome], None] | None = None,
 ) -> RunTable:
     """Run a scene and its coarse one with several seeds, and compare their observables.
 
@@ -173,8 +173,8 @@ def compare_coarse(
     """
     fine = scene if isinstance(scene, Scene) else load_scene(scene)
     scenes = {"fine": fine, "coarse": coarsen(fine, factor)}
-    whole("seeds", seeds, 2, MAX_SEEDS, "It is the number of runs of each.")
-    named, at = observables_of(fine, observables), checked_times(fine, times)
+    whole_between("seeds", seeds, 2, MAX_SEEDS, "It is the number of runs of each.")
+    named, at = chosen_observables(fine, observables), checked_times(fine, times)
     found, notes, seconds = {}, [], {}
     with folder_for(output) as folder:
         for name, one in scenes.items():

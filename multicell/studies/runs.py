@@ -10,7 +10,7 @@ from typing import Any, Final, final
 
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import origin
-from multicell.results.observable import OWN, find_own
+from multicell.results.observable import OWN_OBSERVABLES, find_own
 from multicell.scene.scene import Scene
 from multicell.schema import Tables, specs
 
@@ -30,7 +30,7 @@ _ORDERED: Final = (
 
 @final
 @dataclass(frozen=True)
-class Run:
+class StudyRun:
     """One run of a study.
 
     - ``name``: digest of what decides the results; the run's folder is ``runs/<name>``
@@ -78,14 +78,14 @@ class PlainScene:
 
             load_law(law)
         for function, source in self.observables.items():
-            if function not in OWN:
+            if function not in OWN_OBSERVABLES:
                 from multicell.results.own_observable import load_observable
 
                 load_observable(source)
         return Scene.from_dict(self.values)
 
 
-def digest(scene: Scene) -> str:
+def run_digest(scene: Scene) -> str:
     """Return the name of a run: a digest of all that decides its results.
 
     That is the scene in base units without its title, the version of the model, and the
@@ -100,7 +100,7 @@ def digest(scene: Scene) -> str:
 
 
 def canonical(scene: Scene) -> dict[str, Any]:
-    """Return what decides the results of a scene as plain values of which keys have no order."""
+    """Return all that decides the results of a scene as plain values, its keys without order."""
     entries = scene.to_dict()
     entries.pop("title", None)
     if "cells" in entries["initial"]:

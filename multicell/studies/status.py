@@ -31,11 +31,11 @@ from numpy.typing import NDArray
 from multicell.errors import MulticellError, OutputError, is_machine_failure
 from multicell.report.result import recorded_scene, same_text, scene_of_text
 from multicell.results import hdf5, journal
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 from multicell.results.folder import in_use
 from multicell.results.summary import read_summary, scene_mark
 from multicell.scene.scene import load_scene
-from multicell.studies.runs import digest
+from multicell.studies.runs import run_digest
 
 NOTE: Final = "failure.json"  # file in the folder of a run that failed: ``reason`` and ``kind``
 
@@ -50,7 +50,7 @@ cannot be read now, of which nobody knows what they hold."""
 @final
 @dataclass(frozen=True)
 class RunStatus:
-    """What is known of a run.
+    """Status of a run.
 
     - ``state``: ``"done"``, ``"running"``, ``"partial"``, ``"waiting"`` or ``"failed"``
     - ``reason``: why it failed, or an empty string
@@ -76,7 +76,7 @@ def run_folder(folder: Path, name: str) -> Path:
     return folder / "runs" / name
 
 
-def status(name: str, folder: Path, *, ours: bool = False, whole: bool = False) -> RunStatus:
+def run_status(name: str, folder: Path, *, ours: bool = False, whole: bool = False) -> RunStatus:
     """Return the state of one run.
 
     - ``folder``: of the study
@@ -94,7 +94,7 @@ def status(name: str, folder: Path, *, ours: bool = False, whole: bool = False) 
             if whole:
                 read_finished(name, folder, whole=True)
             return done
-        found, note = _unfinished_status(name, place, "partial"), read_table(place / NOTE)
+        found, note = _unfinished_status(name, place, "partial"), read_document(place / NOTE)
         if note is None:
             return found
         kind = note.get("kind")
@@ -123,9 +123,9 @@ _KNOWN: Final[dict[Path, tuple[_Stamps, RunStatus]]] = {}
 def _finished_status(name: str, place: Path) -> RunStatus | None:
     """Return the state of a run that has come to its end; None before that."""
     try:
-        if (place / journal.NAME).exists():
+        if (place / journal.JOURNAL_FILE).exists():
             return None
-        files = [(place / file).stat() for file in ("summary.json", hdf5.NAME, "scene.toml")]
+        files = [(place / file).stat() for file in ("summary.json", hdf5.FRAMES_FILE, "scene.toml")]
     except OSError:  # missing, or worth an error where it is read
         return _read_finished(name, place)
     stamps = tuple((file.st_ino, file.st_size, file.st_mtime_ns) for file in files)
@@ -139,14 +139,16 @@ def _finished_status(name: str, place: Path) -> RunStatus | None:
 
 def _read_finished(name: str, place: Path) -> RunStatus | None:
     """Return the state of a run that has come to its end, from its files."""
-    summary = read_table(place / "summary.json")
+    summary = read_document(place / "summary.json")
     if summary is None or summary.get("interrupted"):
         return None
-    text, path = hdf5.check_whole(place / hdf5.NAME), place / "scene.toml"
-    if digest(load_scene(path)) != name:
+    text, path = hdf5.check_whole(place / hdf5.FRAMES_FILE), place / "scene.toml"
+    if run_digest(load_scene(path)) != name:
         raise OutputError(f"'{path}' is not the scene that the folder is named by")
-    if not same_text(path, text) and digest(scene_of_text(text, path)) != name:
-        raise OutputError(f"'{place / hdf5.NAME}' is of another run than its folder is named by")
+    if not same_text(path, text) and run_digest(scene_of_text(text, path)) != name:
+        raise OutputError(
+            f"'{place / hdf5.FRAMES_FILE}' is of another run than its folder is named by"
+        )
     if summary.get("scene_digest", scene_mark(text)) != scene_mark(text):
         raise OutputError(f"'{place / 'summary.json'}' is of another run than the frames beside it")
     try:
@@ -185,7 +187,7 @@ def _unfinished_status(name: str, place: Path, state: str) -> RunStatus:
     from multicell.results.reader import Contents
 
     nothing = RunStatus(name, "waiting" if state == "partial" else state)
-    if not any((place / file).exists() for file in (hdf5.NAME, journal.NAME)):
+    if not any((place / file).exists() for file in (hdf5.FRAMES_FILE, journal.JOURNAL_FILE)):
         return nothing
     try:
         contents = Contents(place)

@@ -25,14 +25,14 @@ from multicell.results.folder import (
 )
 from multicell.scene.scene import Scene, load_scene
 from multicell.studies.cost import StudyCost, costs_of, total_cost
-from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan, scene_with_end
-from multicell.studies.runs import Run, canonical, digest
+from multicell.studies.plan import PLAN_FILE, SCENE, Plan, make_plan, read_plan, scene_with_end
+from multicell.studies.runs import StudyRun, canonical, run_digest
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-    from multicell.studies.engine import Outcome
+    from multicell.studies.engine import RunOutcome
     from multicell.studies.pictures import StudyPlots
     from multicell.studies.status import RunStatus
 
@@ -58,12 +58,12 @@ class Study:
         return f"Study('{self.folder}', {len(self.plan.points)} points, {self.plan.seeds} seeds)"
 
     @cached_property
-    def runs(self) -> list[Run]:
+    def runs(self) -> list[StudyRun]:
         """All runs: those of one point after the other, each with all its seeds."""
         return self.plan.runs([cost.seconds for cost in costs_of(self.plan, self.folder)])
 
     def expected(self, cores: int = 1) -> StudyCost:
-        """Return what the runs are expected to take that are not done and have not failed.
+        """Return the expected cost of the runs that are not done and have not failed.
 
         Parameters
         ----------
@@ -80,31 +80,31 @@ class Study:
         self,
         cores: int | None = None,
         scheduler: str | None = None,
-        progress: Callable[[Outcome], None] | None = None,
+        progress: Callable[[RunOutcome], None] | None = None,
         *,
         retry: bool = False,
-    ) -> list[Outcome]:
+    ) -> list[RunOutcome]:
         """Do all runs that are not done, and continue those that were begun.
 
         It may be stopped by anything and called again; see
-        :func:`multicell.studies.engine.carry_out` for the arguments, and for what is raised.
+        :func:`multicell.studies.engine.run_study` for the arguments, and for what is raised.
 
         Returns
         -------
         list of Outcome
             In the order of :attr:`runs`. A run that failed is one of them, with its reason.
         """
-        from multicell.studies.engine import carry_out
+        from multicell.studies.engine import run_study
 
-        return carry_out(
+        return run_study(
             self.runs, self.folder, cores=cores, scheduler=scheduler, progress=progress, retry=retry
         )
 
     def status(self) -> list[RunStatus]:
         """Return how each run stands, in the order of :attr:`runs`."""
-        from multicell.studies.status import status
+        from multicell.studies.status import run_status
 
-        return [status(name, self.folder) for name in self.plan.names]
+        return [run_status(name, self.folder) for name in self.plan.names]
 
     def others(self) -> list[str]:
         """Return the folders in ``runs`` that belong to no point: of another plan, or set aside."""
@@ -133,7 +133,7 @@ class Study:
 
         if self._read is None or self._read[0] != states:
             made = table.dataset(self.plan, self.folder, states)
-            table.save(made, self.folder / table.NAME)
+            table.save_dataset(made, self.folder / table.TABLE_FILE)
             if table.states_of(made, states) != list(states):
                 return made  # what cannot be read now may be another time
             self._read = states, made
@@ -155,10 +155,10 @@ class Study:
         pathlib.Path
             The page.
         """
-        from multicell.studies.page import write_report
+        from multicell.studies.page import write_study_report
 
         table, states = self.write_tables()
-        return write_report(self.folder, self.plan.scene, table, self.runs, states)
+        return write_study_report(self.folder, self.plan.scene, table, self.runs, states)
 
     def write_tables(self) -> tuple[xarray.Dataset, list[RunStatus]]:
         """Write the table as ``study.nc`` and ``study.csv``.
@@ -168,11 +168,11 @@ class Study:
         xarray.Dataset, list of RunStatus
             The table, and the states of the runs in it.
         """
-        from multicell.studies.table import states_of, write_csv
+        from multicell.studies.table import states_of, write_study_csv
 
         states = self.status()
         table = self._table(states)
-        write_csv(table, self.folder / "study.csv")
+        write_study_csv(table, self.folder / "study.csv")
         return table, states_of(table, states)
 
     @property
@@ -250,17 +250,21 @@ def load_study(folder: str | Path) -> Study:
 def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
     """Write a plan to a folder, and return the study."""
     folder = Path(folder)
-    there = (folder / NAME).is_file()
+    there = (folder / PLAN_FILE).is_file()
     if there and not overwrite:
         _refuse_other(plan, read_plan(folder), folder)
     elif not there:
         scene, content = copy_of(plan.scene, folder)
-        first: dict[str, bytes | str] = {**content, SCENE: scene_with_end(scene, folder), NAME: ""}
+        first: dict[str, bytes | str] = {
+            **content,
+            SCENE: scene_with_end(scene, folder),
+            PLAN_FILE: "",
+        }
         make_folder(folder, overwrite=overwrite or is_begun(folder, first))
     if plan.scene.initial.cells is not None:
         plan = replace(plan, scene=with_copy(plan.scene, folder))
     write_text(folder / SCENE, scene_with_end(plan.scene, folder))
-    write_text(folder / NAME, plan.to_toml())
+    write_text(folder / PLAN_FILE, plan.to_toml())
     return Study(plan, folder)
 
 
@@ -270,7 +274,7 @@ def _refuse_other(plan: Plan, there: Plan, folder: Path) -> None:
         "Choose another folder, or allow overwriting (--overwrite, overwrite=True): runs that are "
         "there stay, and are taken where they fit"
     )
-    if digest(there.scene) != digest(plan.scene):
+    if run_digest(there.scene) != run_digest(plan.scene):
         old, new = canonical(there.scene), canonical(plan.scene)
         keys = ", ".join(key for key in {**old, **new} if old.get(key) != new.get(key))
         raise OutputError(

@@ -24,7 +24,7 @@ from multicell.host.extras import needs
 from multicell.results.folder import write_bytes
 from multicell.results.netcdf import write_netcdf
 from multicell.results.quantities import known_unit
-from multicell.studies.runs import MODEL_VERSION, digest
+from multicell.studies.runs import MODEL_VERSION, run_digest
 from multicell.studies.status import FAILURES, RunStatus, failed_status, read_finished
 from multicell.tables.titles import titled
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     from multicell.studies.plan import Plan
 
-NAME: Final = "study.nc"
-FORMAT: Final = 1
+TABLE_FILE: Final = "study.nc"
+TABLE_FORMAT: Final = 1
 _SKIPPED: Final = ("units", "versions", "title", "notes", "seed")
 FloatArray = NDArray[np.float64]
 
@@ -184,18 +184,18 @@ def provenance(plan: Plan, made: Sequence[Mapping[str, str]]) -> dict[str, Any]:
             known[name].append(number)
     several = {name: found if len(found) > 1 else found[0] for name, found in known.items()}
     return {
-        "format": FORMAT,
+        "format": TABLE_FORMAT,
         "model_version": MODEL_VERSION,
         "title": plan.scene.title,
         "scene": plan.scene.to_toml(),
-        "scene_digest": digest(plan.scene),
+        "scene_digest": run_digest(plan.scene),
         "plan": plan.to_toml(),
         "versions": json.dumps(several),
         "command": shlex.join(sys.argv),
     }
 
 
-def save(table: xarray.Dataset, path: Path) -> None:
+def save_dataset(table: xarray.Dataset, path: Path) -> None:
     """Write a table as netCDF, so that the file is either the old one or complete."""
     packed = {
         name: {"zlib": True, "complevel": 1, "shuffle": True}
@@ -205,7 +205,7 @@ def save(table: xarray.Dataset, path: Path) -> None:
     write_netcdf(table, path, packed, f"{os.getpid()}.part")  # two processes may write it
 
 
-def write_csv(table: xarray.Dataset, path: Path) -> None:
+def write_study_csv(table: xarray.Dataset, path: Path) -> None:
     """Write a table as CSV, one row for each run and time, with units in the header."""
     needs("pandas")
     frame = table.to_dataframe().reset_index()

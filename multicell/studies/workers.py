@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast, final
 
 from multicell.errors import ClusterError, ExitCode
 from multicell.host.extras import needs, quiet
-from multicell.host.interrupts import STEP
+from multicell.host.interrupts import WHOLE_STEP
 from multicell.results.folder import file_errors, versions
 from multicell.studies.limits import check_cores
 from multicell.studies.runs import MODEL_VERSION
@@ -99,7 +99,7 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
 
 
 def bounded(call: Callable[[], Result], seconds: float = _SILENCE) -> Result:
-    """Return what a call of Dask returns, which waits for a scheduler that may be silent.
+    """Return the result of a call of Dask, which waits for a scheduler that may be silent.
 
     Ctrl-C ends the wait. The call itself is left to its thread, which ends with this process.
 
@@ -116,7 +116,7 @@ def bounded(call: Callable[[], Result], seconds: float = _SILENCE) -> Result:
     Thread(target=ask, daemon=True).start()
     end = clock.monotonic() + seconds
     while True:
-        STEP.deliver()
+        WHOLE_STEP.deliver()
         try:
             found, error = answers.get(timeout=0.1)
         except Empty:
@@ -314,7 +314,7 @@ def _listed(own: Mapping[str, str]) -> str:
 @final
 @dataclass(frozen=True)
 class Refusal:
-    """What a worker answers that would not compute as the process that asks; it may join late."""
+    """Answer of a worker that would not compute as the process that asks; it may join late."""
 
     worker: str
     said: str
@@ -332,7 +332,7 @@ def call_checked(wanted: Mapping[str, str], function: Callable[..., Any], *argum
 
 @final
 class CheckedClient:
-    """What submits calls to the workers of a client that have the versions of this process.
+    """Client that submits calls to those workers that have the versions of this process.
 
     Workers may join at any time. One that answers with a refusal gets no further call.
 

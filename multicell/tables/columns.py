@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from multicell.errors import DataError
 from multicell.host.extras import needs
-from multicell.tables.text import read_bytes, rows_of
+from multicell.tables.text import csv_rows, read_bytes
 
 PARQUET: Final = b"PAR1"  # what a Parquet file begins with
 
@@ -133,7 +133,7 @@ def _parquet(content: bytes, name: str) -> Columns:
 
 
 def _csv(content: bytes, name: str) -> Columns:
-    (_, titles), *rows = rows_of(content, name)
+    (_, titles), *rows = csv_rows(content, name)
     _refuse_twins(titles, name)
     fields = zip(*(row for _, row in rows), strict=True) if rows else [()] * len(titles)
     columns = {title: parsed(column) for title, column in zip(titles, fields, strict=True)}
@@ -199,7 +199,7 @@ def read_table(source: Any, largest: int) -> Table:
     """
     if isinstance(source, str | Path):
         path = Path(source).expanduser()
-        (_, titles), *rows = rows_of(read_bytes(path, largest), path.name)
+        (_, titles), *rows = csv_rows(read_bytes(path, largest), path.name)
         if not rows:
             raise DataError(path.name, "holds no data")
         places = tuple(f"line {number}" for number, _ in rows)

@@ -29,7 +29,7 @@ def read_bytes(path: Path, largest: int) -> bytes:
         raise DataError(str(path), f"cannot be read: {reason}") from None
 
 
-def rows_of(content: bytes, name: str) -> Iterator[Row]:
+def csv_rows(content: bytes, name: str) -> Iterator[Row]:
     """Yield the header and then the other rows of a CSV file, one at a time.
 
     - ``content``: of the file, UTF-8 with or without a byte order mark

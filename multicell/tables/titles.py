@@ -33,14 +33,14 @@ def split_title(title: str) -> tuple[str, str]:
 
 @final
 class Title(NamedTuple):
-    """What the title of a column says: the known name, and the number of base units of its unit."""
+    """Title of a column: the known name, and the number of base units of its unit."""
 
     name: str
     factor: float
 
 
 def read_title(title: str, known: Mapping[str, str], place: str) -> Title | None:
-    """Return what a title says, or None if it begins with no known name.
+    """Read a title; return None if it begins with no known name.
 
     The unit stands behind the name: ``radius_um``, ``radius / um``, ``radius [um]`` or
     ``radius (um)``.

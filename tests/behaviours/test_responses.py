@@ -356,7 +356,7 @@ def test_responses_are_explained_in_sentences_and_drawn(tmp_path):
 @pytest.mark.parametrize("falls", [False, True])
 @pytest.mark.parametrize(
     "law",
-    [laws.Monod(0.01), laws.Hill(0.01, 3.0), laws.Threshold(0.01), laws.Linear(0.0, 0.02)],
+    [laws.Monod(0.01), laws.Hill(0.01, 3.0), laws.Threshold(0.01), laws.LinearResponse(0.0, 0.02)],
     ids=lambda law: type(law).__name__,
 )
 def test_shares_stay_between_none_and_all_under_tension(law, falls):

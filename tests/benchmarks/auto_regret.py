@@ -39,8 +39,8 @@ from tiles import cpu_time, keep, kept, registered
 import multicell as mc
 from multicell.comparison.ladders import capable_methods, find_method
 from multicell.comparison.null_methods import NULL_METHODS, MotionScale
-from multicell.comparison.record import Recorder
-from multicell.comparison.replay import Problem, Step
+from multicell.comparison.record import StepRecorder
+from multicell.comparison.replay import ReplayProblem, Step
 from multicell.errors import SceneError
 from multicell.integrators.registry import from_options
 from multicell.mechanics.decay_rate import largest_decay_rate
@@ -106,13 +106,13 @@ def scene_of(name: str) -> mc.Scene:
     return mc.load_scene(base).with_changes(changes)
 
 
-def recorded(name: str, count: int = 0) -> list[tuple[str, Problem]]:
+def recorded(name: str, count: int = 0) -> list[tuple[str, ReplayProblem]]:
     """Return coupling steps of a run with what they are.
 
     The run has ``count`` coupling steps, or without it those that some seconds of CPU time allow.
     """
     scene = scene_of(name)
-    recorder = Recorder(from_options(scene.integrator), samples=10**6)
+    recorder = StepRecorder(from_options(scene.integrator), samples=10**6)
     simulation = mc.Simulation(scene, threads=1, integrator=recorder)
     divided, begin = [], time.process_time()
     while (
@@ -142,13 +142,13 @@ def recorded(name: str, count: int = 0) -> list[tuple[str, Problem]]:
     ]
 
 
-def _alone(scene: mc.Scene, template: Any, step: Any) -> Problem:
-    return Problem(
+def _alone(scene: mc.Scene, template: Any, step: Any) -> ReplayProblem:
+    return ReplayProblem(
         scene, template, step.start, step.motion.radius, [Step(step.motion)], [step.start], 1
     )
 
 
-def solved(name: str, problem: Problem) -> Solved:
+def solved(name: str, problem: ReplayProblem) -> Solved:
     system, motion = problem.system(), problem.steps[0].motion
     system.begin(motion)
     dimensions = problem.scene.dimensions

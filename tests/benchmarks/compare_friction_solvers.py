@@ -105,13 +105,13 @@ class Problem:
         self.counts["rhs"] += 1
         out = np.empty((self.n, 3))
         self.system.velocity(t, y.reshape(-1, 3), out)
-        self.gamma.measure(self.system._rows, self.system._pairs)
+        self.gamma.measure(self.system._rows, self.system.neighbours.pairs)
         out *= self.stokes
         return out
 
     def linearise(self, t: float, y: np.ndarray, yp: np.ndarray) -> None:
         self.system.linearise(t, y.reshape(-1, 3))
-        self.linear.measure(self.system._rows, self.system._pairs)
+        self.linear.measure(self.system._rows, self.system.neighbours.pairs)
         self.rows, self.rate = self.system._rows.copy(), yp.reshape(-1, 3).copy()
 
     def stiffness(self, v: np.ndarray, exact: bool) -> np.ndarray:
@@ -121,7 +121,7 @@ class Problem:
         self.system.jacobian_product(v.reshape(-1, 3), out)
         out *= self.stokes
         if exact:
-            pairs = self.system._pairs
+            pairs = self.system.neighbours.pairs
             derivative(
                 self.rows, pairs.first, pairs.second, pairs.start, pairs.inner_end,
                 pairs.outer_end, self.coefficient, self.rate, v.reshape(-1, 3), out,

@@ -33,7 +33,7 @@ def test_right_hand_side_with_friction(benchmark, viscosity, normal, tangential)
     def with_friction(state, velocity):
         system.velocity(0.0, state, force)
         np.multiply(force, stokes, out=force)
-        gamma.measure(system._rows, system._pairs)
+        gamma.measure(system._rows, system.neighbours.pairs)
         return gamma.solve(force, velocity)
 
     with_friction(position, last)

@@ -47,7 +47,7 @@ from scipy.spatial import cKDTree
 import multicell as mc
 from multicell.comparison.conditioning import shift_starts
 from multicell.comparison.record import record
-from multicell.comparison.replay import advance
+from multicell.comparison.replay import advance_system
 from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.rkc import Rkc2
 from multicell.scene.parts import IntegratorOptions
@@ -94,7 +94,7 @@ class Velocity:
 
     def __init__(self, motion, template):
         self.motion, self.template = motion, template
-        laws = {"JKR": self.jkr, "ExactJKR": self.exact, "Cubic": self.cubic}
+        laws = {"JKR": self.jkr, "ExactJKR": self.exact, "CubicSpring": self.cubic}
         self.law = laws[type(template.law).__name__]
         self.margin = 0.6 * float(motion.radius.mean())
         self.soft = 0.75 * (1.0 - motion.poisson**2) / motion.young
@@ -344,7 +344,7 @@ def measured(case, viscosity, truth, steps, method, seed=1):
     for k in steps:
         system = problem.system()
         system.begin(problem.steps[k].motion)
-        words, end = advance(system, solver, problem.starts[k])
+        words, end = advance_system(system, solver, problem.starts[k])
         error = math.inf if words else distance(end, truth.end(k))
         rows.append({
             "case": case, "viscosity_kPa_s": viscosity, "seed": seed, "step": k, "method": method,

@@ -88,8 +88,7 @@ def become(described, cells, kind):
     response = {"behaviour": f"change to {kind}", "law": "constant", "largest": 1.0}
     plan = biology_plan(described.with_changes({"responses": [response]}))
     after = change_types(plan, cells, Exposure(cells, {}, 1e6))
-    bind_changed(plan, cells, after, {}, 0.0)
-    return after
+    return bind_changed(plan, cells, after, {}, 0.0)
 
 
 B = {"young": 2.5, "cycle_scale": 0.3, "receptor": [[0.0, 5.0]], "ligand": [[0.0, 0.0]]}

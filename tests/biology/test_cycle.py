@@ -6,7 +6,7 @@ from running import refused, within
 from scipy import stats
 
 import multicell as mc
-from multicell.biology.cycle import advance, enter_cycle
+from multicell.biology.cycle import advance_cycle, enter_cycle
 from multicell.biology.division import divide
 from multicell.biology.draws import draw_lengths, quantile
 from multicell.biology.initial import initial_cells
@@ -47,7 +47,7 @@ def lived(described, cells, hours, dt):
     counts, next_id = [len(cells)], int(cells.id.max()) + 1
     for _ in range(round(hours * HOUR / dt)):
         n = len(cells)
-        now = advance(biology_plan(described), cells, np.ones(n), np.zeros(n, bool), dt)
+        now = advance_cycle(biology_plan(described), cells, np.ones(n), np.zeros(n, bool), dt)
         cells = cells.take(np.arange(n))
         cells.radius = np.cbrt(now.volume / (4 / 3 * np.pi))
         cells.state, cells.phase = now.state, now.phase
@@ -126,14 +126,16 @@ def test_cells_that_find_too_little_rest_at_the_end_of_g1_only():
     described = scene(nutrients__oxygen={"quiescence": 0.02})
     cells = cells_of(described, 200, "asynchronous")
     n = len(cells)
-    now = advance(biology_plan(described), cells, np.full(n, 0.5), np.ones(n, bool), 20 * HOUR)
+    now = advance_cycle(
+        biology_plan(described), cells, np.full(n, 0.5), np.ones(n, bool), 20 * HOUR
+    )
     began = cells.phase == Phase.G1
     assert (now.phase[began] == Phase.G0).all()
     assert (now.state[began] == State.QUIESCENT).all()
     # the others went on, at half speed where they grow; those that got through M wait to divide
     assert (now.phase[~began] >= Phase.S).all()
     assert (now.state[~began] == State.PROLIFERATING).all()
-    rich = advance(biology_plan(described), cells, np.ones(n), np.zeros(n, bool), 20 * HOUR)
+    rich = advance_cycle(biology_plan(described), cells, np.ones(n), np.zeros(n, bool), 20 * HOUR)
     assert not (rich.phase == Phase.G0).any()
 
 

@@ -11,7 +11,7 @@ from multicell.biology.responding import wants_rest
 from multicell.biology.states import update_states
 from multicell.cells import State
 from multicell.nutrient.uptake import uptake
-from multicell.report.explain.course import course
+from multicell.report.explain.course import expected_course
 from multicell.scene.scene import Scene
 
 FIELDS = {
@@ -81,11 +81,11 @@ def test_the_forecast_knows_energy():
         "oxygen": {**FIELDS["oxygen"], "boundary": 1e-4},
         "glucose": {**FIELDS["glucose"], "boundary": 1e-4},
     }
-    fed = course(scene(duration="4 d")).cells[-1]
+    fed = expected_course(scene(duration="4 d")).cells[-1]
     assert fed > 300
-    assert course(scene(duration="4 d", nutrients=starving)).cells[-1] < 1.01 * 30
+    assert expected_course(scene(duration="4 d", nutrients=starving)).cells[-1] < 1.01 * 30
     free = Scene.from_dict({**scene(duration="4 d").to_dict(), "nutrients": {}, "energy": None})
-    assert fed < 1.2 * course(free).cells[-1]
+    assert fed < 1.2 * expected_course(free).cells[-1]
 
 
 @pytest.mark.parametrize(

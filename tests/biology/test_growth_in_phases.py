@@ -5,7 +5,7 @@ import pytest
 from running import refused
 from scipy.integrate import solve_ivp
 
-from multicell.biology.cycle import advance
+from multicell.biology.cycle import advance_cycle
 from multicell.biology.draws import draw_lengths
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
@@ -65,7 +65,7 @@ def test_growth_over_the_end_of_a_phase_goes_to_the_next_target():
     plan, cells = biology_plan(described), initial_cells(described)
     dt = 3.0 * HOUR
     ends = cells.phase_length - cells.progress
-    now = advance(plan, cells, np.ones(40), np.zeros(40, bool), dt)
+    now = advance_cycle(plan, cells, np.ones(40), np.zeros(40, bool), dt)
     crosses = np.flatnonzero((ends < dt) & (now.phase == cells.phase + 1))
     assert crosses.size > 5
     for row in crosses:

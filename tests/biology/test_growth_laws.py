@@ -10,8 +10,8 @@ from running import refused
 from scipy import integrate
 
 import multicell as mc
-from multicell.behaviours.growth_laws.laws import LAWS
-from multicell.biology.cycle import advance
+from multicell.behaviours.growth_laws.laws import GROWTH_LAWS
+from multicell.biology.cycle import advance_cycle
 from multicell.biology.division import divide
 from multicell.biology.growth import lag_after, volumes_after
 from multicell.biology.initial import initial_cells
@@ -54,7 +54,7 @@ def right_hand_side(law, largest):
     }[law]
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", GROWTH_LAWS)
 @pytest.mark.parametrize("target", [1.001, 1.3, 50.0])
 def test_a_law_solves_its_equation_and_doubles_the_volume_in_a_cycle(law, target):
     """The rate that doubles V in a cycle comes from quadrature of dV/g, the course from SciPy."""
@@ -79,7 +79,7 @@ def test_a_law_solves_its_equation_and_doubles_the_volume_in_a_cycle(law, target
     np.testing.assert_allclose(again, found, rtol=1e-12)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", GROWTH_LAWS)
 def test_the_factor_of_growth_slows_the_clock_and_resting_cells_stay(law):
     scene = scene_of(law, cycle_time="10 h", cycle_variation=0.0)
     cells = initial_cells(scene)
@@ -91,7 +91,7 @@ def test_the_factor_of_growth_slows_the_clock_and_resting_cells_stay(law):
     np.testing.assert_array_equal(after[:2], cells.volume[:2])
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", GROWTH_LAWS)
 @pytest.mark.parametrize("phases", [False, True])
 def test_cells_described_by_their_radii_go_on_like_those_described_by_their_ages(law, phases):
     """Cells of a start table have their place in the cycle by their size."""
@@ -124,7 +124,7 @@ def test_linear_growth_has_the_bits_of_the_formula(phases):
         )
         return
     within = cells.phase_length - cells.progress > 600.0
-    found = advance(biology_plan(scene), cells, factor, np.zeros(20, bool), 600.0).volume
+    found = advance_cycle(biology_plan(scene), cells, factor, np.zeros(20, bool), 600.0).volume
     exact = cells.volume + birth_volume(scene) / cells.cycle_time * factor * 600.0
     assert within.sum() > 15
     np.testing.assert_array_equal(found[within], exact[within])
@@ -141,7 +141,7 @@ def grown_for(scene, dt, duration):
 
 
 @pytest.mark.parametrize("dt", [600.0, 3000.0, 9000.0])
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", GROWTH_LAWS)
 def test_daughters_grow_since_the_division_whatever_the_step(law, dt):
     """After 3.75 cycles of 10 h all are eight times as many, three quarters through their cycle."""
     scene = scene_of(law, 3, cycle_time="10 h", cycle_variation=0.0, initial={"stage": "birth"})
@@ -152,7 +152,7 @@ def test_daughters_grow_since_the_division_whatever_the_step(law, dt):
     np.testing.assert_allclose(cells.volume, exact, rtol=1e-9)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", GROWTH_LAWS)
 def test_other_steps_leave_draws_and_volumes_as_they_are(law):
     scene = scene_of(law, 20, cycle_time="10 h", cycle_variation=0.2, initial={"stage": "uniform"})
     fine, coarse = (grown_for(scene, dt, 24.0 * 3600.0) for dt in (300.0, 3600.0))
@@ -174,7 +174,7 @@ def test_a_mother_who_was_large_before_is_halved():
     np.testing.assert_allclose(after.volume, (1.45 + 0.1) * birth_volume(scene), rtol=1e-12)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", GROWTH_LAWS)
 def test_a_changing_factor_is_made_good_whatever_the_law(law):
     """At f0 where f falls linearly to f1: the time that a cell grows is f dt, integrated."""
     scene = scene_of(law, 50, cycle_variation=0.1, initial={"stage": "uniform"})
@@ -215,9 +215,11 @@ def same_as_relaxation(volume, p):
     return p.largest - volume
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", GROWTH_LAWS)
 def test_our_growth_laws_keep_what_is_asked_of_others(law):
-    check_growth_law(LAWS[law](**({"target": 1.3} if "target" in specs(LAWS[law]) else {})))
+    check_growth_law(
+        GROWTH_LAWS[law](**({"target": 1.3} if "target" in specs(GROWTH_LAWS[law]) else {}))
+    )
 
 
 def test_a_derived_course_is_that_of_a_closed_form_and_of_scipy():
@@ -229,7 +231,7 @@ def test_a_derived_course_is_that_of_a_closed_form_and_of_scipy():
     check_growth_law(law)
     np.testing.assert_allclose(law.volume_after(np.ones(12), share), exact, rtol=1e-13)
     np.testing.assert_allclose(law.share_at(exact), share, rtol=0.0, atol=1e-13)
-    ours, again = LAWS["relaxation"](target=1.2), same_as_relaxation(largest=2.4)
+    ours, again = GROWTH_LAWS["relaxation"](target=1.2), same_as_relaxation(largest=2.4)
     check_growth_law(again)
     birth, begin = 261.8, np.full(12, 300.0)
     np.testing.assert_allclose(

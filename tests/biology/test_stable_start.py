@@ -57,7 +57,8 @@ def lived(scene, hours, step=0.1):
         cells, _ = age_cells(biology_plan(scene), cells, grown, {}, time, end)
         after = divide_and_remove(biology_plan(scene), cells, next_id, end, end - time)
         cells, next_id = after.cells.copy(), after.next_id
-        decide(biology_plan(scene), cells, {}, Exposure(cells, {}, end - time), time=end)
+        exposure = Exposure(cells, {}, end - time)
+        cells = decide(biology_plan(scene), cells, {}, exposure, time=end).cells
         time = end
     counts.append(int((~cells.dead).sum()))
     return cells, np.arange(steps + 1) * step, np.array(counts)

@@ -14,11 +14,11 @@ from cheap_fits import Growing, growing, through
 
 import multicell as mc
 from multicell.calibration.data import read_data
-from multicell.calibration.indices import analyse, sample
+from multicell.calibration.indices import sample, sensitivity_indices
 from multicell.calibration.likelihood import fresh, likelihood, scatter_of
 from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import Problem, ranges_of
+from multicell.calibration.problem import FitProblem, ranges_of
 from multicell.calibration.search import Search
 from multicell.calibration.simulator import SceneSimulator
 from multicell.calibration.verdict import intervals
@@ -93,7 +93,7 @@ def test_intervals_of_the_real_engine_cover_as_often_as_they_say(request):
         values = np.array(tissue.values) + sigma * rng.standard_normal(5)
         measured = read_data({**shape, "diameter / um": np.maximum(values, 0.0).tolist()}, scene)
         simulator, first = SceneSimulator.of(measured, ranges), 1 + 10**4 * repeat
-        problem = Problem(measured, ranges, simulator, (first, first + 1))
+        problem = FitProblem(measured, ranges, simulator, (first, first + 1))
         truth = [free.value(x) for free, x in zip(ranges, shares, strict=True)]
         hits.append(covered(problem, sampled(problem), truth))
     check(hits)
@@ -144,7 +144,7 @@ def test_intervals_of_morris_cover_the_mean_effects(size):
     hits, wide = [], 4 * size
     for k in range(len(whole) // wide):
         part = slice(k * wide, (k + 1) * wide)
-        found = analyse(names, whole[part], values[part]).columns
+        found = sensitivity_indices(names, whole[part], values[part]).columns
         hits.append(np.abs(found["mu_star"] - truth) <= found["mu_star_conf"] + 1e-12)
     shares = np.mean(hits, axis=0)
     assert shares.min() > 0.95 - 3.0 * math.sqrt(0.95 * 0.05 / len(hits)) - 0.01

@@ -12,7 +12,7 @@ from scipy.optimize import curve_fit
 import multicell as mc
 from multicell.calibration import dose_response as room
 from multicell.calibration.dose_curve import dose_at, draw_means, fit_curve, hill
-from multicell.calibration.dose_response import plan_of
+from multicell.calibration.dose_response import plan_dose_response
 from multicell.cli.main import main
 from multicell.errors import DataError, FitFailed, SceneError
 
@@ -240,19 +240,21 @@ def test_what_cannot_be_asked_is_refused_before_anything_runs(case, tmp_path):
 
 
 def test_doses_are_points_of_a_study():
-    plan = plan_of(COLONY, DRUG, RISING, seeds=2)
+    plan = plan_dose_response(COLONY, DRUG, RISING, seeds=2)
     assert plan.units == ("uM",)
     assert plan.points[:, 0] == pytest.approx([0.0, *np.geomspace(0.1, 10.0, 4)])
     levels = [scene.nutrients["drug"].boundary for scene in plan.study.scenes]
     assert levels == pytest.approx(1e-3 * plan.points[:, 0])
-    two = plan_of(COLONY, None, (RISING, "0, 1:5:5 nM"), combine=(DRUG, "nutrients.other.boundary"))
+    two = plan_dose_response(
+        COLONY, None, (RISING, "0, 1:5:5 nM"), combine=(DRUG, "nutrients.other.boundary")
+    )
     assert two.points.shape == (30, 2)
     assert two.units == ("uM", "nM")
 
 
 def test_the_dose_of_a_schedule_takes_the_place_of_each_concentration_above_zero():
     scene = COLONY.with_changes({"nutrients.drug.media": [["1 h", 0.5], ["2 h", 0], ["3 h", 1]]})
-    plan = plan_of(scene, "nutrients.drug.media", RISING)
+    plan = plan_dose_response(scene, "nutrients.drug.media", RISING)
     assert plan.study.scenes[-1].nutrients["drug"].media == (
         (3600.0, 0.01), (7200.0, 0.0), (10800.0, 0.01),
     )  # fmt: skip
@@ -297,7 +299,7 @@ def test_a_run_that_fails_is_told_and_left_out(tmp_path, monkeypatch):
     """In place of runs their outcomes and final values: one run of one dose fails."""
     from multicell.studies.study import Study
 
-    plan = plan_of(COLONY, DRUG, RISING, seeds=3)
+    plan = plan_dose_response(COLONY, DRUG, RISING, seeds=3)
     values = (100.0 * hill(1e3 * plan.points[:, 0], KNOWN)[:, None] + [-2.0, 0.0, 2.0]).ravel()
     lost = plan.study.names[7]
     values[7] = math.nan

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 import multicell as mc
 from multicell.calibration.data import Datum, read_data
-from multicell.calibration.fit import plan_of
+from multicell.calibration.fit import plan_fit
 from multicell.calibration.likelihood import _check, scatter_of
 from multicell.calibration.pool import Pool
 from multicell.calibration.problem import ranges_of
@@ -252,9 +252,9 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
 
 
 def test_budgets_are_shared_out():
-    assert plan_of(SMALL, DATA, FREE, budget=41 + 12 + 6).points == 20
-    assert plan_of(SMALL, DATA, FREE, budget=41 + 8 + 6, repeats=8).points == 20
-    assert plan_of(SMALL, DATA, FREE).left(None)[1] > 0.0
+    assert plan_fit(SMALL, DATA, FREE, budget=41 + 12 + 6).points == 20
+    assert plan_fit(SMALL, DATA, FREE, budget=41 + 8 + 6, repeats=8).points == 20
+    assert plan_fit(SMALL, DATA, FREE).left(None)[1] > 0.0
 
 
 def test_too_few_points_tell_a_best_one_and_no_intervals():

@@ -25,8 +25,8 @@ from multicell.calibration.noise import Noise
 from multicell.calibration.pool import Pool
 from multicell.calibration.priors import Prior
 from multicell.calibration.problem import (
-    ABSENT,
-    Problem,
+    ABSENT_DEVIATIONS,
+    FitProblem,
     groups_of,
     misfit,
 )
@@ -50,8 +50,8 @@ def test_the_loss_is_the_normal_likelihood_of_the_data_in_closed_form():
 def test_one_run_has_no_scatter_and_absent_readings_cost_more_than_any_other():
     y, sigma = np.array([1.0, 2.0]), np.array([0.5, 0.5])
     found = misfit(y, sigma, np.array([[1.5, math.nan]]))
-    assert found.residuals.tolist() == [1.0, ABSENT]
-    assert found.loss == 1.0 + ABSENT**2
+    assert found.residuals.tolist() == [1.0, ABSENT_DEVIATIONS]
+    assert found.loss == 1.0 + ABSENT_DEVIATIONS**2
 
 
 def test_scatter_of_runs_alone_makes_no_parameters_better():
@@ -233,7 +233,7 @@ class Failing:
 
 def test_a_search_whose_runs_all_fail_says_why():
     good = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05)
-    problem = Problem(good.measured, good.ranges, Failing(), (0,))
+    problem = FitProblem(good.measured, good.ranges, Failing(), (0,))
     with pytest.raises(FitFailed, match=r"no run of the first 5 .* too stiff"):
         Search(problem, None).run(Pool(), 30)
 
@@ -247,7 +247,7 @@ class Patchy(Linear):
 
 def test_parameters_whose_runs_fail_are_avoided():
     good = linear(MATRIX, [0.69, 0.6, 1.29, 0.09], 0.05)
-    problem = Problem(good.measured, good.ranges, Patchy(good.simulator.matrix), (0,))
+    problem = FitProblem(good.measured, good.ranges, Patchy(good.simulator.matrix), (0,))
     known = Search(problem, None).run(Pool(), 40)
     best = min(known, key=lambda e: e.misfit.loss)
     np.testing.assert_allclose(best.shares, [0.69, 0.6], atol=0.02)

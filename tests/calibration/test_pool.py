@@ -5,7 +5,7 @@ from concurrent.futures import Future
 import pytest
 from cheap_fits import MATRIX, calls_of, linear
 
-from multicell.calibration.pool import Pool, open_pool, result_of
+from multicell.calibration.pool import Pool, future_result, open_pool
 from multicell.calibration.search import Search
 from multicell.errors import ClusterError, FitFailed
 
@@ -56,4 +56,4 @@ def test_calls_that_come_to_nothing_say_why(lose, error, said):
     future = Future()
     lose(future)
     with pytest.raises(error, match=said):
-        result_of(future)
+        future_result(future)

@@ -13,7 +13,7 @@ from scipy import integrate, stats
 import multicell as mc
 from multicell.calibration.data import read_data
 from multicell.calibration.emulator import best_of, draws
-from multicell.calibration.fit import plan_of
+from multicell.calibration.fit import plan_fit
 from multicell.calibration.pool import Pool
 from multicell.calibration.priors import Density, Prior, values_at
 from multicell.calibration.problem import free_of
@@ -110,8 +110,8 @@ def test_what_the_data_leave_as_it_was_beforehand_is_said_to_be_open():
 
 
 def test_another_prior_is_another_fit():
-    plain = plan_of(SCENE, DATA, {CYCLE: "10:30 h"}).describe()
-    known = plan_of(SCENE, DATA, {CYCLE: "norm(18 h, 2 h) in 10:30 h"}).describe()
+    plain = plan_fit(SCENE, DATA, {CYCLE: "10:30 h"}).describe()
+    known = plan_fit(SCENE, DATA, {CYCLE: "norm(18 h, 2 h) in 10:30 h"}).describe()
     assert set(known) - set(plain) == {"densities"}
     assert {key: known[key] for key in plain} == plain
 

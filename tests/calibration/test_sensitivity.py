@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from studied import in_this_process
 
 import multicell as mc
-from multicell.calibration.indices import analyse, sample
-from multicell.calibration.sensitivity import plan_of, result_of
+from multicell.calibration.indices import sample, sensitivity_indices
+from multicell.calibration.sensitivity import plan_sensitivity, sample_sensitivity
 from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 from multicell.studies import engine
@@ -47,7 +47,7 @@ def of_function(size, seeds=1, noise=0.0, shift=0.0, lost=()):
     values += noise * rng.standard_normal(values.shape) + shift * np.arange(seeds)
     for place in lost:
         values[place] = np.nan
-    return result_of(CELL, ranges, range(seeds), {"diameter": values})
+    return sample_sensitivity(CELL, ranges, range(seeds), {"diameter": values})
 
 
 def column(result, name):
@@ -70,7 +70,7 @@ def test_morris_finds_what_has_no_effect_and_what_interacts():
 def test_effects_of_a_linear_function_are_its_slopes():
     names = ["a", "b", "c"]
     shares = sample(names, 8)
-    found = analyse(names, shares, (shares @ [3.0, -2.0, 0.0])[:, None])
+    found = sensitivity_indices(names, shares, (shares @ [3.0, -2.0, 0.0])[:, None])
     expected = {"mu": [3.0, -2.0, 0.0], "mu_star": [3.0, 2.0, 0.0], "sigma": [0.0] * 3}
     for name, values in {**expected, "mu_star_conf": [0.0] * 3}.items():
         assert found.columns[name] == pytest.approx(values, abs=1e-12)
@@ -112,7 +112,7 @@ def test_trajectories_that_lack_a_run_are_left_out():
     names = [free.name for free in result.ranges]
     shares = sample(names, 20)
     kept = np.delete(shares.reshape(20, 5, 4), [0, 2], axis=0).reshape(-1, 4)
-    wanted = analyse(names, kept, ishigami(kept)[:, None])
+    wanted = sensitivity_indices(names, kept, ishigami(kept)[:, None])
     assert column(result, "mu_star").tolist() == wanted.columns["mu_star"].tolist()
 
 
@@ -121,7 +121,7 @@ def test_seeds_that_lack_a_run_are_left_out_of_their_trajectory_alone():
     shares = sample(names, 6)
     values = np.stack([shares[:, 0], shares[:, 0] + 100.0], axis=1)
     values[0, 1] = np.nan
-    found = analyse(names, shares, values)
+    found = sensitivity_indices(names, shares, values)
     assert found.used == 6
     assert found.columns["mu"][0] == pytest.approx(1.0)
 
@@ -176,14 +176,14 @@ def test_an_analysis_is_a_study_whose_runs_can_be_looked_at(analysis):
     result, folder = analysis
     study = mc.load_study(folder)
     assert {state.state for state in study.status()} == {"done"}
-    plan = plan_of(CELL, FREE, size=4, seeds=2, observables=["diameter"])
+    plan = plan_sensitivity(CELL, FREE, size=4, seeds=2, observables=["diameter"])
     ends = study.to_xarray()["diameter"].isel(time=-1).values[list(plan.rows)]
-    again = result_of(CELL, plan.ranges, plan.seeds, {"diameter": ends})
+    again = sample_sensitivity(CELL, plan.ranges, plan.seeds, {"diameter": ends})
     assert again.table == result.table
 
 
 def test_points_of_a_sample_that_are_the_same_are_one_point_of_the_study():
-    plan = plan_of(CELL, ONE, size=8)
+    plan = plan_sensitivity(CELL, ONE, size=8)
     values = [point.coordinates["division_radius"] for point in plan.study.points]
     assert len(values) == len(set(values)) <= 4  # the levels of the grid of Morris
     own = sample(["division_radius"], 8)[:, 0]
@@ -205,7 +205,7 @@ def test_another_question_in_the_folder_is_refused(tmp_path, here):
 
 
 def test_a_run_that_fails_is_told_and_left_out(tmp_path, here, monkeypatch):
-    inner = engine.carry_out
+    inner = engine.run_study
 
     def failing(runs, folder, **options):
         from dataclasses import replace
@@ -213,7 +213,7 @@ def test_a_run_that_fails_is_told_and_left_out(tmp_path, here, monkeypatch):
         outcomes = inner(runs, folder, **options)
         return [replace(outcomes[0], state="failed", reason="step failed: no way"), *outcomes[1:]]
 
-    monkeypatch.setattr(engine, "carry_out", failing)
+    monkeypatch.setattr(engine, "run_study", failing)
     result = asked(tmp_path)
     assert any("1 runs failed, the first one: step failed: no way" in n for n in result.notes)
     assert list(result.failures.values()) == ["step failed: no way"]
@@ -363,7 +363,7 @@ def test_numbers_are_there_before_a_page_that_cannot_be_written(tmp_path, here, 
         raise OutputError("cannot write: No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(sensitivity_page, "write_report", full)
+        patch.setattr(sensitivity_page, "write_sensitivity_report", full)
         done = command(tmp_path, "--observable", "diameter")
     assert "No space left" in done.output
     assert json.loads((tmp_path / "out" / "sensitivity.json").read_text())["size"] == 4

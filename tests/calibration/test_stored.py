@@ -9,7 +9,7 @@ import pytest
 
 import multicell as mc
 from multicell.calibration.simulator import SceneSimulator
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 from multicell.results.folder import to_json
 
 SCENE = mc.load_scene("growth").with_changes(
@@ -122,9 +122,9 @@ def test_the_same_fit_mends_what_is_damaged_without_a_run(stored, file, way, tmp
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b'{"a": 1}'])
 def test_a_damaged_entry_of_a_fit_is_overwritten_where_asked_for(content, tmp_path):
-    from multicell.calibration.fit import plan_of
+    from multicell.calibration.fit import plan_fit
 
-    plan = plan_of(SCENE, DATA, FREE, seeds=1, repeats=4, budget=64)
+    plan = plan_fit(SCENE, DATA, FREE, seeds=1, repeats=4, budget=64)
     with plan.open_folder(tmp_path / "fit") as folder:
         (folder / "fit.json").write_bytes(content)
         (folder / "search.log").write_bytes(content)
@@ -140,7 +140,7 @@ def test_a_fit_of_another_model_version_is_said_to_be_one(stored, tmp_path):
     _, folder = stored
     place = tmp_path / "fit"
     shutil.copytree(folder, place)
-    entry = read_table(place / "fit.json")
+    entry = read_document(place / "fit.json")
     entry["problem"]["model"] -= 1
     write_table(place / "fit.json", entry)
     with pytest.raises(mc.OutputError, match=r"a fit of model version .* whose runs have other"):

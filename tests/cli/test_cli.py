@@ -238,14 +238,14 @@ def test_empty_value_removes_a_part():
 
 def moment(time, cells=120, step=3):
     scene = SimpleNamespace(duration=36000.0)
-    known = {"cells": range(cells), "wall": {"compile": 0.0}, "finished": time >= scene.duration}
-    return SimpleNamespace(time=time, scene=scene, step_index=step, **known)
+    known = {"state": SimpleNamespace(cells=range(cells)), "finished": time >= scene.duration}
+    return SimpleNamespace(time=time, scene=scene, step_index=step, wall={"compile": 0.0}, **known)
 
 
 def test_status_tells_time_cells_step_and_speed():
-    text = progress.status(moment(7200.0, cells=1204), wall=4.0)
+    text = progress.progress_line(moment(7200.0, cells=1204), wall=4.0)
     assert text == ["2.00 of 10 h", "1,204 cells", "0.5 h simulated per s", "step 3"]
-    text = progress.status(moment(7200.0, cells=1204), wall=4.0, left=192.0)
+    text = progress.progress_line(moment(7200.0, cells=1204), wall=4.0, left=192.0)
     assert text[1] == "3.2 min left"
 
 

@@ -16,8 +16,8 @@ from studied import SHORT
 import multicell as mc
 from multicell.cli.main import main
 from multicell.cli.progress import Pace
-from multicell.studies.engine import Outcome
-from multicell.studies.runs import Run
+from multicell.studies.engine import RunOutcome
+from multicell.studies.runs import StudyRun
 
 SET = [f"--set={key}={value}" for key, value in SHORT.items()]
 OXYGEN, LENGTH = "nutrients.oxygen.boundary", "growth.phases.G1.duration"
@@ -208,7 +208,7 @@ def test_without_the_packages_it_is_said_how_to_install_them(folder, monkeypatch
 
 
 def _run(name, expected):
-    return Run(name, mc.load_scene("growth"), {}, expected)
+    return StudyRun(name, mc.load_scene("growth"), {}, expected)
 
 
 def test_the_time_left_is_corrected_by_what_was_measured():
@@ -216,15 +216,15 @@ def test_the_time_left_is_corrected_by_what_was_measured():
     pace = Pace(runs, 2, 0.0)
     assert pace.remaining(0.0) == 20.0
     assert pace.remaining(5.0) == 15.0
-    pace.note(Outcome("a", "done", wall=40.0), 40.0)
+    pace.note(RunOutcome("a", "done", wall=40.0), 40.0)
     # 40 s in place of 10 s, the expectation counting once more: 50/20 of 30 s on two cores
     assert pace.remaining(40.0) == pytest.approx(2.5 * 15.0)
     assert pace.share == 0.25
-    pace.note(Outcome("b", "done", reused=True), 40.0)
-    pace.note(Outcome("c", "failed", "lost"), 41.0)
+    pace.note(RunOutcome("b", "done", reused=True), 40.0)
+    pace.note(RunOutcome("c", "failed", "lost"), 41.0)
     assert pace.words(41.0)[:2] == ["3 of 4 runs", "1 failed"]
     assert pace.remaining(41.0) == pytest.approx(25.0)
-    pace.note(Outcome("d", "done", wall=10.0), 60.0)
+    pace.note(RunOutcome("d", "done", wall=10.0), 60.0)
     assert (pace.share, pace.remaining(99.0)) == (1.0, 0.0)
     assert pace.words(99.0) == ["4 of 4 runs", "1 failed"]
     assert Pace(runs, None, 0.0).remaining(0.0) is None

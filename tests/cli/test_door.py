@@ -338,6 +338,6 @@ def test_an_unexpected_error_is_one_line_that_says_what_to_do(error, monkeypatch
 
 
 def test_errors_of_the_system_name_the_file():
-    words, code = door.in_words(PermissionError(13, "Permission denied", "somewhere"))
+    words, code = door.error_in_words(PermissionError(13, "Permission denied", "somewhere"))
     assert (words, code) == ("'somewhere' cannot be used: Permission denied", 3)
-    assert door.in_words(MemoryError()) == ("there is not enough memory for this", 3)
+    assert door.error_in_words(MemoryError()) == ("there is not enough memory for this", 3)

@@ -38,7 +38,8 @@ def now(monkeypatch):
 
 def running(time=86400.0, cells=500, finished=False):
     return SimpleNamespace(
-        scene=SPHEROID, time=time, step_index=7, cells=range(cells), wall={"compile": 0.0},
+        scene=SPHEROID, time=time, step_index=7, state=SimpleNamespace(cells=range(cells)),
+        wall={"compile": 0.0},
         finished=finished,
     )  # fmt: skip
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 import multicell as mc
 from multicell.cli import progress
 from multicell.cli.main import main
-from multicell.report.plots.style import save
+from multicell.report.plots.style import save_figure
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def test_a_notebook_shows_a_picture_that_ends_a_cell(folder, tmp_path):
     before = matplotlib.pyplot.get_fignums()
     figure = mc.load_result(folder).plot.growth()
     assert isinstance(figure, Figure)
-    save(figure, tmp_path / "growth.png")
+    save_figure(figure, tmp_path / "growth.png")
     assert figure._repr_png_() == (tmp_path / "growth.png").read_bytes()
     assert matplotlib.pyplot.get_fignums() == before
 

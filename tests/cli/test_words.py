@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from multicell.calibration.dose_response import analyse
+from multicell.calibration.dose_response import analyse_doses
 from multicell.cli.main import main
 from multicell.cli.process import quiet_libraries
 from multicell.errors import ClusterError, ExitCode, FitFailed, OutputError
 from multicell.studies import engine
-from multicell.studies.engine import Outcome
+from multicell.studies.engine import RunOutcome
 from multicell.studies.study import Study
 from multicell.studies.workers import workers
 
@@ -38,10 +38,10 @@ def failing(tmp_path, monkeypatch):
     def run(kind, *more):
         def carried_out(runs, *_, **__):
             if not kind:
-                return [Outcome(run.name, "done") for run in runs]
-            return [Outcome(run.name, "failed", "step failed: why", kind=kind) for run in runs]
+                return [RunOutcome(run.name, "done") for run in runs]
+            return [RunOutcome(run.name, "failed", "step failed: why", kind=kind) for run in runs]
 
-        monkeypatch.setattr(engine, "carry_out", carried_out)
+        monkeypatch.setattr(engine, "run_study", carried_out)
         return call("study", "run", folder, "--cores", 1, "--yes", *more)
 
     return run
@@ -69,7 +69,7 @@ def test_a_control_whose_runs_failed_is_said_to_have_none():
     rows = [{"reason": "no memory", "run": str(k)} for k in range(10)]
     points = np.arange(5.0)[:, None]
     with pytest.raises(FitFailed, match=r"nothing is known of the control: its runs failed.*no me"):
-        analyse(points, values, rows, names=("drug",), units=("uM",), response="living cells",
+        analyse_doses(points, values, rows, names=("drug",), units=("uM",), response="living cells",
                 shared=True, title="x")  # fmt: skip
 
 

@@ -22,8 +22,8 @@ from multicell.comparison.ladders import find_method
 from multicell.comparison.norms import displacements, observe
 from multicell.comparison.page import VERDICT_NORMS
 from multicell.comparison.reference import method_pair, reference
-from multicell.comparison.replay import Problem, Step, replay
-from multicell.comparison.result import FILES, WorkPrecision
+from multicell.comparison.replay import ReplayProblem, Step, replay
+from multicell.comparison.result import COMPARISON_FILES, WorkPrecision
 
 # the worst cell
 
@@ -103,7 +103,7 @@ def held(length):
     push = np.hstack([-system.force(0.0, position), np.zeros_like(position)])
     motion = replace(system.motion, push=push)
     system.begin(motion)
-    problem = Problem(PAIR, system, position, radius, [Step(motion)], [position], 1)
+    problem = ReplayProblem(PAIR, system, position, radius, [Step(motion)], [position], 1)
     return problem, system, position
 
 
@@ -178,7 +178,7 @@ def test_the_chart_draws_the_floor_with_its_words(judged):
 
 def test_page_csv_and_json_hold_it_with_units(judged, tmp_path):
     page = judged.save(tmp_path).read_text(encoding="utf-8")
-    assert {path.name for path in tmp_path.iterdir()} == set(FILES)
+    assert {path.name for path in tmp_path.iterdir()} == set(COMPARISON_FILES)
     assert "the difference of trajectories means nothing" in page
     assert page.count("below the floor</small>") == 3
     for norm in VERDICT_NORMS:

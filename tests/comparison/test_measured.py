@@ -8,7 +8,7 @@ from two_cells import BOTH_EXACT, PAIR
 
 import multicell.report.html as html
 from multicell import OutputError
-from multicell.comparison.measured import NAME
+from multicell.comparison.measured import LOG_FILE
 from multicell.comparison.result import WorkPrecision
 from multicell.comparison.stability_limits import search
 from multicell.comparison.stability_limits.search import stability
@@ -41,7 +41,7 @@ def test_what_was_compared_is_there_before_its_page_is(tmp_path, monkeypatch):
     assert measured == []
     assert again.table == before.table
     assert (tmp_path / "report.html").is_file()
-    assert not (tmp_path / NAME).exists()
+    assert not (tmp_path / LOG_FILE).exists()
     with pytest.raises(OutputError, match="not empty"):
         compared(tmp_path)
 
@@ -54,7 +54,7 @@ def test_a_comparison_continues_with_the_methods_that_are_left(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         compare(SCENE, output=tmp_path, progress=ends, **COMPARED)
     assert not (tmp_path / "workprecision.json").exists()
-    (known,) = Lines(tmp_path / NAME).entries[1:]
+    (known,) = Lines(tmp_path / LOG_FILE).entries[1:]
     again, measured = compared(tmp_path)
     assert (known["method"], measured) == ("euler", ["heun"])
     rows = again.rows("euler")
@@ -111,4 +111,4 @@ def test_limits_that_were_found_are_not_searched_again(tmp_path, monkeypatch):
     assert found == ["euler", "heun"]
     assert [row["method"] for row in made.table] == METHODS
     assert [row["theory"] for row in made.table] == [float("inf")] * 2
-    assert not (tmp_path / NAME).exists()
+    assert not (tmp_path / LOG_FILE).exists()

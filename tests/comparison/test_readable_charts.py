@@ -14,7 +14,7 @@ from multicell.comparison.measure import TimedPoint, time_again
 from multicell.comparison.replay import Trajectory
 from multicell.comparison.styles import (
     MAX_COLOURED,
-    Point,
+    ChartPoint,
     appearance,
     in_colour,
     pareto_front,
@@ -65,7 +65,7 @@ def test_at_most_eight_series_are_coloured_and_all_are_drawn(count):
 
 def test_the_front_is_what_no_other_solve_beats():
     rng = np.random.default_rng(0)
-    solves = [Point(str(k), *10.0 ** rng.uniform(-3, 0, 2), 0.0, 0.0) for k in range(200)]
+    solves = [ChartPoint(str(k), *10.0 ** rng.uniform(-3, 0, 2), 0.0, 0.0) for k in range(200)]
     expected = [
         p
         for p in solves

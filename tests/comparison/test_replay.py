@@ -8,8 +8,8 @@ from synthetic import cells_at
 from two_cells import GROWING
 
 from multicell import Simulation
-from multicell.comparison.record import Recorder, compose_events, events_between, record
-from multicell.comparison.replay import Events, replay
+from multicell.comparison.record import StepRecorder, compose_events, events_between, record
+from multicell.comparison.replay import RecordedEvents, replay
 from multicell.comparison.work_precision import compare
 from multicell.errors import SceneError
 from multicell.integrators.base import Outcome
@@ -157,9 +157,9 @@ def test_a_replay_meets_the_run_however_few_cells_are_left(seed, counts):
 def test_events_of_steps_that_are_left_out_are_carried_on():
     """A mother divides, one daughter dies, and the other divides before any cell moves again."""
     east, west = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
-    divided = Events(np.array([0, 0, 1]), np.array([east, west, 0 * east]))
-    died = Events(np.array([1]), np.zeros((1, 3)))
-    again = Events(np.array([0, 0]), np.array([2 * east, 2 * west]))
+    divided = RecordedEvents(np.array([0, 0, 1]), np.array([east, west, 0 * east]))
+    died = RecordedEvents(np.array([1]), np.zeros((1, 3)))
+    again = RecordedEvents(np.array([0, 0]), np.array([2 * east, 2 * west]))
     position = np.array([[10.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
     whole = compose_events(compose_events(divided, died), again)
     np.testing.assert_array_equal(whole.apply(position), [[11.0, 0.0, 0.0], [7.0, 0.0, 0.0]])
@@ -206,7 +206,7 @@ def noted(total, count):
         def at_end(self, position):
             return position
 
-    sampler = Recorder(Stays(), count)
+    sampler = StepRecorder(Stays(), count)
     stored = 0
     for k in range(total):
         sampler.integrate(System(), np.full((1, 3), float(k)))

@@ -12,8 +12,8 @@ from picture_texts import check_texts
 
 from multicell import OutputError, SceneError
 from multicell.comparison.ladders import Method, find_method
-from multicell.comparison.stability_limits.charts import COLOURS
-from multicell.comparison.stability_limits.result import FILES, StabilityMap
+from multicell.comparison.stability_limits.charts import TRIAL_COLOURS
+from multicell.comparison.stability_limits.result import STABILITY_FILES, StabilityMap
 from multicell.comparison.stability_limits.search import bisect, bracket, stability
 from multicell.comparison.stability_limits.state import (
     MIN_NOTICED,
@@ -23,9 +23,9 @@ from multicell.comparison.stability_limits.state import (
 )
 from multicell.comparison.stability_limits.trial import (
     BLOW_UP,
-    KINDS,
     STABLE,
     STALL,
+    TRIAL_ENDS,
     TRIAL_STEPS,
     WRONG,
     judge,
@@ -238,7 +238,7 @@ def test_the_limit_of_a_planted_failure_is_found_to_three_per_cent(map_of_plants
     for row in result.limits():
         assert row["limit"] <= 3.0 * scale < row["beyond"] <= 1.031 * row["limit"]
         assert row["kind"] == PLANTS[row["method"]][1]
-    assert set(result.kinds) == set(KINDS)
+    assert set(result.kinds) == set(TRIAL_ENDS)
 
 
 def test_the_picture_shows_every_kind_planted_where_it_was_planted(map_of_plants):
@@ -252,14 +252,14 @@ def test_the_picture_shows_every_kind_planted_where_it_was_planted(map_of_plants
         bars = [bar for bar in axes.patches if (bar.get_gid() or "").startswith(f"{name}|")]
         failed = [bar for bar in bars if bar.get_gid() == f"{name}|{kind}"]
         assert failed
-        assert {to_hex(bar.get_facecolor()) for bar in failed} == {COLOURS[kind]}
+        assert {to_hex(bar.get_facecolor()) for bar in failed} == {TRIAL_COLOURS[kind]}
         assert min(bar.get_x() for bar in failed) == pytest.approx(3.0, rel=0.03)
         assert all(abs(bar.get_y() + 0.5 * bar.get_height() - level) < 1e-9 for bar in bars)
         assert len(bars) == len(result.rows(name))
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert set(KINDS) <= set(legend)
-    colours = list(COLOURS.values())
-    assert set(COLOURS) == set(KINDS)
+    assert set(TRIAL_ENDS) <= set(legend)
+    colours = list(TRIAL_COLOURS.values())
+    assert set(TRIAL_COLOURS) == set(TRIAL_ENDS)
     for k, first in enumerate(colours):
         assert all(distance(first, other) > APART for other in colours[k + 1 :])
 
@@ -333,7 +333,7 @@ def test_files_hold_what_was_found(tmp_path):
     scene = load_scene("settle").with_changes({"initial.count": 12, "title": "A <b>title</b>"})
     result = stability(scene, ["euler", "dopri5"], folder, progress=told.append, threads=1)
     assert isinstance(result, StabilityMap)
-    assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+    assert sorted(path.name for path in folder.iterdir()) == sorted(STABILITY_FILES)
     with (folder / "stability.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(result.table)

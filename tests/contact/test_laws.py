@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from law_samples import SAMPLES
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from strategies import energies, moduli, poissons, radii
@@ -20,8 +21,7 @@ from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import rest_overlap
 from multicell.contact.physicell import PhysiCell
-from multicell.contact.registry import LAWS
-from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
+from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring, LinearSpring
 from multicell.errors import SceneError
 
 sticky = st.floats(1e-3, 0.5)
@@ -152,9 +152,9 @@ def test_without_surface_energy_the_law_is_hertz(law, power):
 
 
 SPRINGS = [
-    Linear(stiffness_at_rest=1.7, cutoff=1.4),
-    Cubic(stiffness_at_rest=1.7, cutoff=1.4),
-    GeneralisedLinear(stiffness_at_rest=1.7, cutoff=1.4, decay=4.0),
+    LinearSpring(stiffness_at_rest=1.7, cutoff=1.4),
+    CubicSpring(stiffness_at_rest=1.7, cutoff=1.4),
+    GeneralisedLinearSpring(stiffness_at_rest=1.7, cutoff=1.4, decay=4.0),
 ]
 
 
@@ -257,7 +257,7 @@ def test_springs_end_at_their_cutoff_and_need_the_distance_at_rest(law):
 
 
 def test_centres_that_meet_are_pushed_without_bound_by_the_logarithm_only():
-    law = GeneralisedLinear()
+    law = GeneralisedLinearSpring()
     near = law.force(10.0 - 10.0 ** np.arange(-1.0, -7.0, -1.0), 1.0, 2.5, rest=10.0)
     np.testing.assert_allclose(np.diff(near), 10.0 * np.log(10.0), rtol=1e-8)
     assert near[-1] < law.force(10.0, 1.0, 2.5, rest=10.0) < np.inf
@@ -292,8 +292,11 @@ def test_cells_that_attract_more_than_they_repel_do_not_rest():
     ("law", "given"),
     [
         *((JKR, {"smoothing": value}) for value in (-0.1, float("nan"), "1 s")),
-        *((law, {"cutoff": 0.9}) for law in (Linear, Cubic, GeneralisedLinear, PhysiCell)),
-        (Linear, {"stiffness_at_rest": 0.0}),
+        *(
+            (law, {"cutoff": 0.9})
+            for law in (LinearSpring, CubicSpring, GeneralisedLinearSpring, PhysiCell)
+        ),
+        (LinearSpring, {"stiffness_at_rest": 0.0}),
     ],
 )
 def test_parameters_out_of_their_range_are_refused(law, given):
@@ -302,7 +305,7 @@ def test_parameters_out_of_their_range_are_refused(law, given):
 
 
 @pytest.mark.parametrize(
-    "law", [*(law() for law in LAWS.values()), PhysiCell(surface_energy=4.0, cutoff=2.5)], ids=repr
+    "law", [*SAMPLES.values(), PhysiCell(surface_energy=4.0, cutoff=2.5)], ids=repr
 )
 def test_bonded_pairs_rest_where_the_forces_cancel(law):
     modulus, radius, rest = 5.0, 2.5, 10.0

@@ -11,23 +11,15 @@ from types import ModuleType
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from law_samples import SAMPLES
 from scipy.integrate import quad
 
 import multicell as mc
 from multicell.cli.main import main
 from multicell.contact.constants import fingerprint
 from multicell.contact.custom import load_law
-from multicell.contact.exact_jkr import ExactJKR
-from multicell.contact.physicell import PhysiCell
-from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.schema import quantity
 from multicell.testing import check_pair_law
-
-OURS = [
-    mc.Hertz(), mc.JKR(), mc.JKR(smoothing=0.3), mc.JKR(surface_energy=0.0), ExactJKR(),
-    ExactJKR(surface_energy=0.0), Linear(), Linear(cutoff=1.0), Cubic(), GeneralisedLinear(),
-    PhysiCell(), PhysiCell(surface_energy=4.0, cutoff=2.5),
-]  # fmt: skip
 
 LAW = """
 import multicell as mc
@@ -67,7 +59,7 @@ def Bond(overlap, modulus, radius, p, rest):  # noqa: N802
     return p.stiffness * x * x * rest * math.tanh(4.0 * overlap / p.range)
 
 
-@pytest.mark.parametrize("law", OURS, ids=repr)
+@pytest.mark.parametrize("law", SAMPLES.values(), ids=SAMPLES)
 def test_our_own_laws_keep_what_is_asked_of_others(law):
     check_pair_law(law)
 

@@ -15,7 +15,7 @@ from multicell.calibration.emulator import emulator
 from multicell.calibration.fitted import Fit
 from multicell.calibration.likelihood import fresh
 from multicell.calibration.pool import Pool
-from multicell.calibration.problem import Problem
+from multicell.calibration.problem import FitProblem
 from multicell.calibration.search import Search
 from multicell.calibration.simulator import Reading, SceneSimulator
 from multicell.studies.axes import Range
@@ -139,7 +139,7 @@ def growing(simulator, truth, rng, sigma=4.0, seeds=2):
     first = int(rng.integers(2**40))
     condition = (Condition("only", {}, SCENE),)
     found = Measured(data, condition, units, "cheap")
-    return Problem(found, ranges, simulator, tuple(range(first, first + seeds)))
+    return FitProblem(found, ranges, simulator, tuple(range(first, first + seeds)))
 
 
 def measured(values, sigma):
@@ -161,7 +161,7 @@ def linear(matrix, values, sigma, *, noise=0.0, bend=0.0, seeds=1, first=0):
     ranges = tuple(
         Range(f"toy.p{k}", 0.0, 1.0, "", False, f"p{k}", False) for k in range(len(matrix[0]))
     )
-    return Problem(
+    return FitProblem(
         measured(values, sigma),
         ranges,
         Linear(matrix, noise, bend),

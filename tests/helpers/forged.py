@@ -12,7 +12,7 @@ import numpy as np
 from forks import limit_memory
 
 import multicell as mc
-from multicell.results.journal import PREFIX, Reader, digest
+from multicell.results.journal import PREFIX, Reader, array_digest
 
 MEMORY = 1 << 30  # bytes of address space beyond what the process has
 VALUES = (
@@ -131,7 +131,7 @@ def resize(file, rng):
         file[name].resize(rows, axis=0)
     if rows <= 10**5:
         columns = {name: file["history"][name][()] for name in file["history"]}
-        file["history"].attrs["digest"] = np.uint32(digest(columns))
+        file["history"].attrs["digest"] = np.uint32(array_digest(columns))
     return f"{chosen} resized to {rows}"
 
 

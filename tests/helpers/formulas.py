@@ -129,9 +129,9 @@ FORMULAS = {
     "Hertz": hertz,
     "JKR": approximate_jkr,
     "ExactJKR": exact_jkr,
-    "Linear": linear,
-    "Cubic": cubic,
-    "GeneralisedLinear": generalised_linear,
+    "LinearSpring": linear,
+    "CubicSpring": cubic,
+    "GeneralisedLinearSpring": generalised_linear,
     "PhysiCell": physicell,
 }
 

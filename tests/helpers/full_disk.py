@@ -37,7 +37,7 @@ def study_table(source, folder, format):
     """Write the table of a study to a disk; its runs are elsewhere."""
     from multicell.studies import table
 
-    table.save(mc.load_study(source).to_xarray(), Path(folder) / table.NAME)
+    table.save_dataset(mc.load_study(source).to_xarray(), Path(folder) / table.TABLE_FILE)
 
 
 def attempt(way, source, folder, format=""):

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from multicell.results.quantities import ABSENT
+from multicell.results.quantities import ABSENT_WORDS
 
 _AT_THE_START = re.compile("nodes|finite medium of .* its grid covers|too far|origin, where")
 _NUMBER = re.compile(r"-?\d[\d.e+-]*")
@@ -263,7 +263,9 @@ def check_tables(result):
         for part in make(result, iter(enumerate(result.frames))):
             for title, column in part.items():
                 plain = title.removeprefix("history.")
-                known = [k for k in ENDLESS | set(ABSENT) if fnmatch.fnmatchcase(plain, f"{k}*")]
+                known = [
+                    k for k in ENDLESS | set(ABSENT_WORDS) if fnmatch.fnmatchcase(plain, f"{k}*")
+                ]
                 living = plain.startswith(UNKNOWN_OF_LIVING)
                 finite = column[~np.isnan(column)] if living else column
                 _finite(f"table {name}.{title}", finite, known[0] if known else title)
@@ -338,7 +340,7 @@ def _finite(where, values, name):
     good = np.isfinite(values) if values.dtype.kind == "f" else np.ones(values.shape, bool)
     if name in ENDLESS:
         good |= np.isposinf(values)
-    if any(fnmatch.fnmatchcase(name, known) for known in ABSENT):
+    if any(fnmatch.fnmatchcase(name, known) for known in ABSENT_WORDS):
         good |= np.isnan(values)
     if not good.all():
         raise Fault(f"not finite: {where} has {values[~good].ravel()[0]}")

@@ -19,12 +19,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from multicell.cells import Phase
-from multicell.coupling.start_check import check_population
 from multicell.errors import DataError, SceneError
 from multicell.scene.nutrient import FACES
-from multicell.scene.parts import PHASES
+from multicell.scene.parts import CYCLE_PHASES
 from multicell.scene.scene import Scene
-from multicell.schema import build, specs
+from multicell.schema import build_part, specs
+from multicell.simulation.start_check import check_population
 from multicell.units import RANGES
 
 FIELDS = ("oxygen", "glucose", "drug")
@@ -41,7 +41,7 @@ NAMES = {
     "surface_energy": TYPES,
     "parameters": ("exponent",),
     "sides": FACES,
-    "phases": PHASES,
+    "phases": CYCLE_PHASES,
     "reactions": ("binding", "breakdown"),
     "consumes": FIELDS,
     "produces": FIELDS,
@@ -376,7 +376,7 @@ def fitted(entries, part=Scene):
     made = copy.deepcopy(entries)
     while True:
         try:
-            built = build(part, copy.deepcopy(made))
+            built = build_part(part, copy.deepcopy(made))
             if part is Scene:
                 check_population(built)
         except DataError:

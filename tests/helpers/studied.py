@@ -16,9 +16,9 @@ from signals import listening
 import multicell as mc
 from multicell.cli.process import exit_code
 from multicell.studies import engine
-from multicell.studies.engine import Task, carry_out, do_run
-from multicell.studies.runs import PlainScene, Run, digest
-from multicell.studies.status import status
+from multicell.studies.engine import Task, do_run, run_study
+from multicell.studies.runs import PlainScene, StudyRun, run_digest
+from multicell.studies.status import run_status
 
 HERE = Path(__file__)
 # cells grow and divide; a field, several frames, half a second of work
@@ -34,7 +34,7 @@ SHORT = {"duration": "20 h", "output.every": "4 h"}
 
 
 def run_of(scene, expected=1.0, **coordinates):
-    return Run(digest(scene), scene, coordinates, expected)
+    return StudyRun(run_digest(scene), scene, coordinates, expected)
 
 
 def runs_of(count, name="spheroid", changes=CHANGES):
@@ -47,7 +47,7 @@ def short_runs(count, **changes):
 
 
 def statuses(runs, folder):
-    return [status(run.name, Path(folder)) for run in runs]
+    return [run_status(run.name, Path(folder)) for run in runs]
 
 
 def started(folder, count, *more, **options):
@@ -77,7 +77,7 @@ def in_this_process(monkeypatch):
                 progress(outcome)
         return outcomes
 
-    monkeypatch.setattr(engine, "carry_out", carried_out)
+    monkeypatch.setattr(engine, "run_study", carried_out)
     return ran
 
 
@@ -129,7 +129,7 @@ def main(folder, count, scheduler=None, duration=CHANGES["duration"]):
         print(outcome.name, outcome.state, outcome.reused, outcome.reason, flush=True)
 
     def command():
-        carry_out(
+        run_study(
             runs_of(int(count), changes={**CHANGES, "duration": duration}), folder, cores=2,
             scheduler=scheduler, progress=said,
         )  # fmt: skip

@@ -203,9 +203,8 @@ def test_chances_of_daughters(project):
     )
     rule = "tumour cell,time,increases,asymmetric division to hunter,0.9,60,2,0"
     made = imported(project, rule, changes=[(cycle, division + cycle)])
-    found = values(made, "mutation to hunter", 0.0, time=np.full(4, 7200.0))
-    # here both daughters may change, so that each has half of the chance
-    expected = 0.5 * hill(0.3, up=[(0.9, 60.0, 2, 120.0)])
+    found = values(made, "asymmetric division to hunter", 0.0, time=np.full(4, 7200.0))
+    expected = hill(0.3, up=[(0.9, 60.0, 2, 120.0)])
     np.testing.assert_allclose(found, [*[expected] * 3, 0.0])
 
 

@@ -7,7 +7,7 @@ from strategies import divided, mechanics
 
 from multicell.integrators.auto import Auto
 from multicell.integrators.cvode import Cvode, CvodeAdams
-from multicell.integrators.restarts import Run
+from multicell.integrators.restarts import IntegrationProgress
 
 
 def ball(n):
@@ -27,7 +27,7 @@ def system(radius):
 
 def accepted_steps(monkeypatch):
     """Return a list to which each step adds begin, start, end, stop and its estimated error."""
-    taken, step = [], Run._step
+    taken, step = [], IntegrationProgress._step
 
     class Noted:
         def __init__(self, solver):
@@ -45,7 +45,7 @@ def accepted_steps(monkeypatch):
         taken.append((*before, run.elapsed, run.position.copy(), watched.error))
         return length
 
-    monkeypatch.setattr(Run, "_step", noted)
+    monkeypatch.setattr(IntegrationProgress, "_step", noted)
     return taken
 
 

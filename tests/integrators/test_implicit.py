@@ -12,7 +12,7 @@ from multicell.integrators import auto, cvode_solver
 from multicell.integrators.auto import Auto, largest_rate
 from multicell.integrators.backward_euler import BackwardEuler
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.restarts import Run, StepImpossible, Taken
+from multicell.integrators.restarts import IntegrationProgress, StepImpossible, Taken
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.scipy import Scipy
@@ -244,7 +244,7 @@ class Breaking:
 def test_a_solver_that_keeps_breaking_ends_with_its_words():
     position, radius, young = cluster(4, 1)
     system = mechanics(radius, young)
-    outcome = Run(Cvode(max_steps=100), system, position).integrate(Breaking)
+    outcome = IntegrationProgress(Cvode(max_steps=100), system, position).integrate(Breaking)
     assert outcome.problem == "it broke"
     assert outcome.time == 2.0
     assert system.work.steps == 2

@@ -7,12 +7,12 @@ import pytest
 from strategies import mechanics
 
 import multicell as mc
-from multicell.contact.registry import LAWS
+from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
 from multicell.integrators import limits
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.registry import METHODS, from_options
-from multicell.integrators.restarts import Run
+from multicell.integrators.restarts import IntegrationProgress
 from multicell.mechanics import blocks
 from multicell.mechanics import preconditioners as sparse
 from multicell.mechanics.motion import StateRejected
@@ -34,7 +34,7 @@ def method(name, **options):
 # every method with one law and every law with some methods: a compiled loop is made for each law
 LONELY = [
     (name, law)
-    for name, law in itertools.product(sorted(METHODS), sorted(LAWS))
+    for name, law in itertools.product(sorted(METHODS), sorted(CONTACT_LAWS))
     if law == "jkr" or name in ("cvode", "backward-euler", "scipy-rk45")
 ]
 
@@ -47,7 +47,7 @@ LONELY = [
 def test_cells_without_neighbours_stay_where_they_are(name, law, friction):
     for start, duration in [*((start, 100.0) for start in LONE.values()), (LONE["one cell"], 0.0)]:
         n = len(start)
-        system = mechanics(np.full(n, 5.0), np.ones(n), LAWS[law](), rate=np.full(n, 1e-3),
+        system = mechanics(np.full(n, 5.0), np.ones(n), CONTACT_LAWS[law](), rate=np.full(n, 1e-3),
                            duration=duration, friction=friction)  # fmt: skip
         if friction[0] > 0.0 and name in NO_FRICTION:
             with pytest.raises(SceneError, match="friction"):
@@ -117,7 +117,7 @@ def test_up_to_there_a_doublet_finds_its_equilibrium(name, viscosity, open_door)
     assert cells.position.mean(axis=0) == pytest.approx(start, abs=1e-2)
 
 
-@pytest.mark.parametrize("law", sorted(LAWS))
+@pytest.mark.parametrize("law", sorted(CONTACT_LAWS))
 def test_the_scale_of_stiffness_is_that_of_the_jacobian(law):
     """Against the bound from the blocks of J, for packed cells of several sizes."""
     for radius in (0.01, 5.0, 500.0):
@@ -125,14 +125,14 @@ def test_the_scale_of_stiffness_is_that_of_the_jacobian(law):
         lattice = 1.5 * radius * np.array(
             [[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float
         ) / np.sqrt(2)  # fmt: skip
-        system = mechanics(np.full(n, radius), np.ones(n), LAWS[law]())
+        system = mechanics(np.full(n, radius), np.ones(n), CONTACT_LAWS[law]())
         exact = system.stiffness_bound(0.0, lattice)
         assert 0.05 < limits.stiffness_scale(system) / exact < 20.0
 
 
 def test_an_empty_step_has_no_stiffness():
     assert limits.stiffness_scale(mechanics(np.full(1, 5.0), np.ones(1))) == 0.0
-    assert limits.beyond(mechanics(np.empty(0), np.empty(0)), np.empty((0, 3))) is None
+    assert limits.find_failure(mechanics(np.empty(0), np.empty(0)), np.empty((0, 3))) is None
 
 
 @pytest.mark.parametrize("name", [n for n, info in METHODS.items() if info.control == "tolerance"])
@@ -187,7 +187,9 @@ def test_blocks_are_inverted_at_any_stiffness(stiffness, contacts):
 
 def test_a_solver_that_cannot_be_made_is_a_named_failure():
     system = mechanics(np.full(2, 5.0), np.ones(2))
-    run = Run(Cvode(max_steps=100), system, np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]]))
+    run = IntegrationProgress(
+        Cvode(max_steps=100), system, np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    )
 
     def start(run, ceiling):
         raise StateRejected("a position is not a number")

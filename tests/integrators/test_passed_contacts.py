@@ -8,7 +8,7 @@ import pytest
 from multicell import JKR
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
-from multicell.contact.springs import Cubic
+from multicell.contact.springs import CubicSpring
 from multicell.integrators import registry
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -94,7 +94,7 @@ def test_a_contact_that_forms_long_before_the_end_is_missed_and_a_late_one_is_no
     assert part(law, 0.001, [-0.002, 0.0, 0.0], 5.0, tolerance=10.0) == 1.0
 
 
-@pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.0), Cubic()], ids=repr)
+@pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.0), CubicSpring()], ids=repr)
 def test_laws_that_do_not_snap_cost_no_look_at_the_pairs(law):
     assert not law.snaps
     assert part(law, 0.001, [-0.01, 0.0, 0.0], 5.0) == 1.0

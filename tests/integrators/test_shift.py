@@ -1,6 +1,7 @@
 """What a small shift of all positions does to the end of a coupling step, in runs."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def often(monkeypatch):
 def course(scene, replays=True):
     simulation = Simulation(scene, threads=1)
     if not replays:
-        simulation.replays = None
+        simulation.state = replace(simulation.state, replays=None)
     while not simulation.finished:
         simulation.step()
     return simulation

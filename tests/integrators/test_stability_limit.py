@@ -1,7 +1,7 @@
 """Fixed steps of explicit methods beyond their limit of stability, in runs and out of them."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -148,7 +148,8 @@ def test_rattling_cells_are_found_between_two_measurements(monkeypatch):
     for _ in range(3):
         simulation.step()
     simulation.mover.integrator = from_options(IntegratorOptions(method="heun", step=4.9))
-    simulation.stability = simulation.stability._replace(rate=0.0)
+    known = simulation.stability._replace(rate=0.0)
+    simulation.state = replace(simulation.state, stability=known)
     monkeypatch.setattr(stability, "_PASSES", 1e9)
     monkeypatch.setattr(stability, "_GLANCE", 0)
     measured = simulation.stability.measured

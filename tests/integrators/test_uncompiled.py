@@ -28,7 +28,7 @@ def run_by_python():
         for value in vars(module).values():
             body = value.py_func if isinstance(value, Dispatcher) else value
             # one is compiled only, the other names it for its address
-            other = body in (stepping._evaluation, stepping.kernels)
+            other = body in (stepping._evaluation, stepping.stepping_kernels)
             if isinstance(body, FunctionType) and not other:
                 yield body
 

@@ -12,7 +12,7 @@ from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import compliance
 from multicell.integrators import registry as integrators
-from multicell.mechanics.compression import CLOSE_PACKED, Compression
+from multicell.mechanics.compression import CLOSE_PACKED, TissueCompression
 from multicell.mechanics.jacobian import limited, sparse_jacobian
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.preconditioners import Sweeps
@@ -22,7 +22,7 @@ from multicell.scene.parts import IntegratorOptions
 from multicell.simulation import Simulation
 
 HALF, WIDE = 14.0, 15.0
-FELT = Compression(10.0)
+FELT = TissueCompression(10.0)
 
 
 def walls(half=HALF):
@@ -216,7 +216,7 @@ def test_the_pressure_of_a_lattice_is_the_derivative_of_its_energy_by_volume(kin
 @pytest.mark.parametrize("onset", [0.9, 1.0, 1.2])
 def test_the_bulk_modulus_of_the_closest_packing_is_the_one_asked_for(onset):
     """B = φ dP/dφ; the part that resistance adds, beyond the rounded threshold."""
-    felt = Compression(7.0, onset)
+    felt = TissueCompression(7.0, onset)
 
     def extra(fraction):
         return lattice_pressure(fraction, "fcc", felt) - lattice_pressure(fraction, "fcc", None)

@@ -5,6 +5,7 @@ import pytest
 from formulas import Pairs, product_of, slope, velocity_of
 from hypothesis import given
 from hypothesis import strategies as st
+from law_samples import SAMPLES
 from scipy.spatial import cKDTree
 from strategies import cluster, seeds
 
@@ -12,24 +13,9 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus
-from multicell.contact.physicell import PhysiCell
-from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.neighbours import CHUNK
 from multicell.mechanics.system import Mechanics
-
-LAWS = {
-    "hertz": Hertz(),
-    "jkr": JKR(surface_energy=0.1),
-    "smooth jkr": JKR(surface_energy=0.1, smoothing=0.6),
-    "exact jkr": ExactJKR(surface_energy=0.1),
-    "exact jkr that does not stick": ExactJKR(surface_energy=0.0),
-    "linear": Linear(stiffness_at_rest=2.0),
-    "repulsive": Linear(stiffness_at_rest=2.0, cutoff=1.0),
-    "cubic": Cubic(stiffness_at_rest=2.0),
-    "generalised linear": GeneralisedLinear(stiffness_at_rest=2.0),
-    "physicell": PhysiCell(length=2.0, surface_energy=0.3),
-}
 
 
 def system(law, radius, young, *, duration=10.0, rate=None, options=None, **motion):
@@ -41,13 +27,13 @@ def system(law, radius, young, *, duration=10.0, rate=None, options=None, **moti
 
 
 @pytest.mark.parametrize(
-    ("name", "n"), [*((name, 400) for name in LAWS), ("jkr", 2), ("hertz", 2 * CHUNK + 10)]
+    ("name", "n"), [*((name, 400) for name in SAMPLES), ("jkr", 2), ("hertz", 2 * CHUNK + 10)]
 )
 def test_kernels_agree_with_sums_over_all_pairs(name, n):
-    law = LAWS[name]
+    law = SAMPLES[name]
     position, radius, young = cluster(n, 11, spacing=0.97, variation=0.3)
     touching = np.array([[0, 1]] if n == 2 else [[3, 4], [0, 7]])
-    if name == "exact jkr" and n > 2:
+    if name == "exact-jkr" and n > 2:
         tree = cKDTree(position).query_pairs(11.0, output_type="ndarray")
         touching = np.sort(tree, axis=1)[::2]
     made = system(law, radius, young, touching=touching)
@@ -63,9 +49,9 @@ def test_kernels_agree_with_sums_over_all_pairs(name, n):
     )
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", SAMPLES)
 def test_jacobian_of_every_law(name):
-    law = LAWS[name]
+    law = SAMPLES[name]
     position, radius, young = cluster(40, 5, spacing=0.9, variation=0.2)
     bonds = np.tile([0.9, 0.8, 0.0, 0.0], (40, 1))
     pairs = np.sort(cKDTree(position).query_pairs(12.0, output_type="ndarray"), axis=1)
@@ -205,7 +191,7 @@ def test_growing_exact_contacts_end_at_the_right_unit():
     )
 
 
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("law", SAMPLES.values(), ids=SAMPLES)
 def test_cells_that_only_meet_are_in_contact_where_contacts_form_at_an_overlap_of_zero(law):
     """Other laws need an overlap above zero; 5 + 5 - 10 has no rounding."""
     young, radius = np.ones(3), np.full(3, 5.0)

@@ -28,7 +28,7 @@ def system_at(position, radius, young, normal, tangential, *, shared=False, **op
     gamma = FrictionMatrix(
         (normal, tangential), len(radius), system.drag, system.chunk, tolerance=1e-12
     )
-    gamma.measure(system._rows, system._pairs, shared)
+    gamma.measure(system._rows, system.neighbours.pairs, shared)
     return system, gamma, force
 
 
@@ -154,7 +154,7 @@ def test_two_cells_relax_as_the_quadrature_says(coefficient, start):
 
     def rate(t, y):
         force = system.force(0.0, y.reshape(2, 3))
-        gamma.measure(system._rows, system._pairs)
+        gamma.measure(system._rows, system.neighbours.pairs)
         return solved(gamma, force)[0].ravel()
 
     position = np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0] + start * 10.0 * axis])
@@ -220,7 +220,7 @@ def test_diagonal_at_the_linearisation_is_that_of_the_matrix(normal, tangential)
     position, radius, young = cluster(60, 7)
     system, _, _ = system_at(position, radius, young, normal, tangential, chunk=16)
     used = PairFriction((normal, tangential), 60, system.drag, system.chunk)
-    used.linearise(system._rows, system._pairs, False)
+    used.linearise(system._rows, system.neighbours.pairs, False)
     full = reference_matrix(position, radius, normal, tangential, system.drag)
     expected = full.diagonal().reshape(3, 60).mean(axis=0)
     np.testing.assert_allclose(used.diagonal(), expected, rtol=1e-12)

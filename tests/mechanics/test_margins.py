@@ -47,8 +47,8 @@ def test_forces_on_the_way_are_those_of_a_list_of_their_own(tissue):
     # 1.6 radii on the way, and 0.1 of a radius without more room
     assert 3 <= system.work.list_builds <= 8
     still = np.setdiff1d(np.arange(600), movers)
-    assert (system._margin[still] == system._least_margin).all()
-    assert (system._margin[movers] > 3.0 * system._least_margin).all()
+    assert (system.neighbours.margin[still] == system.neighbours.least).all()
+    assert (system.neighbours.margin[movers] > 3.0 * system.neighbours.least).all()
 
 
 def test_room_is_given_back_where_cells_rest(tissue):
@@ -57,8 +57,8 @@ def test_room_is_given_back_where_cells_rest(tissue):
     for moved in (np.arange(10), np.arange(300, 310)):
         for state in walk((position, radius, young), 40, 0.05, moved):
             forces_of(system, state)
-    assert (system._margin[:10] == system._least_margin).all()
-    assert (system._margin[300:310] > 3.0 * system._least_margin).all()
+    assert (system.neighbours.margin[:10] == system.neighbours.least).all()
+    assert (system.neighbours.margin[300:310] > 3.0 * system.neighbours.least).all()
 
 
 def test_each_coupling_step_begins_with_the_same_margins(tissue):
@@ -67,7 +67,7 @@ def test_each_coupling_step_begins_with_the_same_margins(tissue):
     for state in walk(tissue, 20, 0.05, np.arange(10)):
         forces_of(system, state)
     system.begin(system.motion)
-    assert (system._margin == system._least_margin).all()
+    assert (system.neighbours.margin == system.neighbours.least).all()
 
 
 def test_few_daughters_have_room_from_the_beginning(tissue):
@@ -101,7 +101,7 @@ def test_after_a_state_that_is_too_crowded_no_pair_is_missed(compiled):
     # less than the margins that the jump asked for, and more than those of the first list
     ways = np.random.default_rng(4).normal(size=position.shape)
     near = position + 2.5 * ways / np.linalg.norm(ways, axis=1)[:, None]
-    assert system._least_margin < 0.6 < 2.5 < system._margin.min()
+    assert system.neighbours.least < 0.6 < 2.5 < system.neighbours.margin.min()
     alone = forces_of(mechanics(radius, young, Hertz()), near)
     found = forces_of(system, near)
     np.testing.assert_allclose(found, alone, atol=1e-12 * np.abs(alone).max())

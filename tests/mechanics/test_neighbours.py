@@ -9,6 +9,7 @@ from strategies import cluster, seeds
 
 from multicell.compiling.threads import launch
 from multicell.mechanics import neighbours
+from multicell.mechanics.neighbours import building
 
 
 def oracle(position, cutoff):
@@ -137,7 +138,7 @@ def test_compiled_and_called_lists_are_the_same(place, chunk, run):
     position = place(position)
     found = neighbours.build(position, radius, 0.5, 1, chunk)
     launch()
-    crowded, *arrays = getattr(neighbours, run)(position, radius, 0.5, chunk, NONE, NONE)
+    crowded, *arrays = getattr(building, run)(position, radius, 0.5, chunk, NONE, NONE)
     assert not crowded
     compiled = neighbours.PairList(*arrays, chunk, len(position))
     for name in ("start", "inner_end", "outer_end"):
@@ -155,7 +156,7 @@ def test_compiled_and_called_lists_are_the_same(place, chunk, run):
 
 def test_compiled_lists_tell_when_there_are_too_many_pairs():
     places, radius = np.zeros((20_000, 3)), np.full(20_000, 0.5)
-    crowded, *_ = neighbours.rebuild(places, radius, 0.0, 2048, NONE, NONE)
+    crowded, *_ = building.rebuild(places, radius, 0.0, 2048, NONE, NONE)
     assert crowded
 
 
@@ -166,7 +167,7 @@ def test_a_list_is_built_into_the_room_of_another_if_there_is_enough(run):
     found = neighbours.build(position, radius, 0.5, 1, 100)
     for size in (len(found.first) - 1, len(found.first), 2 * len(found.first)):
         room = np.full(size, -1, dtype=np.int32), np.full(size, -1, dtype=np.int32)
-        build = getattr(neighbours, run)
+        build = getattr(building, run)
         crowded, first, second, *ends = build(position, radius, 0.5, 100, *room)
         assert not crowded
         enough = size >= len(found.first)

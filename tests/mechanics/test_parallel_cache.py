@@ -10,6 +10,7 @@ CELLS = """
 import numpy as np
 from multicell.contact.hertz import Hertz
 from multicell.mechanics import neighbours
+from multicell.mechanics.neighbours import building
 from multicell.mechanics.system import Mechanics
 place, radius = np.random.default_rng(0).normal(size=(300, 3)) * 30, np.full(300, 5.0)
 Mechanics(Hertz(), 5.0, threads=2)
@@ -17,7 +18,7 @@ Mechanics(Hertz(), 5.0, threads=2)
 INNER = CELLS + "neighbours.build(place, radius, 0.5, 2, 64)"
 OUTER = CELLS + (
     "none = np.empty(0, np.int32)\n"
-    "print(neighbours.rebuild_parallel(place, radius, 0.5, 64, none, none)[0])"
+    "print(building.rebuild_parallel(place, radius, 0.5, 64, none, none)[0])"
 )
 
 

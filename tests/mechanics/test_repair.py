@@ -8,12 +8,13 @@ from strategies import cluster
 
 from multicell.compiling.threads import launch
 from multicell.mechanics import neighbours
+from multicell.mechanics.neighbours import repairing
 
 LEAST = 0.3
 
 
 def prepared(n, seed, chunk):
-    """Return the arrays of a list with margins, as :func:`neighbours.repair` takes them."""
+    """Return the arrays of a list with margins, as :func:`repairing.repair` takes them."""
     position, radius, _ = cluster(n, seed)
     margin = np.full(n, LEAST)
     pairs = neighbours.build(position, radius + margin, 0.0, chunk=chunk)
@@ -40,7 +41,7 @@ def expect_complete(pairs, reference, wide):
     assert len(found) == len(pairs) < 1.1 * len(expected)
 
 
-@pytest.mark.parametrize("run", [neighbours.repair, neighbours.repair_parallel])
+@pytest.mark.parametrize("run", [repairing.repair, repairing.repair_parallel])
 @pytest.mark.parametrize("chunk", [64, 333, 2048])
 def test_repeated_repairs_leave_the_pairs_of_a_list_built_at_the_references(run, chunk):
     launch()
@@ -76,7 +77,7 @@ def test_cells_that_move_and_spread_together_keep_their_list():
     position = 1.1 * reference + [50.0, -20.0, 7.0]
     assert (np.linalg.norm(position - reference, axis=1) > 10.0 * LEAST).all()
     position[::100] += 1.0
-    done, pairs = repaired(neighbours.repair, position, reference, radius, margin, pairs)
+    done, pairs = repaired(repairing.repair, position, reference, radius, margin, pairs)
     assert done
     assert (margin[::100] > LEAST).all()
     assert (margin > LEAST).sum() == 20
@@ -85,14 +86,14 @@ def test_cells_that_move_and_spread_together_keep_their_list():
 
 def test_cells_that_come_closer_together_do_not():
     reference, radius, margin, pairs = prepared(2000, 5, 333)
-    done, _ = repaired(neighbours.repair, 0.9 * reference, reference, radius, margin, pairs)
+    done, _ = repaired(repairing.repair, 0.9 * reference, reference, radius, margin, pairs)
     assert not done
 
 
 def test_threads_do_not_change_the_order_of_the_pairs():
     launch()
     lists = []
-    for run in (neighbours.repair, neighbours.repair_parallel):
+    for run in (repairing.repair, repairing.repair_parallel):
         reference, radius, margin, pairs = prepared(2000, 4, 100)
         position = reference.copy()
         position[::40] += 1.0
@@ -123,7 +124,7 @@ def test_what_cannot_be_repaired_asks_for_a_new_list_and_is_left_as_it_was(move)
     pairs = replace(pairs, first=pairs.first[:end].copy(), second=pairs.second[:end].copy())
     position, before = reference.copy(), margin.copy()
     move(position)
-    done, after = repaired(neighbours.repair, position, reference, radius, margin, pairs)
+    done, after = repaired(repairing.repair, position, reference, radius, margin, pairs)
     assert not done
     np.testing.assert_array_equal(margin, before)
     np.testing.assert_array_equal(after.pairs(), pairs.pairs())
@@ -137,7 +138,7 @@ def test_a_chunk_all_of_whose_cells_drift_has_room_for_their_new_pairs():
     pairs = replace(pairs, first=pairs.first[:end].copy(), second=pairs.second[:end].copy())
     position = reference.copy()
     position[-250:] += np.random.default_rng(0).normal(0.0, 0.3, (250, 3))
-    done, pairs = repaired(neighbours.repair, position, reference, radius, margin, pairs)
+    done, pairs = repaired(repairing.repair, position, reference, radius, margin, pairs)
     assert done
     expect_complete(pairs, reference, radius + margin)
 
@@ -146,6 +147,6 @@ def test_no_list_asks_for_a_new_list():
     reference, radius, margin, pairs = prepared(100, 3, 2048)
     position = reference.copy()
     reference[:] = np.nan
-    done, _ = repaired(neighbours.repair, position, reference, radius, margin, pairs)
+    done, _ = repaired(repairing.repair, position, reference, radius, margin, pairs)
     assert not done
     assert np.isnan(reference).all()

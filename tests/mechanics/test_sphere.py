@@ -12,7 +12,7 @@ import multicell as mc
 from multicell.contact.hertz import Hertz
 from multicell.contact.law import compliance
 from multicell.integrators import registry as integrators
-from multicell.mechanics.compression import Compression
+from multicell.mechanics.compression import TissueCompression
 from multicell.mechanics.jacobian import sparse_jacobian
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.sphere import Sphere
@@ -54,7 +54,7 @@ def wall_force(position, radius, young, shear):
 
 
 @pytest.mark.parametrize("shear", [None, SHEAR])
-@pytest.mark.parametrize("felt", [None, Compression(10.0)])
+@pytest.mark.parametrize("felt", [None, TissueCompression(10.0)])
 def test_forces_and_jacobian_are_derivatives_of_the_energy(shear, felt):
     system, position = confined(30, shear=shear, felt=felt, rest=13.0)
     force = system.force(10.0, position)

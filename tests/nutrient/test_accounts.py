@@ -6,7 +6,7 @@ from running import finished
 
 import multicell as mc
 from multicell.errors import SceneError
-from multicell.nutrient.balance import Exchange, Ledger
+from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.scales import level_fixed
 from multicell.scene.scene import Scene
@@ -57,13 +57,13 @@ def test_a_true_imbalance_shows(regime):
 def test_an_imbalance_of_an_idle_field_shows_as_part_of_what_is_there():
     ledger = Ledger()
     ledger.fill(1000.0)
-    ledger.add(Exchange(inflow=1e-13), 60.0)
+    ledger.add(FieldExchange(inflow=1e-13), 60.0)
     ledger.fill(900.0)
     assert ledger.content == 1000.0
     assert ledger.relative_remainder == pytest.approx(6e-15)
-    ledger.add(Exchange(inflow=1.0), 10.0)
+    ledger.add(FieldExchange(inflow=1.0), 10.0)
     assert ledger.relative_remainder == pytest.approx(0.01)
-    ledger.add(Exchange(inflow=1e6))
+    ledger.add(FieldExchange(inflow=1e6))
     assert ledger.relative_remainder == pytest.approx(1.0)
 
 

@@ -13,7 +13,7 @@ from multicell.nutrient.field import NutrientField
 from multicell.nutrient.fitness import discretisation_error
 from multicell.nutrient.grid import BoxLayout, ShellLayout, restored
 from multicell.nutrient.parameters import FieldParameters
-from multicell.scene.scales import regime, spacing
+from multicell.scene.scales import largest_spacing, regime
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
@@ -281,7 +281,7 @@ def test_scales_and_choices():
     assert regime(scene(nutrients__glucose__diffusion=1.0), "glucose") == "transient"
     # where nothing comes in there is no level to be at rest at
     assert regime(scene(nutrients__oxygen__sides=WALLS), "oxygen") == "transient"
-    assert 5.0 <= spacing(described, "glucose") <= 10.0
+    assert 5.0 <= largest_spacing(described, "glucose") <= 10.0
 
 
 WALLS = {"*": {"type": "derivative", "derivative": 0}}

@@ -117,7 +117,7 @@ def test_fields_are_those_by_transforms(half, shape, ratio, monkeypatch):
     sink, start = ball(op, 0.2), np.full(op.shape, 0.07)
     supply = np.full(op.shape, 1e-5)
     by_transforms, _ = solve_steady(op, sink, half, start, supply=supply, linear=1e-3)
-    monkeypatch.setattr(steady, "MANY", 1)
+    monkeypatch.setattr(steady, "MULTIGRID_NODES", 1)
     c, report = solve_steady(op, sink, half, start, supply=supply, linear=1e-3)
     np.testing.assert_allclose(c, by_transforms, atol=1e-8 * 0.07)
     assert c.min() >= 0.0
@@ -128,7 +128,7 @@ def test_fields_are_those_by_transforms(half, shape, ratio, monkeypatch):
 
 @pytest.mark.parametrize("shape", [(40, 38, 36), (130, 131)])
 def test_the_same_bits_for_any_number_of_threads(shape, monkeypatch):
-    monkeypatch.setattr(steady, "MANY", 1)
+    monkeypatch.setattr(steady, "MULTIGRID_NODES", 1)
     monkeypatch.setattr(stencil, "PART", 1)
     found = []
     for threads, ratio in itertools.product((1, 2, 3), (None, 2.0)):
@@ -185,7 +185,7 @@ def test_the_imbalance_by_planes_is_that_of_all_nodes():
     with Team(2) as team:
         for share in (None, team):
             residual, rate = np.empty(op.shape), np.empty(op.shape)
-            sums = stencil.imbalance(
+            sums = stencil.write_imbalance(
                 c, sink, source, 0.1, op.stiffness, 0.2, op.ghost, None, residual, rate, share
             )
             found.append((sums, residual, rate))

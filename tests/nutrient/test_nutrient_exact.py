@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pde import CartesianGrid, ScalarField, SphericalSymGrid
 
-from multicell.nutrient.balance import COLUMNS
+from multicell.nutrient.balance import BALANCE_COLUMNS
 from multicell.nutrient.diffusion import eigenvalues
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.solvers import MarchFieldSolver
@@ -208,7 +208,7 @@ def marched(equation, start, end, tolerance, scale=1.0):
 
 def entry(info, name):
     """Return what happened to the one field there is, amol."""
-    return info["amounts"][0][COLUMNS.index(name)]
+    return info["amounts"][0][BALANCE_COLUMNS.index(name)]
 
 
 def ball_march(n, tolerance, end):

@@ -9,7 +9,7 @@ from multicell.cells import SPHERE, State
 from multicell.report.explain.course import SHELLS, Profile
 from multicell.report.explain.scene import explain
 from multicell.results.observables import Extent
-from multicell.scene.scales import height
+from multicell.scene.scales import layer_height
 from multicell.scene.sizes import typical_radius
 
 AIR = {"boundary": "0.2 mM", "uptake": "20 amol/s", "necrosis": "0.008 mM"}
@@ -71,7 +71,7 @@ def test_supply_from_above_is_that_of_a_layer_of_still_medium(perfusion):
     """The flux D (c0 - c) / depth feeds what is below; far from the rim nothing else does."""
     scene = plane(perfusion=perfusion, necrosis=None).with_changes({"initial.count": 6000})
     oxygen, simulation = scene.nutrients["oxygen"], mc.Simulation(scene)
-    high = height(scene, "oxygen")
+    high = layer_height(scene, "oxygen")
     radius = 0.5 * Extent(simulation.cells, 2).diameter()
     each = oxygen.largest_uptake(SPHERE * typical_radius(scene) ** 3)
     q = 6000 * each / (np.pi * radius**2 * high)

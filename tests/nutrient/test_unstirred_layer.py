@@ -6,7 +6,7 @@ from running import refused
 
 import multicell as mc
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.grid import ShellLayout, tissue_radius
+from multicell.nutrient.grid import ShellLayout, equivalent_ball_radius
 from multicell.nutrient.parameters import FieldParameters
 from multicell.results.observables import uniform_radius
 from multicell.scene.nutrient import Nutrient
@@ -74,7 +74,7 @@ def test_the_tissue_is_that_of_the_summary():
     simulation = mc.Simulation(mc.load_scene("spheroid").with_changes({"initial.count": 70}))
     cells = simulation.cells
     centre = np.average(cells.position, axis=0, weights=cells.radius**3)
-    assert tissue_radius(cells.position, cells.radius) == pytest.approx(
+    assert equivalent_ball_radius(cells.position, cells.radius) == pytest.approx(
         uniform_radius(cells, centre, 3), rel=1e-12
     )
 
@@ -98,7 +98,7 @@ def test_a_run_keeps_the_layer_and_its_summary_tells_it():
         simulation.step()
         cells = simulation.cells
         shells = simulation.field_system.fields["oxygen"].layout
-        thick = shells.radius - tissue_radius(cells.position, cells.radius)
+        thick = shells.radius - equivalent_ball_radius(cells.position, cells.radius)
         assert thick == pytest.approx(30.0, rel=1e-12)
     summary = simulation.summary()
     assert summary["fields"]["oxygen"]["layer"] == pytest.approx(30.0)

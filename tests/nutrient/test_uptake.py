@@ -10,7 +10,7 @@ from multicell.cells import SPHERE, State
 from multicell.errors import SceneError
 from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.uptake import balanced, rate, uptake, uptake_and_slope
-from multicell.report.explain.course import course
+from multicell.report.explain.course import expected_course
 from multicell.results.observables import Extent
 from multicell.scene.scales import scales
 from multicell.scene.scene import Scene
@@ -110,7 +110,7 @@ def test_a_ball_has_the_field_of_the_closed_form_whatever_its_cells_size(radius)
 def test_demand_and_forecast_are_those_of_the_same_uptake_of_typical_cells():
     by_volume = scene({"uptake_per_volume": 0.02, "necrosis": "0.01 mM"}, duration="4 d")
     assert scales(by_volume, "a").demand == pytest.approx(0.02, rel=1e-12)
-    assert np.isfinite(course(by_volume).cells).all()
+    assert np.isfinite(expected_course(by_volume).cells).all()
 
 
 def test_one_of_the_two_uptakes_only():

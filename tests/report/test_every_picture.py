@@ -14,11 +14,11 @@ from two_cells import ladders, result_of
 
 import multicell as mc
 from multicell.calibration.indices import sample
-from multicell.calibration.sensitivity import result_of as indices_of
+from multicell.calibration.sensitivity import sample_sensitivity as indices_of
 from multicell.report.plots.colouring import colouring
 from multicell.report.plots.run import Plots
 from multicell.report.plots.space import View, film_picture, room
-from multicell.report.result import history_arrays
+from multicell.report.result import history_columns
 from multicell.studies.axes import parse_ranges
 from multicell.studies.pictures import StudyPlots
 
@@ -33,7 +33,7 @@ def run(name, **changes):
 @cache
 def grown():
     frames = growing_frames(count=6, last=1500)
-    return Plots(frames, history_arrays(history_of(frames)), SCENE)
+    return Plots(frames, history_columns(history_of(frames)), SCENE)
 
 
 @cache

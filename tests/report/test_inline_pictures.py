@@ -13,10 +13,10 @@ from matplotlib.colors import to_rgb
 from multicell.report.plots.colour_vision import PALE, luminance
 from multicell.report.plots.style import (
     BLUE,
-    COLOURS,
     INK,
     QUIET,
     RED,
+    STATE_COLOURS,
     blank,
     inline_picture,
     styled,
@@ -54,7 +54,7 @@ def test_what_is_written_can_be_read_in_dark_mode(colour):
 
 
 @pytest.mark.parametrize(
-    "colour", [BLUE, *COLOURS.values(), *type_colours(map(str, range(7))).values()]
+    "colour", [BLUE, *STATE_COLOURS.values(), *type_colours(map(str, range(7))).values()]
 )
 def test_what_is_drawn_can_be_seen_in_dark_mode(colour):
     assert contrast(colour) >= 2.9

@@ -16,9 +16,9 @@ from multicell.cells import State
 from multicell.cli.main import main
 from multicell.errors import OutputError
 from multicell.report import live
-from multicell.report.colours import STATES, TYPES
-from multicell.report.plots.style import COLOURS
-from multicell.results.folder import FILES, LIVE, PASSING, is_begun, lock_folder
+from multicell.report.colours import STATE_COLOURS, TYPE_COLOURS
+from multicell.report.plots import style
+from multicell.results.folder import LIVE, PASSING, RUN_FILES, is_begun, lock_folder
 from multicell.results.writer import Store
 from multicell.runner import RunOptions, record_run
 
@@ -51,7 +51,7 @@ def one_cell(state=State.PROLIFERATING, scene=SMALL):
 def test_a_cell_is_a_disc_of_the_colour_of_its_state(state):
     data = live.drawn(one_cell(state), SMALL, 0.0)
     disc = np.pi * (0.42 * live.HIGH) ** 2 / (live.HIGH * 500)
-    assert part(data, STATES[state.name.lower()]) == pytest.approx(disc, rel=0.03)
+    assert part(data, STATE_COLOURS[state.name.lower()]) == pytest.approx(disc, rel=0.03)
 
 
 def test_only_cells_that_the_plane_cuts_are_drawn_and_each_with_its_cut():
@@ -61,13 +61,13 @@ def test_only_cells_that_the_plane_cuts_are_drawn_and_each_with_its_cut():
     cells.state[:] = [State.NECROTIC, State.NECROTIC, State.QUIESCENT]
     data = live.drawn(cells, SMALL, 0.0)
     # that of the middle, drawn last, has the radius 5 µm and covers those of 3 µm
-    assert part(data, STATES["quiescent"]) > 0.5
-    assert part(data, STATES["necrotic"]) == 0.0
+    assert part(data, STATE_COLOURS["quiescent"]) > 0.5
+    assert part(data, STATE_COLOURS["necrotic"]) == 0.0
     cells.position[2, 0] = 60.0
     apart = live.drawn(cells, SMALL, 0.0)
-    assert 0.0 < part(apart, STATES["necrotic"]) < 0.05
+    assert 0.0 < part(apart, STATE_COLOURS["necrotic"]) < 0.05
     cells.position[:2, 2] = [9.0, -9.0]
-    assert part(live.drawn(cells, SMALL, 0.0), STATES["necrotic"]) == 0.0
+    assert part(live.drawn(cells, SMALL, 0.0), STATE_COLOURS["necrotic"]) == 0.0
 
 
 def test_types_have_the_colours_of_sections():
@@ -75,15 +75,15 @@ def test_types_have_the_colours_of_sections():
     cells = initial_cells(scene)
     cells.position[:, 2] = 0.0
     data = live.drawn(cells, scene, 0.0)
-    assert all(part(data, TYPES[kind]) > 0.01 for kind in np.unique(cells.kind))
-    assert COLOURS is STATES
+    assert all(part(data, TYPE_COLOURS[kind]) > 0.01 for kind in np.unique(cells.kind))
+    assert STATE_COLOURS is style.STATE_COLOURS
 
 
 def test_no_cell_at_all_and_a_crowd_can_be_drawn():
     none = initial_cells(SMALL).take(np.zeros(0, dtype=np.int64))
-    assert part(live.drawn(none, SMALL, 0.0), STATES["proliferating"]) == 0.0
+    assert part(live.drawn(none, SMALL, 0.0), STATE_COLOURS["proliferating"]) == 0.0
     many = initial_cells(SMALL.with_changes({"initial.count": 20000}))
-    assert part(live.drawn(many, SMALL, 0.0), STATES["proliferating"]) > 0.2
+    assert part(live.drawn(many, SMALL, 0.0), STATE_COLOURS["proliferating"]) > 0.2
 
 
 def seen_while(folder, **options):
@@ -137,7 +137,7 @@ def test_pictures_take_a_hundredth_of_the_time(tmp_path, monkeypatch):
 
     monkeypatch.setattr(live, "drawn", slow)
     page = live.LivePage(tmp_path, SMALL)
-    moment = SimpleNamespace(cells=[1], time=0.0)
+    moment = SimpleNamespace(state=SimpleNamespace(cells=[1]), time=0.0)
     spent = 0.0
     for _ in range(10_000):
         now[0] += 0.1
@@ -203,7 +203,7 @@ def test_view_shows_the_picture_of_a_run_that_has_no_frame_yet(tmp_path):
 
 
 def test_files_of_the_picture_are_no_results(tmp_path):
-    assert not set(LIVE) & {*FILES, *PASSING}
+    assert not set(LIVE) & {*RUN_FILES, *PASSING}
     with lock_folder(tmp_path):
         live.LivePage(tmp_path, SMALL).open()
         assert {path.name for path in tmp_path.iterdir()} >= set(LIVE)

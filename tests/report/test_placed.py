@@ -6,7 +6,7 @@ import pytest
 import multicell as mc
 from multicell.mechanics.decay_rate import largest_decay_rate
 from multicell.report.explain.scene import explain
-from multicell.report.explain.stiffness import stiffness_notes, stiffness_numbers, stiffness_of
+from multicell.report.explain.stiffness import place_of, stiffness_numbers, stiffness_of
 from multicell.simulation import Simulation
 
 
@@ -70,7 +70,7 @@ def test_numbers_say_what_there_is():
 )
 def test_the_tile_and_what_follows_are_named(name, viscosity, tile, advice):
     scene = mc.load_scene(name).with_changes({"drag.viscosity": viscosity})
-    [note] = stiffness_notes(scene, 8000.0 if name == "spheroid" else 200.0)
+    note = place_of(scene, 8000.0 if name == "spheroid" else 200.0)
     assert tile in note
     assert advice in note
 

@@ -17,8 +17,8 @@ from multicell.errors import OutputError
 from multicell.report.plots import style as drawing
 from multicell.report.plots.run import Plots
 from multicell.report.plots.section import slice_at
-from multicell.report.plots.style import save
-from multicell.report.result import Result, history_arrays
+from multicell.report.plots.style import save_figure
+from multicell.report.result import Result, history_columns
 from multicell.report.wording import clock, time_unit
 from multicell.results.frame import Field, Frame
 from multicell.results.summary import state_summary
@@ -43,7 +43,7 @@ def result(frames):
         },
         "versions": {"numpy": "2.4"},
     }
-    return Result(None, frames, history_arrays(history_of(frames)), summary, SCENE)
+    return Result(None, frames, history_columns(history_of(frames)), summary, SCENE)
 
 
 def texts(figure):
@@ -58,7 +58,7 @@ def test_picture_has_title_time_cells_and_size(result, tmp_path, name):
     assert SCENE.title in words
     count = f"{len(result.frames[-1].cells):,} cells after 9 d"
     assert any(text.startswith(count) for text in words)
-    save(figure, tmp_path / "picture.png")
+    save_figure(figure, tmp_path / "picture.png")
     assert imread(tmp_path / "picture.png").shape[:2] == (1000, 1600)
 
 
@@ -70,7 +70,9 @@ def test_section_draws_the_cut_of_each_cell():
     # the centre of mass lies at z = 0: the cells at ±8 µm are not cut, those at ±3 show 4 µm
     np.testing.assert_allclose(circles.get_widths(), [10.0, 8.0, 8.0, 10.0])
     np.testing.assert_allclose(circles.get_offsets(), np.array(position)[:4, :2])
-    expected = [mpl.colors.to_rgb(drawing.COLOURS[State(s).name.lower()]) for s in (0, 1, 2, 0)]
+    expected = [
+        mpl.colors.to_rgb(drawing.STATE_COLOURS[State(s).name.lower()]) for s in (0, 1, 2, 0)
+    ]
     np.testing.assert_allclose(circles.get_facecolor()[:, :3], expected)
 
 
@@ -93,17 +95,17 @@ def test_slice_interpolates_between_layers():
 
 
 def test_count_is_logarithmic_only_where_it_grows(frames):
-    growing = Plots(frames, history_arrays(history_of(frames)), SCENE).growth()
+    growing = Plots(frames, history_columns(history_of(frames)), SCENE).growth()
     assert growing.axes[0].get_yscale() == "log"
     still = [Frame(t, t, cells_at(ball(50))) for t in (0, 60, 120)]
-    figure = Plots(still, history_arrays(history_of(still)), BARE).growth()
+    figure = Plots(still, history_columns(history_of(still)), BARE).growth()
     assert figure.axes[0].get_yscale() == "linear"
     assert figure.axes[0].get_ylim()[0] == 0.0
 
 
 def test_one_cell_at_one_time_can_be_drawn():
     one = [Frame(0.0, 0, cells_at([[0, 0, 0]]))]
-    pictures = Plots(one, history_arrays(history_of(one)), BARE)
+    pictures = Plots(one, history_columns(history_of(one)), BARE)
     for figure in (pictures.growth(), pictures.section(), pictures.profiles()):
         rendered(figure)
         assert any("1 cell after 0 s" in text for text in texts(figure))
@@ -120,7 +122,7 @@ BLUE, ORANGE = drawing.type_colours(["a", "b"]).values()
 
 
 @pytest.mark.parametrize(
-    "colours", [drawing.COLOURS.values(), (BLUE, ORANGE, drawing.COLOURS["necrotic"])]
+    "colours", [drawing.STATE_COLOURS.values(), (BLUE, ORANGE, drawing.STATE_COLOURS["necrotic"])]
 )
 def test_states_and_the_first_two_types_differ_in_lightness(colours):
     weights = np.array([0.2126, 0.7152, 0.0722])

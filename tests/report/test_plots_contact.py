@@ -17,7 +17,7 @@ from multicell.report.plots import style as drawing
 from multicell.report.plots.run import Plots
 from multicell.results.frame import Frame
 from multicell.results.observables import heterotypic_fraction
-from multicell.scene.pairs import pair_of, pairs
+from multicell.scene.pairs import pair_of, type_pairs
 from multicell.scene.scene import Scene
 
 TWO_TYPES = BARE.with_changes({"types": {"inner": {}, "outer": {}}})
@@ -58,7 +58,12 @@ def test_section_is_coloured_by_type_and_dead_cells_stay_dark():
     figure = Plots([Frame(0.0, 0, cells)], {}, TWO_TYPES).section()
     *_, circles = figure.axes[0].findobj(EllipseCollection)
     colours = drawing.type_colours(["inner", "outer"])
-    expected = [colours["inner"], colours["outer"], drawing.COLOURS["necrotic"], colours["outer"]]
+    expected = [
+        colours["inner"],
+        colours["outer"],
+        drawing.STATE_COLOURS["necrotic"],
+        colours["outer"],
+    ]
     np.testing.assert_allclose(
         circles.get_facecolor()[:, :3], [mpl.colors.to_rgb(c) for c in expected]
     )
@@ -83,7 +88,7 @@ def test_a_type_may_be_named_like_a_state_or_a_hidden_label():
 def test_types_have_colours_of_their_own(count):
     colours = list(drawing.type_colours([f"type{k}" for k in range(count)]).values())
     assert len(set(colours)) == count
-    assert drawing.COLOURS["necrotic"] not in colours
+    assert drawing.STATE_COLOURS["necrotic"] not in colours
 
 
 def test_two_cells_are_cut_through_both_centres():
@@ -215,7 +220,7 @@ def test_bonds_shift_equilibrium_and_pull_off():
             "types": {"a": {"receptor": 0.9, "ligand": 0.5}, "b": {"receptor": 0.2}},
         }
     )
-    found = dict(pairs(scene, 10.0))
+    found = dict(type_pairs(scene, 10.0))
     assert list(found) == ["a-a", "a-b", "b-b"]
     for name, product in (("a-a", 0.9 * 0.5), ("a-b", 0.5 * 0.5 * 0.2)):
         slope = np.pi * 5.0 * 0.05 * product

@@ -7,7 +7,7 @@ from synthetic import SCENE, cells_at, growing_frames, history_of
 
 import multicell as mc
 from multicell.report.plots.run import PICTURES, Plots
-from multicell.report.result import history_arrays
+from multicell.report.result import history_columns
 from multicell.results import observables
 from multicell.results.frame import Frame
 from multicell.results.summary import history_row
@@ -112,7 +112,7 @@ def test_a_frame_without_fields_has_no_map():
     bare = type(frames[0])(0.0, 0, frames[0].cells)
     with pytest.raises(ValueError, match="no fields"):
         Plots([bare], {}, SCENE).fields()
-    assert len(Plots(frames, history_arrays(history_of(frames)), SCENE).growth().axes) == 3
+    assert len(Plots(frames, history_columns(history_of(frames)), SCENE).growth().axes) == 3
 
 
 def draws_drug(left):

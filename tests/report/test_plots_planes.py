@@ -14,7 +14,7 @@ from multicell.cli.main import main
 from multicell.report.plots.colouring import colouring, colourings, founder
 from multicell.report.plots.run import Plots
 from multicell.report.plots.section import Plane, slice_at, turn_frame
-from multicell.report.plots.style import save
+from multicell.report.plots.style import save_figure
 from multicell.results.frame import Field, Frame
 
 
@@ -148,7 +148,7 @@ def test_several_runs_lie_over_each_other(run):
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_the_same_picture_is_the_same_file(run, tmp_path, ending):
     for name in "ab":
-        save(run.plot.growth(), tmp_path / f"{name}.{ending}")
+        save_figure(run.plot.growth(), tmp_path / f"{name}.{ending}")
     first, second = ((tmp_path / f"{name}.{ending}").read_bytes() for name in "ab")
     assert first == second
     begins = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}

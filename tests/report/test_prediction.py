@@ -9,7 +9,7 @@ from scipy.integrate import solve_bvp
 
 import multicell as mc
 from multicell.report.explain.cost import predict
-from multicell.report.explain.course import Profile, course
+from multicell.report.explain.course import Profile, expected_course
 from multicell.report.explain.scene import explain
 
 DAY = 86400.0
@@ -44,10 +44,10 @@ def test_cells_memory_and_files_are_foretold_within_a_factor_of_two(case):
 
 def test_growth_that_nothing_limits_is_exponential():
     scene = mc.load_scene("growth")
-    found = course(scene.with_changes({"growth.cycle_variation": 0.0}))
+    found = expected_course(scene.with_changes({"growth.cycle_variation": 0.0}))
     np.testing.assert_allclose(found.cells, 2.0 ** (found.times / (15 * 3600.0)), rtol=1e-9)
     # cycles that vary by v add (1 + v² ln2 / 2) to the rate to leading order
-    rate = np.log(course(scene).cells[-1]) / np.log(found.cells[-1])
+    rate = np.log(expected_course(scene).cells[-1]) / np.log(found.cells[-1])
     assert rate == pytest.approx(1.0 + 0.01 * 0.5 * math.log(2.0), abs=2e-4)
 
 
@@ -58,7 +58,7 @@ def test_tissue_that_starves_at_once_leaves_nobody():
         "nutrients": {"oxygen": {"boundary": "0.05 mM", "necrosis": "0.1 mM"}},
     })  # fmt: skip
     for count in range(1, 40):
-        found = course(scene.with_changes({"initial.count": count}))
+        found = expected_course(scene.with_changes({"initial.count": count}))
         assert found.cells.dtype == found.radius.dtype == np.float64
         assert found.cells[-1] == pytest.approx(0.0, abs=1e-9), count
         assert 0.0 <= found.radius[-1] < 1e-3
@@ -66,7 +66,7 @@ def test_tissue_that_starves_at_once_leaves_nobody():
 
 def test_a_run_that_stops_early_is_foretold_to():
     scene = mc.load_scene("emt6")
-    found = course(scene)
+    found = expected_course(scene)
     assert found.times[-1] < scene.duration
     assert found.cells[-1] >= scene.stop_cells > found.cells[-2]
     words = {number["name"]: number["meaning"] for number in explain(scene)["numbers"]}
@@ -110,6 +110,6 @@ def test_time_grows_with_cells_steps_and_stiffness():
 
 def test_all_that_starve_are_gone_in_the_end():
     changes = {"nutrients.oxygen.boundary": 0.001, "initial.count": 500, "duration": "30 d"}
-    found = course(mc.load_scene("spheroid").with_changes(changes))
+    found = expected_course(mc.load_scene("spheroid").with_changes(changes))
     assert found.cells[1] == pytest.approx(500.0, rel=0.01)  # they die and lie there
     assert found.cells[-1] < 0.01

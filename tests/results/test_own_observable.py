@@ -14,12 +14,12 @@ from click.testing import CliRunner
 
 import multicell as mc
 from multicell.calibration.data import read_data
-from multicell.calibration.sensitivity import observables_of as asked_of
+from multicell.calibration.sensitivity import chosen_observables as asked_of
 from multicell.calibration.simulator import SceneSimulator
 from multicell.cli.main import main
 from multicell.errors import SceneError
-from multicell.results.measures import OBSERVABLES, observables_of
-from multicell.results.observable import OWN
+from multicell.results.measures import OBSERVABLES, scene_observables
+from multicell.results.observable import OWN_OBSERVABLES
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import parse_range
 from multicell.studies.readings import in_history
@@ -119,7 +119,7 @@ def test_runs_of_a_fit_load_and_measure_it(file):
     measured = read_data({"time / min": [40], "surface_of_cells / um^2": [900.0]}, scene)
     ranges = (parse_range("cells.division_radius", "5:6 um", scene),)
     simulator = pickle.loads(pickle.dumps(SceneSimulator.of(measured, ranges)))
-    OWN.pop(own.function)  # as in a worker
+    OWN_OBSERVABLES.pop(own.function)  # as in a worker
     small, large = (simulator([share], 0, 1) for share in (0.0, 1.0))
     assert small.reason == large.reason == ""
     assert large.values[0] == pytest.approx(1.44 * small.values[0], rel=0.02)
@@ -173,11 +173,11 @@ def test_a_scene_must_state_its_unit():
 def test_what_a_changed_function_gives_is_not_taken_for_the_old_one():
     first = observable(lambda state: 1.0)
     scene = GROWING.with_observables(first)
-    OWN.pop(first.function)
+    OWN_OBSERVABLES.pop(first.function)
     second = observable(lambda state: 2.0)
     assert first.function != second.function
     with pytest.raises(SceneError, match="has changed since"):
-        list(observables_of(scene))
+        list(scene_observables(scene))
 
 
 def test_a_name_with_two_units_is_labelled_with_none():

@@ -17,7 +17,7 @@ import pytest
 
 import multicell as mc
 from multicell.cells import State
-from multicell.results.quantities import ABSENT, UNITS, unit_of, units_of
+from multicell.results.quantities import ABSENT_WORDS, QUANTITY_UNITS, unit_of, units_of
 from multicell.units import to_base
 
 PHASES = {"G1": {"duration": "3 h"}, "S": {"duration": "3 h"}, "G2": {"duration": "2 h"},
@@ -141,7 +141,7 @@ def test_the_scenes_have_all_that_is_declared(runs):
         given |= set(result.history) | {name for name, _ in leaves(result.summary())}
     # of scenes with types, and of commands
     given |= {"heterotypic_fraction", "wall.startup"}
-    for declared in UNITS:
+    for declared in QUANTITY_UNITS:
         if declared.startswith(("cells.", "contacts.", "lineage.", "integrator.steps_")):
             continue
         pattern = "[^.]+".join(map(re.escape, declared.split("*")))
@@ -175,7 +175,7 @@ def test_every_number_is_finite_in_every_state_or_documented_as_absent(name, sta
         missing = {path for path, value in paths.items() if value is None}
         assert absent & set(paths) == missing & set(row)
         absent |= missing  # the summary has more than the history
-        assert not [x for x in absent if not any(fnmatchcase(x, known) for known in ABSENT)]
+        assert not [x for x in absent if not any(fnmatchcase(x, known) for known in ABSENT_WORDS)]
         known = [value for _, value in leaves(summary) if value is not None]
         known += [value for column, value in row.items() if column not in absent]
         assert np.isfinite(known).all()
@@ -190,14 +190,14 @@ def test_what_may_be_absent_is_documented_with_its_case(monkeypatch):
     monkeypatch.syspath_prepend(str(docs / "extensions"))
     pytest.importorskip("sphinx", reason="pages are built with multicell[docs]")
     page += importlib.import_module("scene_keys").observables()
-    for name, when in ABSENT.items():
+    for name, when in ABSENT_WORDS.items():
         shown = name.replace("*", "<field>")
         (line,) = [line for line in page.splitlines() if line.startswith(f"| `{shown}` ")]
         assert f"absent {when}" in line
 
 
 def test_units_are_those_that_the_scene_files_know():
-    for unit in {unit_of(name.replace("*", "x")) for name in UNITS} - {"", "um^3", "amol"}:
+    for unit in {unit_of(name.replace("*", "x")) for name in QUANTITY_UNITS} - {"", "um^3", "amol"}:
         assert to_base(f"1 {unit}", unit) == 1.0
 
 

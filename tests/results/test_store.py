@@ -13,9 +13,9 @@ from synthetic import BARE, SCENE, cells_at, growing_frames, history_of, spheroi
 import multicell
 from multicell.cells import Cells
 from multicell.errors import OutputError
-from multicell.report.result import Result, history_arrays, load_result
+from multicell.report.result import Result, history_columns, load_result
 from multicell.results.documents import write_table
-from multicell.results.folder import FILES, to_json
+from multicell.results.folder import RUN_FILES, to_json
 from multicell.results.frame import Field, Frame
 from multicell.results.reader import Contents, Frames
 from multicell.results.records import SPARSE
@@ -60,7 +60,7 @@ def test_round_trip_is_exact_to_the_bit(tmp_path):
     for first, second in zip(frames, back, strict=True):
         assert_same_frame(first, second)
     history = Contents(tmp_path / "out").history()
-    for name, values in history_arrays(history_of(frames)).items():
+    for name, values in history_columns(history_of(frames)).items():
         np.testing.assert_array_equal(history[name], values)
 
 
@@ -247,9 +247,9 @@ def test_result_gives_a_copy_of_its_summary(tmp_path):
 
 
 def test_history_rows_must_agree():
-    assert history_arrays([]) == {}
+    assert history_columns([]) == {}
     with pytest.raises(ValueError, match="same columns"):
-        history_arrays([{"time": 0.0}, {"time": 1.0, "cells": 2.0}])
+        history_columns([{"time": 0.0}, {"time": 1.0, "cells": 2.0}])
 
 
 def test_report_writes_only_files_that_overwriting_removes(tmp_path):
@@ -258,7 +258,7 @@ def test_report_writes_only_files_that_overwriting_removes(tmp_path):
     write_table(folder / "summary.json", {"cells": len(frames[-1].cells)})
     load_result(folder).report()
     # one cell type, no pull, one field, no table of cells
-    expected = set(FILES) - {"contacts.png", "pull.png", "fields.png", *COPIES}
+    expected = set(RUN_FILES) - {"contacts.png", "pull.png", "fields.png", *COPIES}
     assert {entry.name for entry in folder.iterdir()} == expected
 
 

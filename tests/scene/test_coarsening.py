@@ -6,10 +6,10 @@ from click.testing import CliRunner
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.contact.registry import LAWS as CONTACT
+from multicell.contact.registry import CONTACT_LAWS as CONTACT
 from multicell.report.explain.scene import explain
-from multicell.scene.coarsening import LAWS
-from multicell.scene.pairs import pairs
+from multicell.scene.coarsening import SCALING_EXPONENTS
+from multicell.scene.pairs import type_pairs
 from multicell.scene.scene import Scene
 from multicell.schema import specs
 
@@ -21,7 +21,7 @@ def keys(part, path=""):
     for name, spec in specs(part).items():
         key = f"{path}{name}"
         inner = [spec.table] if spec.table else list((spec.parts or {}).values())
-        stop = isinstance(LAWS.get(key), str)
+        stop = isinstance(SCALING_EXPONENTS.get(key), str)
         for one in [] if stop else inner:
             yield from keys(one, f"{key}.*." if spec.kind == "tables" else f"{key}.")
         if stop or not inner:
@@ -32,7 +32,7 @@ def test_every_key_with_a_length_a_force_or_an_amount_has_a_law():
     known = dict(keys(Scene))
     sized = {key for key, unit in known.items() if any(x in unit for x in ("um", "nN", "amol"))}
     assert len(sized) > 25
-    assert sized <= set(LAWS) <= set(known)
+    assert sized <= set(SCALING_EXPONENTS) <= set(known)
 
 
 @pytest.mark.parametrize("factor", [1.5, 2.0, 4.0])
@@ -42,7 +42,7 @@ def test_stress_of_a_contact_is_the_same(law, factor):
     scene = BALL.with_changes({"contact": {"law": law}, "initial.count": 1000})
     if "smoothing" in specs(CONTACT[law]):
         scene = scene.with_changes({"contact.smoothing": "0.5 um"})
-    (_, fine), (_, coarse) = (next(pairs(s, s.cells.division_radius)) for s in (
+    (_, fine), (_, coarse) = (next(type_pairs(s, s.cells.division_radius)) for s in (
         scene, mc.coarsen(scene, factor)))  # fmt: skip
     overlap = np.linspace(-0.5, 4.0, 10)
     assert coarse.force(factor * overlap) == pytest.approx(factor**2 * fine.force(overlap))

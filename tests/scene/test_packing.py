@@ -6,19 +6,20 @@ import itertools
 
 import numpy as np
 import pytest
+from law_samples import NAMES
 from scipy import integrate, special
 
 import multicell as mc
 from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
-from multicell.contact.springs import Linear
+from multicell.contact.springs import LinearSpring
 from multicell.report.explain.scene import explain
 from multicell.scene import packing
-from multicell.scene.pairs import pairs
+from multicell.scene.pairs import type_pairs
 from multicell.scene.sizes import birth_radius
 from multicell.simulation import Simulation
 
-LAWS = ("hertz", "jkr", "exact-jkr", "linear", "cubic", "generalised-linear", "physicell")
+LAWS = NAMES
 
 
 def scene(**changes) -> mc.Scene:
@@ -29,7 +30,7 @@ def scene(**changes) -> mc.Scene:
 
 def newborn(**changes) -> Pair:
     described = scene(**changes)
-    return next(iter(pairs(described, birth_radius(described))))[1]
+    return next(iter(type_pairs(described, birth_radius(described))))[1]
 
 
 def ratio(**changes) -> float:
@@ -49,7 +50,7 @@ def collapse(text: list[str]) -> list[str]:
 def test_moments_are_the_pair_energy_integrated_over_space(law, dimensions):
     """(repulsion - attraction)/d = ∫U x^(d-1) dx, with the law's own energy, by SciPy."""
     pair = newborn(contact__law=law, cells__young="0.7 kPa")
-    repulsion, attraction = packing.moments(pair, dimensions)
+    repulsion, attraction = packing.force_moments(pair, dimensions)
     reach = 0.0 if law == "exact-jkr" else pair.reach()
     end = pair.rest + reach
     kept = {"rest": pair.rest, "touching": True}
@@ -76,15 +77,15 @@ def test_largest_overlap_of_approximate_jkr(dimensions, value):
         overlap = largest * 2 * radius
         energy = overlap**1.5 * modulus / (6 * np.pi * np.sqrt(radius / 2))
         pair = Pair(JKR(surface_energy=energy), modulus, radius / 2, 2 * radius)
-        repulsion, attraction = packing.moments(pair, dimensions)
+        repulsion, attraction = packing.force_moments(pair, dimensions)
         assert attraction == pytest.approx(repulsion, rel=1e-5)
 
 
 @pytest.mark.parametrize(("dimensions", "cutoff"), [(2, 4 / 3), (3, 5 / 4)])
 def test_a_linear_spring_collapses_beyond_a_cutoff_of_5_4(dimensions, cutoff):
     """∫U dV = 0 at (d + 2)/(d + 1), by hand."""
-    pair = Pair(Linear(cutoff=cutoff), 1.0, 2.0, 8.0)
-    repulsion, attraction = packing.moments(pair, dimensions)
+    pair = Pair(LinearSpring(cutoff=cutoff), 1.0, 2.0, 8.0)
+    repulsion, attraction = packing.force_moments(pair, dimensions)
     assert attraction == pytest.approx(repulsion, rel=1e-10)
 
 
@@ -130,7 +131,7 @@ def test_like_and_unlike_cells():
     same = of(0.1, 0.1)
     assert same["a-a"].ratio == pytest.approx(ratio(), rel=1e-12)
     # as the sum of all pairs is: half of them repel, half attract
-    repulsion, attraction = packing.moments(newborn(), 3)
+    repulsion, attraction = packing.force_moments(newborn(), 3)
     assert same["a-b"].ratio == pytest.approx(attraction / (2 * repulsion - attraction), rel=1e-9)
 
 

@@ -5,7 +5,7 @@ import pytest
 from multicell.errors import SceneError
 from multicell.scene.checks import solving_order
 from multicell.scene.reactions import Reaction, groups
-from multicell.scene.scales import regime, spacing
+from multicell.scene.scales import largest_spacing, regime
 from multicell.scene.scene import Scene, load_scene
 
 WALLS = {"*": {"type": "derivative", "derivative": 0.0}}
@@ -102,11 +102,11 @@ def test_fields_that_react_share_grid_and_regime_and_come_one_after_another():
             "c": {"uptake": 1.0, "uptake_on": {"a": {"effect": 1.0, "half": 0.1}}},
         }
     )
-    assert spacing(made, "a") == spacing(made, "b") < spacing(made, "c")
+    assert largest_spacing(made, "a") == largest_spacing(made, "b") < largest_spacing(made, "c")
     assert [regime(made, name) for name in "abc"] == ["transient", "transient", "steady"]
     assert solving_order(made.nutrients, made.reactions) == ["a", "b", "c"]
     given = made.with_changes({"nutrients.b.spacing": 9.0, "nutrients.b.regime": "steady"})
-    assert spacing(given, "a") == 9.0
+    assert largest_spacing(given, "a") == 9.0
     assert regime(given, "a") == "steady"
 
 

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from multicell.errors import SceneError
 from multicell.schema import (
     Bounds,
-    build,
+    build_part,
     choice,
     count,
     near_miss,
     number,
     parameters,
-    plain,
+    part_as_dict,
     quantity,
     table,
     tables,
@@ -76,7 +76,7 @@ class Outer:
 def problem(entries):
     """Return path, problem and hint of the error that a table for Outer causes."""
     with pytest.raises(SceneError) as caught:
-        build(Outer, {"length": 5, **entries}, "outer")
+        build_part(Outer, {"length": 5, **entries}, "outer")
     return caught.value.path, caught.value.problem, caught.value.hint
 
 
@@ -114,7 +114,7 @@ def test_replace_checks_again():
 
 def test_plain_is_read_back():
     part = Outer(length=5, surface={"type": "smooth"}, many={"a": {"share": 0}}, extra={})
-    entries = plain(part)
+    entries = part_as_dict(part)
     assert entries == {
         "name": "",
         "length": 5.0,
@@ -125,7 +125,7 @@ def test_plain_is_read_back():
         "surface": {"type": "smooth"},
         "many": {"a": {"size": 2.0, "share": 0.0}},
     }
-    assert build(Outer, entries) == part
+    assert build_part(Outer, entries) == part
 
 
 @pytest.mark.parametrize(
@@ -184,14 +184,14 @@ def test_far_names_get_no_suggestion():
 
 def test_missing_key():
     with pytest.raises(SceneError) as caught:
-        build(Outer, {}, "outer")
+        build_part(Outer, {}, "outer")
     assert (caught.value.path, caught.value.problem) == ("outer.length", "is missing")
     assert caught.value.hint == "how long"
 
 
 def test_build_leaves_its_input_alone():
     entries = {"length": 5, "surface": {"type": "rough"}}
-    build(Outer, entries)
+    build_part(Outer, entries)
     assert entries == {"length": 5, "surface": {"type": "rough"}}
 
 

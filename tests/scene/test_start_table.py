@@ -22,7 +22,7 @@ from multicell.cli.main import main
 from multicell.errors import DataError, SceneError
 from multicell.report.explain.scene import explain
 from multicell.scene.start_table import normalise, with_cells
-from multicell.studies.runs import digest
+from multicell.studies.runs import run_digest
 from multicell.tables.columns import from_bytes, from_object
 
 PLACES = "x_um,y_um,z_um\n0,0,0\n9,0,0\n0,9,0\n0,0,9\n"
@@ -296,8 +296,8 @@ def test_the_digest_is_that_of_the_content(tmp_path):
     (tmp_path / "there").mkdir()
     moved = mc.load_scene(written(tmp_path / "there", PLACES))
     other = mc.load_scene(written(tmp_path / "there", PLACES.replace("9", "8.5")))
-    assert digest(moved) == digest(scene)
-    assert digest(other) != digest(scene)
+    assert run_digest(moved) == run_digest(scene)
+    assert run_digest(other) != run_digest(scene)
 
 
 def test_cells_that_overlap_deeply_are_remarked_on(tmp_path):

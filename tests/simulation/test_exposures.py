@@ -337,9 +337,10 @@ def test_what_kills_by_rate_and_at_once_is_noted_apart():
     plan, simulation = biology_plan(scene), Simulation(scene, threads=1)
     assert plan.acting == ("necrosis rate",)
     cells, found = simulation.cells, simulation.concentrations
-    gone, _ = deaths(plan, cells, found, Exposure(cells, found, 100.0 * HOUR))
-    assert np.isfinite(gone).all()
-    np.testing.assert_allclose(cells.necrosis_hazard, 100.0)
+    dying = deaths(plan, cells, found, Exposure(cells, found, 100.0 * HOUR))
+    assert np.isfinite(dying.necrosis).all()
+    np.testing.assert_allclose(dying.columns["necrosis_hazard"], 100.0)
+    assert cells.necrosis_hazard is None
     np.testing.assert_allclose(rate_of_harm(plan, "necrosis rate", found, cells) * HOUR, 1.0)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import multicell as mc
 from multicell.biology.growth import growth_factor
-from multicell.cells import rows_of
+from multicell.cells import rows_by_id
 from multicell.simulation import Simulation
 
 
@@ -85,11 +85,9 @@ def test_growth_factors_follow_cells_and_fields():
     for _ in range(6):
         run.step()
         expected = growth_factor(run.plan, run.concentrations, run.cells.pressure)
-        np.testing.assert_array_equal(run._growth_factor(), expected)
-    assert run._growth_factor() is run._growth_factor()
+        np.testing.assert_array_equal(run.state.growth, expected)
     run.cells.pressure = np.full(len(run.cells), 0.05)
-    changed = growth_factor(run.plan, run.concentrations, run.cells.pressure)
-    np.testing.assert_array_equal(run._growth_factor(), changed)
+    assert run.state.growth is None  # it follows from what is there now
 
 
 def test_cells_that_share_arrays_keep_their_own_when_some_are_replaced():
@@ -115,7 +113,7 @@ def test_rows_of_identities_are_those_of_a_dictionary(spread):
     known = 10**9 + rng.choice(3000 * spread, 3000, replace=False)
     ids = 10**9 + rng.integers(-50, 3000 * spread + 50, (700, 2))
     expected = {int(one): row for row, one in enumerate(known)}
-    found = rows_of(known, ids)
+    found = rows_by_id(known, ids)
     assert found.tolist() == [[expected.get(int(one), -1) for one in pair] for pair in ids]
-    assert rows_of(known, np.array([-1, 2**62, *known[:3]])).tolist() == [-1, -1, 0, 1, 2]
-    assert rows_of(np.array([], dtype=int), ids).tolist() == [[-1, -1]] * 700
+    assert rows_by_id(known, np.array([-1, 2**62, *known[:3]])).tolist() == [-1, -1, 0, 1, 2]
+    assert rows_by_id(np.array([], dtype=int), ids).tolist() == [[-1, -1]] * 700

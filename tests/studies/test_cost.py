@@ -4,8 +4,8 @@ import pytest
 
 import multicell as mc
 from multicell.report.explain.cost import predict
-from multicell.results.documents import read_table
-from multicell.studies.cost import NAME, Cost, cost_of, costs_of, total_cost
+from multicell.results.documents import read_document
+from multicell.studies.cost import EXPECTED_FILE, Cost, cost_of, costs_of, total_cost
 from multicell.studies.plan import make_plan
 
 EMT6 = mc.load_scene("emt6")
@@ -34,9 +34,9 @@ def test_it_is_found_once(tmp_path, monkeypatch):
     monkeypatch.setattr("multicell.studies.cost.cost_of", None)
     assert costs_of(plan, tmp_path) == found
     monkeypatch.undo()
-    (tmp_path / NAME).write_text("damaged")
+    (tmp_path / EXPECTED_FILE).write_text("damaged")
     assert costs_of(plan, tmp_path) == found
-    assert len(read_table(tmp_path / NAME)) == 2
+    assert len(read_document(tmp_path / EXPECTED_FILE)) == 2
 
 
 def test_a_study_tells_what_is_left(tmp_path):

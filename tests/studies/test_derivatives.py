@@ -122,7 +122,7 @@ def test_runs_are_used_again(tmp_path, here):
 
 
 def test_a_run_that_fails_leaves_its_pair_out(monkeypatch):
-    inner = engine.carry_out
+    inner = engine.run_study
 
     def failing(runs, folder, **options):
         from dataclasses import replace
@@ -130,7 +130,7 @@ def test_a_run_that_fails_leaves_its_pair_out(monkeypatch):
         first, *others = inner(runs, folder, **options)
         return [replace(first, state="failed", reason="step failed: no way"), *others]
 
-    monkeypatch.setattr(engine, "carry_out", failing)
+    monkeypatch.setattr(engine, "run_study", failing)
     found = mc.gradient(CELL, "diameter", "cells.division_radius", seeds=3)
     assert found.rows[0]["seeds"] == 2
     assert "no way" in found.text()

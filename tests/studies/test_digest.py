@@ -10,7 +10,7 @@ from scene_strategies import plausible
 import multicell as mc
 from multicell import SceneError
 from multicell.studies import runs
-from multicell.studies.runs import digest
+from multicell.studies.runs import run_digest
 
 NAMED = {
     "types", "nutrients", "reactions", "chemotaxis", "motions",
@@ -54,7 +54,7 @@ def test_equal_scenes_have_one_digest(entries, seed):
     except SceneError:  # drawn parts fit together mostly, not always
         assume(False)
     again = mc.Scene.from_dict(shuffled(scene.to_dict(), random.Random(seed)))
-    assert digest(again) == digest(scene)
+    assert run_digest(again) == run_digest(scene)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_equal_scenes_have_one_digest(entries, seed):
 )
 def test_units_and_forms_do_not_matter(key, one, other):
     scene = mc.load_scene("spheroid")
-    found = {digest(scene.with_changes({key: value})) for value in (one, other)}
+    found = {run_digest(scene.with_changes({key: value})) for value in (one, other)}
     assert len(found) == 1
 
 
@@ -85,21 +85,21 @@ def test_units_and_forms_do_not_matter(key, one, other):
 )
 def test_what_decides_results_changes_the_digest(change):
     scene = mc.load_scene("spheroid")
-    assert digest(scene.with_changes(change)) != digest(scene)
+    assert run_digest(scene.with_changes(change)) != run_digest(scene)
 
 
 def test_the_order_of_types_decides_which_cells_are_of_which(monkeypatch):
     scene = mc.load_scene("sorting")
     entries = scene.to_dict()
     entries["types"] = dict(reversed(entries["types"].items()))
-    assert digest(mc.Scene.from_dict(entries)) != digest(scene)
+    assert run_digest(mc.Scene.from_dict(entries)) != run_digest(scene)
 
 
 def test_the_version_of_the_model_counts(monkeypatch):
     scene = mc.load_scene("growth")
-    before = digest(scene)
+    before = run_digest(scene)
     monkeypatch.setattr(runs, "MODEL_VERSION", runs.MODEL_VERSION + 1)
-    assert digest(scene) != before
+    assert run_digest(scene) != before
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_an_own_law_counts_by_all_that_it_computes(text, name, key, tmp_path):
         file.write_text(text.replace(old, new) if old else text)
         law = mc.load_law(f"{file}:{name}")()
         found.append(mc.load_scene("growth").with_changes({key: law}))
-    one, same, other = map(digest, found)
+    one, same, other = map(run_digest, found)
     assert one == same
     assert one != other
     assert runs.PlainScene.of(found[2]).laws == (f"{tmp_path / 'c' / 'mine.py'}:{name}",)

@@ -9,7 +9,7 @@ from studied import SHORT
 
 import multicell as mc
 from multicell.errors import OutputError
-from multicell.results.documents import Lines, read_table, write_table
+from multicell.results.documents import Lines, read_document, write_table
 
 
 @pytest.fixture(scope="module")
@@ -62,11 +62,11 @@ def test_lines_follow_each_other(way, tmp_path):
 def test_no_text_is_a_table_of_ours_by_chance(text, tmp_path):
     (tmp_path / "t.json").write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(OutputError, match=r"t\.json' is damaged"):
-        read_table(tmp_path / "t.json")
+        read_document(tmp_path / "t.json")
 
 
 def test_a_table_is_read_as_it_was_written(tmp_path):
     known = {"b": [1, 2.5, None], "a": {"x": np.float64(1 / 3), "ü": "µ"}, "nan": float("nan")}
     write_table(tmp_path / "t.json", known)
-    assert read_table(tmp_path / "t.json") == {**json.loads(json.dumps(known)), "nan": None}
-    assert read_table(tmp_path / "none.json") is None
+    assert read_document(tmp_path / "t.json") == {**json.loads(json.dumps(known)), "nan": None}
+    assert read_document(tmp_path / "none.json") is None

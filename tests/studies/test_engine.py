@@ -18,7 +18,7 @@ from multicell.errors import ClusterError, SceneError
 from multicell.results.documents import write_table
 from multicell.results.folder import lock_folder
 from multicell.studies import engine
-from multicell.studies.engine import carry_out, do_run
+from multicell.studies.engine import do_run, run_study
 from multicell.studies.status import NOTE
 from multicell.studies.workers import workers
 
@@ -71,7 +71,7 @@ def in_this_process(monkeypatch, *troubles):
 def test_a_study_is_done_once_and_each_run_is_what_it_would_be_alone(tmp_path):
     runs = short_runs(5)
     told = []
-    outcomes = carry_out([*runs, runs[0]], tmp_path / "study", cores=2, progress=told.append)
+    outcomes = run_study([*runs, runs[0]], tmp_path / "study", cores=2, progress=told.append)
     assert [o.name for o in outcomes] == [run.name for run in [*runs, runs[0]]]
     assert {(o.state, o.reused) for o in outcomes} == {("done", False)}
     assert sorted(o.name for o in told) == sorted(run.name for run in runs)
@@ -91,8 +91,8 @@ def test_short_runs_on_one_core_and_what_is_done_need_no_dask(tmp_path):
     for reused in (False, True):
         code = (
             f"import sys; sys.path[:0] = {PLACES!r}; from studied import short_runs"
-            "; from multicell.studies.engine import carry_out"
-            f"; done = carry_out(short_runs(2), {str(tmp_path)!r}, cores={None if reused else 1})"
+            "; from multicell.studies.engine import run_study"
+            f"; done = run_study(short_runs(2), {str(tmp_path)!r}, cores={None if reused else 1})"
             f"; assert [(o.state, o.reused) for o in done] == [('done', {reused})] * 2"
             "; assert not {'dask', 'distributed'} & set(sys.modules)"
         )
@@ -106,7 +106,7 @@ def test_the_longest_come_first(tmp_path, monkeypatch):
     expected = [1.0, 3.0, 2.0]
     runs = [run_of(run.scene, e) for run, e in zip(short_runs(3), expected, strict=True)]
     told = []
-    carry_out(runs, tmp_path, progress=lambda outcome: told.append(outcome.name))
+    run_study(runs, tmp_path, progress=lambda outcome: told.append(outcome.name))
     assert told == [runs[1].name, runs[2].name, runs[0].name]
 
 
@@ -126,7 +126,7 @@ def test_half_done_runs_go_on_with_the_same_bits(tmp_path, monkeypatch):
     (found,) = statuses([run], tmp_path)
     assert (found.state, found.time) == ("partial", 12000.0)
     assert found.cells >= 60
-    (outcome,) = carry_out([run], tmp_path)
+    (outcome,) = run_study([run], tmp_path)
     assert (outcome.state, outcome.reused) == ("done", False)
     mc.run(run.scene, output=tmp_path / "whole", report=False, threads=1)
     assert_same_bits(tmp_path / "whole", place)
@@ -142,14 +142,14 @@ FAILS = {"integrator.method": "cvode", "integrator.max_steps": 1}
 def test_a_run_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     good, bad = short_runs(1)[0], short_runs(1, **FAILS)[0]
-    outcomes = carry_out([good, bad], tmp_path)
+    outcomes = run_study([good, bad], tmp_path)
     assert [o.state for o in outcomes] == ["done", "failed"]
     assert outcomes[1].reason.startswith("step failed")
     found = statuses([good, bad], tmp_path)[1]
     assert (found.state, found.reason, found.kind) == ("failed", outcomes[1].reason, "run")
-    again = carry_out([good, bad], tmp_path)
+    again = run_study([good, bad], tmp_path)
     assert [(o.state, o.reused) for o in again] == [("done", True), ("failed", True)]
-    asked = carry_out([good, bad], tmp_path, retry=True)
+    asked = run_study([good, bad], tmp_path, retry=True)
     assert [(o.state, o.reused) for o in asked] == [("done", True), ("failed", False)]
     assert asked[1].reason == outcomes[1].reason
 
@@ -163,7 +163,7 @@ def test_what_the_machine_refused_is_tried_again_unasked(tmp_path, monkeypatch):
     write_table(place / NOTE, {"reason": reason, "kind": "machine"})
     (found,) = statuses([run], tmp_path)
     assert (found.state, found.reason) == ("failed", reason)
-    (outcome,) = carry_out([run], tmp_path)
+    (outcome,) = run_study([run], tmp_path)
     assert (outcome.state, outcome.reused) == ("done", False)
     assert not (place / NOTE).exists()
 
@@ -180,7 +180,7 @@ def test_what_is_damaged_is_named_and_computed_anew_where_asked_for(damage, tmp_
     in_this_process(monkeypatch)
     (run,) = short_runs(1)
     place = tmp_path / "runs" / run.name
-    carry_out([run], tmp_path)
+    run_study([run], tmp_path)
     name, change = DAMAGES[damage]
     path = place / name
     damaged = change(path.read_bytes())
@@ -188,9 +188,9 @@ def test_what_is_damaged_is_named_and_computed_anew_where_asked_for(damage, tmp_
     (found,) = statuses([run], tmp_path)
     assert (found.state, found.kind) == ("failed", "damage")
     assert found.reason.startswith("damaged: ")
-    (outcome,) = carry_out([run], tmp_path)
+    (outcome,) = run_study([run], tmp_path)
     assert (outcome.state, outcome.reason, outcome.reused) == ("failed", found.reason, True)
-    (outcome,) = carry_out([run], tmp_path, retry=True)
+    (outcome,) = run_study([run], tmp_path, retry=True)
     assert (outcome.state, outcome.reused) == ("done", False)
     mc.run(run.scene, output=tmp_path / "whole", report=False, threads=1)
     assert_same_bits(tmp_path / "whole", place)
@@ -217,11 +217,11 @@ def test_a_damaged_frame_of_a_half_done_run_is_named(tmp_path, monkeypatch):
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(bytes(data))
-    (outcome,) = carry_out([run], tmp_path)
+    (outcome,) = run_study([run], tmp_path)
     assert outcome.state == "failed"
     assert outcome.reason.startswith("damaged: ")
     assert states([run], tmp_path) == ["failed"]
-    (outcome,) = carry_out([run], tmp_path, retry=True)
+    (outcome,) = run_study([run], tmp_path, retry=True)
     assert outcome.state == "done"
 
 
@@ -242,7 +242,7 @@ def test_what_another_process_does_is_left_to_it_and_waited_for(tmp_path, monkey
     ready.wait(60)
     assert states(runs, tmp_path) == ["running", "waiting"]
     threading.Timer(1.5, over.set).start()
-    outcomes = carry_out(runs, tmp_path, progress=told.append)
+    outcomes = run_study(runs, tmp_path, progress=told.append)
     holder.join()
     # the other one has let go without a result, so it is done here
     assert [(o.state, o.reused) for o in outcomes] == [("done", False)] * 2
@@ -258,7 +258,7 @@ def test_what_is_left_of_a_run_without_frames_is_begun_anew(tmp_path, monkeypatc
     (place / "scene.toml").write_text("title =")
     (place / "frames.journal.part").write_bytes(b"mcj")
     assert states([run], tmp_path) == ["waiting"]
-    (outcome,) = carry_out([run], tmp_path)
+    (outcome,) = run_study([run], tmp_path)
     assert (outcome.state, outcome.reused) == ("done", False)
 
 
@@ -268,7 +268,7 @@ def test_files_that_are_not_ours_are_never_removed(tmp_path, monkeypatch):
     place = tmp_path / "runs" / run.name
     place.mkdir(parents=True)
     (place / "notes.txt").write_text("mine")
-    (outcome,) = carry_out([run], tmp_path)
+    (outcome,) = run_study([run], tmp_path)
     assert outcome.state == "failed"
     assert "notes.txt" in outcome.reason
     assert (place / "notes.txt").read_text() == "mine"
@@ -297,9 +297,9 @@ def test_a_script_needs_no_guard(tmp_path):
     script.write_text(
         f"import sys; sys.path[:0] = {PLACES!r}\n"
         "print('script', flush=True)\n"
-        "from multicell.studies.engine import carry_out\n"
+        "from multicell.studies.engine import run_study\n"
         "from studied import short_runs\n"
-        f"outcomes = carry_out(short_runs(2), {str(tmp_path / 'study')!r}, cores=2)\n"
+        f"outcomes = run_study(short_runs(2), {str(tmp_path / 'study')!r}, cores=2)\n"
         "print([outcome.state for outcome in outcomes], __file__)\n"
     )
     command = [sys.executable, str(script)]
@@ -311,38 +311,38 @@ def test_a_script_needs_no_guard(tmp_path):
 def test_a_worker_that_cannot_begin_a_run_is_a_reason_that_does_not_last(tmp_path, monkeypatch):
     in_this_process(monkeypatch, ModuleNotFoundError("No module named 'multicell'"))
     runs = short_runs(2)
-    outcomes = carry_out(runs, tmp_path)
+    outcomes = run_study(runs, tmp_path)
     first = next(outcome for outcome in outcomes if outcome.state == "failed")
     assert first.reason == (
         "its worker could not begin it: ModuleNotFoundError: No module named 'multicell'"
     )
-    assert sorted(outcome.state for outcome in carry_out(runs, tmp_path)) == ["done", "done"]
+    assert sorted(outcome.state for outcome in run_study(runs, tmp_path)) == ["done", "done"]
 
 
 def test_an_answer_that_is_lost_is_found_in_the_folder(tmp_path, monkeypatch):
     in_this_process(monkeypatch, TimeoutError)
-    outcomes = carry_out(short_runs(2), tmp_path)
+    outcomes = run_study(short_runs(2), tmp_path)
     assert [(o.state, o.reused) for o in outcomes] == [("done", True), ("done", False)]
 
 
 def test_a_scheduler_that_goes_is_an_error_that_keeps_all(tmp_path, monkeypatch):
     in_this_process(monkeypatch, "cancelled")
     with pytest.raises(ClusterError, match="the scheduler has gone") as caught:
-        carry_out(short_runs(2), tmp_path)
+        run_study(short_runs(2), tmp_path)
     assert caught.value.exit_code == 3
     in_this_process(monkeypatch)
-    assert {outcome.state for outcome in carry_out(short_runs(2), tmp_path)} == {"done"}
+    assert {outcome.state for outcome in run_study(short_runs(2), tmp_path)} == {"done"}
 
 
 def test_cores_must_be_some(tmp_path):
     with pytest.raises(SceneError, match="cores: is 0"):
-        carry_out(short_runs(1), tmp_path, cores=0)
+        run_study(short_runs(1), tmp_path, cores=0)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nowhere"])
 def test_a_scheduler_that_does_not_answer_is_named_before_anything_runs(address, tmp_path, capfd):
     with pytest.raises(ClusterError, match=f"the scheduler '{address}' does not answer") as caught:
-        carry_out(short_runs(1), tmp_path, scheduler=address)
+        run_study(short_runs(1), tmp_path, scheduler=address)
     assert caught.value.exit_code == 2
     assert not any((tmp_path / "runs").iterdir())
     assert capfd.readouterr() == ("", "")

@@ -13,7 +13,7 @@ from studied import CHANGES, alive, gone, runs_of, short_runs, started, statuses
 import multicell as mc
 from multicell.calibration.pool import Pool
 from multicell.errors import ClusterError
-from multicell.studies.engine import carry_out
+from multicell.studies.engine import run_study
 from multicell.studies.runs import MODEL_VERSION
 from multicell.studies.workers import _sees, check_folder, check_workers, own_versions, workers
 
@@ -26,7 +26,7 @@ def cluster(tmp_path_factory):
 
 def refused(runs, folder, cluster):
     with pytest.raises(ClusterError) as caught:
-        carry_out(runs, folder, scheduler=cluster.address)
+        run_study(runs, folder, scheduler=cluster.address)
     assert caught.value.exit_code == 2
     assert not any((folder / "runs").iterdir())
     return str(caught.value)
@@ -44,7 +44,7 @@ def test_workers_are_used_that_others_have_started(cluster, tmp_path):
     assert "dask worker tcp://127.0.0.1:" in said
     worker = cluster.worker("--nworkers", "2")
     runs = short_runs(3)
-    outcomes = carry_out(runs, tmp_path, scheduler=cluster.address)
+    outcomes = run_study(runs, tmp_path, scheduler=cluster.address)
     assert [(o.state, o.reused) for o in outcomes] == [("done", False)] * 3
     mc.run(runs[0].scene, output=tmp_path / "alone", report=False, threads=1)
     assert_same_bits(tmp_path / "alone", tmp_path / "runs" / runs[0].name)
@@ -92,7 +92,7 @@ def test_a_worker_of_another_version_that_joins_later_computes_nothing(another_v
             if len(seen) == 1:
                 cluster.worker(path=another_version)
 
-        outcomes = carry_out(runs, tmp_path / "study", scheduler=cluster.address, progress=joins)
+        outcomes = run_study(runs, tmp_path / "study", scheduler=cluster.address, progress=joins)
         assert [(o.state, dict(o.made)) for o in outcomes] == [("done", own_versions())] * 12
         for run in runs:
             summary = json.loads((tmp_path / "study/runs" / run.name / "summary.json").read_text())
@@ -109,7 +109,7 @@ def test_where_no_worker_of_this_version_is_left_a_study_says_so(another_version
             cluster.worker(path=another_version)
 
         with pytest.raises(ClusterError, match=r"has numpy 2\.3\.5, but.* and no other worker"):
-            carry_out(short_runs(3), tmp_path / "study", scheduler=cluster.address, progress=leaves)
+            run_study(short_runs(3), tmp_path / "study", scheduler=cluster.address, progress=leaves)
 
 
 @pytest.mark.slow
@@ -218,7 +218,7 @@ def test_whatever_is_killed_of_a_cluster_nobody_goes_on_alone(tmp_path):
         assert text.splitlines()[-1].startswith("Error: the scheduler has gone. All that")
         assert "Traceback" not in text
         wait_for(lambda: states(runs, tmp_path / "study") == ["partial"], within=10.0)
-    (outcome,) = carry_out(runs, tmp_path / "study", cores=1)
+    (outcome,) = run_study(runs, tmp_path / "study", cores=1)
     assert outcome.state == "done"
     mc.run(run.scene, output=tmp_path / "whole", report=False, threads=1)
     assert_same_bits(tmp_path / "whole", tmp_path / "study" / "runs" / run.name)

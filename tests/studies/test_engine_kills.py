@@ -13,7 +13,7 @@ from stored import assert_same_bits
 from studied import alive, family, gone, is_worker, runs_of, short_runs, started, statuses, wait_for
 
 import multicell as mc
-from multicell.studies.engine import carry_out
+from multicell.studies.engine import run_study
 
 COUNT = 4
 
@@ -167,11 +167,11 @@ def test_a_run_that_kills_its_worker_again_and_again_is_a_row(tmp_path):
     law = mc.load_law(f"{file}:deadly").scene_name()
     scene = other.scene.with_changes({"contact.law": law})
     bad = replace(other, name="0" * 24, scene=scene, expected=60.0)  # a worker does what is long
-    outcomes = carry_out([bad, good], tmp_path / "study", cores=1)
+    outcomes = run_study([bad, good], tmp_path / "study", cores=1)
     assert [outcome.state for outcome in outcomes] == ["failed", "done"]
     assert "its worker process died" in outcomes[0].reason
     assert statuses([bad], tmp_path / "study")[0].reason == outcomes[0].reason
-    (again,) = carry_out([bad], tmp_path / "study", cores=1)
+    (again,) = run_study([bad], tmp_path / "study", cores=1)
     assert (again.state, again.reused) == ("failed", True)
 
 

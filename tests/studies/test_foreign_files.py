@@ -10,8 +10,8 @@ from studied import short_runs
 
 import multicell as mc
 from multicell.errors import OutputError
-from multicell.results.documents import read_table, write_table
-from multicell.studies.engine import Outcome
+from multicell.results.documents import read_document, write_table
+from multicell.studies.engine import RunOutcome
 from multicell.studies.readings import read_final
 from multicell.studies.status import read_finished
 
@@ -55,7 +55,7 @@ def test_files_of_another_run_are_never_read_as_this_ones(files, study, whole):
             mc.load_result(first)
         with pytest.raises(OutputError):
             read_finished(first.name, study.folder)
-        outcomes = [Outcome(name, "done") for name in study.plan.names]
+        outcomes = [RunOutcome(name, "done") for name in study.plan.names]
         values, failures = read_final(outcomes, study.folder, ["cells", "divisions"])
         assert list(failures) == [first.name]
         np.testing.assert_array_equal(values["cells"], [np.nan, *right[1:]])
@@ -69,7 +69,7 @@ def test_files_of_another_run_are_never_read_as_this_ones(files, study, whole):
 def test_a_summary_of_an_older_version_is_held_against_the_last_frame(study):
     place, other = (study.folder / "runs" / name for name in study.plan.names[:2])
     for folder in (place, other):
-        summary = read_table(folder / "summary.json")
+        summary = read_document(folder / "summary.json")
         del summary["scene_digest"]
         write_table(folder / "summary.json", summary)
     assert mc.load_result(place).summary()["cells"] > 0

@@ -9,8 +9,8 @@ import pytest
 from study_tables import grid, sampled, with_states
 from synthetic import SCENE
 
-from multicell.studies.page import key_observables, write_report
-from multicell.studies.runs import Run
+from multicell.studies.page import key_observables, write_study_report
+from multicell.studies.runs import StudyRun
 from multicell.studies.status import RunStatus
 
 OXYGEN, LAW = "oxygen.boundary", "law"
@@ -26,7 +26,7 @@ def runs_of(table, names):
         seed = int(table["seed"].values[place[-1]])
         name = f"run{'-'.join(map(str, place))}"
         scene = replace(SCENE, seed=seed)
-        runs.append(Run(name, scene, {**values, "seed": seed}, 1.0))
+        runs.append(StudyRun(name, scene, {**values, "seed": seed}, 1.0))
         failed = not any(place)
         states.append(
             RunStatus(name, "failed", BAD) if failed else RunStatus(name, "done", wall=60.0)
@@ -52,7 +52,7 @@ def rows_of(html):
 
 def written(folder, table, names):
     runs, states = runs_of(table, names)
-    path = write_report(folder, SCENE, table, runs, states, shown=["diameter"])
+    path = write_study_report(folder, SCENE, table, runs, states, shown=["diameter"])
     return path.read_text("utf-8")
 
 
@@ -99,7 +99,7 @@ def test_a_study_of_which_nothing_has_run_has_a_page(tmp_path):
     states = [RunStatus(run.name, "waiting") for run in runs]
     bare = table.drop_vars(list(table.data_vars))
     bare["state"] = ((OXYGEN, "seed"), np.full((3, 2), "waiting", dtype=object))
-    text = write_report(tmp_path, SCENE, bare, runs, states).read_text("utf-8")
+    text = write_study_report(tmp_path, SCENE, bare, runs, states).read_text("utf-8")
     assert "Of 6 runs 6 not finished" in text
     assert "not run" in rows_of(text)[0]
     assert not list(tmp_path.glob("*.png"))  # not a picture of empty tiles
@@ -112,9 +112,11 @@ def test_a_sample_has_a_page_with_points_over_each_axis(tmp_path):
         for seed in (0, 1):
             own = {OXYGEN: float(table[OXYGEN][point]), LAW: str(table[LAW].values[point])}
             name = f"run{point}-{seed}"
-            runs.append(Run(name, SCENE, {**own, "seed": seed}, 1.0))
+            runs.append(StudyRun(name, SCENE, {**own, "seed": seed}, 1.0))
             states.append(RunStatus(name, "done", wall=1.0))
-    text = write_report(tmp_path, SCENE, table, runs, states, shown=["diameter"]).read_text("utf-8")
+    text = write_study_report(tmp_path, SCENE, table, runs, states, shown=["diameter"]).read_text(
+        "utf-8"
+    )
     assert len(rows_of(text)) == 12
     assert (tmp_path / "response-diameter.png").exists()
     assert not list(tmp_path.glob("map-*.png"))
@@ -131,7 +133,7 @@ def test_of_very_many_runs_those_that_failed_are_listed_first(table, tmp_path, m
     monkeypatch.setattr("multicell.studies.page.MAX_ROWS", 5)
     runs, states = runs_of(table, (OXYGEN, LAW))
     states[-1] = RunStatus(states[-1].name, "failed", "late")
-    page = write_report(tmp_path, SCENE, table, runs, states, shown=[])
+    page = write_study_report(tmp_path, SCENE, table, runs, states, shown=[])
     text = page.read_text("utf-8")
     rows = rows_of(text)
     assert len(rows) == 5

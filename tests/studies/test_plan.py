@@ -10,7 +10,7 @@ from rich_medium import RICH
 import multicell as mc
 from multicell import OutputError, SceneError
 from multicell.studies.plan import make_plan, read_plan
-from multicell.studies.runs import digest
+from multicell.studies.runs import run_digest
 from multicell.studies.study import write_study
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
@@ -65,7 +65,7 @@ def test_every_run_is_named_by_what_it_is_of():
     runs = plan.runs([1.0] * len(plan.points))
     assert len({run.name for run in runs}) == 3 * 2 * 2 * 3 == len(runs)
     for run in runs:
-        assert digest(run.scene) == run.name
+        assert run_digest(run.scene) == run.name
         assert run.scene.seed == run.coordinates["seed"]
         assert run.scene.nutrients["oxygen"].boundary == run.coordinates["oxygen.boundary"]
         assert run.scene.nutrients["glucose"].boundary == run.coordinates["glucose.boundary"]

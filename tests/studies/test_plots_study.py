@@ -12,8 +12,8 @@ from multicell.errors import SceneError
 from multicell.studies.picture_data import (
     at_end,
     axes_of,
+    axis_scale,
     number_text,
-    scale,
 )
 from multicell.studies.pictures import StudyPlots
 
@@ -83,7 +83,7 @@ def test_each_value_of_each_axis_is_named(names):
     table = grid(*names, seeds=2)
     words = " ".join(texts(plots(table).heatmap("diameter")))
     for name in names:
-        assert all(text in words for text in scale(table, name).texts)
+        assert all(text in words for text in axis_scale(table, name).texts)
 
 
 def test_further_axes_are_held_at_values_that_are_said():
@@ -148,7 +148,7 @@ def test_a_panel_for_each_axis_of_a_sample():
     table = sampled(OXYGEN, GLUCOSE, "law")
     for draw in (plots(table).curves, plots(table).response):
         words = " ".join(texts(draw("diameter")))
-        assert all(scale(table, name).label in words for name in axes_of(table))
+        assert all(axis_scale(table, name).label in words for name in axes_of(table))
     with pytest.raises(ValueError, match="no tiles"):
         plots(table).heatmap("diameter")
 

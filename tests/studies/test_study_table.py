@@ -11,7 +11,7 @@ import xarray as xr
 from studied import SHORT
 
 import multicell as mc
-from multicell.results.documents import read_table, write_table
+from multicell.results.documents import read_document, write_table
 from multicell.results.quantities import known_unit
 from multicell.studies import table
 from multicell.studies.runs import MODEL_VERSION
@@ -108,7 +108,7 @@ def test_the_frame_and_the_csv_hold_the_table(study, found, tmp_path):
     assert row["diameter"] == found["diameter"].sel(point)
     assert frame.attrs["diameter"] == "um"
     path = tmp_path / "study.csv"
-    table.write_csv(found, path)
+    table.write_study_csv(found, path)
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(frame)
@@ -156,7 +156,7 @@ def test_a_study_of_which_nothing_has_run_has_a_table(tmp_path):
     assert set(found.data_vars) == {"state", "reason", "run"}
     assert found.sizes["time"] == 6
     assert (found["state"] == "waiting").all()
-    table.write_csv(found, tmp_path / "study.csv")
+    table.write_study_csv(found, tmp_path / "study.csv")
     assert (tmp_path / "study.csv").read_text().count("\n") == 1 + 2 * 6
 
 
@@ -191,7 +191,7 @@ def test_results_that_have_gone_are_told(tmp_path):
 def test_the_table_states_all_versions_that_have_made_its_runs(tmp_path):
     study = compute(mc.study(BASE, seeds=2, output=tmp_path / "study"))
     path = study.folder / "runs" / study.plan.names[0] / "summary.json"
-    summary = read_table(path)
+    summary = read_document(path)
     own = summary["versions"]["numpy"]
     summary["versions"]["numpy"] = "2.3.5"
     write_table(path, summary)

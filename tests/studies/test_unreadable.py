@@ -13,7 +13,7 @@ import multicell as mc
 from multicell.errors import OutputError, SceneError, is_machine_failure
 from multicell.results import hdf5
 from multicell.studies import engine
-from multicell.studies.engine import carry_out
+from multicell.studies.engine import run_study
 from multicell.studies.status import NOTE, RunStatus
 
 
@@ -70,7 +70,7 @@ TROUBLES = {
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_a_failure_of_the_machine_is_no_damage(trouble, tmp_path, monkeypatch):
     runs = short_runs(2)
-    carry_out(runs, tmp_path, cores=1)
+    run_study(runs, tmp_path, cores=1)
     before = content(tmp_path)
 
     def fails(*_, **__):
@@ -80,7 +80,7 @@ def test_a_failure_of_the_machine_is_no_damage(trouble, tmp_path, monkeypatch):
     monkeypatch.setattr(hdf5.h5py, "File", fails)
     assert [s.kind for s in statuses(runs, tmp_path)] == ["unreadable"] * 2
     for _ in range(2):
-        outcomes = carry_out(runs, tmp_path, cores=1, retry=True)
+        outcomes = run_study(runs, tmp_path, cores=1, retry=True)
         assert [outcome.state for outcome in outcomes] == ["failed"] * 2
     monkeypatch.undo()
     assert content(tmp_path) == before
@@ -89,11 +89,11 @@ def test_a_failure_of_the_machine_is_no_damage(trouble, tmp_path, monkeypatch):
 
 def test_a_run_whose_files_become_unreadable_meanwhile_is_left(tmp_path, monkeypatch):
     (run,) = short_runs(1)
-    carry_out([run], tmp_path, cores=1)
+    run_study([run], tmp_path, cores=1)
     place = tmp_path / "runs" / run.name
     (place / "frames.h5").write_bytes(b"nothing of HDF5")
     damaged = content(place)
-    usual, seen = engine.status, []
+    usual, seen = engine.run_status, []
 
     def known(name, folder, *, ours=False, whole=False):
         seen.append(ours)
@@ -102,8 +102,8 @@ def test_a_run_whose_files_become_unreadable_meanwhile_is_left(tmp_path, monkeyp
             return found
         return RunStatus(name, "failed", "cannot be read: locked", kind="unreadable")
 
-    monkeypatch.setattr(engine, "status", known)
-    (outcome,) = carry_out([run], tmp_path, cores=1, retry=True)
+    monkeypatch.setattr(engine, "run_status", known)
+    (outcome,) = run_study([run], tmp_path, cores=1, retry=True)
     assert (outcome.state, outcome.reason) == ("failed", "cannot be read: locked")
     assert any(seen)
     assert {n: c for n, c in content(place).items() if n != NOTE} == damaged

@@ -1,1 +1,1 @@
-"""How the volume of one cell grows between birth and division."""
+"""Growth laws: the volume of one cell between birth and division."""

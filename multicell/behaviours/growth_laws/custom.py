@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
-from multicell.behaviours.growth_laws.laws import LAWS, GrowthLaw
+from multicell.behaviours.growth_laws.laws import GROWTH_LAWS, GrowthLaw
 from multicell.contact.custom import law_of, refuse_names
 from multicell.errors import SceneError
 from multicell.plugins.laws import OwnLaw
@@ -88,7 +88,7 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
         return np.asarray(half * (_WEIGHTS / self._shape(points)).sum(axis=-1))
 
     def _shape(self, ratio: FloatArray) -> FloatArray:
-        """Return what the user's function returns, as an array of the argument's shape."""
+        """Call the user's function and return its values as an array of the argument's shape."""
         with own_code("growth.law"):
             found = type(self)._function(ratio, self)
             return np.broadcast_to(np.asarray(found, dtype=float), ratio.shape)
@@ -126,6 +126,6 @@ def growth_law(*, parameters: Mapping[str, Any]) -> Callable[[Rate], type[UserGr
         if list(signature(rate).parameters) != ["volume", "p"]:
             raise TypeError(f"{rate.__qualname__!r} must have the arguments volume, p")
         own = {"_function": staticmethod(rate)}
-        return law_of(UserGrowthLaw, rate, parameters, LAWS, [rate], own)
+        return law_of(UserGrowthLaw, rate, parameters, GROWTH_LAWS, [rate], own)
 
     return make

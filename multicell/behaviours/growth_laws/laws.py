@@ -61,7 +61,7 @@ class GrowthLaw(ABC):
 
 @final
 @parameters
-class Linear(GrowthLaw):
+class LinearGrowth(GrowthLaw):
     """The same rate at every volume."""
 
     constant: ClassVar[bool] = True
@@ -81,7 +81,7 @@ class Linear(GrowthLaw):
 
 @final
 @parameters
-class Exponential(GrowthLaw):
+class ExponentialGrowth(GrowthLaw):
     """A rate that is proportional to the volume."""
 
     def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
@@ -99,7 +99,7 @@ class Exponential(GrowthLaw):
 
 @final
 @parameters
-class Relaxation(GrowthLaw):
+class RelaxationGrowth(GrowthLaw):
     """A rate that is proportional to what is missing to the volume K = ``target`` V_d."""
 
     target: float = number(
@@ -130,7 +130,7 @@ class Relaxation(GrowthLaw):
         return np.asarray(np.log((largest - 1.0) / (largest - ratio)) / self.exponent)
 
 
-LAWS: Final[Laws[GrowthLaw]] = Laws(
-    {"linear": Linear, "exponential": Exponential, "relaxation": Relaxation}
+GROWTH_LAWS: Final[Laws[GrowthLaw]] = Laws(
+    {"linear": LinearGrowth, "exponential": ExponentialGrowth, "relaxation": RelaxationGrowth}
 )
 """All laws by their names in a scene; :func:`multicell.growth_law` enters those of the user's."""

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from multicell.comparison.stability_limits.trial import BLOW_UP, KINDS, STABLE, STALL, WRONG
+from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, TRIAL_ENDS, WRONG
 from multicell.report.plots.style import INK, blank, few_decades, styled
 from multicell.report.wording import cell_count, clock
 
@@ -26,7 +26,7 @@ CAPTION: Final = (
 )
 
 # told apart by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
-COLOURS: Final = {
+TRIAL_COLOURS: Final = {
     STABLE: "#cfe8dc",
     BLOW_UP: "#8f1d14",
     STALL: "#5c6166",
@@ -59,7 +59,7 @@ def stability_map(result: StabilityMap) -> Figure:
         axes.set_xlabel("step / Euler's limit" if steps else "tolerance / mean radius", fontsize=11)
         axes.set_title("Fixed step" if steps else "Error control", fontsize=12)
         left, width = left + width + 0.125, 0.265
-    handles: list[Any] = [Patch(color=COLOURS[kind], label=kind) for kind in result.kinds]
+    handles: list[Any] = [Patch(color=TRIAL_COLOURS[kind], label=kind) for kind in result.kinds]
     handles.append(Line2D([], [], color=INK, marker=".", ls="", ms=4, alpha=0.55, label="a trial"))
     if "step" in groups:
         handles.append(Line2D([], [], color=INK, lw=2.0, label="limit in theory"))
@@ -81,7 +81,7 @@ def _draw_strips(axes: Axes, strips: Mapping[str, Sequence[Row]], scale: float) 
         edges = [settings[0] / _OVERHANG, *between, settings[-1] * _OVERHANG]
         for row, (low, high) in zip(rows, itertools.pairwise(edges), strict=True):
             axes.barh(
-                level, high - low, left=low, height=0.66, color=COLOURS[row["kind"]], lw=0,
+                level, high - low, left=low, height=0.66, color=TRIAL_COLOURS[row["kind"]], lw=0,
                 label=row["kind"], gid=f"{name}|{row['kind']}",
             )  # fmt: skip
         axes.plot(settings, [level] * len(settings), ".", ms=2.2, color=INK, alpha=0.55)
@@ -97,8 +97,8 @@ def _draw_strips(axes: Axes, strips: Mapping[str, Sequence[Row]], scale: float) 
     axes.tick_params(axis="y", length=0)
 
 
-def context(result: StabilityMap) -> dict[str, Any]:
-    """Return what ``stability.html`` asks for."""
+def stability_context(result: StabilityMap) -> dict[str, Any]:
+    """Return the fields of ``stability.html``."""
     first = result.table[0]
     failures = sum(row["kind"] != STABLE for row in result.table)
     return {
@@ -113,7 +113,7 @@ def context(result: StabilityMap) -> dict[str, Any]:
             "trials that failed": f"{failures} of {len(result.table):,}",
             "wall time": clock(result.facts["wall"]),
         },
-        "colours": COLOURS,
-        "kinds": KINDS,
+        "colours": TRIAL_COLOURS,
+        "kinds": TRIAL_ENDS,
         "failed": [row for row in result.table if row["kind"] != STABLE],
     }

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 from multicell.comparison.base import Comparison, Pictures, Row
-from multicell.comparison.stability_limits.trial import KINDS, STABLE
+from multicell.comparison.stability_limits.trial import STABLE, TRIAL_ENDS
 from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FILES: Final = ("stability.csv", "limits.csv", "stability.png", "report.html")
+STABILITY_FILES: Final = ("stability.csv", "limits.csv", "stability.png", "report.html")
 """What a study of stability writes into its folder."""
 
 
@@ -32,8 +32,8 @@ class StabilityMap(Comparison):
         (``"tolerance"`` in mean radii or ``"step"`` in s), ``setting``, ``theory`` (largest stable
         step, s; infinite for implicit methods, NaN where there is none), ``of_theory``,
         ``of_euler`` (mean step over 2/λ_max),
-        ``kind`` (a key of :data:`multicell.comparison.stability_limits.trial.KINDS`), ``words``
-        (what was seen), ``steps``, ``wall`` (s).
+        ``kind`` (a key of :data:`multicell.comparison.stability_limits.trial.TRIAL_ENDS`),
+        ``words`` (what was seen), ``steps``, ``wall`` (s).
     facts : dict
         ``precision`` of the bisection, ``wall`` (s), ``versions``.
     """
@@ -46,8 +46,8 @@ class StabilityMap(Comparison):
 
     @property
     def kinds(self) -> list[str]:
-        """The kinds that were seen, in the order of :data:`KINDS`."""
-        return [kind for kind in KINDS if kind in self.column("kind")]
+        """The kinds that were seen, in the order of :data:`TRIAL_ENDS`."""
+        return [kind for kind in TRIAL_ENDS if kind in self.column("kind")]
 
     def rows(self, method: str) -> list[Row]:
         """Return the trials of a method, from small to large settings."""
@@ -101,7 +101,7 @@ class StabilityMap(Comparison):
         return {"stability.png": (self.figure, CAPTION)}
 
     def page(self) -> dict[str, Any]:
-        """Return what the template of the page asks for."""
-        from multicell.comparison.stability_limits.charts import context
+        """Return the fields of the page's template."""
+        from multicell.comparison.stability_limits.charts import stability_context
 
-        return context(self)
+        return stability_context(self)

@@ -1,4 +1,4 @@
-"""Where integration methods lose stability, and how: the limit of each by bisection."""
+"""Search for the limit of stability of each method by bisection, and the kind of failure."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method, capable_methods, select_methods
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.replay import solve_compiled
-from multicell.comparison.stability_limits.result import FILES, StabilityMap
-from multicell.comparison.stability_limits.state import State, settled_state
+from multicell.comparison.stability_limits.result import STABILITY_FILES, StabilityMap
+from multicell.comparison.stability_limits.state import TrialState, settled_state
 from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
 from multicell.integrators.base import Integrator
 from multicell.results.folder import versions
@@ -49,7 +49,7 @@ def stability(
     fastest, and each method must let them come to rest again: a fixed step for 200 steps, a
     method under error control for 2000 / λ_max. The limit is found by bisection and set beside
     the theory; how a method fails beyond is named
-    (:data:`multicell.comparison.stability_limits.trial.KINDS`).
+    (:data:`multicell.comparison.stability_limits.trial.TRIAL_ENDS`).
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def stability(
     chosen = select_methods(names, described, 0.9 * described.cells.division_radius)
     what = {"patience": patience, "threads": threads}
     with open_measurements(
-        output, FILES, described, what, chosen, names, overwrite=overwrite
+        output, STABILITY_FILES, described, what, chosen, names, overwrite=overwrite
     ) as measured:
         wall, table = _measure(described, chosen, patience, threads, measured, tell)
         facts = {"precision": PRECISION, "wall": wall, "versions": versions()}
@@ -123,7 +123,7 @@ def _measure(
     return before + clock.perf_counter() - begin, table
 
 
-def _rows(state: State, method: Method, patience: float) -> list[Row]:
+def _rows(state: TrialState, method: Method, patience: float) -> list[Row]:
     """Return the rows of one method: those of the search, and those around it."""
     rows: dict[float, Row] = {}
     theory = method.info.stable / state.rate
@@ -186,7 +186,7 @@ def bisect(stable: Trial, low: float, high: float) -> float:
     return low
 
 
-def _row(state: State, method: Method, setting: float, theory: float, patience: float) -> Row:
+def _row(state: TrialState, method: Method, setting: float, theory: float, patience: float) -> Row:
     """Try one setting."""
     trace, _ = solve_compiled(lambda: run_trial(state, method, setting, patience))
     kind, words = judge(state, trace)

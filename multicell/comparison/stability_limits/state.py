@@ -1,4 +1,4 @@
-"""Where stability is measured: a state of the cells, its largest decay rate, its true course.
+"""The state at which stability is measured: its largest decay rate, its true course.
 
 Nothing but contacts (and walls) acts, and radii are constant, so that the energy can only fall: a
 method under which it rises is wrong.
@@ -15,9 +15,10 @@ from scipy.sparse.linalg import LinearOperator, eigs, eigsh
 
 from multicell.cells import FloatArray, IntArray
 from multicell.errors import SceneError, StepFailed
+from multicell.integrators.auto import ChosenWork
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics.decay_rate import symmetric_product
-from multicell.mechanics.motion import Motion, Work
+from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
@@ -36,7 +37,7 @@ _MAX_STEPS = 50_000  # steps of the reference
 
 @final
 @dataclass(frozen=True, eq=False)
-class State:
+class TrialState:
     """Cells at the start of a trial.
 
     - ``scene``, Scene
@@ -74,7 +75,7 @@ class State:
 
     def system(self, begin: float, end: float) -> Mechanics:
         """Return mechanics of its own, ready for the time between two moments."""
-        system = replace(self.template, work=Work())
+        system = replace(self.template, work=ChosenWork())
         self.ready(system, begin, end)
         return system
 
@@ -112,7 +113,7 @@ class State:
         return position
 
 
-def settled_state(scene: Scene, threads: int | None = None) -> State:
+def settled_state(scene: Scene, threads: int | None = None) -> TrialState:
     """Return a scene's first cells at rest, pushed a little along the mode that decays fastest.
 
     - ``scene``: external forces, prescribed motion and motility are left out, growth stands still
@@ -131,7 +132,7 @@ def settled_state(scene: Scene, threads: int | None = None) -> State:
     cells = simulation.cells
     motion = simulation._motion(0.0, 0.0, cells.radius)
     motion = replace(motion, push=None, held=None, velocity=None)
-    blank = State(scene, simulation.mechanics, motion, cells.position, np.nan, np.nan)
+    blank = TrialState(scene, simulation.mechanics, motion, cells.position, np.nan, np.nan)
     rest = rest_positions(blank)
     rate, mode = largest_decay(blank.system(0.0, 1.0), rest, scene.dimensions == 2)
     overlap = _strained_overlap(blank, rest, mode)
@@ -139,7 +140,7 @@ def settled_state(scene: Scene, threads: int | None = None) -> State:
     return replace(blank, start=rest + mode, rate=rate, noticed=MIN_NOTICED * overlap, known=[])
 
 
-def _strained_overlap(state: State, position: FloatArray, mode: FloatArray) -> float:
+def _strained_overlap(state: TrialState, position: FloatArray, mode: FloatArray) -> float:
     """Return the overlap in µm of the pair in contact that a mode strains most."""
     pairs = state.system(0.0, 1.0).contacts(0.0, position)
     line = position[pairs[:, 1]] - position[pairs[:, 0]]
@@ -150,7 +151,7 @@ def _strained_overlap(state: State, position: FloatArray, mode: FloatArray) -> f
     return float(max(overlap, 1e-4 * state.radius))
 
 
-def rest_positions(state: State) -> FloatArray:
+def rest_positions(state: TrialState) -> FloatArray:
     """Return where the cells of a state come to rest, or where they are after a long time."""
     position = state.start
     length = 10.0 / _bound(state, position)
@@ -167,7 +168,7 @@ def rest_positions(state: State) -> FloatArray:
     return position
 
 
-def _bound(state: State, position: FloatArray) -> float:
+def _bound(state: TrialState, position: FloatArray) -> float:
     bound = state.system(0.0, 1.0).stiffness_bound(0.0, position)
     if not bound > 0.0:
         hint = "A smaller initial.spacing lets them touch."

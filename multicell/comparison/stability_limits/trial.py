@@ -16,8 +16,8 @@ import numpy as np
 
 from multicell.cells import FloatArray, IntArray
 from multicell.comparison.ladders import Method
-from multicell.comparison.replay import advance, timeout_words
-from multicell.comparison.stability_limits.state import MIN_NOTICED, PUSH, State
+from multicell.comparison.replay import advance_system, timeout_words
+from multicell.comparison.stability_limits.state import MIN_NOTICED, PUSH, TrialState
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
@@ -26,7 +26,7 @@ BLOW_UP: Final = "blow-up"
 WRONG: Final = "wrong state"
 STALL: Final = "stall"
 
-KINDS: Final = {
+TRIAL_ENDS: Final = {
     STABLE: "the energy only falls, and the end is that of the reference",
     BLOW_UP: "positions or energy grow beyond all bounds or are no numbers, or a step is refused "
     "because it would throw a cell away",
@@ -49,7 +49,7 @@ _RISE_NOTICED = (MIN_NOTICED / PUSH) ** 2
 @final
 @dataclass
 class Trace:
-    """What was seen of a trial.
+    """Trace of a trial.
 
     - ``times``, list of float, s
     - ``positions``, list of (n, 3) float64, µm: at every time, the start included
@@ -72,7 +72,7 @@ class Trace:
     wall: float = 0.0
 
 
-def run_trial(state: State, method: Method, setting: float, patience: float = 20.0) -> Trace:
+def run_trial(state: TrialState, method: Method, setting: float, patience: float = 20.0) -> Trace:
     """Run a method from a state and record what it does.
 
     A method with a fixed step takes :data:`TRIAL_STEPS` steps, one at a time; a multistep method
@@ -88,7 +88,7 @@ def run_trial(state: State, method: Method, setting: float, patience: float = 20
     again = method.info.remembers and fixed
     integrator = method.make(setting)
     # loaded before the clock runs, however short the patience
-    advance(state.system(0.0, _SHORT * times[0]), integrator, state.start)
+    advance_system(state.system(0.0, _SHORT * times[0]), integrator, state.start)
     begin = clock.perf_counter()
     system = state.system(0.0, times[0])
     touching = at_start = system.contacts(0.0, state.start)
@@ -97,7 +97,7 @@ def run_trial(state: State, method: Method, setting: float, patience: float = 20
     for k, end in enumerate(times):
         first = 0 if again else k
         state.ready(system, trace.times[first], end, touching if first else at_start)
-        trace.problem, position = advance(system, integrator, trace.positions[first])
+        trace.problem, position = advance_system(system, integrator, trace.positions[first])
         trace.steps = system.work.steps
         if trace.problem:
             break
@@ -114,7 +114,7 @@ def run_trial(state: State, method: Method, setting: float, patience: float = 20
     return trace
 
 
-def _energy(state: State, system: Mechanics, time: float, position: FloatArray) -> float:
+def _energy(state: TrialState, system: Mechanics, time: float, position: FloatArray) -> float:
     """Return the energy in fJ, infinite where cells are out of bounds or on top of others."""
     reach = float(np.ptp(state.start, axis=0).max()) + 10.0 * state.radius
     if not np.abs(position - state.start.mean(axis=0)).max() <= reach:
@@ -125,8 +125,8 @@ def _energy(state: State, system: Mechanics, time: float, position: FloatArray) 
         return np.inf
 
 
-def judge(state: State, trace: Trace) -> tuple[str, str]:
-    """Return how a trial went, a key of :data:`KINDS`, and what was seen, in words.
+def judge(state: TrialState, trace: Trace) -> tuple[str, str]:
+    """Return how a trial went, a key of :data:`TRIAL_ENDS`, and what was seen, in words.
 
     It is compared with the reference.
     """
@@ -145,7 +145,7 @@ def judge(state: State, trace: Trace) -> tuple[str, str]:
     return WRONG if words else STABLE, words
 
 
-def pair_deviation(state: State, position: FloatArray, true: FloatArray, time: float) -> float:
+def pair_deviation(state: TrialState, position: FloatArray, true: FloatArray, time: float) -> float:
     """Return the largest error of the distance of a pair that truly touches, in mean radii."""
     pairs = state.system(time, time + 1.0).contacts(time, true)
     if len(pairs) == 0:
@@ -155,9 +155,9 @@ def pair_deviation(state: State, position: FloatArray, true: FloatArray, time: f
 
 
 def _wrong(
-    state: State, trace: Trace, climb: float, excess: float, deviation: float
+    state: TrialState, trace: Trace, climb: float, excess: float, deviation: float
 ) -> Iterator[str]:
-    """Yield what is wrong with a trial that reached its end, the foremost first.
+    """Yield the faults of a trial that reached its end, the foremost first.
 
     ``climb`` and ``excess``, of the energy at the end over that of the reference, are in units of
     what is noticed.
@@ -175,7 +175,7 @@ def _wrong(
         yield "the energy rose"
 
 
-def _alternation(state: State, trace: Trace) -> tuple[bool, float]:
+def _alternation(state: TrialState, trace: Trace) -> tuple[bool, float]:
     """Return whether the last displacements alternate, and their size in radii."""
     moves = np.diff(np.array(trace.positions), axis=0)
     late = moves[-max(3, len(moves) // 4) :]

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
-from multicell.behaviours.growth_laws.laws import Relaxation
+from multicell.behaviours.growth_laws.laws import RelaxationGrowth
 from multicell.cells import SPHERE
 from multicell.importing.files import whole_number
 from multicell.importing.imported import Fate
-from multicell.importing.physicell.model import MINUTE, Kind, Model
+from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 
 if TYPE_CHECKING:
@@ -169,9 +169,11 @@ def read_cycle(model: Model) -> None:
         _account_for(model, kind, known, lead)
 
 
-def _set_growth(model: Model, known: Mapping[Kind, Cycle], lead: Kind, target: float) -> None:
+def _set_growth(
+    model: Model, known: Mapping[CellDefinition, Cycle], lead: CellDefinition, target: float
+) -> None:
     """Set how fast cells grow, and to which volume, given over that of division."""
-    growth, law = model.part("growth"), Relaxation(target=target if target > 1.0 else 2.0)
+    growth, law = model.part("growth"), RelaxationGrowth(target=target if target > 1.0 else 2.0)
     growth["parameters"] = {"target": law.target}
     if law.target != target:  # some cells are larger at the start than those that divide
         for phase in growth["phases"].values():
@@ -185,7 +187,7 @@ def _set_growth(model: Model, known: Mapping[Kind, Cycle], lead: Kind, target: f
             model.of_type(kind, "volume_doubling_time", time)
 
 
-def _set_start(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
+def _set_start(model: Model, known: Mapping[CellDefinition, Cycle], lead: CellDefinition) -> None:
     """Set what is Ki67-positive, and begin after what precedes PhysiCell's first phase in G1."""
     growth, cycle = model.part("growth"), known[lead]
     if all(own.model.has_ki67 for own in known.values() if math.isfinite(own.minutes)):
@@ -202,7 +204,7 @@ def _set_start(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
             model.cells.begun[kind] = begun * _scale(model, own, cycle)
 
 
-def _sizes(lead: Kind, cycle: Cycle) -> tuple[float, float]:
+def _sizes(lead: CellDefinition, cycle: Cycle) -> tuple[float, float]:
     """Return the volume at division, µm³, and over it the volume K to which cells grow.
 
     PhysiCell's volumes go to a target at the rate r of the cytoplasm, V' = r (K - V), for the time
@@ -236,7 +238,7 @@ def _code(element: Element) -> int:
     return number
 
 
-def _cycle(kind: Kind) -> Cycle:
+def _cycle(kind: CellDefinition) -> Cycle:
     """Return the cycle of a type: its own phases, its parent's of this model, or usual ones."""
     own = kind.own("cycle")
     if own is not None and "code" not in own.attributes:
@@ -255,13 +257,13 @@ def _cycle(kind: Kind) -> Cycle:
     return Cycle(found, tuple(stages), tuple(rates))
 
 
-def _exits(model: Model, kind: Kind, place: int) -> list[Rule]:
+def _exits(model: Model, kind: CellDefinition, place: int) -> list[Rule]:
     """Return the rules about leaving a phase of a type."""
     name = f"exit from cycle phase {place}" if place else "cycle entry"
     return rules_of(model, name, [kind])
 
 
-def _with_rules(model: Model, kind: Kind, cycle: Cycle) -> Cycle:
+def _with_rules(model: Model, kind: CellDefinition, cycle: Cycle) -> Cycle:
     """Return a cycle whose phases that only rules end last as long as at their saturation."""
     stages = list(cycle.stages)
     for place, stage in enumerate(stages):
@@ -271,7 +273,7 @@ def _with_rules(model: Model, kind: Kind, cycle: Cycle) -> Cycle:
     return replace(cycle, stages=tuple(stages))
 
 
-def _set_paces(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
+def _set_paces(model: Model, known: Mapping[CellDefinition, Cycle], lead: CellDefinition) -> None:
     """Let types go through the phases at their own rates, and rules change these."""
     phases = model.part("growth")["phases"]
     cycling = {kind: cycle for kind, cycle in known.items() if math.isfinite(cycle.minutes)}
@@ -286,8 +288,8 @@ def _set_paces(model: Model, known: Mapping[Kind, Cycle], lead: Kind) -> None:
         }
 
         def pace(
-            kind: Kind, rule: Rule | None = None, phase: str = phase, length: float = length,
-            exits: Mapping[Rule, int] = exits,
+            kind: CellDefinition, rule: Rule | None = None, phase: str = phase,
+            length: float = length, exits: Mapping[Rule, int] = exits,
         ) -> float:  # fmt: skip
             cycle, minutes = cycling[kind], 0.0
             for place, home in enumerate(cycle.model.homes):
@@ -324,7 +326,12 @@ def stated_phases(cycle: Element) -> list[tuple[Element, int, Stage]]:
     return made
 
 
-def _account_for(model: Model, kind: Kind, known: Mapping[Kind, Cycle], lead: Kind | None) -> None:
+def _account_for(
+    model: Model,
+    kind: CellDefinition,
+    known: Mapping[CellDefinition, Cycle],
+    lead: CellDefinition | None,
+) -> None:
     """Account for the cycle and volumes of a type, where they are not as in all others."""
     element, account, cycle = kind.own("cycle"), model.account, known[kind]
     divides = lead is not None and math.isfinite(cycle.minutes)

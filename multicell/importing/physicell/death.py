@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.cycle import stated_phases
-from multicell.importing.physicell.model import MINUTE, Kind, Model
+from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import rules_of, set_behaviour
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def read_death(model: Model) -> None:
         _account_for(model, kind)
 
 
-def _lead(model: Model, code: str) -> Kind | None:
+def _lead(model: Model, code: str) -> CellDefinition | None:
     """Return the type with most cells of those that die in a way, by themselves or by rules."""
     ruled = {rule.kind for rule in rules_of(model, _NAMES[code], model.kinds) if rule.end > 0.0}
     dying = [kind for kind in model.kinds if kind in ruled or _dying(kind, code).rate > 0.0]
@@ -65,7 +65,7 @@ def _set_rates(model: Model, code: str, usual: float) -> None:
     set_behaviour(model, f"{_NAMES[code]} rate", usual, own, rules, lambda r: r.end / MINUTE)
 
 
-def _set_necrosis(model: Model, lead: Kind) -> None:
+def _set_necrosis(model: Model, lead: CellDefinition) -> None:
     necrosis, death = _dying(lead, NECROSIS), model.part("death")
     swelling = _time_to_burst(lead, necrosis)
     if swelling is not None:
@@ -86,7 +86,7 @@ def _code(model: Element) -> str:
     return model.attributes.get("code") or named
 
 
-def _dying(kind: Kind, code: str) -> Dying:
+def _dying(kind: CellDefinition, code: str) -> Dying:
     last = 516.0 if code == APOPTOSIS else 86400.0
     found = next((one for one in kind.listed("death", "model") if _code(one) == code), None)
     if found is None:
@@ -102,7 +102,7 @@ def _dying(kind: Kind, code: str) -> Dying:
     return Dying(found.number_at("death_rate", rate, at_least=0.0), parameters, last)
 
 
-def _time_to_burst(kind: Kind, dying: Dying) -> float | None:
+def _time_to_burst(kind: CellDefinition, dying: Dying) -> float | None:
     """Return when a necrotic cell reaches the volume at which it bursts, min; None if never.
 
     Its solids s decay, and fluid F comes in as long as there are solids: dF/dt = k (V - F) = k s.
@@ -130,7 +130,7 @@ def _time_to_burst(kind: Kind, dying: Dying) -> float | None:
     return float(brentq(lambda t: volume(t) - goal, 0.0, 1e5, xtol=1e-9, rtol=1e-14))
 
 
-def _account_for(model: Model, kind: Kind) -> None:
+def _account_for(model: Model, kind: CellDefinition) -> None:
     """Account for models of death that no cell dies of, or that are not those of all types."""
     take_all = model.account.take_all
     for one in kind.listed("death", "model", own=True):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from multicell.importing.imported import Fate
 from multicell.importing.physicell import run
-from multicell.importing.physicell.model import MINUTE, Kind, Model, keys_of
+from multicell.importing.physicell.model import MINUTE, CellDefinition, Model, keys_of
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 from multicell.units import oxygen_solubility, to_base, unit_factor
 
@@ -44,7 +44,7 @@ def name_fields(model: Model) -> None:
         model.unit[name] = _unit(name, variable.attributes.get("units", ""))[0]
 
 
-def read_fields(model: Model) -> None:
+def read_microenvironment(model: Model) -> None:
     """Read ``microenvironment_setup``; to be called when the size of cells is known."""
     variables = model.root.all("microenvironment_setup/variable")
     # BioFVM sets no side at all unless one substance has its condition on all of them
@@ -68,7 +68,7 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
     # nothing rests here: uptake is that of living cells, whatever they do
     made |= {"uptake": 0.0, "quiescent_uptake": 1.0, "geometry": "box"}
     # that of the voxels, unless cells are too small for them
-    made["spacing"] = min(run.spacing(model), 4.0 * model.part("cells")["division_radius"])
+    made["spacing"] = min(run.voxel_side(model), 4.0 * model.part("cells")["division_radius"])
     thickness = model.root.find("domain/dz")
     if model.scene["dimensions"] == 2 and thickness is not None:
         made["height"] = thickness.number()
@@ -140,7 +140,7 @@ def _read_sides(model: Model, variable: Element, active: bool, made: dict[str, A
 
 @final
 @dataclass(frozen=True)
-class Exchange:
+class SubstanceExchange:
     """Exchange of a substance by a type: per minute, in the substance's own unit."""
 
     secretion: float
@@ -148,7 +148,7 @@ class Exchange:
     uptake: float
     export: float
 
-    def under(self, name: str, rule: Rule | None) -> Exchange:
+    def under(self, name: str, rule: Rule | None) -> SubstanceExchange:
         """Return the exchange of a substance at the saturation of a rule."""
         if rule is None:
             return self
@@ -156,7 +156,7 @@ class Exchange:
         return replace(self, **{what.removeprefix("secretion "): max(rule.end, 0.0)})
 
     def given_off(self, volume: float) -> float:
-        """Return what it gives off whatever there is, unit µm³ / min."""
+        """Return its secretion that does not depend on the concentration, unit µm³ / min."""
         return self.secretion * self.target * volume + max(self.export, 0.0)
 
     @property
@@ -184,29 +184,29 @@ def read_secretion(model: Model) -> None:
                     model.account.take(one.find("secretion_target"), Fate.OFF)
 
 
-def _exchange(kind: Kind, name: str) -> Exchange:
+def _exchange(kind: CellDefinition, name: str) -> SubstanceExchange:
     listed = kind.listed("secretion", "substrate")
     found = next((one for one in listed if one.attributes.get("name") == name), None)
     if found is None:
-        return Exchange(0.0, 0.0, 0.0, 0.0)
+        return SubstanceExchange(0.0, 0.0, 0.0, 0.0)
     tags = ("secretion_rate", "secretion_target", "uptake_rate")
     secretion, target, uptake = (found.number_at(tag, 0.0, at_least=0.0) for tag in tags)
-    return Exchange(secretion, target, uptake, found.number_at("net_export_rate", 0.0))
+    return SubstanceExchange(secretion, target, uptake, found.number_at("net_export_rate", 0.0))
 
 
-def _set_field(model: Model, name: str, known: dict[Kind, Exchange]) -> None:
+def _set_field(model: Model, name: str, known: dict[CellDefinition, SubstanceExchange]) -> None:
     key, unit = model.fields[name], model.unit[name]
     made = model.part("nutrients", key)
     top = max([model.top[name], *(x.target for x in known.values() if x.secretion > 0.0)])
     rules = _rules(model, name)
 
-    def takes(kind: Kind, rule: Rule | None) -> float:
+    def takes(kind: CellDefinition, rule: Rule | None) -> float:
         return known[kind].under(name, rule).taken_up
 
-    def gives(kind: Kind, rule: Rule | None) -> float:
+    def gives(kind: CellDefinition, rule: Rule | None) -> float:
         return known[kind].under(name, rule).given_off(kind.volume)
 
-    def largest(kind: Kind, of: Callable[[Kind, Rule | None], float]) -> float:
+    def largest(kind: CellDefinition, of: Callable[[CellDefinition, Rule | None], float]) -> float:
         return max(of(kind, rule) for rule in (None, *rules) if rule is None or rule.kind is kind)
 
     limits = {kind: largest(kind, takes) for kind in known}
@@ -233,8 +233,8 @@ def _set_field(model: Model, name: str, known: dict[Kind, Exchange]) -> None:
 
 
 def _respond(
-    model: Model, what: str, key: str, of: Callable[[Kind, Rule | None], float],
-    limits: dict[Kind, float], rules: list[Rule],
+    model: Model, what: str, key: str, of: Callable[[CellDefinition, Rule | None], float],
+    limits: dict[CellDefinition, float], rules: list[Rule],
 ) -> None:  # fmt: skip
     """Let types do a part of what any of them does at most with a field."""
     most = max(limits.values())

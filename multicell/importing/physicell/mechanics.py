@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from multicell.cells import stokes_drag
 from multicell.importing.imported import Fate
-from multicell.importing.physicell.model import MINUTE, VISCOSITY, Kind, Model
+from multicell.importing.physicell.model import MINUTE, VISCOSITY, CellDefinition, Model
 from multicell.importing.physicell.rules import rules_of, set_behaviour
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def read_mechanics(model: Model) -> None:
     _read_wall(model)
 
 
-def _repulsion(kind: Kind) -> float:
+def _repulsion(kind: CellDefinition) -> float:
     return kind.number_of(_REPULSION, 10.0, at_least=0.0)
 
 
@@ -67,7 +67,7 @@ def _read_repulsion(model: Model) -> None:
             model.account.take(kind.own(_REPULSION), Fate.APPROXIMATED, "types.*.young", note)
 
 
-def _read_stiffness(model: Model, known: dict[Kind, float]) -> None:
+def _read_stiffness(model: Model, known: dict[CellDefinition, float]) -> None:
     """Let rules change how strongly cells repel others."""
     firm = [kind for kind in model.kinds if known[kind] > 0.0]
 
@@ -77,7 +77,7 @@ def _read_stiffness(model: Model, known: dict[Kind, float]) -> None:
     set_behaviour(model, "Young's modulus", 1.0, own, rules, end, note)
 
 
-def _range(kind: Kind) -> float:
+def _range(kind: CellDefinition) -> float:
     return kind.number_of(_RANGE, 1.25)
 
 
@@ -95,7 +95,7 @@ def _read_range(model: Model) -> None:
             model.account.take(kind.own(_RANGE), Fate.APPROXIMATED, "contact.cutoff", note)
 
 
-def _equilibrium(kind: Kind) -> tuple[float, Element] | None:
+def _equilibrium(kind: CellDefinition) -> tuple[float, Element] | None:
     """Return the distance at rest over the radius, where the model sets it, and where."""
     for name, unit in (("absolute", kind.radius), ("relative", 1.0)):
         found = kind.given(f"mechanics/options/set_{name}_equilibrium_distance")
@@ -104,7 +104,7 @@ def _equilibrium(kind: Kind) -> tuple[float, Element] | None:
     return None
 
 
-def _adhesion(kind: Kind) -> float:
+def _adhesion(kind: CellDefinition) -> float:
     """Return the strength of adhesion of a type, µm/min."""
     found = _equilibrium(kind)
     if found is None:
@@ -113,7 +113,7 @@ def _adhesion(kind: Kind) -> float:
     return float(_repulsion(kind) * ((1.0 - share) / (1.0 - share / max(reach, 1.0))) ** 2)
 
 
-def _affinities(model: Model, kind: Kind) -> dict[str, float]:
+def _affinities(model: Model, kind: CellDefinition) -> dict[str, float]:
     made = dict.fromkeys((other.name for other in model.kinds), 1.0)
     for one in kind.listed(*_AFFINITIES):
         if one.attributes.get("name", "") in made:

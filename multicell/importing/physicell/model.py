@@ -32,14 +32,14 @@ _FROM_ZERO = ("motility/options", "secretion", "cell_interactions", "cell_transf
 
 @final
 @dataclass(eq=False)
-class Kind:
+class CellDefinition:
     """A ``cell_definition``."""
 
     name: str
     key: str  # its name in the scene
     number: int  # its ID, by which tables of cells name it
     element: Element
-    parent: Kind | None  # from which it takes what it does not say itself
+    parent: CellDefinition | None  # from which it takes what it does not say itself
     declared: bool  # whether it names that parent
     count: int = 0  # cells at the start
 
@@ -99,7 +99,7 @@ class Model:
 
     root: Element
     account: Account
-    kinds: list[Kind]
+    kinds: list[CellDefinition]
     scene: dict[str, Any] = field(default_factory=dict)
     fields: dict[str, str] = field(default_factory=dict)
     unit: dict[str, float] = field(default_factory=dict)
@@ -109,11 +109,11 @@ class Model:
     cells: Start | None = None
 
     @property
-    def leader(self) -> Kind:
+    def leader(self) -> CellDefinition:
         """The type of which there are most cells at the start; it decides what types share."""
         return max(self.kinds, key=lambda kind: kind.count)
 
-    def kind_named(self, name: str) -> Kind | None:
+    def kind_named(self, name: str) -> CellDefinition | None:
         """Return the type of a name, or None."""
         return next((kind for kind in self.kinds if kind.name == name), None)
 
@@ -124,7 +124,7 @@ class Model:
             node = node.setdefault(name, {})
         return node
 
-    def of_type(self, kind: Kind, name: str, value: Any) -> None:
+    def of_type(self, kind: CellDefinition, name: str, value: Any) -> None:
         """Set a key of a type; in a scene of one type there are no types to set it for."""
         if len(self.kinds) > 1:
             self.part("types", kind.key)[name] = value
@@ -144,7 +144,7 @@ def keys_of(names: Iterable[str], prefix: str) -> list[str]:
     return list(made)
 
 
-def read_kinds(root: Element, account: Account) -> list[Kind]:
+def read_kinds(root: Element, account: Account) -> list[CellDefinition]:
     """Return the types of cells.
 
     A type takes what it does not say from the one named as its ``parent_type``, else from that
@@ -160,7 +160,7 @@ def read_kinds(root: Element, account: Account) -> list[Kind]:
         if not element.attributes.get("name"):
             raise element.error("has no name")
     keys = keys_of((element.attributes["name"] for element in elements), "type")
-    made: list[Kind] = []
+    made: list[CellDefinition] = []
     for place, (element, key) in enumerate(zip(elements, keys, strict=True)):
         kind = _kind(element, key, place, made)
         note = [] if key == kind.name else [f"called {key} here"]
@@ -171,7 +171,7 @@ def read_kinds(root: Element, account: Account) -> list[Kind]:
     return made
 
 
-def _kind(element: Element, key: str, place: int, above: list[Kind]) -> Kind:
+def _kind(element: Element, key: str, place: int, above: list[CellDefinition]) -> CellDefinition:
     name = element.attributes["name"]
     number = element.whole("ID") if "ID" in element.attributes else place
     for other in above:
@@ -184,4 +184,4 @@ def _kind(element: Element, key: str, place: int, above: list[Kind]) -> Kind:
         raise element.error(f"has the parent_type '{declared}', which is no type above it")
     if parent is None:
         parent = next((k for k in above if k.name == "default" or k.number == 0), None)
-    return Kind(name, key, number, element, parent, bool(declared))
+    return CellDefinition(name, key, number, element, parent, bool(declared))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 from multicell.importing.imported import Fate
-from multicell.importing.physicell.model import MINUTE, Kind, Model
+from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import rules_of, set_behaviour
 
 if TYPE_CHECKING:
@@ -65,12 +65,12 @@ def read_motility(model: Model) -> None:
         _account_for(model, kind, moving.get(kind), moving[lead] if lead else None)
 
 
-def _moves(kind: Kind) -> bool:
+def _moves(kind: CellDefinition) -> bool:
     found = kind.given("motility/options/enabled")
     return found is not None and found.flag()
 
 
-def _migration(model: Model, kind: Kind) -> Migration:
+def _migration(model: Model, kind: CellDefinition) -> Migration:
     along = _directions(model, kind)
     bias = kind.number_of("motility/migration_bias", 0.0, at_least=0.0, at_most=1.0)
     speed = kind.number_of("motility/speed", 1.0)
@@ -81,14 +81,14 @@ def _migration(model: Model, kind: Kind) -> Migration:
     )  # fmt: skip
 
 
-def _on(kind: Kind, tag: str) -> Element | None:
+def _on(kind: CellDefinition, tag: str) -> Element | None:
     """Return the table of a way of chemotaxis that is enabled, or None."""
     found = kind.given(f"motility/options/{tag}")
     enabled = None if found is None else found.find("enabled")
     return found if enabled is not None and enabled.flag() else None
 
 
-def _directions(model: Model, kind: Kind) -> list[tuple[str, float]]:
+def _directions(model: Model, kind: CellDefinition) -> list[tuple[str, float]]:
     """Return the substances along which a type moves with their shares."""
     advanced = _on(kind, "advanced_chemotaxis")
     if advanced is not None:
@@ -109,7 +109,7 @@ def _directions(model: Model, kind: Kind) -> list[tuple[str, float]]:
     return [(name.word(), math.copysign(1.0, sign))] if sign else []
 
 
-def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
+def _set_scene(model: Model, lead: CellDefinition, moving: dict[CellDefinition, Migration]) -> None:
     how, fastest = moving[lead], max(moving, key=lambda kind: moving[kind].fastest * kind.drag)
     force = moving[fastest].fastest * fastest.drag / MINUTE
     bias = _largest_bias(model, how, moving)
@@ -137,7 +137,7 @@ def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
     model.scene["coupling_step"] = min(model.scene["coupling_step"], shortest)
 
 
-def _largest_bias(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> float:
+def _largest_bias(model: Model, lead: Migration, moving: dict[CellDefinition, Migration]) -> float:
     """Return the largest bias of types and rules along one substance, or that along several."""
     if not lead.field:
         return lead.bias if lead.along else 0.0
@@ -146,7 +146,7 @@ def _largest_bias(model: Model, lead: Migration, moving: dict[Kind, Migration]) 
     return min(max([*along.values(), *ends]), 1.0)
 
 
-def _set_biases(model: Model, lead: Migration, moving: dict[Kind, Migration]) -> None:
+def _set_biases(model: Model, lead: Migration, moving: dict[CellDefinition, Migration]) -> None:
     """Set biases along the gradient of one substance; against it they are negative."""
     signs = {
         kind: how.along[0][1] if how.field == lead.field else 0.0 for kind, how in moving.items()
@@ -164,7 +164,9 @@ def _step(model: Model) -> float:
     return model.root.number_at("overall/dt_mechanics", 0.1, above=0.0) * MINUTE
 
 
-def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migration | None) -> None:
+def _account_for(
+    model: Model, kind: CellDefinition, how: Migration | None, lead: Migration | None
+) -> None:
     """Account for what differs from the pattern of motion of all types, or is without effect."""
     table, account = kind.own("motility"), model.account
     if table is None:

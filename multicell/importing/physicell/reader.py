@@ -13,9 +13,9 @@ from multicell.importing.imported import Account, Fate, Imported
 from multicell.importing.physicell import run
 from multicell.importing.physicell.cycle import read_cycle
 from multicell.importing.physicell.death import read_death
-from multicell.importing.physicell.fields import name_fields, read_fields, read_secretion
+from multicell.importing.physicell.fields import name_fields, read_microenvironment, read_secretion
 from multicell.importing.physicell.mechanics import read_mechanics
-from multicell.importing.physicell.model import MINUTE, Kind, Model, read_kinds
+from multicell.importing.physicell.model import MINUTE, CellDefinition, Model, read_kinds
 from multicell.importing.physicell.motility import read_motility
 from multicell.importing.physicell.rules import (
     account_for_rules,
@@ -29,7 +29,6 @@ from multicell.scene.start_table import with_cells
 
 _CODE = "read by C++ code of the model only"
 _INSIDE = "there are no models inside cells"
-_HALVED = "each of two daughters has half the chance; in PhysiCell one of them has all of it"
 _SATURATES = "uptake saturates, a thousand times above the largest concentration that is named"
 _FALLS = "volumes of the dead fall exponentially, after necrosis from the volume of bursting"
 _MAPPED, _NEAR, _LEFT, _OFF = Fate.MAPPED, Fate.APPROXIMATED, Fate.LEFT_OUT, Fate.OFF
@@ -59,7 +58,7 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"microenvironment_setup/options/calculate", _MAPPED, "", "where chemotaxis asks for them"),
     (r"microenvironment_setup/options", _LEFT, "",
      "fields start even, are held on sides of the box only, and are not counted inside cells"),
-    (r"cycle/standard_asymmetric_division", _NEAR, "responses.mutation_to_*", _HALVED),
+    (r"cycle/standard_asymmetric_division", _MAPPED, "responses.asymmetric_division_to_*", ""),
     (r"cycle", _MAPPED, "growth.phases, responses.entry_into_*", ""),
     (r"death/model/(death_)?rate", _MAPPED, "death, responses.*_rate_of_*", ""),
     (r"death/model/.*calcification|volume/calcif", _LEFT, "", "no calcium"),
@@ -143,7 +142,7 @@ def _says_nothing(leaf: Element) -> bool:
         return False
 
 
-def _chances(kind: Kind, table: str, tag: str) -> dict[str, float]:
+def _chances(kind: CellDefinition, table: str, tag: str) -> dict[str, float]:
     """Return the numbers of a table of a type by the names of other types."""
     found = kind.given(table)
     if found is None or found.is_off():
@@ -152,10 +151,7 @@ def _chances(kind: Kind, table: str, tag: str) -> dict[str, float]:
 
 
 def _read_changes(model: Model) -> None:
-    """Read how cells become others, by rates and by division, and rules about it.
-
-    The chance of an asymmetric division is here that of each of two daughters.
-    """
+    """Read how cells become others, by rates and by division, and rules about it."""
     _read_way(
         model, "cell_transformations", "transformation_rates/transformation_rate",
         "transform to", "change to", MINUTE,
@@ -163,7 +159,7 @@ def _read_changes(model: Model) -> None:
     if "growth" in model.scene:
         _read_way(
             model, "cycle/standard_asymmetric_division", "asymmetric_division_probability",
-            "asymmetric division to", "mutation to", 2.0, _HALVED,
+            "asymmetric division to", "asymmetric division to", 1.0,
         )  # fmt: skip
 
 
@@ -241,7 +237,7 @@ def _read(root: Element, source: Path) -> Model:
     name_fields(model)
     read_rules(model, folder)
     read_cycle(model)
-    read_fields(model)
+    read_microenvironment(model)
     read_death(model)
     read_mechanics(model)
     read_motility(model)

@@ -18,7 +18,7 @@ from multicell.behaviours.catalogue import CONTACTS, behaviour_named
 from multicell.errors import SceneError
 from multicell.importing.files import found_file, read_rows, whole_number
 from multicell.importing.imported import Fate
-from multicell.importing.physicell.model import MINUTE, Kind, Model
+from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,7 +54,7 @@ class Rule:
 
     place: str
     text: str
-    kind: Kind
+    kind: CellDefinition
     signal: str
     behaviour: str
     end: float
@@ -146,7 +146,7 @@ def _level(model: Model, signal: str) -> tuple[str, float, str] | None:
     return _SIGNALS.get(signal)
 
 
-def rules_of(model: Model, behaviour: str, kinds: Iterable[Kind]) -> list[Rule]:
+def rules_of(model: Model, behaviour: str, kinds: Iterable[CellDefinition]) -> list[Rule]:
     """Return the rules of a behaviour of some types."""
     who = set(kinds)
     return [rule for rule in model.rules if rule.behaviour == behaviour and rule.kind in who]
@@ -156,7 +156,7 @@ def set_behaviour(
     model: Model,
     behaviour: str,
     usual: float,
-    own: Mapping[Kind, float],
+    own: Mapping[CellDefinition, float],
     rules: Iterable[Rule],
     end: Callable[[Rule], float],
     note: str = "",
@@ -193,7 +193,9 @@ def set_behaviour(
         rule.fate = Fate.APPROXIMATED if rule.note else Fate.MAPPED
 
 
-def _respond(model: Model, kind: Kind, behaviour: str, signal: str, said: dict[str, Any]) -> str:
+def _respond(
+    model: Model, kind: CellDefinition, behaviour: str, signal: str, said: dict[str, Any]
+) -> str:
     """Add a response of a type; return its key."""
     by = f"_by_{signal}" if signal else ""
     who = {"cells": kind.key} if len(model.kinds) > 1 else {}

@@ -49,7 +49,7 @@ def _required(above: Element, path: str) -> Element:
     return found
 
 
-def spacing(model: Model) -> float:
+def voxel_side(model: Model) -> float:
     """Return the side of the voxels, µm; of boxes that are no cubes the shortest."""
     axes = "xyz"[: model.scene["dimensions"]]
     sides = [_required(model.root, f"domain/d{axis}") for axis in axes]
@@ -61,7 +61,7 @@ def _read_domain(model: Model) -> None:
     plane = box.find("use_2D")
     flat = plane is not None and plane.flag()
     model.scene["dimensions"], axes = (2, "xy") if flat else (3, "xyz")
-    step = spacing(model)
+    step = voxel_side(model)
     for axis in axes:
         low, high = (_required(box, f"{axis}_{end}") for end in ("min", "max"))
         first, last = (end.number(at_least=-_FARTHEST, at_most=_FARTHEST) for end in (low, high))

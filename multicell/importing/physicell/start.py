@@ -12,7 +12,7 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.errors import SceneError
 from multicell.importing.files import found_file, read_rows
 from multicell.importing.imported import Fate
-from multicell.importing.physicell.model import Kind, Model
+from multicell.importing.physicell.model import CellDefinition, Model
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,9 +32,9 @@ class Start:
     """
 
     position: FloatArray
-    kinds: list[Kind]
+    kinds: list[CellDefinition]
     volume: FloatArray
-    begun: dict[Kind, float] = field(default_factory=dict)
+    begun: dict[CellDefinition, float] = field(default_factory=dict)
 
     def columns(self, *, phases: bool) -> dict[str, NDArray[np.generic]]:
         """Return the columns of the table of cells that a scene starts from, by their titles.
@@ -92,7 +92,7 @@ def _without_table(model: Model) -> Start:
     return _start(0.5 * (low + high)[None], [model.kinds[0]])
 
 
-def _start(position: FloatArray, kinds: list[Kind]) -> Start:
+def _start(position: FloatArray, kinds: list[CellDefinition]) -> Start:
     return Start(position, kinds, np.array([kind.volume for kind in kinds]))
 
 

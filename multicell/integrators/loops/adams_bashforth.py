@@ -28,7 +28,7 @@ from multicell.integrators.stepping import (
     STEP,
     TOO_LONG,
     Report,
-    combine,
+    combine_slopes,
     compiled,
     control_state,
     control_step,
@@ -62,7 +62,7 @@ def fixed_adams(source, pairs, position, length, radius, counts, steps, allowed)
             weights[new], weights[1 - new] = 1.5, -0.5
         if status != DONE:
             return Report(status, elapsed, step, -1, math.inf), pairs
-        combine(position, step, weights, slopes, 2, trial)
+        combine_slopes(position, step, weights, slopes, 2, trial)
         cell, moved = take_fixed_step(position, trial, radius, allowed, counts)
         if not moved <= allowed:
             return Report(MOVED, elapsed, step, cell, moved), pairs

@@ -46,6 +46,7 @@ _SAFETY = 1.1
 _COLD, _WARM = 10, 3
 """Products for an estimate from nothing, or after a refusal, and for a refreshed one."""
 _AGE = 10  # steps after which the estimate is refreshed
+_MU, _NU, _MU_SLOPE, _GAMMA_SLOPE, _TIME = range(5)  # columns of the coefficients
 _PROBE = 1e-5  # root mean square displacement of a difference quotient, in mean radii
 
 
@@ -79,15 +80,15 @@ def coefficients(stages):
         weight[j] = b[j] / d[j] ** 2
     weight[0] = weight[1] = weight[2]
     table = np.zeros((stages + 1, 5))
-    table[1, 2] = weight[1] * w1
+    table[1, _MU_SLOPE] = weight[1] * w1
     for j in range(2, stages + 1):
-        table[j, 0] = 2.0 * weight[j] * w0 / weight[j - 1]
-        table[j, 1] = -weight[j] / weight[j - 2]
-        table[j, 2] = 2.0 * weight[j] * w1 / weight[j - 1]
-        table[j, 3] = -(1.0 - weight[j - 1] * t[j - 1]) * table[j, 2]
-        table[j, 4] = w1 * b[j] / d[j]
+        table[j, _MU] = 2.0 * weight[j] * w0 / weight[j - 1]
+        table[j, _NU] = -weight[j] / weight[j - 2]
+        table[j, _MU_SLOPE] = 2.0 * weight[j] * w1 / weight[j - 1]
+        table[j, _GAMMA_SLOPE] = -(1.0 - weight[j - 1] * t[j - 1]) * table[j, _MU_SLOPE]
+        table[j, _TIME] = w1 * b[j] / d[j]
     # the time of the first stage is that at which it stands
-    table[1, 4] = table[1, 2]
+    table[1, _TIME] = table[1, _MU_SLOPE]
     return table
 
 
@@ -96,7 +97,8 @@ def _recur(row, step, base, near, far, slope, slope0, out):
     """Write the next stage of the recurrence; as a displacement, to keep rounding small."""
     x0, x1, x2 = base.reshape(-1), near.reshape(-1), far.reshape(-1)
     f, f0, y = slope.reshape(-1), slope0.reshape(-1), out.reshape(-1)
-    mu, nu, mt, gt = row[0], row[1], step * row[2], step * row[3]
+    mu, nu = row[_MU], row[_NU]
+    mt, gt = step * row[_MU_SLOPE], step * row[_GAMMA_SLOPE]
     for k in range(y.size):
         x = x0[k]
         y[k] = x + (mu * (x1[k] - x) + nu * (x2[k] - x) + mt * f[k] + gt * f0[k])
@@ -107,9 +109,9 @@ def _chebyshev(source, pairs, table, position, slope0, elapsed, step, work):
     """Take one step; the result is left in ``work[0]``."""
     far, near, new, slope = work[1], work[2], work[0], work[3]
     copy(position, far)
-    displace(position, step * table[1, 2], slope0, near)
+    displace(position, step * table[1, _MU_SLOPE], slope0, near)
     for j in range(2, table.shape[0]):
-        status, pairs = evaluate(source, pairs, elapsed + table[j - 1, 4] * step, near, slope)
+        status, pairs = evaluate(source, pairs, elapsed + table[j - 1, _TIME] * step, near, slope)
         if status != DONE:
             copy(near, new)
             return status, pairs

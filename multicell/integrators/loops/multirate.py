@@ -58,7 +58,7 @@ _AGE = 4
 """Accepted steps after which the grouping is chosen anew; after a refused one it is at once."""
 
 
-class Part(NamedTuple):
+class FastPart(NamedTuple):
     """The fast cells, and the slow ones that they may touch, as the kernels take them.
 
     ``member`` are the cells' indices, the ``fast`` fast ones first; ``share`` is the part of all
@@ -186,7 +186,7 @@ def _compiled_part(source, pairs, is_fast):
             _rows_if_any(source.cells.bonds, member),
             _rows_if_any(source.cells.push, member),
         )
-        return Part(
+        return FastPart(
             member, fast, share, cells, listed, _rows_of(source.rows, member), room,
             np.empty_like(room),
         )  # fmt: skip

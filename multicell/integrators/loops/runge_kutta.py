@@ -14,7 +14,7 @@ from multicell.integrators.stepping import (
     STEP,
     Report,
     accept_step,
-    combine,
+    combine_slopes,
     compiled,
     control_state,
     copy,
@@ -33,7 +33,7 @@ from multicell.integrators.stepping import (
 def _stages(source, pairs, tableau, slopes, position, elapsed, step, trial):
     """Evaluate all stages but the first; ``trial`` is left at the last one."""
     for i in range(1, tableau.c.size):
-        combine(position, step, tableau.a[i], slopes, i, trial)
+        combine_slopes(position, step, tableau.a[i], slopes, i, trial)
         status, pairs = evaluate(source, pairs, elapsed + tableau.c[i] * step, trial, slopes[i])
         if status != DONE:
             return status, pairs
@@ -53,7 +53,7 @@ def fixed_runge_kutta(source, pairs, position, length, radius, counts, steps, al
             status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
         if status != DONE:
             return Report(status, elapsed, step, -1, math.inf), pairs
-        combine(position, step, tableau.b, slopes, tableau.c.size, trial)
+        combine_slopes(position, step, tableau.b, slopes, tableau.c.size, trial)
         cell, moved = take_fixed_step(position, trial, radius, allowed, counts)
         if not moved <= allowed:
             return Report(MOVED, elapsed, step, cell, moved), pairs

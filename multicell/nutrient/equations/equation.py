@@ -21,7 +21,7 @@ from pde.pdes.base import PDEBase
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.balance import COLUMNS
+from multicell.nutrient.balance import BALANCE_COLUMNS
 from multicell.nutrient.equations.grid import grid_on, layout_on
 from multicell.nutrient.equations.placed import PlacedSubstance
 from multicell.nutrient.equations.solvers import (
@@ -238,7 +238,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         data
             At the end.
         (m, columns)
-            What happened to each substance: :data:`multicell.nutrient.balance.COLUMNS`.
+            What happened to each substance: :data:`multicell.nutrient.balance.BALANCE_COLUMNS`.
 
         Raises
         ------
@@ -296,10 +296,10 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     def exchanges(
         self, data: FloatArray, t: float, reports: Mapping[str, SolveReport] | None = None
     ) -> FloatArray:
-        """Return what happens to each substance at a time in s, (m, columns) amol/s.
+        """Return the exchange of each substance at a time in s, (m, columns) amol/s.
 
-        The columns are those of :data:`multicell.nutrient.balance.COLUMNS`. ``reports`` are what
-        solvers know of this state; absent: it is found here.
+        The columns are those of :data:`multicell.nutrient.balance.BALANCE_COLUMNS`. ``reports`` are
+        what solvers know of this state; absent: it is found here.
         """
         nodes, rows = self.nodes(data), []
         made: dict[str, FloatArray] = {}
@@ -312,7 +312,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         return np.array(rows)
 
     def balance(self, state: State, t: float = 0.0) -> dict[str, dict[str, float]]:
-        """Return what happens to each substance in all, amol/s.
+        """Return the total exchange of each substance, amol/s.
 
         The entries of :class:`multicell.nutrient.balance.Ledger`, and ``stored``, which is what the
         content gains by all of them.
@@ -321,7 +321,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         rows = self.exchanges(np.array(state.data, dtype=float), t)
         rates = np.reshape(self.evolution_rate(state, t).data, (len(rows), *self.layout.shape))
         return {
-            name: dict(zip(COLUMNS[:-1], map(float, row), strict=False))
+            name: dict(zip(BALANCE_COLUMNS[:-1], map(float, row), strict=False))
             | {"stored": float(np.sum(self.layout.volumes * rate))}
             for name, row, rate in zip(self.substances, rows, rates, strict=True)
         }

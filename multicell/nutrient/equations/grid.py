@@ -1,4 +1,4 @@
-"""Which grids of py-pde's fields of cells live on, and where their nodes lie for the cells."""
+"""Grids of py-pde for the fields of cells, and the place of their nodes among the cells."""
 
 from __future__ import annotations
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.balance import COLUMNS
+from multicell.nutrient.balance import BALANCE_COLUMNS
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.equations.grid import conditions_on
 from multicell.nutrient.equations.substance import Conditions, Schedule, Substance
 from multicell.nutrient.grid import BoxLayout, Layout
-from multicell.nutrient.operators import AnyOperator, imbalance
+from multicell.nutrient.operators import AnyOperator, source_imbalance
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.uptake import uptake_and_slope
@@ -119,7 +119,7 @@ class PlacedSubstance:
         return self.operator
 
     def supply(self, level: float) -> FloatArray:
-        """Return what nodes gain but over the sides, mM/s."""
+        """Return the gain of nodes but over the sides, mM/s."""
         gain = self.substance.perfusion * level
         return self.secreted if gain == 0.0 else gain + self.secreted
 
@@ -130,7 +130,7 @@ class PlacedSubstance:
         if self._gained is None or self._gained[0] != level:
             self._gained = level, np.ascontiguousarray(op.brought() + self.supply(level))
         half = self.substance.half_saturation
-        return imbalance(op, c, self.sink, self._gained[1], half, self.linear)
+        return source_imbalance(op, c, self.sink, self._gained[1], half, self.linear)
 
     def solve(
         self, start: FloatArray, level: float, *, dt: float = np.inf,
@@ -147,7 +147,7 @@ class PlacedSubstance:
         return self.at(level).solve(self.sink, half, start, linear=linear, supply=supply)
 
     def flows(self, c: FloatArray, level: float, made: FloatArray | None = None) -> SolveReport:
-        """Return what a state (mM) exchanges with sides, cells and reactions (``made``, mM/s)."""
+        """Return the exchange of a state (mM) with sides, cells, reactions (``made``, mM/s)."""
         volumes, operator = self.layout.volumes, self.at(level)
         if isinstance(operator, Diffusion):
             inward, outward = operator.flows(c)
@@ -165,7 +165,7 @@ class PlacedSubstance:
         )
 
     def account(self, c: FloatArray, level: float, flows: SolveReport) -> list[float]:
-        """Return all that happens to a state (mM), amol/s: the columns :data:`COLUMNS`."""
+        """Return all that happens to a state (mM), amol/s: the columns :data:`BALANCE_COLUMNS`."""
         decayed = washed = came = 0.0
         if self.linear > 0.0:
             content, perfusion = float(np.sum(self.layout.volumes * c)), self.substance.perfusion
@@ -176,7 +176,7 @@ class PlacedSubstance:
             "secreted": self._production, "made": flows.made, "used": flows.used, "level": level,
             "decayed": decayed, "washed": washed,
         }  # fmt: skip
-        return [found[name] for name in COLUMNS]
+        return [found[name] for name in BALANCE_COLUMNS]
 
     def inverse(self, r: FloatArray, shift: FloatArray) -> FloatArray:
         """Return about (shift - D L)⁻¹ r with ``shift`` (1/s) at the nodes, exactly on shells."""

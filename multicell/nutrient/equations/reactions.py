@@ -12,18 +12,18 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.placed import PlacedSubstance
-from multicell.nutrient.reactions.coupled import Coupled, settle
+from multicell.nutrient.reactions.coupled import Coupled, settle_fields
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
 from multicell.nutrient.reactions.kinetics import Kinetics, kinetics_of
 from multicell.nutrient.steady import SolveReport, StepRefused
-from multicell.scene.nutrient import MOST
+from multicell.scene.nutrient import MAX_CONCENTRATION
 
 Nodes = Mapping[str, FloatArray]
 
 
 @final
 class Reactions:
-    """What makes and uses the substances of an equation besides cells.
+    """Reactions that make and use the substances of an equation besides cells.
 
     - ``substances``: the substances on the grid
     - ``reactions``: see :class:`multicell.FieldEquation`
@@ -57,7 +57,7 @@ class Reactions:
             self.tissue = filled.ravel()
 
     def made(self, nodes: Nodes) -> FloatArray:
-        """Return what reactions make of all substances, (m, ...) mM/s."""
+        """Return the production of all substances by reactions, (m, ...) mM/s."""
         found, _ = self.kinetics.evaluate(self._flat(nodes), self.tissue)
         return found.reshape(len(self.substances), *self.substances[0].shape)
 
@@ -91,10 +91,10 @@ class Reactions:
         coupled = Coupled(self.substances, self.kinetics, self.tissue, t)
         first = self._flat(start)
         if before is None:
-            c = settle(coupled, np.maximum(first, 0.0))
+            c = settle_fields(coupled, np.maximum(first, 0.0))
         else:
             c = coupled.step(self._flat(before), first, dt)
-            if float(c.max()) > MOST:
+            if float(c.max()) > MAX_CONCENTRATION:
                 names = ", ".join(each.name for each in self.substances)
                 problem = f"one of {names} became denser than water"
                 raise NutrientFailed(problem, "Look at what is secreted and made of it")

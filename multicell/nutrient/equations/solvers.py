@@ -17,7 +17,7 @@ from pde.solvers.base import SolverBase
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.host.interrupts import UNCUT
-from multicell.nutrient.balance import COLUMNS
+from multicell.nutrient.balance import BALANCE_COLUMNS
 from multicell.nutrient.steady import StepRefused
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     """Steady states by Newton's method, as runs have them (:mod:`multicell.nutrient.steady`).
 
     ``info["reports"]`` says what the solves took, and ``info["rates"]`` what happens to each
-    substance, with the columns of :data:`multicell.nutrient.balance.COLUMNS`.
+    substance, with the columns of :data:`multicell.nutrient.balance.BALANCE_COLUMNS`.
 
     ``equation.solve(state, t_range, solver="multicell-steady")`` returns the state that rests with
     what holds at the end of ``t_range``; trackers see it at all times after the start.
@@ -99,7 +99,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     where it is nowhere negative, else the halves are.
 
     ``info["amounts"]`` holds what happened to each substance, with the columns of
-    :data:`multicell.nutrient.balance.COLUMNS`.
+    :data:`multicell.nutrient.balance.BALANCE_COLUMNS`.
 
     - ``pde``: a field equation
     - ``backend``: not used: the steps are compiled kernels
@@ -136,7 +136,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         pde = suitable(self.pde, state, "implicit_step")
         self.info.update(
             dt=dt, stochastic=False, steps=0, rejections=0,
-            amounts=np.zeros((len(pde.names), len(COLUMNS))),
+            amounts=np.zeros((len(pde.names), len(BALANCE_COLUMNS))),
         )  # fmt: skip
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:

@@ -1,4 +1,4 @@
-"""What a substance is made of for the solvers, and the concentration of its medium over time."""
+"""Substances as the solvers see them, and the concentration of their medium over time."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Schedule:
 @final
 @dataclass(frozen=True, eq=False)
 class Substance:
-    """What diffuses, decays, and is taken up and secreted by cells.
+    """A substance that diffuses, decays, and is taken up and secreted by cells.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a reaction promises, tried at points over its range of concentrations."""
+"""Checks of a reaction's promises at points over its range of concentrations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _AGREE = 2e-2  # what the integral of a derivative may lack of the change of a r
 
 
 def problems(made: OwnReaction) -> list[str]:
-    """Return what is wrong with a reaction and what to do about it; nothing if all is well."""
+    """Return the faults of a reaction and their remedies; nothing if all is well."""
     return _at_points(made) or _derivative_of_another(made)
 
 

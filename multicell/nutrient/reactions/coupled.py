@@ -24,15 +24,15 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.operators import imbalance, lifted, linearised
-from multicell.nutrient.reactions.inverse import apply_blocks, gmres, inverse_of_blocks
+from multicell.nutrient.operators import lifted, linearised, source_imbalance
+from multicell.nutrient.reactions.inverse import apply_node_blocks, gmres, inverse_of_blocks
 from multicell.nutrient.steady import StepRefused
 
 if TYPE_CHECKING:
     from multicell.nutrient.equations.placed import PlacedSubstance
     from multicell.nutrient.reactions.kinetics import Kinetics
 
-TOLERANCE = 1e-12
+COUPLED_TOLERANCE = 1e-12
 """Bound on the sum of all nodes' imbalances of a field, relative to what happens to it."""
 
 _MAX_NEWTON = 30
@@ -77,7 +77,7 @@ class Coupled:
         self.newton = self.linear_steps = 0
 
     def sources(self) -> FloatArray:
-        """Return what nodes gain by supply and over the sides, (m, nodes) mM/s."""
+        """Return the gain of nodes by supply and over the sides, (m, nodes) mM/s."""
         faces = np.array([op.brought().ravel() for op in self.operators])
         return np.asarray(faces + self.supplies)
 
@@ -96,7 +96,7 @@ class Coupled:
         out, sinks = np.empty_like(c), np.empty_like(c)
         for i, op in enumerate(self.operators):
             nodes, sink, source = (x[i].reshape(self.shape) for x in (c, self.sinks, sources))
-            rate, each = imbalance(op, nodes, sink, source, self.half[i], self.linear[i])
+            rate, each = source_imbalance(op, nodes, sink, source, self.half[i], self.linear[i])
             out[i], sinks[i] = rate.ravel() + made[i], each.ravel()
         return out, sinks, made, slope
 
@@ -151,7 +151,7 @@ class _Newton:
         gross = np.einsum("ijx,jx->ix", np.abs(self.derivative), np.abs(c))
         rounding = self.quick[:, None] * np.abs(c) + gross + np.abs(self.sources)
         floor = 16.0 * float(np.finfo(float).eps) * np.sum(rounding * v, axis=1)
-        self.exact = TOLERANCE * np.sum(happening * v, axis=1)
+        self.exact = COUPLED_TOLERANCE * np.sum(happening * v, axis=1)
         self.targets = np.maximum(self.exact, floor)
         self.sums = np.abs(np.sum(self.residual * v, axis=1))
 
@@ -175,7 +175,7 @@ class _Newton:
     def _correction(self, c: FloatArray) -> FloatArray:
         """Solve Newton's linear system."""
         coupled, m, n = self.coupled, self.coupled.m, self.coupled.nodes
-        self.scale = np.where(self.targets > 0.0, self.targets, 1.0) / TOLERANCE
+        self.scale = np.where(self.targets > 0.0, self.targets, 1.0) / COUPLED_TOLERANCE
         # each field in a unit of its own, so that none is lost beside the others
         size = np.maximum(np.abs(c).max(axis=1), np.abs(self.residual).max(axis=1) / self.quick)
         size = np.where(size > 0.0, size, float(size.max()) or 1.0)[:, None]
@@ -187,7 +187,7 @@ class _Newton:
 
         def product(x: FloatArray) -> FloatArray:
             v = x.reshape(m, n) * size
-            out = apply_blocks(blocks, v)
+            out = apply_node_blocks(blocks, v)
             for i, op in enumerate(coupled.operators):
                 out[i] += linearised(op, v[i].reshape(coupled.shape), none).ravel()
             return (out / size).ravel()
@@ -221,7 +221,7 @@ class _Newton:
         return out
 
 
-def settle(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArray:
+def settle_fields(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArray:
     """Return the state in which fields rest, reached from ``c`` (m, nodes) in mM.
 
     Steps of implicit Euler that lengthen from one to the next, the last one without end: from where

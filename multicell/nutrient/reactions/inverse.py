@@ -23,7 +23,7 @@ from multicell.compiling import KERNEL, typed
 from multicell.nutrient.diffusion import Diffusion, _transform
 from multicell.nutrient.operators import AnyOperator
 from multicell.nutrient.spherical import Shells
-from multicell.nutrient.stencil import dot
+from multicell.nutrient.stencil import flat_dot
 
 _jit = typed(**KERNEL)
 
@@ -59,7 +59,7 @@ def _in_box(operators: list[Diffusion], blocks: FloatArray) -> Solve:
     ax, ay, az = (np.asarray(a) / first.stiffness for a in first.eigenvalues)
 
     def solve(r: FloatArray) -> FloatArray:
-        y = apply_blocks(weights, np.ascontiguousarray(r)).reshape(m, *shape)
+        y = apply_node_blocks(weights, np.ascontiguousarray(r)).reshape(m, *shape)
         if not alike:
             for i, op in enumerate(operators):
                 y[i] = op.invert(y[i].copy(), float(mean[i, i]))[0]
@@ -155,7 +155,7 @@ def node_weights(blocks: FloatArray, mean: FloatArray, k: FloatArray, out: Float
 
 
 @_jit
-def apply_blocks(blocks: FloatArray, v: FloatArray) -> FloatArray:
+def apply_node_blocks(blocks: FloatArray, v: FloatArray) -> FloatArray:
     """Return Σ_j blocks[i, j] v[j] at all nodes, (m, nodes)."""
     m, nodes = v.shape
     out = np.zeros((m, nodes))
@@ -207,9 +207,9 @@ def gmres(product: Solve, near: Solve, right: FloatArray, goal: float) -> tuple[
     """
     x, taken = np.zeros_like(right), 0
     r = right.copy()
-    first = float(np.sqrt(dot(r, r)))
+    first = float(np.sqrt(flat_dot(r, r)))
     for _ in range(_CYCLES):
-        size = float(np.sqrt(dot(r, r)))
+        size = float(np.sqrt(flat_dot(r, r)))
         if not size > goal * first:
             break
         basis = np.empty((_DIMENSION + 1, right.size))
@@ -219,9 +219,9 @@ def gmres(product: Solve, near: Solve, right: FloatArray, goal: float) -> tuple[
             w = np.ascontiguousarray(product(near(basis[k])))
             taken += 1
             for j in range(k + 1):
-                h[j, k] = dot(basis[j], w)
+                h[j, k] = flat_dot(basis[j], w)
                 w -= h[j, k] * basis[j]
-            h[k + 1, k] = norm = np.sqrt(dot(w, w))
+            h[k + 1, k] = norm = np.sqrt(flat_dot(w, w))
             basis[k + 1] = (1.0 / norm if norm > 0.0 else 0.0) * w
             known, start = h[: k + 2, : k + 1], np.zeros(k + 2)
             start[0] = size

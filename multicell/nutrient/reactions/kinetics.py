@@ -16,7 +16,7 @@ from multicell.cells import FloatArray
 from multicell.compiling import KERNEL, typed
 from multicell.errors import SceneError
 from multicell.scene.reactions import Reaction
-from multicell.schema import build, near_miss
+from multicell.schema import build_part, near_miss
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
         path = f"reactions.{name}"
         reaction: Any = given
         if isinstance(given, Mapping):
-            reaction = build(Reaction, given, path)
+            reaction = build_part(Reaction, given, path)
         if not isinstance(reaction, Reaction) and not hasattr(reaction, "evaluate"):
             problem = f"is {shown(given)}, must be a reaction"
             raise SceneError(path, problem, "A function becomes one by multicell.reaction.")
@@ -86,7 +86,7 @@ class Kinetics:
     def evaluate(
         self, c: FloatArray, tissue: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what reactions make of each field and the derivative of that.
+        """Return the production of each field by reactions and its derivative.
 
         - ``c``, (m, nodes), mM
         - ``tissue``, (nodes,): part of each place that is tissue, 0 to 1; needed where

@@ -1,4 +1,4 @@
-"""How kernels reach the functions of reactions of the user's own.
+"""Calls of kernels to the functions of reactions of the user's own.
 
 By the type of a NamedTuple whose name holds a fingerprint of the function and of all that it
 reads: where :func:`all_nodes` calls :func:`_at_node`, numba compiles what belongs to the type.

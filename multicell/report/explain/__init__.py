@@ -1,1 +1,1 @@
-"""What a scene uses and why, before anything is run."""
+"""Explanations of a scene before anything is run."""

@@ -1,4 +1,4 @@
-"""What a run on this machine has to compile before it can go on, and how long that takes."""
+"""Forecast of compilation: the parts that this machine lacks for a run, and their time."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class _Landmark(NamedTuple):
 
 
 _LANDMARKS: Final = {
-    "random numbers": _Landmark("philox", "blocks", 0.7),
+    "random numbers": _Landmark("philox", "philox_blocks", 0.7),
     "fields": _Landmark("nutrient.stencil", "apply_operator", 17.0),
     "motion": _Landmark("mechanics.forces", "forces", 9.0),
     "forces": _Landmark("mechanics.forces", "forces", 4.5),
-    "neighbour lists": _Landmark("mechanics.neighbours", "repair", 6.5),
+    "neighbour lists": _Landmark("mechanics.neighbours.repairing", "repair", 6.5),
 }
 """Kernels by the names of parts that :mod:`multicell.compiling.listeners` counts."""
 

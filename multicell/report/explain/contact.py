@@ -1,4 +1,4 @@
-"""What a scene's cells do to each other, for :mod:`multicell.report.explain.scene`."""
+"""Explanation of the contacts of a scene's cells."""
 
 from __future__ import annotations
 
@@ -6,21 +6,20 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
-from multicell.report.explain.items import Number, Part, hours, pair_label, part
+from multicell.report.explain.items import ExplainedPart, Number, hours, pair_label, part
 from multicell.scene.packing import collapse_notes, strongest_attraction
-from multicell.scene.pairs import daughters_stiffness, drag, pairs
+from multicell.scene.pairs import daughters_stiffness, drag, type_pairs
 from multicell.scene.parts import Motility
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
 
 
-def contact_parts(scene: Scene) -> list[Part]:
+def contact_parts(scene: Scene) -> list[ExplainedPart]:
     """Return contact law and what else acts between and on cells, used or absent."""
     active, load = scene.motility, scene.pull
     given = any(kind.surface_energy is not None for kind in scene.types.values())
-    energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
+    energy = f"{scene.contact.surface_energy:g} nN/um"
     total = sum(kind.fraction for kind in scene.types.values())
     shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
     motions = [
@@ -65,7 +64,7 @@ def _motility_words(law: Motility) -> str:
 
 
 def contact_numbers(scene: Scene) -> list[Number]:
-    """Return what two cells of typical size do, for every two types."""
+    """Return the numbers of a contact of two typical cells, for every two types."""
     radius = typical_radius(scene)
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
     fixed = birth_radius(scene) == radius
@@ -75,7 +74,7 @@ def contact_numbers(scene: Scene) -> list[Number]:
         Number("typical radius", radius, "um", meaning),
         Number("drag", drag(scene, radius), "nN s/um", "6 pi eta r of a typical cell"),
     ]
-    for label, pair in pairs(scene, radius):
+    for label, pair in type_pairs(scene, radius):
         numbers += _pair_numbers(scene, label, pair)
     meaning = "for two fresh daughters alone; several times less in tissue"
     numbers.append(Number("explicit step limit", limit, "s", meaning))
@@ -85,9 +84,9 @@ def contact_numbers(scene: Scene) -> list[Number]:
 def contact_notes(scene: Scene) -> Iterator[str]:
     """Yield remarks on contact and motion that are allowed but may not be meant."""
     yield from collapse_notes(scene)
-    own = list(pairs(scene, typical_radius(scene)))
-    if isinstance(scene.contact, JKR) and all(pair.deepest()[0] == 0.0 for _, pair in own):
-        yield "A surface energy of zero makes JKR the same as Hertz."
+    own = list(type_pairs(scene, typical_radius(scene)))
+    if scene.contact.without_adhesion and all(pair.deepest()[0] == 0.0 for _, pair in own):
+        yield scene.contact.without_adhesion
     active = scene.motility
     if active is not None:
         weakest = min(pair.deepest()[0] for _, pair in own)
@@ -171,5 +170,5 @@ def _pull(scene: Scene) -> list[Number]:
     meaning = "that separates two cells as they are at the start"
     return [
         Number(pair_label("critical load", label), pair.deepest()[0], "nN", meaning)
-        for label, pair in pairs(scene, radius)
+        for label, pair in type_pairs(scene, radius)
     ]

@@ -1,4 +1,4 @@
-"""What a run is expected to take: time, memory, and room on the disk.
+"""The expected cost of a run: time, memory, and room on the disk.
 
 The population is that of :mod:`multicell.report.explain.course`; what a cell, a node and a step
 cost was measured on one core of a 2.5 GHz Xeon, with everything compiled. ``python
@@ -17,7 +17,7 @@ from multicell.cells import FloatArray
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.runge_kutta import Euler, Heun, RungeKutta4
 from multicell.nutrient.parameters import FieldParameters
-from multicell.report.explain.course import Course, course
+from multicell.report.explain.course import Course, expected_course
 from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
 from multicell.scene.pairs import daughters_stiffness, drag
@@ -54,7 +54,7 @@ _NOTED_SHARE: Final = 0.01  # part of the tissue whose death at the start is wor
 @final
 @dataclass(frozen=True)
 class Prediction:
-    """What a run is expected to be."""
+    """Predicted cost of a run."""
 
     course: Course  # of the population
     seconds: float  # wall time on one core, without compilation
@@ -63,8 +63,8 @@ class Prediction:
 
 
 def predict(scene: Scene) -> Prediction:
-    """Return what a run of a scene with an output folder is expected to take."""
-    found = course(scene)
+    """Predict the cost of a run of a scene with an output folder."""
+    found = expected_course(scene)
     end = float(found.times[-1])
     steps = max(1.0, end / scene.coupling_step)
     frames = min(math.ceil(end / scene.output.every), steps) + 1.0
@@ -87,7 +87,7 @@ def _mean(found: Course, values: FloatArray) -> float:
 
 
 def cost_of_step(scene: Scene) -> tuple[float, float]:
-    """Return what a coupling step costs without its fields: for itself, and for each cell, s."""
+    """Return the cost of a coupling step without its fields: for itself, and for each cell, s."""
     count = evaluations(scene)
     rubbing = _FRICTION if scene.friction is not None else 1.0
     return _STEP + count * _EVALUATION, count * _CELL_EVALUATION * rubbing
@@ -140,7 +140,7 @@ def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
 
 
 def cost_numbers(scene: Scene, expected: Prediction) -> list[Number]:
-    """Return what is reported of it."""
+    """Return the numbers that are reported of it."""
     end, cells = float(expected.course.times[-1]), expected.course.cells
     ends = "at the end" if end >= scene.duration else f"after {hours(end)}, where the run stops"
     most = "" if cells[-1] >= cells.max() else f"; {cells.max():.3g} at most"

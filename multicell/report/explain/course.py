@@ -1,4 +1,4 @@
-"""How a population will grow, from a ball of tissue with one radius: a forecast of its size.
+"""Forecast of a population's size, from a ball of tissue with one radius.
 
 Cells fill a ball (in a plane a disc). Every field that holds back growth or kills is
 solved along the radius, steady, with the uptake of living cells; living cells grow where they are
@@ -27,7 +27,7 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import circles, solving_order
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
-from multicell.scene.scales import height
+from multicell.scene.scales import layer_height
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
 
@@ -55,7 +55,7 @@ class Course:
     starved: float = 0.0  # part of the tissue of the start that finds too little and dies at once
 
 
-def course(scene: Scene) -> Course:
+def expected_course(scene: Scene) -> Course:
     """Return how the population of a scene is expected to grow, up to the end of its run."""
     times = _times(scene)
     state = _Tissue(scene)
@@ -106,7 +106,7 @@ class _Tissue:
         around = circles(scene.nutrients, scene.reactions, scene.responses).values()
         self._circular = any(len(group) > 1 for group in around)
         self._fields = {
-            name: Profile(scene.nutrients[name], self._dimensions, height(scene, name))
+            name: Profile(scene.nutrients[name], self._dimensions, layer_height(scene, name))
             for name in (
                 solving_order(scene.nutrients, scene.reactions, scene.responses) if needed else ()
             )

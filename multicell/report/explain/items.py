@@ -1,4 +1,4 @@
-"""What ``multicell explain`` tells: the parts of a scene, and numbers that follow from it."""
+"""Items of ``multicell explain``: the parts of a scene, and numbers that follow from it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from multicell.units import time_text
 
 @final
 @dataclass(frozen=True)
-class Part:
+class ExplainedPart:
     """A part of a scene: whether it is used, and what that means."""
 
     part: str
@@ -30,9 +30,9 @@ class Number:
     meaning: str
 
 
-def part(name: str, what: object) -> Part:
+def part(name: str, what: object) -> ExplainedPart:
     """Return a part that is used if there is anything to say of it, and absent if not."""
-    return Part(name, bool(what), str(what or "absent"))
+    return ExplainedPart(name, bool(what), str(what or "absent"))
 
 
 def pair_label(text: str, label: str) -> str:

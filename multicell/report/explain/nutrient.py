@@ -1,4 +1,4 @@
-"""What the nutrient fields of a scene amount to: scales, regime, geometry, and why."""
+"""Explanation of the nutrient fields of a scene: scales, regime, geometry, and why."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import math
 from collections.abc import Mapping
 
 from multicell.cells import SPHERE
-from multicell.report.explain.items import Number, Part, hours, part
+from multicell.report.explain.items import ExplainedPart, Number, hours, part
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.reactions import Reaction, group_of
-from multicell.scene.responses import read_fields
+from multicell.scene.responses import relevant_fields
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
 
 
-def nutrient_parts(scene: Scene) -> list[Part]:
-    """Return what each field is solved as, and why, in the order in which they are solved."""
+def nutrient_parts(scene: Scene) -> list[ExplainedPart]:
+    """Return the regime of each field, and why, in the order in which they are solved."""
     if not scene.nutrients:
         return [part("nutrients", "")]
     order = checks.solving_order(scene.nutrients, scene.reactions)
@@ -55,7 +55,7 @@ def _what(scene: Scene, name: str) -> str:
     """Return one sentence on regime, geometry, medium and dependences of a field."""
     nutrient = scene.nutrients[name]
     regime = f"{scales.regime(scene, name)} ({_regime_reason(scene, name)})"
-    parts = [regime, _geometry(scene, nutrient, scales.spacing(scene, name))]
+    parts = [regime, _geometry(scene, nutrient, scales.largest_spacing(scene, name))]
     parts.append(_medium(nutrient))
     together = [other for other in group_of(name, scene.reactions) if other != name]
     if together:
@@ -148,7 +148,7 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
         Number(
             f"{name}: largest uptake", found.demand, "mM/s",
             "of tissue without gaps" if scene.dimensions == 3 else
-            f"of a layer without gaps, {scales.height(scene, name):g} um high",
+            f"of a layer without gaps, {scales.layer_height(scene, name):g} um high",
         ),
         Number(f"{name}: diffusion length", found.depth, "um", "the depth to which tissue is fed"),
         Number(f"{name}: starving radius", critical, "um", "of a ball starved at its centre"),
@@ -165,7 +165,7 @@ def nutrient_notes(scene: Scene) -> list[str]:
     for name, nutrient in scene.nutrients.items():
         if nutrient.quiescence is not None and nutrient.highest < nutrient.quiescence:
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
-        if name not in read_fields(scene):
+        if name not in relevant_fields(scene):
             hint = "give thresholds such as quiescence, or a response to it"
             notes.append(f"{name} has no effect on the cells: {hint}.")
         if nutrient.regime == "steady" and scales.scales(scene, name).time > scene.coupling_step:

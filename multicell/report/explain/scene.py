@@ -1,4 +1,4 @@
-"""What a scene uses and why, with the numbers that follow from it before anything is run."""
+"""Explanation of a scene: its parts, and the numbers that follow from it before a run."""
 
 from __future__ import annotations
 
@@ -9,28 +9,27 @@ from pathlib import Path
 from typing import Any
 
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
-from multicell.behaviours.laws import Constant, Hill, Linear, Monod, Table, Threshold
 from multicell.biology.draws import malthusian_rate
-from multicell.coupling.start_check import check_population
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
 from multicell.report.explain.cost import Prediction, cost_notes, cost_numbers, predict
-from multicell.report.explain.items import Number, Part, hours, part
+from multicell.report.explain.items import ExplainedPart, Number, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
-from multicell.report.explain.stiffness import stiffness_notes, stiffness_numbers
+from multicell.report.explain.stiffness import place_of, stiffness_numbers
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
-from multicell.scene.parts import PHASES
+from multicell.scene.parts import CYCLE_PHASES
 from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
 from multicell.scene.steps import step_plan
+from multicell.simulation.start_check import check_population
 
 
 def explain(scene: Scene) -> dict[str, Any]:
-    """Return what a scene uses and the numbers that follow from it.
+    """Return the parts of a scene that are used and the numbers that follow from it.
 
     Returns dict: ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
     ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that do not
@@ -43,22 +42,13 @@ def explain(scene: Scene) -> dict[str, Any]:
     numbers += [*cost_numbers(scene, expected), *nutrient_numbers(scene)]
     return {
         "title": scene.title,
-        "parts": [asdict(part) for part in _parts(scene)],
+        "parts": [asdict(part) for part in _parts(scene, expected)],
         "numbers": [asdict(number) for number in numbers],
-        "notes": [
-            *_notes(scene),
-            *cost_notes(expected),
-            *nutrient_notes(scene),
-            *_placed(scene, expected),
-        ],
+        "notes": [*_notes(scene), *cost_notes(expected), *nutrient_notes(scene)],
     }
 
 
-def _placed(scene: Scene, expected: Prediction) -> list[str]:
-    return stiffness_notes(scene, float(expected.course.cells[-1]))
-
-
-def _parts(scene: Scene) -> list[Part]:
+def _parts(scene: Scene, expected: Prediction) -> list[ExplainedPart]:
     told = effects(scene) if scene.responses else ()
     method = scene.integrator.method
     info = METHODS.get(method) or MethodInfo(method)
@@ -70,12 +60,12 @@ def _parts(scene: Scene) -> list[Part]:
         *contact_parts(scene),
         part("growth", _growth_words(scene)),
         part("death", _death_words(scene)),
-        *(Part(e.key, True, _sentence(scene, e)) for e in told if not e.short),
+        *(ExplainedPart(e.key, True, _sentence(scene, e)) for e in told if not e.short),
         part("radiation", "; ".join(_radiation_words(scene))),
         *_taxis(scene),
-        Part("domain", scene.domain is not None, _domain_words(scene)),
+        ExplainedPart("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
-        part("integrator", integrator),
+        part("integrator", integrator + place_of(scene, float(expected.course.cells[-1]))),
         part("output", f"a frame every {hours(scene.output.every)}"),
     ]
 
@@ -119,7 +109,9 @@ def _growth_words(scene: Scene) -> str:
     given = ", ".join(f"{name} = {x:g}" for name, x in (growth.parameters or {}).items())
     words += f" ({given})" if given else ""
     if growth.phases:
-        lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
+        lengths = ", ".join(
+            f"{name} {hours(growth.phases[name].duration)}" for name in CYCLE_PHASES
+        )
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
         words += f"; phases {lengths}, rest {rest}"
         words += "" if growth.hypertrophy else "; none grows beyond the volume of division"
@@ -154,7 +146,7 @@ def _sentence(scene: Scene, effect: Effect) -> str:
     behaviour = behaviour_named(effect.behaviour, "")[0]
     whose = f" of {' and '.join(effect.types)} cells" if effect.types else ""
     what = f"the {effect.behaviour}{whose}"
-    if behaviour.is_factor and not isinstance(effect.law, Table):
+    if behaviour.is_factor and not effect.law.gives_values:
         what += ", as a factor,"
 
     def value(number: float) -> str:
@@ -162,37 +154,19 @@ def _sentence(scene: Scene, effect: Effect) -> str:
 
     signal = " and ".join(effect.signals)
     law, end = _law_words(scene, effect), f"{value(effect.low)} to {value(effect.high)}"
-    if isinstance(effect.law, Constant):
+    if not effect.law.has_signal:
         return f"{what} is {value(effect.high)}"
-    if isinstance(effect.law, Table):
+    if effect.law.gives_values:
         return f"{what} follows a table over {signal}: {law}"
     if effect.falls:
         end = f"{value(effect.high)} to {value(effect.low)}"
     return f"as {signal} rises, {what} goes from {end} ({law})"
 
 
-def _least(effect: Effect) -> float:
-    """Return the smallest value that a response gives."""
-    if isinstance(effect.law, Table):
-        return min(value for _, value in effect.law.points)
-    return effect.high if isinstance(effect.law, Constant) else min(effect.low, effect.high)
-
-
 def _law_words(scene: Scene, effect: Effect) -> str:
-    law = effect.law
     known = len(effect.signals) == 1
     unit = signal_unit(effect.signals[0], scene.nutrients, "") if known else ""
-    if isinstance(law, Threshold):
-        return f"at once at {_amount(law.half, unit)}"
-    if isinstance(law, Hill):
-        return f"half way at {_amount(law.half, unit)}, Hill's exponent {law.power:g}"
-    if isinstance(law, Monod):
-        return f"half way at {_amount(law.half, unit)}"
-    if isinstance(law, Linear):
-        return f"in a line from {_amount(law.begin, unit)} to {_amount(law.end, unit)}"
-    if isinstance(law, Table):
-        return ", ".join(f"{y:.4g} at {_amount(x, unit)}" for x, y in law.points)
-    return f"by {type(law).__name__}"
+    return effect.law.words(lambda signal: _amount(signal, unit))
 
 
 def _amount(number: float, unit: str) -> str:
@@ -217,7 +191,7 @@ def _radiation_words(scene: Scene) -> Iterator[str]:
         yield f"{words}; the others die {when}"
 
 
-def _taxis(scene: Scene) -> list[Part]:
+def _taxis(scene: Scene) -> list[ExplainedPart]:
     """Return the forces along gradients, with the drift of a free cell."""
     resistance = drag(scene, birth_radius(scene))
     parts = []
@@ -293,7 +267,7 @@ def _notes(scene: Scene) -> list[str]:
         )
     notes += contact_notes(scene)
     entries = [e for e in effects(scene) if e.behaviour.startswith("entry into")]
-    slowed = [e.behaviour for e in entries if _least(e) < 1.0]
+    slowed = [e.behaviour for e in entries if e.law.least(e.low, e.high) < 1.0]
     if slowed and scene.growth is not None and scene.growth.hypertrophy:
         notes.append(
             f"Cells that wait for their {slowed[0]} keep growing, beyond the volume of division "

@@ -1,4 +1,4 @@
-"""Where a scene stands in the diagram of ``docs/which-integrator.md``: its stiffness λΔt.
+"""Stiffness λΔt of a scene, and its place in the diagram of ``docs/which-integrator.md``.
 
 λ is the largest decay rate of the Jacobian and Δt the coupling step. It is estimated for a close
 packing at rest: the largest eigenvalue of a lattice of springs k is 8 k in space (fcc, at the edge
@@ -13,7 +13,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from multicell.report.explain.items import Number
-from multicell.scene.pairs import daughters_stiffness, drag, pairs
+from multicell.scene.pairs import daughters_stiffness, drag, type_pairs
 from multicell.scene.sizes import birth_radius, typical_radius
 
 if TYPE_CHECKING:
@@ -27,7 +27,9 @@ _SIZES: Final = (100, 1000, 10_000, 100_000)  # cells of the tiles
 def stiffness_of(scene: Scene) -> tuple[float, float]:
     """Return the estimates of λΔt for tissue at rest and just after a division; 0 without one."""
     radius, step = typical_radius(scene), scene.coupling_step
-    resting = max(pair.stiffness(pair.equilibrium_overlap()) for _, pair in pairs(scene, radius))
+    resting = max(
+        pair.stiffness(pair.equilibrium_overlap()) for _, pair in type_pairs(scene, radius)
+    )
     rest = _LATTICE[scene.dimensions] * float(resting) / drag(scene, radius) * step
     if scene.growth is None:
         return rest, 0.0
@@ -49,25 +51,25 @@ def stiffness_numbers(scene: Scene) -> list[Number]:
     return numbers
 
 
-def stiffness_notes(scene: Scene, cells: float) -> list[str]:
+def place_of(scene: Scene, cells: float) -> str:
     """Return which tile of the diagram a scene belongs to, and what follows for its method.
 
     - ``cells``: as many as the run is expected to end with
     """
     if scene.friction is not None:  # the tiles have none
-        return []
+        return ""
     rest, divided = stiffness_of(scene)
     state, value = ("quiet", rest) if scene.growth is None else ("typical", divided)
     if not value > 0.0:
-        return []
+        return ""
     decade = max(1, round(math.log10(value)))
     count = min(_SIZES, key=lambda size: abs(math.log(size / max(cells, 1.0))))
     tile = f"{state} tissue, {count:,} cells, λΔt of {10**decade:,}"
-    return [f"Tile of the diagram in docs/which-integrator.md: {tile}. {_advice(state, decade)}"]
+    return f". In the diagram of docs/which-integrator.md: {tile}. {_advice(state, decade)}"
 
 
 def _advice(state: str, decade: int) -> str:
-    """Return what the diagram says of a tile, at an error of 1 % of the motion."""
+    """Return the cheapest methods of a tile, at an error of 1 % of the motion."""
     if decade <= 2:
         return "Explicit methods are cheapest there, such as ab2-adaptive; auto takes them."
     if decade <= 4 and not (state == "quiet" and decade == 4):

@@ -38,13 +38,13 @@ class Format:
 
 
 FORMATS: Final = {
-    "csv": Format("tables.write_csv", ["{table}.csv"], tables=True),
+    "csv": Format("tables.write_csv_files", ["{table}.csv"], tables=True),
     "parquet": Format("tables.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
     "vtk": Format("exports.formats.write_vtk", ["run.pvd"], ["pyvista"]),
     "anndata": Format("exports.formats.write_anndata", ["cells.h5ad"], ["anndata"]),
-    "netcdf": Format("exports.formats.write_netcdf", ["history.nc"], ["xarray", "h5netcdf"]),
+    "netcdf": Format("exports.formats.write_netcdf_files", ["history.nc"], ["xarray", "h5netcdf"]),
     "openvt": Format("exports.formats.write_openvt", ["openvt.csv"]),
-    "page": Format("viewer.pack.write", ["view.html"]),
+    "page": Format("viewer.pack.write_view", ["view.html"]),
     "ro-crate": Format("exports.formats.write_crate", ["ro-crate-metadata.json"]),
 }
 """Formats by name."""

@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.report.tables import TABLES, Frames, joined
+from multicell.report.tables import TABLES, Frames, joined_table
 from multicell.report.wording import measures
 from multicell.results.folder import versions
 from multicell.results.hdf5 import check_readable, whole_file
 from multicell.results.netcdf import write_netcdf as write_file
 from multicell.results.observables import touching
-from multicell.results.tables import blocks, frame_arrays
+from multicell.results.tables import frame_arrays, frame_blocks
 from multicell.scene.sizes import birth_radius
 
 if TYPE_CHECKING:
@@ -54,7 +54,9 @@ _KINDS: Final = {
 """Media type and description of the files of a run."""
 
 
-def write_netcdf(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+def write_netcdf_files(
+    run: Result, frames: Frames, folder: Path, tables: Sequence[str]
+) -> list[str]:
     """Write the history and each frame into files of their own and return the names."""
     names = ["history.nc"]
     write_file(run.to_xarray(), folder / names[0])
@@ -70,7 +72,7 @@ def write_vtk(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) 
     collection = ElementTree.SubElement(root, "Collection")
     names = ["run.pvd"]
     for number, frame in frames():
-        parts = blocks(frame, tuple(run.scene.types))
+        parts = frame_blocks(frame, tuple(run.scene.types))
         for part, name in enumerate(parts.keys()):
             data: Any = parts[name]
             names.append(f"{name}-{number:04d}.{_ENDINGS[type(data).__name__]}")
@@ -104,7 +106,7 @@ def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[st
 
     name = "cells.h5ad"
     # the tables and the contacts each go through the frames
-    table = joined(TABLES["cells"](run, frames()))
+    table = joined_table(TABLES["cells"](run, frames()))
     features = [title for title in table if title not in (*_PLACE, *_WHO)]
     who = pandas.DataFrame({title: table[title] for title in _WHO if title in table})
     who.index = [f"{k}-{id}" for k, id in zip(who["frame"], who["id"], strict=True)]

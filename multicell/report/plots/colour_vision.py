@@ -1,4 +1,4 @@
-"""Whether colours can be told apart, also without the pigment for green (deuteranopia)."""
+"""Colour vision: contrast of colours, also without the pigment for green (deuteranopia)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the colour of a cell says: its state or another group, or the value of a quantity."""
+"""Colouring of cells: by state or another group, or by the value of a quantity."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import HAZARDS, Cells, FloatArray, IntArray, State
 from multicell.errors import OutputError
-from multicell.report.plots.style import COLOURS, type_colours
+from multicell.report.plots.style import STATE_COLOURS, type_colours
 from multicell.report.wording import written
 from multicell.results.quantities import unit_of
 from multicell.results.tables import NAMED
@@ -69,7 +69,7 @@ def colouring(
     if name is None:
         name = "type" if len(scene.types) > 1 else "state"
     if name == "state":
-        colours = {word: COLOURS[word] for word in NAMED["state"]}
+        colours = {word: STATE_COLOURS[word] for word in NAMED["state"]}
         return _by_group("state", frame.cells.state, colours)
     if name == "type":  # cells that are necrotic are dark
         types = list(scene.types) or ["cells"]
@@ -77,7 +77,7 @@ def colouring(
         # a type may be named like the state
         dead = "necrotic" if "necrotic" not in colours else "dead (necrotic)"
         group = np.where(frame.cells.state == State.NECROTIC, len(types), frame.cells.kind)
-        return _by_group("type", group, {**colours, dead: COLOURS["necrotic"]})
+        return _by_group("type", group, {**colours, dead: STATE_COLOURS["necrotic"]})
     if name == "phase":
         return _by_group("phase", frame.cells.phase, type_colours(NAMED["phase"]))
     if name == "clone":
@@ -85,7 +85,7 @@ def colouring(
     if name == "doomed":
         group = np.where(frame.cells.dead, 2, frame.cells.doomed > 0)
         colours = type_colours(("clonogenic", "doomed"))
-        return _by_group("irradiation", group, {**colours, "dead": COLOURS["necrotic"]})
+        return _by_group("irradiation", group, {**colours, "dead": STATE_COLOURS["necrotic"]})
     known = colourings(frame)
     if name not in known:
         hint = near_miss(name, known)
@@ -148,7 +148,7 @@ def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
 
 
 def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Colouring:
-    values, unit = quantity(frame, name)
+    values, unit = cell_quantity(frame, name)
     finite = np.isfinite(values)
     low, high = limits or limits_of([values], from_zero=name in frame.concentrations)
     rgb = np.tile(np.array(to_rgb(_NO_VALUE)), (len(values), 1))
@@ -158,7 +158,7 @@ def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Co
     return Colouring(title, rgb, values=values, range=(low, high))
 
 
-def quantity(frame: Frame, name: str) -> tuple[FloatArray, str]:
+def cell_quantity(frame: Frame, name: str) -> tuple[FloatArray, str]:
     """Return the values of a quantity of the cells, (n,), and its unit."""
     if name in frame.concentrations:
         return frame.concentrations[name], unit_of(f"cells.concentration_{name}")

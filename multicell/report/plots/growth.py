@@ -134,7 +134,7 @@ def _draw_size(axes: Axes, time: FloatArray, history: style.History) -> None:
     if core.max() > 0:
         shown = np.where(core > 0, core, np.nan)
         axes.plot(
-            time, shown, color=style.COLOURS["necrotic"], lw=2, ls="--", label="necrotic core"
+            time, shown, color=style.STATE_COLOURS["necrotic"], lw=2, ls="--", label="necrotic core"
         )
         axes.legend(loc="upper left", fontsize=9, ncols=2)
     # room for the legend above the line
@@ -144,7 +144,10 @@ def _draw_size(axes: Axes, time: FloatArray, history: style.History) -> None:
 
 def _draw_rim(axes: Axes, time: FloatArray, history: style.History) -> None:
     """Draw the layer outside the necrotic core, since there is one, and the one that grows."""
-    for name, colour in (("viable", style.INK), ("proliferating", style.COLOURS["proliferating"])):
+    for name, colour in (
+        ("viable", style.INK),
+        ("proliferating", style.STATE_COLOURS["proliferating"]),
+    ):
         thickness = history.get(f"{name}_rim")  # older runs have no proliferating one
         if thickness is not None and np.isfinite(thickness).any():
             style.draw_line(axes, time, thickness, colour, label=name)
@@ -155,12 +158,12 @@ def _draw_rim(axes: Axes, time: FloatArray, history: style.History) -> None:
 
 def _draw_states(axes: Axes, time: FloatArray, history: style.History) -> None:
     axes.set_title("Cells by state")
-    names = [name for name in reversed(style.COLOURS) if history[name].max() > 0]
+    names = [name for name in reversed(style.STATE_COLOURS) if history[name].max() > 0]
     single = len(time) == 1
     axes.stackplot(
         style.span(time) if single else time,
         [np.repeat(history[name], 2 if single else 1) for name in names],
-        colors=[style.COLOURS[name] for name in names],
+        colors=[style.STATE_COLOURS[name] for name in names],
         labels=names,
         lw=0,
     )

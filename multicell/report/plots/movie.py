@@ -13,7 +13,7 @@ import numpy as np
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
-from multicell.report.plots.colouring import GROUPS, colouring, limits_of, quantity
+from multicell.report.plots.colouring import GROUPS, cell_quantity, colouring, limits_of
 from multicell.report.plots.run import one_spelling
 from multicell.report.plots.section import Plane, section, window
 from multicell.report.plots.space import FILM_DPI, View, film_picture, room
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from multicell.report.plots.colouring import Colouring
     from multicell.report.result import Result
 
-KINDS: Final = (".gif", ".webp", ".mp4")
+MOVIE_ENDINGS: Final = (".gif", ".webp", ".mp4")
 TURN: Final = 90.0
 """Degrees between the outermost places of an eye that swings round cells in space."""
 _REST: Final = 1.5  # s for which a film continues after the last frame
@@ -63,8 +63,10 @@ def movie(
       read on light and on dark pages
     """
     path = Path(path)
-    if path.suffix.lower() not in KINDS:
-        raise OutputError(f"'{path}' is no movie: its name must end in {' or '.join(KINDS)}")
+    if path.suffix.lower() not in MOVIE_ENDINGS:
+        raise OutputError(
+            f"'{path}' is no movie: its name must end in {' or '.join(MOVIE_ENDINGS)}"
+        )
     if not 0.0 < rate <= 60.0:
         raise OutputError(f"the rate is {rate:g} frames in a second, must be above 0, at most 60")
     if transparent and not (space and path.suffix.lower() == ".webp"):
@@ -113,10 +115,10 @@ def movie(
 
 
 def _shades(result: Result, numbers: list[int], colour: str | None) -> Callable[[int], Colouring]:
-    """Return what colours the cells of a frame by its number, in one range for all frames."""
+    """Return a function that colours the cells of a frame by its number, in one range for all."""
     limits = None
     if colour is not None and colour not in GROUPS:
-        values = [quantity(result.frames[k], colour)[0] for k in numbers]
+        values = [cell_quantity(result.frames[k], colour)[0] for k in numbers]
         limits = limits_of(values, from_zero=colour in result.frames[numbers[0]].concentrations)
     return lambda k: colouring(result.frames[k], result.scene, colour, result.lineage, limits)
 

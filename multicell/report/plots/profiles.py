@@ -84,7 +84,7 @@ def _draw_field(axes: Axes, frame: Frame, profile: RadialProfile, name: str, sce
 
 def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) -> None:
     bottom, width, types = np.zeros(len(profile.counts)), np.diff(profile.edges), list(scene.types)
-    parts, colours = profile.fractions, dict(style.COLOURS)
+    parts, colours = profile.fractions, dict(style.STATE_COLOURS)
     if len(types) > 1:
         kind = frame.cells.kind
         radius = distances(frame.cells, centre(frame.cells, scene.dimensions))

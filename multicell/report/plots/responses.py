@@ -1,4 +1,4 @@
-"""What cells do about what they find: each behaviour over its signals."""
+"""Plots of responses: each behaviour over its signals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
-from multicell.behaviours.laws import Constant, Linear, Table, Threshold
 from multicell.report.plots.style import INK, headed, styled, type_colours
 from multicell.scene.responses import Effect, effects
 
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 
 _MAX_PANELS: Final = 9
 _POINTS: Final = 400
-_REACH: Final = 4.0
-"""Signals that are drawn, up to so many times the middle of the response."""
 
 
 @styled
@@ -29,7 +26,7 @@ def response_curves(scene: Scene) -> Figure:
     """Draw a panel for each behaviour and signal, with a curve for each response."""
     panels: dict[tuple[str, str], list[Effect]] = {}
     for effect in effects(scene):
-        if len(effect.signals) == 1 and not isinstance(effect.law, Constant):
+        if len(effect.signals) == 1 and effect.law.has_signal:
             panels.setdefault((effect.behaviour, effect.signals[0]), []).append(effect)
     if not panels:
         raise ValueError("nothing in this scene responds to a signal: there is nothing to draw")
@@ -53,7 +50,7 @@ def _draw(axes: Axes, scene: Scene, behaviour: str, signal: str, parts: list[Eff
     unit = signal_unit(signal, scene.nutrients, "")
     rate = behaviour_named(behaviour, "")[0].unit == "1/s"
     scale, of = (3600.0, ", 1/h") if rate else (1.0, "")
-    reach = max(_reach(part) for part in parts)
+    reach = max(part.law.reach for part in parts)
     if signal in scene.nutrients:  # as far as the medium has it, if the curves then still show
         reach = max(reach, min(scene.nutrients[signal].highest, 3.0 * reach))
     at = np.linspace(0.0, reach, _POINTS)
@@ -67,7 +64,7 @@ def _draw(axes: Axes, scene: Scene, behaviour: str, signal: str, parts: list[Eff
             at,
             value,
             color=colours.get(part.types[0], INK) if part.types else INK,
-            drawstyle="steps-post" if isinstance(part.law, Threshold) else "default",
+            drawstyle="steps-post" if part.law.jumps else "default",
             label=f"{name}: at once" if sudden else name,
         )
         if sudden:
@@ -80,11 +77,3 @@ def _draw(axes: Axes, scene: Scene, behaviour: str, signal: str, parts: list[Eff
     axes.locator_params(axis="x", nbins=4)
     if len(parts) > 1 or parts[0].types:
         axes.legend(frameon=False)
-
-
-def _reach(part: Effect) -> float:
-    if isinstance(part.law, Linear):
-        return 1.3 * part.law.end
-    if isinstance(part.law, Table):
-        return part.law.points[-1][0]
-    return _REACH * part.law.middle or 1.0

@@ -45,7 +45,7 @@ PICTURES: Final[dict[str, PictureKind]] = {}
 
 
 def one_spelling(colour: str | None, color: str | None) -> str | None:
-    """Return what is given under the British or the American name of an option."""
+    """Return the value of an option with a British and an American name."""
     if colour is not None and color is not None:
         raise OutputError("colour and color are two names of one option: give one of them")
     return color if colour is None else colour

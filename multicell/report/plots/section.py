@@ -90,7 +90,7 @@ def turn_frame(frame: Frame, plane: Plane) -> Frame:
     return replace(frame, cells=cells, fields=fields)
 
 
-def height(frame: Frame, plane: Plane, middle: FloatArray) -> float:
+def section_height(frame: Frame, plane: Plane, middle: FloatArray) -> float:
     """Return where the plane cuts a frame that was turned, µm on its third axis."""
     if plane.at is None:
         return float(middle[2])
@@ -125,7 +125,7 @@ def section(
         raise OutputError(f"the cells lie in the plane z = 0: a plane {where.axis} is none of them")
     ahead = turn_frame(frame, where)
     middle = centre(ahead.cells, dimensions)
-    place, level = ahead.cells.position, height(ahead, where, middle)
+    place, level = ahead.cells.position, section_height(ahead, where, middle)
     if plane is None and 1 < len(frame.cells) <= 3 and not frame.fields:
         # turned about the centre so that the last axis is their thinnest one
         _, _, turn = np.linalg.svd(place - middle)

@@ -1,4 +1,4 @@
-"""What the pictures have in common: style, colours, headings."""
+"""Style of all pictures: layout, colours, headings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import OutputError
-from multicell.report.colours import STATES, TYPES
+from multicell.report.colours import STATE_COLOURS as STATE_COLOURS
+from multicell.report.colours import TYPE_COLOURS
 from multicell.report.wording import TimeUnit, cell_count, time_unit
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
@@ -26,7 +27,6 @@ from multicell.scene.scene import Scene
 
 History = Mapping[str, NDArray[np.float64]]  # columns of a run's history by name, (m,) each
 
-COLOURS: Final = STATES
 INK, QUIET, BLUE, RED = "#22303c", "#6b7a86", "#2f6fb0", "#b5432f"
 DPI: Final = 160
 TITLE: Final = "title"
@@ -150,21 +150,23 @@ def headed(scene: Scene, subtitle: str) -> Figure:
     return blank(scene.title or "Untitled run", subtitle)
 
 
-PICTURES: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+PICTURE_FORMATS: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 """Formats of pictures by the endings of their files."""
 
 
-def save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, as its file's name ends."""
-    format = PICTURES.get(path.suffix.lower())
+    format = PICTURE_FORMATS.get(path.suffix.lower())
     if format is None:
-        raise OutputError(f"'{path}' is no picture: its name must end in {', '.join(PICTURES)}")
+        raise OutputError(
+            f"'{path}' is no picture: its name must end in {', '.join(PICTURE_FORMATS)}"
+        )
     # drawn in memory: a picture is either complete or not there
     write_bytes(path, render(figure, format))
 
 
 def render(figure: Figure, format: str) -> bytes:
-    """Return a figure as a file of a format of ``PICTURES``; the same figure is the same file."""
+    """Render a figure in one of ``PICTURE_FORMATS``; the same figure is the same file."""
     picture = io.BytesIO()
     by = {"pdf": "Creator", "svg": "Creator", "png": "Software"}[format]
     metadata: dict[str, Any] = {by: "multicell"}
@@ -209,8 +211,8 @@ def type_colours(names: Iterable[str]) -> dict[str, str]:
     from matplotlib.colors import to_hex
 
     names = list(names)
-    if len(names) <= len(TYPES):
-        return dict(zip(names, TYPES, strict=False))
+    if len(names) <= len(TYPE_COLOURS):
+        return dict(zip(names, TYPE_COLOURS, strict=False))
     # the darkest end is left to necrotic cells
     shades = mpl.colormaps["cividis"](0.15 + 0.85 * np.arange(len(names)) / (len(names) - 1))
     return {name: to_hex(shade) for name, shade in zip(names, shades, strict=True)}

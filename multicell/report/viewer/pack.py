@@ -31,7 +31,7 @@ from multicell.cells import FloatArray, IntArray
 from multicell.errors import OutputError
 from multicell.random import Purpose
 from multicell.report.plots.colouring import SCALE, clone_colours, founder, limits_of
-from multicell.report.plots.style import COLOURS, type_colours
+from multicell.report.plots.style import STATE_COLOURS, type_colours
 from multicell.report.wording import TimeUnit, cell_count, time_unit, written
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 MAX_FRAMES: Final = 50  # frames that are shown at most
 MAX_CELLS: Final = 10_000  # cells of a frame that are shown at most
-MAX_BYTES: Final = 5_500_000
+MAX_PAGE_BYTES: Final = 5_500_000
 """Size of the packed columns at most; fewer cells are shown where it would be more."""
 POINTS: Final = 300  # points of a curve, besides those of the frames
 
@@ -62,8 +62,8 @@ _PAGE_BYTES: Final = 17_500_000
 
 @final
 @dataclass(frozen=True)
-class Column:
-    """What is packed of each cell."""
+class PackedColumn:
+    """A column that is packed of each cell."""
 
     name: str
     unit: str
@@ -101,7 +101,7 @@ class Packed:
 
 
 def pack_frames(
-    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_BYTES
+    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_PAGE_BYTES
 ) -> Packed | None:
     """Return the frames of a run for the view, or None where there is nothing to see.
 
@@ -176,30 +176,30 @@ def _groups(frame: Frame) -> dict[str, list[int]]:
     return {name: np.bincount(column).tolist() for name, column in columns.items()}
 
 
-def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
+def _columns(result: Result, frames: Sequence[Frame]) -> list[PackedColumn]:
     scene, lineage = result.scene, result.lineage
     columns = [
-        Column("id", "", "u4", lambda f: f.cells.id, title="cell"),
-        *(Column(x, "µm", "u2", partial(_axis, k)) for k, x in enumerate("xyz")),
-        Column("radius", "µm", "u1", lambda f: f.cells.radius),
-        Column("state", "", "u1", lambda f: f.cells.state, NAMED["state"]),
+        PackedColumn("id", "", "u4", lambda f: f.cells.id, title="cell"),
+        *(PackedColumn(x, "µm", "u2", partial(_axis, k)) for k, x in enumerate("xyz")),
+        PackedColumn("radius", "µm", "u1", lambda f: f.cells.radius),
+        PackedColumn("state", "", "u1", lambda f: f.cells.state, NAMED["state"]),
     ]
     if len(scene.types) > 1:
-        columns.append(Column("type", "", "u1", lambda f: f.cells.kind, list(scene.types)))
+        columns.append(PackedColumn("type", "", "u1", lambda f: f.cells.kind, list(scene.types)))
     if scene.growth is not None:
         if scene.growth.phases:
-            columns.append(Column("phase", "", "u1", lambda f: f.cells.phase, NAMED["phase"]))
-        columns.append(Column("age", "h", "u1", lambda f: f.cells.age / 3600.0))
+            columns.append(PackedColumn("phase", "", "u1", lambda f: f.cells.phase, NAMED["phase"]))
+        columns.append(PackedColumn("age", "h", "u1", lambda f: f.cells.age / 3600.0))
         clones = _clone_numbers(frames, lineage)
         if clones is not None:
             known, count = clones
             words = [f"clone {k + 1}" for k in range(count)]
-            columns.append(Column("clone", "", "u1", known, words))
-    columns.append(Column("pressure", "kPa", "u1", lambda f: f.cells.pressure))
+            columns.append(PackedColumn("clone", "", "u1", known, words))
+    columns.append(PackedColumn("pressure", "kPa", "u1", lambda f: f.cells.pressure))
     for name in scene.nutrients:
         if all(name in frame.concentrations for frame in frames):
             unit = written(unit_of(f"cells.concentration_{name}"))
-            columns.append(Column(name, unit, "u1", partial(_field, name)))
+            columns.append(PackedColumn(name, unit, "u1", partial(_field, name)))
     return columns
 
 
@@ -214,7 +214,7 @@ def _field(name: str, frame: Frame) -> FloatArray:
 def _clone_numbers(
     frames: Sequence[Frame], lineage: Mapping[str, NDArray[Any]]
 ) -> tuple[Callable[[Frame], NDArray[Any]], int] | None:
-    """Return what numbers the clones of a frame's cells, and how many there are, if several."""
+    """Return a function that numbers the clones of a frame's cells, and their count, if several."""
     if "id" not in lineage:
         return None
     founders = np.unique(np.concatenate([founder(f.cells.id, lineage) for f in frames]))
@@ -228,7 +228,7 @@ def _clone_numbers(
     return numbers, count
 
 
-def _ranged(column: Column, frames: Sequence[Frame]) -> Column:
+def _ranged(column: PackedColumn, frames: Sequence[Frame]) -> PackedColumn:
     if column.plain:
         return replace(column, high=float(column.top))
     values = np.concatenate([column.values(frame) for frame in frames])
@@ -242,7 +242,7 @@ def _ranged(column: Column, frames: Sequence[Frame]) -> Column:
 def _body(
     frames: Sequence[Frame],
     whole: Sequence[Mapping[str, Any]],
-    columns: Sequence[Column],
+    columns: Sequence[PackedColumn],
     unit: TimeUnit,
 ) -> tuple[bytes, list[dict[str, Any]]]:
     """Return the columns of all frames one after the other, and a table of the frames.
@@ -282,7 +282,7 @@ def _planes(change: NDArray[np.unsignedinteger[Any]]) -> bytes:
     return folded.astype(f"<i{size}").view("u1").reshape(-1, size).T.tobytes()
 
 
-def _integers(column: Column, values: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
+def _integers(column: PackedColumn, values: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
     """Return values as small integers over their range; what is no number is the least one."""
     if column.plain:
         return values.astype(column.kind)
@@ -290,15 +290,15 @@ def _integers(column: Column, values: NDArray[Any]) -> NDArray[np.unsignedintege
     return np.rint(column.top * share).astype(column.kind)
 
 
-def _describe(column: Column) -> dict[str, Any]:
+def _describe(column: PackedColumn) -> dict[str, Any]:
     names = ("name", "label", "unit", "kind", "low", "high", "top", *["words"][: len(column.words)])
     return {name: getattr(column, name) for name in names}
 
 
 def _colourings(
-    columns: Sequence[Column], frames: Sequence[Frame], result: Result
+    columns: Sequence[PackedColumn], frames: Sequence[Frame], result: Result
 ) -> Iterator[dict[str, Any]]:
-    """Yield what cells can be coloured by: types first where there are several."""
+    """Yield the colourings of cells: types first where there are several."""
     several = len(result.scene.types) > 1
     order = sorted(columns, key=lambda column: column.name != ("type" if several else "state"))
     for column in order:
@@ -314,10 +314,10 @@ def _colourings(
         yield entry | {"low": low, "high": high, "palette": palette}
 
 
-def _palette(column: Column) -> list[list[float]]:
+def _palette(column: PackedColumn) -> list[list[float]]:
     colours: Iterable[Any] = type_colours(column.words).values()
     if column.name == "state":
-        colours = [COLOURS[word] for word in column.words]
+        colours = [STATE_COLOURS[word] for word in column.words]
     elif column.name == "clone":
         colours = clone_colours(len(column.words))
     return [[round(float(c), 3) for c in to_rgb(colour)] for colour in colours]
@@ -384,10 +384,10 @@ def _note(result: Result, contents: Sequence[Mapping[str, Any]]) -> str:
     return " ".join(said)
 
 
-def view(
-    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_BYTES
+def pack_view(
+    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_PAGE_BYTES
 ) -> dict[str, Any] | None:
-    """Return what ``viewer.html`` shows of a run, or None where there is nothing to see.
+    """Return the data of ``viewer.html`` for a run, or None where there is nothing to see.
 
     ``about`` is the table of contents as JSON, ``data`` the columns of all frames as text,
     ``scripts`` are texts, ``policy`` their hashes as sources for the page's
@@ -413,18 +413,18 @@ def view(
 def view_page(result: Result, **limits: int) -> str | None:
     """Return a page of its own with the view, or None where there is nothing to see.
 
-    - ``limits``: as for :func:`view`
+    - ``limits``: as for :func:`pack_view`
     """
     from multicell.report.html import rendered
 
-    found = view(result, **limits)
+    found = pack_view(result, **limits)
     if found is None:
         return None
     title = result.scene.title or "Untitled run"
     return rendered("view.html", title=title, subtitle="", tiles={}, scene="", viewer=found)
 
 
-def write(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+def write_view(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
     """Write the view of all frames as one page and return its name."""
     page = view_page(run, max_cells=_PAGE_CELLS, max_bytes=_PAGE_BYTES)
     if page is None:

@@ -1,4 +1,4 @@
-"""Whether a scene can hold the cells that it starts with, found before anything is run."""
+"""Checks of the cells at the start, before anything is run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from multicell.errors import NutrientFailed, SceneError
-from multicell.scene.scales import MAX_NODES, spacing
+from multicell.scene.scales import MAX_NODES, largest_spacing
 from multicell.scene.start_table import positions
 
 if TYPE_CHECKING:
@@ -28,10 +28,10 @@ def check_population(scene: Scene) -> None:
     from multicell.biology.driven import named_at_start
     from multicell.biology.initial import initial_cells
     from multicell.biology.plan import biology_plan
-    from multicell.coupling.state import fields_of
-    from multicell.nutrient.balance import beyond
+    from multicell.nutrient.balance import volume_beyond_grid
     from multicell.nutrient.tissue import Tissue
     from multicell.scene.domain import check_start
+    from multicell.simulation.machinery import fields_of
 
     cells, plan = initial_cells(scene), biology_plan(scene)
     check_start(scene, cells)
@@ -43,7 +43,7 @@ def check_population(scene: Scene) -> None:
             whole = field.lay(tissue)[0].whole
             key = "finite_medium.volume"
             if scene.nutrients[name].finite_medium is not None:
-                beyond(name, scene.nutrients[name], whole)
+                volume_beyond_grid(name, scene.nutrients[name], whole)
         except NutrientFailed as failure:
             path = f"nutrients.{name}.{key}"
             raise SceneError(path, failure.problem, f"{failure.hint}.") from None
@@ -66,5 +66,5 @@ def _in_doubt(scene: Scene) -> bool:
         across = n if start.shape == "row" else 2.0 * (n ** (1.0 / axes) + 2.0)
         reach = 2.0 * scene.cells.division_radius * (across * start.spacing + 12.0 * start.jitter)
     widest = {name: reach + 2.0 * max(f.margin, f.layer or 0.0) for name, f in open_fields.items()}
-    nodes = (width / spacing(scene, name) for name, width in widest.items())
+    nodes = (width / largest_spacing(scene, name) for name, width in widest.items())
     return any(along**axes > 0.1 * MAX_NODES for along in nodes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 @final
 class Moved(NamedTuple):
-    """What motion makes of cells by the end of a step.
+    """Moved cells at the end of a step.
 
     - ``position``, ``pressure``, (n, 3) µm and (n,) kPa
     - ``contacts``, (m, 2) or None: indices of the pairs in contact; None where nobody counts them,
       and of cells at rest
-    - ``replays``, ``stability``: as in :class:`multicell.Simulation`
+    - ``replays``, ``stability``: as in :class:`multicell.simulation.run_state.RunState`
     """
 
     position: FloatArray
     pressure: FloatArray
     contacts: IntArray | None
     replays: Replays | None
-    stability: Stability
+    stability: Stability | None
 
 
 @final
@@ -54,6 +54,17 @@ class Mover:
         self.limit = stability.limit_of(self.integrator)
         self._seed, self._dimensions, self._domain = scene.seed, scene.dimensions, scene.domain
         self._counts = counts_contacts(scene)
+        self._gel: Any = self.system.walls if getattr(self.system.walls, "shear", None) else None
+
+    @property
+    def cavity(self) -> float | None:
+        """Radius of the gel round the cells at the last state, µm; None without a gel."""
+        return None if self._gel is None else self._gel.radius
+
+    @cavity.setter
+    def cavity(self, radius: float) -> None:
+        if self._gel is not None:
+            self._gel.radius = radius
 
     def move(
         self,
@@ -61,7 +72,7 @@ class Mover:
         motion: Motion,
         step: int,
         replays: Replays | None,
-        known: Stability,
+        known: Stability | None,
     ) -> Moved:
         """Integrate the positions through a coupling step.
 
@@ -101,20 +112,22 @@ class Mover:
         moves = motion.push is not None or motion.held is not None
         return len(motion.radius) == 1 and not moves and self.system.walls is None
 
-    def _check_begin(self, position: FloatArray, known: Stability) -> Stability:
+    def _check_begin(self, position: FloatArray, known: Stability | None) -> Stability | None:
         """Measure, if that is due, how far a fixed step is from its limit before a step."""
-        if not self.limit > 0.0:
-            return known
+        if known is None:
+            return None
         n, product = len(position), self.limit / self._fixed_step()
         if not stability.is_due(known, n, product):
             return known
         rate = stability.rate_at(self.system, self.system.motion.begin, position, self._dimensions)
         return stability.add_measurement(known, rate, product, n)
 
-    def _check_end(self, position: FloatArray, cost: float, known: Stability) -> Stability:
+    def _check_end(
+        self, position: FloatArray, cost: float, known: Stability | None
+    ) -> Stability | None:
         """Refuse a fixed step that is beyond its limit after a coupling step as it was before."""
-        if not self.limit > 0.0:
-            return known
+        if known is None:
+            return None
         system, n, end = self.system, len(position), self.system.motion.end
         known = known._replace(total=known.total + cost)
         step = self._fixed_step()
@@ -122,7 +135,7 @@ class Mover:
         was_beyond, suspect = known.rate > product, False
         if not was_beyond and stability.may_glance(known, n):
             known = stability.add_glance(known, n)
-            suspect = stability.glance(system, end, position) > stability.NEAR * product
+            suspect = stability.glance(system, end, position) > stability.NEAR_LIMIT * product
         if not was_beyond and not suspect:
             return known
         rate = stability.rate_at(system, end, position, self._dimensions)

@@ -1,4 +1,4 @@
-"""Where a run is in time, which coupling step comes next, and the wall time of its phases."""
+"""Time of a run, its next coupling step, and the wall time of its phases."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ class Timeline(NamedTuple):
         return self.time >= self.plan.duration
 
 
-PHASES: Final = ("compile", "nutrient", "biology", "mechanics", "events", "record")
+TIMED_PHASES: Final = ("compile", "nutrient", "biology", "mechanics", "events", "record")
 """Phases of the loop whose wall time is measured; no moment belongs to two of them."""
 
 
 @final
-class Phase:
+class PhaseTimer:
     """Adds the wall time of a block to that of a phase, and what numba took of it to another."""
 
     def __init__(self, wall: dict[str, float], name: str) -> None:
@@ -73,3 +73,18 @@ class Phase:
         compiled = COMPILATION.seconds - self.compiled
         self.wall["compile"] += compiled
         self.wall[self.name] += clock.perf_counter() - self.begin - compiled
+
+
+@final
+class Laps:
+    """A clock that adds the time since its last call to a phase; of numba's it is as in Phase."""
+
+    def __init__(self, wall: dict[str, float]) -> None:
+        self.wall, self.begin, self.compiled = wall, clock.perf_counter(), COMPILATION.seconds
+
+    def __call__(self, name: str) -> None:
+        """Enter in a phase what has passed since the last call."""
+        now, compiled = clock.perf_counter(), COMPILATION.seconds
+        self.wall["compile"] += compiled - self.compiled
+        self.wall[name] += now - self.begin - (compiled - self.compiled)
+        self.begin, self.compiled = now, compiled

@@ -1,1 +1,0 @@
-"""The parts that a coupling step joins: time, motion, fields, and what the loop costs."""

@@ -1,0 +1,302 @@
+"""Cells in bins: where the search for close cells looks.
+
+Any finite positions are handled: where the cells are so far apart that a dense grid would be larger
+than a few bins per cell, bins are made from the sorted coordinates instead, and memory stays
+proportional to cells and pairs.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from multicell.cells import FloatArray
+from multicell.compiling import INLINED, INNER
+from multicell.mechanics.neighbours.pair_list import IndexArray, OffsetArray
+
+_BINS_PER_CELL = 24
+_SPARE_BINS = 4096
+SLICES = 4  # bins along x for each along y and z
+SEARCHED = 512  # candidates that are tested in one go
+
+
+class Bins(NamedTuple):
+    """Cells sorted into bins; one row of bins along x follows the other.
+
+    Dense bins are as wide in y and z as the largest distance of a pair, and a quarter of that in x:
+    a cell then looks through one range of places in each of the rows next to it, and that range
+    is as short as its own reach allows. Each pair is found from one of its cells, the one that
+    comes first.
+
+    - ``order``, (n,) int32: cells in the order of their bins
+    - ``place``, (n,) int32: where each cell stands in that order
+    - ``cells``, (n, 4), µm: centres and radii, half of the skin included, in that order: the search
+      reads them in a stream
+    - ``largest``, float, µm: the largest of these radii
+    - ``low``, (3,), µm: dense: the corner of the grid
+    - ``shape``, (3,) int64: dense: the number of bins along x, y and z; zeros where the bins are
+      sparse
+    - ``start``, (bins + 2,) int32: dense: the first place of each bin, x running fastest, and the
+      end
+    - ``ranges``, (n, 5, 2) int64: sparse: the first place and the end of the bins that may hold a
+      cell's neighbours, in its own row, where only what comes later counts, and in the four rows
+      that come later
+    """
+
+    order: IndexArray
+    place: IndexArray
+    cells: FloatArray
+    largest: float
+    low: FloatArray
+    shape: OffsetArray
+    start: IndexArray
+    ranges: OffsetArray
+
+
+@njit(**INNER)
+def _extent(c, chunk, position, radius, extent):
+    """Write the corners of the box round a chunk's centres, and its largest radius."""
+    begin, end = np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, radius.size))
+    for a in range(3):
+        low, high = position[begin, a], position[begin, a]
+        for i in range(begin, end):
+            low, high = min(low, position[i, a]), max(high, position[i, a])
+        extent[c, a], extent[c, 3 + a] = low, high
+    largest = radius[begin]
+    for i in range(begin, end):
+        largest = max(largest, radius[i])
+    extent[c, 6] = largest
+
+
+@njit(**INNER)
+def _dense_grid(extent, skin, n):
+    """Return the largest radius, the grid's corner, and its shape: zeros with too many bins."""
+    low, high, shape = np.empty(3), np.empty(3), np.empty(3, np.int64)
+    largest, total = extent[0, 6], 1.0
+    for a in range(3):
+        low[a], high[a] = extent[0, a], extent[0, 3 + a]
+    for c in range(extent.shape[0]):
+        largest = max(largest, extent[c, 6])
+        for a in range(3):
+            low[a], high[a] = min(low[a], extent[c, a]), max(high[a], extent[c, 3 + a])
+    largest += 0.5 * skin
+    for a in range(3):
+        # math.floor makes an integer, which is undefined for what no integer holds
+        count = np.floor((high[a] - low[a]) * (0.5 / largest) * (SLICES if a == 0 else 1)) + 1.0
+        total *= count
+        shape[a] = np.int64(count) if total <= _BINS_PER_CELL * n + _SPARE_BINS else 0
+    if shape[0] * shape[1] * shape[2] == 0:
+        shape[0] = 0
+    return largest, low, shape
+
+
+@njit(**INLINED)
+def _bin_along(x, axis, largest, low, shape):
+    """Return the bin of a coordinate along an axis."""
+    inverse = 0.5 / largest * (SLICES if axis == 0 else 1)
+    return min(np.int64((x - low[axis]) * inverse), shape[axis] - 1)
+
+
+@njit(**INNER)
+def _assign(c, chunk, position, largest, low, shape, bin_of):
+    """Write the bins of a chunk's cells."""
+    for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, bin_of.size))):
+        ix = _bin_along(position[i, 0], 0, largest, low, shape)
+        iy = _bin_along(position[i, 1], 1, largest, low, shape)
+        iz = _bin_along(position[i, 2], 2, largest, low, shape)
+        bin_of[i] = (iz * shape[1] + iy) * shape[0] + ix
+
+
+@njit(**INNER)
+def _sort(bin_of, shape):
+    """Sort by counting; return where each bin begins, and where each cell stands.
+
+    The only part that threads do not share.
+    """
+    bins, place = shape[0] * shape[1] * shape[2], np.empty(bin_of.size, np.int32)
+    start = np.empty(bins + 2, np.int32)
+    for b in range(bins + 2):
+        start[b] = 0
+    if bins == 0:
+        return start, place
+    for i in range(bin_of.size):
+        start[np.uint32(bin_of[i] + 2)] += 1
+    for b in range(1, bins + 1):
+        start[b + 1] += start[b]
+    for i in range(bin_of.size):
+        # start[b + 1] runs through bin b, and ends as the first place of the next one
+        b = np.uint32(bin_of[i] + 1)
+        place[i] = start[b]
+        start[b] += 1
+    return start, place
+
+
+@njit(**INNER)
+def _line_up(c, chunk, position, radius, skin, place, order, cells):
+    """Write a chunk's cells where they stand."""
+    for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, radius.size))):
+        p = np.uint32(place[i])
+        order[p] = i
+        for a in range(3):
+            cells[p, a] = position[i, a]
+        cells[p, 3] = radius[i] + 0.5 * skin
+
+
+@njit(**INNER)
+def _stable_order(key):
+    """Return the order that sorts a key; equal ones keep theirs (merge sort, bottom up)."""
+    n = key.size
+    order, merged = np.empty(n, np.int32), np.empty(n, np.int32)
+    for i in range(n):
+        order[i] = i
+    width = 1
+    while width < n:
+        for low in range(0, n, 2 * width):
+            middle, high = min(low + width, n), min(low + 2 * width, n)
+            a, b = low, middle
+            for k in range(low, high):
+                if a < middle and (b == high or key[order[a]] <= key[order[b]]):
+                    merged[k] = order[a]
+                    a += 1
+                else:
+                    merged[k] = order[b]
+                    b += 1
+        order, merged = merged, order
+        width *= 2
+    return order
+
+
+@njit(**INNER)
+def _first_not_below(key, count, wanted):
+    """Return the first of ``count`` places of a sorted key whose value is not below ``wanted``."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if key[middle] < wanted:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(**INNER)
+def sparse_bins(position, radius, skin):
+    """Bin far-flung cells by sorted coordinates; return what :class:`Bins` holds of them.
+
+    Along each axis bins are numbered one after the other, and close cells differ by at most one:
+    memory does not depend on the distances. Compiled with what calls it: an exception that Python
+    raises within a loop of a method, such as for Ctrl-C, could not be carried out of it. All keys
+    are whole numbers that a float holds exactly for less than 9e7 cells.
+    """
+    n = position.shape[0]
+    width = 0.0
+    for i in range(n):
+        width = max(width, radius[i] + 0.5 * skin)
+    width *= 2.0
+    number, key, edge = np.empty((4, n)), np.empty(n), np.empty(n)
+    order, stride, count = np.empty(0, np.int32), n + 2.0, 0
+    # along x, y and z, rows along x, and places in rows: sorted by one call, which compiles once
+    for sort in range(5):
+        for i in range(n):
+            if sort < 3:
+                key[i] = position[i, sort]
+            elif sort == 3:
+                number[1, i] += number[2, i] * stride
+                key[i] = number[1, i]
+            else:
+                key[i] = number[3, i] * stride + number[0, i]
+        order = _stable_order(key)
+        if sort == 4:
+            break
+        count, gap = 0, width if sort < 3 else 0.0
+        for k in range(n):
+            i = order[k]
+            # compared as a sum of halves, which cannot overflow
+            if count == 0 or 0.5 * key[i] > 0.5 * edge[count - 1] + 0.5 * gap:
+                edge[count] = key[i]
+                count += 1
+            number[sort, i] = count - 1
+    place, cells, line = np.empty(n, np.int32), np.empty((n, 4)), np.empty(n)
+    for k in range(n):
+        i = order[k]
+        place[i], line[k] = k, key[i]
+        for a in range(3):
+            cells[k, a] = position[i, a]
+        cells[k, 3] = radius[i] + 0.5 * skin
+    ranges = np.zeros((n, 5, 2), np.int64)
+    for i in range(n):
+        x = number[0, i]
+        for neighbour in range(5):
+            wanted = number[1, i] + ((neighbour + 4) // 3 - 1) * stride + ((neighbour + 4) % 3 - 1)
+            found = _first_not_below(edge, count, wanted)
+            if found < count and edge[found] == wanted:
+                begin = found * stride
+                ranges[i, neighbour, 0] = _first_not_below(line, n, begin + max(x - 1.0, 0.0))
+                ranges[i, neighbour, 1] = _first_not_below(line, n, begin + min(x + 2.0, stride))
+        ranges[i, 0, 0] = place[i] + 1
+    return order, place, cells, ranges
+
+
+@njit(**INNER, inline="always")
+def dense_bins(position, radius, skin, chunk):
+    """Return cells in the bins of a dense grid; ``shape`` is zero where it would be too large.
+
+    Put into its callers line by line, so that threads share its loops there.
+    """
+    n = radius.size
+    chunks = (n + chunk - 1) // chunk
+    extent, bin_of = np.empty((chunks, 7)), np.empty(n, np.int32)
+    for c in prange(chunks):
+        _extent(c, chunk, position, radius, extent)
+    largest, low, shape = _dense_grid(extent, skin, n)
+    dense = chunks if shape[0] > 0 else 0
+    for c in prange(dense):
+        _assign(c, chunk, position, largest, low, shape, bin_of)
+    places, place = _sort(bin_of, shape)
+    order, cells = np.empty(n, np.int32), np.empty((n, 4))
+    for c in prange(dense):
+        _line_up(c, chunk, position, radius, skin, place, order, cells)
+    return Bins(order, place, cells, largest, low, shape, places, np.empty((0, 5, 2), np.int64))
+
+
+@njit(**INLINED)
+def row_of(bins, a):
+    """Return the row of place ``a`` in a dense grid, its bins along y and z."""
+    if bins.shape[0] == 0:
+        return 0, 0
+    iy = _bin_along(bins.cells[a, 1], 1, bins.largest, bins.low, bins.shape)
+    return iy, _bin_along(bins.cells[a, 2], 2, bins.largest, bins.low, bins.shape)
+
+
+@njit(**INLINED)
+def range_of(neighbour, line, start, slices, x, half, scale, place):
+    """Return the range of places to look through in one row of a dense grid.
+
+    ``line`` is the first of the row's bins, ``x ± half``, µm from the grid's end, what is looked
+    for there. In a cell's own row only what comes later counts.
+    """
+    high = min(np.int64((x + half) * scale), slices - 1)
+    end = np.int64(start[np.uint64(line + high + 1)])
+    if neighbour == 0:
+        return place + 1, end
+    return np.int64(start[np.uint64(line + max(np.int64((x - half) * scale), 0))]), end
+
+
+@njit(**INLINED)
+def collect(cells, begin, end, a, hits, count):
+    """Append the places in ``begin:end`` that are close to place ``a``; return how many there are.
+
+    The write is unconditional and only the count depends on the test: one cell in three is
+    close, which a branch would mispredict.
+    """
+    x, y, z, r = cells[a, 0], cells[a, 1], cells[a, 2], cells[a, 3]
+    for b in range(np.uint64(begin), np.uint64(end)):
+        dx = cells[b, 0] - x
+        dy = cells[b, 1] - y
+        dz = cells[b, 2] - z
+        reach = r + cells[b, 3]
+        hits[np.uint64(count)] = b
+        count += np.int64(dx * dx + dy * dy + dz * dz <= reach * reach)
+    return count

@@ -1,0 +1,237 @@
+"""The search for all pairs of cells that are close."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from multicell.cells import FloatArray
+from multicell.compiling import INNER
+from multicell.compiling.threads import two_drivers
+from multicell.mechanics.neighbours.bins import (
+    SEARCHED,
+    SLICES,
+    Bins,
+    collect,
+    dense_bins,
+    range_of,
+    row_of,
+    sparse_bins,
+)
+from multicell.mechanics.neighbours.pair_list import CHUNK, IndexArray, PairList
+
+_SPARE_PAIRS = 4_000_000
+
+
+class TooManyPairsError(Exception):
+    """So many cells lie on top of each other that the list of pairs would not fit."""
+
+
+def neighbour_pairs(position: FloatArray, cutoff: float) -> IndexArray:
+    """Return all pairs of points (n, 3) no further apart than ``cutoff``, sorted, (m, 2)."""
+    radius = np.full(len(position), 0.5 * cutoff)
+    return build(np.ascontiguousarray(position, dtype=float), radius, 0.0).pairs()
+
+
+def build(
+    position: FloatArray,
+    radius: FloatArray,
+    skin: float,
+    threads: int = 1,
+    chunk: int = CHUNK,
+) -> PairList:
+    """Build the list of all pairs closer than ``r_i + r_j + skin``.
+
+    - ``chunk``: cells in a chunk
+
+    Raises :class:`TooManyPairsError`.
+    """
+    n = len(position)
+    if n < 2:
+        return empty_list(n, chunk)
+    run, none = rebuild_parallel if threads > 1 and n > chunk else rebuild, np.empty(0, np.int32)
+    crowded, first, second, start, inner_end, outer_end = run(
+        position, radius, skin, chunk, none, none
+    )
+    if crowded:
+        raise TooManyPairsError(too_many_pairs(n))
+    return PairList(first, second, start, inner_end, outer_end, chunk, n)
+
+
+def empty_list(n: int, chunk: int) -> PairList:
+    """Return the list of ``n`` cells none of which are close."""
+    none = np.empty(0, dtype=np.int32)
+    start, inner_end, outer_end = np.zeros((3, -(-n // chunk)), dtype=np.int64)
+    return PairList(none, none, start, inner_end, outer_end, chunk, n)
+
+
+def too_many_pairs(n: int) -> str:
+    """Return in words why there is no list of ``n`` cells."""
+    return f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells"
+
+
+@njit(**INNER)
+def _note(i, own, order, hits, count, at, stop, first, second):
+    """Write the pairs of cell i with its hits, inner and outer ones to their places ``at``.
+
+    ``own`` are the first cell of the chunk and the end. Counts on without writing when the room
+    up to ``stop`` is used up.
+    """
+    inner, outer = at[0], at[1]
+    if inner + count < stop[0] and outer + count < stop[1]:
+        p, q = np.uint64(inner), np.uint64(outer)
+        for h in range(np.uint64(count)):
+            j = order[np.uint64(hits[h])]
+            out = np.uint64(j < own[0]) | np.uint64(j >= own[1])
+            # both are written and one is kept: a branch would mispredict
+            first[p], second[p] = i, j
+            first[q], second[q] = i, j
+            p, q = p + np.uint64(1) - out, q + out
+        inner, outer = np.int64(p), np.int64(q)
+    else:
+        for h in range(count):
+            j = order[hits[h]]
+            out = j < own[0] or j >= own[1]
+            place, end = (outer, stop[1]) if out else (inner, stop[0])
+            if place < end:
+                first[place], second[place] = i, j
+            inner, outer = inner + np.int64(not out), outer + np.int64(out)
+    at[0], at[1] = inner, outer
+
+
+@njit(**INNER)
+def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
+    """Write the pairs that are found from one chunk's cells; count inner and outer to ``found[c]``.
+
+    (chunks, 2) places from ``base[c]`` on are for them, those for inner pairs first. Where that is
+    enough, the outer pairs are moved up behind the inner ones. The search ends when there are more
+    than ``limit`` pairs.
+    """
+    own = (c * chunk, min((c + 1) * chunk, bins.order.size))
+    at, stop = np.empty(2, np.int64), np.empty(2, np.int64)
+    at[0], stop[0] = base[c], base[c] + room[c, 0]
+    at[1], stop[1] = stop[0], stop[0] + room[c, 1]
+    hits = np.empty(2 * SEARCHED, np.int32)
+    cells, start, shape, low = bins.cells, bins.start, bins.shape, bins.low
+    width, scale, dense = 2.0 * bins.largest, 0.5 * SLICES / bins.largest, shape[0] > 0
+    for i in range(np.uint64(own[0]), np.uint64(own[1])):
+        # a typed zero: a bare one would have the functions below compiled twice
+        a, count = np.int64(bins.place[i]), np.int64(0)
+        reach = cells[a, 3] + bins.largest
+        iy, iz = row_of(bins, a)
+        for neighbour in range(5):
+            if dense:
+                dy, dz = (neighbour + 4) % 3 - 1, (neighbour + 4) // 3 - 1
+                v, w = iy + dy, iz + dz
+                if v < 0 or v >= shape[1] or w >= shape[2]:
+                    continue
+                y, z = cells[a, 1] - low[1], cells[a, 2] - low[2]
+                y = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
+                z = 0.0 if dz == 0 else z - w * width
+                # wider by a millionth, so that rounding loses no pair
+                rest = reach * reach * 1.000001 - y * y - z * z
+                if rest <= 0.0:
+                    continue
+                begin, end = range_of(
+                    neighbour, (w * shape[1] + v) * shape[0], start, shape[0],
+                    cells[a, 0] - low[0], math.sqrt(rest), scale, a,
+                )  # fmt: skip
+            else:
+                begin, end = bins.ranges[i, neighbour, 0], bins.ranges[i, neighbour, 1]
+            for block in range(begin, end, SEARCHED):
+                if count > SEARCHED:
+                    _note(i, own, bins.order, hits, count, at, stop, first, second)
+                    count = np.int64(0)
+                count = collect(cells, block, min(block + SEARCHED, end), a, hits, count)
+        _note(i, own, bins.order, hits, count, at, stop, first, second)
+        if at[0] - base[c] + at[1] - stop[0] > limit:
+            break
+    found[c, 0], found[c, 1] = at[0] - base[c], at[1] - stop[0]
+    if at[0] <= stop[0] and at[1] <= stop[1]:
+        for k in range(found[c, 1]):
+            first[at[0] + k] = first[stop[0] + k]
+            second[at[0] + k] = second[stop[0] + k]
+
+
+@njit(**INNER)
+def _mirror(chunk, base, room, found, first, second, end):
+    """Give the outer pairs to the chunks of their second cells, too, and write where lists end.
+
+    Return whether there was room for them; where not, ``room`` is made larger.
+    """
+    chunks, enough = found.shape[0], True
+    for c in range(chunks):
+        end[c] = base[c] + found[c, 0] + found[c, 1]
+    for c in range(chunks):
+        own = base[c] + found[c, 0]
+        for k in range(own, own + found[c, 1]):
+            end[second[k] // chunk] += 1
+    for c in range(chunks):
+        if end[c] > base[c + 1]:
+            room[c, 1] += end[c] - base[c + 1]
+            enough = False
+        end[c] = base[c] + found[c, 0] + found[c, 1]
+    if not enough:
+        return False
+    for c in range(chunks):
+        own = base[c] + found[c, 0]
+        for k in range(own, own + found[c, 1]):
+            d = second[k] // chunk
+            first[end[d]], second[end[d]] = second[k], first[k]
+            end[d] += 1
+    return True
+
+
+def _rebuild(position, radius, skin, chunk, first, second):
+    """Do the work of :func:`build` for one cell and more.
+
+    One function, and loops in place of array expressions: so it compiles many times faster.
+
+    - ``first``, ``second``, (m,) int32: of a list that nobody needs any more, or empty: written to
+      where they are long enough. With many cells the system takes longer to find new memory than
+      the search to fill it.
+
+    Returns crowded, bool: whether there are too many pairs; the list is then of no use; first,
+    second, start, inner_end, outer_end: as in :class:`PairList`.
+    """
+    n = radius.size
+    chunks = (n + chunk - 1) // chunk
+    dense = dense_bins(position, radius, skin, chunk)
+    order, place, cells, ranges = dense.order, dense.place, dense.cells, dense.ranges
+    if dense.shape[0] == 0:
+        order, place, cells, ranges = sparse_bins(position, radius, skin)
+    # made once: loops that threads share take no tuple that is either of two
+    bins = Bins(order, place, cells, dense.largest, dense.low, dense.shape, dense.start, ranges)
+    base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
+    room, counts = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
+    start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
+    outer_end = np.empty(chunks, np.int64)
+    for c in range(chunks):
+        # what packed tissue needs
+        room[c, 0] = room[c, 1] = 9 * min(n, chunk) + 64
+    while True:
+        base[0] = 0
+        for c in range(chunks):
+            base[c + 1] = base[c] + room[c, 0] + room[c, 1]
+        if min(first.size, second.size) < base[chunks]:
+            first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
+        for c in prange(chunks):
+            _search_chunk(c, chunk, bins, base, room, limit, first, second, counts)
+        total, enough = 0, True
+        for c in range(chunks):
+            for side in range(2):
+                total += counts[c, side]
+                enough &= counts[c, side] <= room[c, side]
+                room[c, side] = max(room[c, side], counts[c, side])
+        if total > limit:
+            break
+        if enough and _mirror(chunk, base, room, counts, first, second, outer_end):
+            break
+    for c in range(chunks):
+        start[c], inner_end[c] = base[c], base[c] + counts[c, 0]
+    return total > limit, first, second, start, inner_end, outer_end
+
+
+rebuild, rebuild_parallel = two_drivers(_rebuild)

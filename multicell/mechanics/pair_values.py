@@ -1,0 +1,65 @@
+"""Values that a law keeps for each pair: surface energies between types, memory of contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+from multicell.contact.law import PairLaw, effective_radius
+from multicell.mechanics.forces import PairData
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.neighbours import PairList, are_listed, listed
+
+
+def has_pair_values(law: PairLaw, motion: Motion, surface_energies: FloatArray | None) -> bool:
+    """Return whether the law keeps values for each pair, which are made with each list."""
+    return law.remembers or (surface_energies is not None and motion.kind is not None)
+
+
+def pair_data(
+    pairs: PairList,
+    law: PairLaw,
+    motion: Motion,
+    surface_energies: FloatArray | None,
+    compliance: FloatArray,
+) -> PairData:
+    """Return a list with what the law keeps for each pair, as kernels take it.
+
+    - ``surface_energies``, (k, k), optional: over the types ``motion.kind``, nN/µm
+    - ``compliance``, (n,): of the cells, 1/kPa
+    """
+    if not has_pair_values(law, motion, surface_energies):
+        return PairData(*pairs.arrays, None, None, None)
+    first, second = listed(pairs)
+    sticky = None
+    if surface_energies is not None and motion.kind is not None:
+        table = law.adhesion_of(surface_energies)
+        sticky = np.ascontiguousarray(table[motion.kind[first], motion.kind[second]])
+    if not law.remembers:
+        return PairData(*pairs.arrays, sticky, None, None)
+    adhesion = law.adhesion if sticky is None else sticky
+    modulus = 1.0 / (compliance[first] + compliance[second])
+    unit, onset = _memory(law, motion, adhesion, modulus, first, second)
+    return PairData(*pairs.arrays, sticky, unit, onset)
+
+
+def _memory(
+    law: PairLaw,
+    motion: Motion,
+    adhesion: FloatArray | float,
+    modulus: FloatArray,
+    first: NDArray[np.int64],
+    second: NDArray[np.int64],
+) -> tuple[FloatArray, FloatArray]:
+    """Return the law's unit of overlap with its rate, (2, m), and its onset, of pairs."""
+    touching = are_listed(motion.touching, first, second, len(motion.radius))
+    (begin, onset), (end, _) = (
+        law.pair_memory(
+            adhesion, modulus, effective_radius(radius[first], radius[second]), touching
+        )
+        for radius in (motion.radius, motion.end_radius)
+    )
+    length = motion.end - motion.begin
+    rate = (end - begin) / length if length > 0.0 else np.zeros(len(first))
+    return np.stack([begin, rate]), onset

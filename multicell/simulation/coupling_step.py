@@ -1,0 +1,273 @@
+"""One coupling step: from the state of a run to the next one.
+
+The data goes one way: growth rates from what the cells find around them, motion while the radii
+grow, then all events (division, removal), then the nutrient field of the new configuration, and
+from it the cells' new states. So a frame taken between two steps is consistent: its concentrations
+are those of its own cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, final
+
+import numpy as np
+
+from multicell.biology import driven
+from multicell.biology.division import change_types, changing, mutate_as_found
+from multicell.biology.exposure import Exposure, remainders
+from multicell.biology.growth import growth_factor, lag_after
+from multicell.biology.states import irradiate
+from multicell.biology.step import age_cells, bind_changed, decide, divide_and_remove, grow
+from multicell.mechanics import neighbours
+from multicell.results.observables import contact_rows
+from multicell.simulation.run_state import RunState
+from multicell.simulation.timeline import Laps
+
+if TYPE_CHECKING:
+    from multicell.biology.step import Decided, Grown
+    from multicell.cells import Cells, FloatArray, IntArray, Signals
+    from multicell.results.lineage import Lineage
+    from multicell.simulation.machinery import Machinery
+    from multicell.simulation.mover import Moved
+    from multicell.simulation.timeline import Timeline
+
+_GRAIN = 1e-3  # of a coupling step, to which the time of a separation is known
+_STALE_ORDER = 0.05  # part of the cells that may be new before all are sorted in space again
+
+
+def next_state(run: Machinery, state: RunState) -> RunState:
+    """Return the state after the next coupling step.
+
+    Raises StepFailed or NutrientFailed if positions or a field cannot be solved for; the parts of
+    ``run`` are then to be loaded again.
+    """
+    run.load(state)
+    plan, lap = run.plan, Laps(run.wall)
+    begin, timeline = state.timeline.time, state.timeline.after_step()
+    end, found = timeline.time, run.signals_of(state)
+    factor = run.growth(state, found)
+    grown = grow(plan, state.cells, found, factor, end - begin)
+    lap("biology")
+    moved, separation = _moved(run, state, found, end, grown.radius)
+    contacts = state.contacts
+    if moved.contacts is not None:
+        contacts = state.cells.id[moved.contacts]
+    lap("mechanics")
+    people = _after_events(run, state, grown, moved, contacts, timeline)
+    lap("events")
+    jumps = timeline.plan.jumps_at(end)
+    lived = _exposed(run, state, people, found, timeline, jumps, lap)
+    cells, lineage = lived.cells, lived.lineage
+    if plan.radiation:
+        cells, dead = irradiate(plan, cells, run.field_system.concentrations, begin, end)
+        lineage = lineage.died(cells, dead, end)
+    growth = None
+    if plan.growth is not None and not jumps:
+        # a jump changes nothing of the step that it ends
+        here = run.signals(cells, people.contacts, end)
+        growth = growth_factor(plan, here, cells.pressure, cells)
+        lag = lag_after(plan, state.cells, factor, cells, growth, end - begin)
+        cells = cells.changed(lag=lag)
+    lap("biology")
+    return RunState(
+        cells=cells,
+        timeline=timeline,
+        fields=run.field_system.state,
+        contacts=people.contacts,
+        lineage=lineage,
+        next_id=people.next_id,
+        unsorted=people.unsorted,
+        divisions=state.divisions + (people.next_id - state.next_id) // 2,
+        removals=state.removals + people.removals,
+        released=lived.released,
+        separation=separation,
+        first_states=state.first_states,
+        exposures=lived.exposures,
+        named=people.named,
+        replays=moved.replays,
+        stability=moved.stability,
+        work=run.work(),
+        cavity=run.mover.cavity,
+        growth=growth,
+    )
+
+
+def _moved(
+    run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
+) -> tuple[Moved, Mapping[str, float] | None]:
+    """Return what motion makes of the cells, and when a pull has parted them."""
+    begin, step = state.timeline.time, state.timeline.step
+    motion = run.motion(state, found, begin, end, radius)
+    moved = run.mover.move(state.cells, motion, step, state.replays, state.stability)
+    pull, none_left = run.scene.pull, moved.contacts is not None and not len(moved.contacts)
+    if pull is None or not none_left or not len(state.contacts):
+        return moved, state.separation
+    time = _parting(run, replace(state, stability=moved.stability), found, end, radius)
+    return moved, {"time": time, "force": pull.load(time)}
+
+
+def _parting(
+    run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
+) -> float:
+    """Return when in a step the last contact breaks, s: halving it until the time is known."""
+    cells, begin = state.cells, state.timeline.time
+    low, high = begin, end
+    while high - low > _GRAIN * (end - begin):
+        middle = 0.5 * (low + high)
+        grown = cells.radius + (middle - begin) / (end - begin) * (radius - cells.radius)
+        motion = run.motion(state, found, begin, middle, grown)
+        moved = run.mover.move(cells, motion, state.timeline.step, None, state.stability)
+        joined = moved.contacts is not None and len(moved.contacts) > 0
+        low, high = (middle, high) if joined else (low, middle)
+    return high
+
+
+@final
+class _People(NamedTuple):
+    """The population after events; the names are those of :class:`RunState`.
+
+    ``removals`` counts those of the step, and ``released`` is what all dead cells have lost so far.
+    """
+
+    cells: Cells
+    contacts: IntArray
+    lineage: Lineage
+    named: Mapping[str, IntArray]
+    next_id: int
+    unsorted: int
+    removals: int
+    released: float
+
+
+def _after_events(
+    run: Machinery,
+    state: RunState,
+    grown: Grown,
+    moved: Moved,
+    contacts: IntArray,
+    timeline: Timeline,
+) -> _People:
+    """Return the cells at the end of a step after division and removal, sorted where it is due."""
+    plan, begin, end, first = run.plan, state.timeline.time, timeline.time, state.next_id
+    here: Signals = {}
+    if plan.adhesion is not None:
+        here = run.signals(state.cells, contacts, begin)
+    aged, lost = age_cells(plan, state.cells, grown, here, begin, end)
+    aged = aged.changed(position=moved.position, pressure=moved.pressure)
+    here = run.signals(aged, contacts, end)
+    after = divide_and_remove(plan, aged, first, end, end - begin, here, grown.factor)
+    cells, lineage, named = after.cells, state.lineage, state.named
+    unsorted = state.unsorted + after.next_id - first + after.removals
+    if after.next_id > first or after.removals:
+        lineage = lineage.events(aged, cells, end)
+        named = driven.pass_on(named, cells, first)
+        if len(contacts):
+            contacts = cells.id[contact_rows(cells, contacts)]
+    cells, unsorted = sorted_in_space(cells, unsorted)
+    released = state.released + lost + after.released
+    return _People(
+        cells, contacts, lineage, named, after.next_id, unsorted, after.removals, released
+    )
+
+
+def sorted_in_space(cells: Cells, unsorted: int) -> tuple[Cells, int]:
+    """Return cells sorted in space where many are new, and how many are since the last sorting.
+
+    Neighbours then share memory.
+    """
+    if unsorted <= _STALE_ORDER * len(cells):
+        return cells, unsorted
+    width = 2.0 * float(cells.radius.max(initial=1.0))
+    return cells.take(neighbours.spatial_order(cells.position, width)), 0
+
+
+@final
+class _Lived(NamedTuple):
+    """The cells after all that they do about what they find, as in :class:`_People`."""
+
+    cells: Cells
+    lineage: Lineage
+    released: float
+    exposures: Mapping[str, float]
+
+
+def _exposed(
+    run: Machinery,
+    state: RunState,
+    people: _People,
+    found: Signals,
+    timeline: Timeline,
+    jumps: bool,
+    lap: Laps,
+) -> _Lived:
+    """Bring the fields through a step, and let cells do what follows from what they find.
+
+    Where rates have killed cells, transient fields are brought through it once more, now with
+    these cells until they died.
+
+    - ``jumps``: whether a steady field jumps at the end of the step
+    """
+    plan, fields, before = run.plan, run.field_system, people.cells
+    begin, end = state.timeline.time, timeline.time
+    jumped = timeline.plan.changes_at(begin)
+    # whether more than the ends of the step matters: rates, or fields that jumped
+    followed = plan.exposed if plan.acting or jumped else ()
+    marches, until = fields.marches, cast(Any, 1.0)
+    again = marches and (plan.acting or jumped)
+    attempt = run, state, people, found, timeline, fields.steady if jumps else (), followed, lap
+    exposure, decided = _attempt(*attempt, until)
+    if again and np.count_nonzero(decided.died):
+        until = np.where(decided.died, 1.0 - decided.cells.age / (end - begin), 1.0)
+        fields.state = state.fields
+        exposure, decided = _attempt(*attempt, until)
+    cells, dead, released = decided
+    lineage, exposures = people.lineage, state.exposures
+    if np.count_nonzero(dead):
+        lineage = lineage.died(cells, dead, end)
+    if marches and cells.radius is not before.radius:  # some died, or rest early
+        rests = (cells.state != before.state) & (cells.age < end - begin) & ~dead
+        late = np.where((dead & (until == 1.0)) | rests, cells.age, 0.0)
+        fields.give_back(before, cells, late)
+    if plan.acting:
+        exposures = remainders(plan, exposure, exposures, jumped=jumped)
+    cells, rows = mutate_as_found(plan, cells, exposure, people.next_id)
+    if rows.size:
+        lineage = lineage.retyped(cells.id[rows], cells.kind[rows])
+    if changing(plan.acting):
+        exposure.cells = cells
+        cells = change_types(plan, cells, exposure)
+    cells = bind_changed(plan, decided.cells, cells, exposure.signals, end)
+    return _Lived(cells, lineage, people.released + released, exposures)
+
+
+def _attempt(
+    run: Machinery,
+    state: RunState,
+    people: _People,
+    before: Signals,
+    timeline: Timeline,
+    held: Collection[str],
+    followed: Collection[str],
+    lap: Laps,
+    until: Any,
+) -> tuple[Exposure, Decided]:
+    """Bring the fields through a step with cells until a part of it, (n,), and let some die."""
+    plan, fields, cells = run.plan, run.field_system, people.cells
+    begin, end = state.timeline.time, timeline.time
+    fields.advance(cells, begin, end, before=state.cells, follow=followed, until=until)
+    lap("nutrient")
+    exposure = Exposure(
+        cells,
+        run.signals(cells, people.contacts, end),
+        end - begin,
+        began=state.cells,
+        before=before,
+        inner=fields.courses,
+        held=held,
+    )
+    decided = decide(plan, cells, exposure.signals, exposure, ahead=timeline.ahead, time=end)
+    exposure.cells = decided.cells
+    lap("biology")
+    return exposure, decided

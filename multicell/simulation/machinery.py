@@ -1,0 +1,105 @@
+"""What a run computes with: biology's plan, mechanics and its integrator, fields, clocks.
+
+It holds nothing of a run from step to step. What its parts have of a state is loaded into them
+before they are used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, final
+
+from multicell.biology.growth import growth_factor
+from multicell.biology.motion import motion_of
+from multicell.biology.plan import biology_plan
+from multicell.biology.responding import other_signals, value_of
+from multicell.nutrient.fields import FieldSystem
+from multicell.simulation.mover import Mover
+from multicell.simulation.timeline import TIMED_PHASES
+
+if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
+    from multicell.cells import Cells, FloatArray, IntArray, Signals
+    from multicell.integrators.base import Integrator
+    from multicell.mechanics.motion import Motion
+    from multicell.nutrient.reactions.own import OwnReaction
+    from multicell.scene.scene import Scene
+    from multicell.simulation.run_state import RunState
+
+
+def fields_of(
+    scene: Scene, reactions: Mapping[str, OwnReaction] | None, threads: int, plan: BiologyPlan
+) -> FieldSystem:
+    """Return the fields of a scene, to which its cells respond."""
+
+    def respond(behaviour: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray | None:
+        return value_of(plan, behaviour, 1.0, found, cells, early=True)
+
+    return FieldSystem(scene, reactions, threads, respond)
+
+
+@final
+class Machinery:
+    """What computes the steps of a run of a scene.
+
+    - ``plan``: what biology needs of the scene
+    - ``mover``: mechanics and the integrator
+    - ``field_system``: what solves for the fields
+    - ``wall``, phase -> s: wall time of each phase of the loop
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        threads: int,
+        integrator: Integrator | None,
+        reactions: Mapping[str, OwnReaction] | None,
+    ) -> None:
+        self.scene, self.plan = scene, biology_plan(scene)
+        self.mover = Mover(scene, threads, integrator)
+        self.field_system = fields_of(scene, reactions, threads, self.plan)
+        self.wall = dict.fromkeys(TIMED_PHASES, 0.0)
+
+    def load(self, state: RunState) -> None:
+        """Let the parts continue from a state."""
+        self.field_system.state = state.fields
+        vars(self.mover.system.work).update(state.work)
+        if state.cavity is not None:
+            self.mover.cavity = state.cavity
+
+    def work(self) -> dict[str, int]:
+        """Return what the integration has cost since the start of the run, by name."""
+        return vars(self.mover.system.work).copy()
+
+    def signals(self, cells: Cells, contacts: IntArray, time: float) -> Signals:
+        """Return all that cells find and do not carry themselves: fields, time, neighbours.
+
+        Fields are in mM; there are no more than responses need.
+        """
+        found = self.field_system.concentrations
+        if not self.plan.elsewhere:
+            return found
+        return {**found, **other_signals(self.plan, cells, contacts, time)}
+
+    def signals_of(self, state: RunState) -> Signals:
+        """Return what the cells of a state find."""
+        return self.signals(state.cells, state.contacts, state.timeline.time)
+
+    def growth(self, state: RunState, found: Signals) -> FloatArray:
+        """Return how fast cells of a state would grow where they find this, (n,)."""
+        if state.growth is not None:
+            return state.growth
+        return growth_factor(self.plan, found, state.cells.pressure, state.cells)
+
+    def motion(
+        self, state: RunState, found: Signals, begin: float, end: float, radius: FloatArray
+    ) -> Motion:
+        """Return how the cells of a state move between two times, s, at whose end they have radii.
+
+        - ``radius``, (n,) µm
+        """
+        gradients = self.field_system.gradients(state.cells)
+        return motion_of(
+            self.plan, state.cells, radius, begin, end, signals=found, gradients=gradients,
+            contacts=state.contacts, named=state.named,
+        )  # fmt: skip
