@@ -3,7 +3,7 @@
 import pytest
 from two_cells import result_of
 
-from multicell.comparison.page import context
+from multicell.comparison.page import comparison_context
 
 EXPLICIT, IMPLICIT = "ab2-adaptive", "cvode"
 
@@ -58,7 +58,7 @@ def test_one_none_and_methods_from_outside(solves, words):
 
 def test_page_and_axes_name_the_error():
     result = result_of([(EXPLICIT, 1.0, 0.005), (EXPLICIT, 9.0, 1e-4), (IMPLICIT, 3.1, 0.005)])
-    shown = context(result)
+    shown = comparison_context(result)
     assert shown["verdict"].startswith(result.verdict())
     assert "At 0.1 %" in shown["verdict"]
     labels = [axes.get_ylabel() for axes in result.figure().axes]
