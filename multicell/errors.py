@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import ClassVar, Final, Self, final
@@ -106,6 +107,14 @@ class MulticellError(Exception):
         self.problem, self.hint = problem, hint
         super().__init__(f"{where}{problem}{'. ' if hint else ''}{hint}")
 
+    def _render_traceback_(self) -> list[str]:
+        """Return the line that IPython prints in place of a traceback."""
+        if os.environ.get("MULTICELL_DEBUG"):
+            import traceback
+
+            return traceback.format_exception(self)
+        return [f"{type(self).__name__}: {self}"]
+
 
 @final
 class UnitWarning(UserWarning):
@@ -154,6 +163,13 @@ class DataError(MulticellError):
 @final
 class FitFailed(MulticellError):  # noqa: N818 - it names what happened, like StepFailed
     """A fit that cannot go on, for example because no run of it succeeds."""
+
+
+@final
+class FrameError(MulticellError, IndexError):
+    """A number of a frame that a run does not have."""
+
+    exit_code = ExitCode.REFUSED
 
 
 @final

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from multicell.compiling import COMPILATION
 from multicell.simulation.timeline import PhaseTimer
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ class Precompilation:
             with PhaseTimer(simulation.wall, "compile"):
                 with suppress(Exception):  # the process meets it as well, and so ends early
                     take_step(self._scene, partial(take, self._taken.name))
-                with suppress(subprocess.TimeoutExpired):
+                with suppress(subprocess.TimeoutExpired), COMPILATION.awaited("forces"):
                     self.process.wait(MAX_WAIT)
             self.close()
 
@@ -94,10 +95,10 @@ def begins_alone(scene: Scene) -> bool:
 
 def forces_are_cached() -> bool:
     """Return whether numba's cache on disk has forces, of whatever law."""
+    from multicell.compiling.numba_068 import is_on_disk
     from multicell.mechanics.forces import forces
 
-    pattern = f"forces.{forces.py_func.__qualname__}-*.nbi"
-    return any(Path(forces.stats.cache_path).glob(pattern))
+    return is_on_disk(forces)
 
 
 def take(folder: str, part: str) -> bool:

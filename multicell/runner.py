@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import wraps
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ParamSpec, final
 
 from multicell.compiling.threads import thread_count
 from multicell.errors import ExitCode, OutputError, SceneError
@@ -27,6 +29,7 @@ from multicell.results.measures import check_observables
 from multicell.results.quantities import units_of
 from multicell.results.summary import scene_mark
 from multicell.scene.scene import Scene, load_scene
+from multicell.schema import near_miss, specs
 from multicell.simulation import Simulation
 from multicell.simulation.start_check import check_population
 from multicell.units import shown
@@ -34,9 +37,13 @@ from multicell.units import shown
 if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
     from multicell.nutrient.reactions.own import OwnReaction
+    from multicell.report.live import LivePage
     from multicell.results.lineage import Lineage
     from multicell.results.reader import Contents
     from multicell.results.writer import Store
+
+
+P = ParamSpec("P")
 
 
 @final
@@ -50,8 +57,31 @@ class RunOptions:
     threads: int | None = None
     progress: Callable[[Simulation], None] | bool | None = None
     reactions: Mapping[str, OwnReaction] | None = None
+    live: bool = False  # whether the folder has a picture that renews itself until the report
 
 
+def _refusing_scene_keys(function: Callable[P, Result]) -> Callable[P, Result]:
+    """Refuse options that a function does not have in words: many are keys of the scene."""
+    known = signature(function).parameters
+    positional = sum(p.kind is p.POSITIONAL_OR_KEYWORD for p in known.values())
+
+    @wraps(function)
+    def called(*given: P.args, **options: P.kwargs) -> Result:
+        if len(given) > positional:
+            hint = f"For example output={shown(given[positional])}."
+            raise SceneError("", f"options of multicell.{function.__name__} have names", hint)
+        for name in options:
+            if name not in known:
+                hint = near_miss(name, known)
+                if name in specs(Scene):
+                    hint = f"It is a key of the scene: scene.with_changes({name}=...)."
+                raise SceneError(name, f"is no option of multicell.{function.__name__}", hint)
+        return function(*given, **options)
+
+    return called
+
+
+@_refusing_scene_keys
 def run(
     scene: Scene | str | Path,
     *,
@@ -118,7 +148,7 @@ def run(
         raise SceneError("", f"the scene is {shown(scene)}, must be a Scene, a name or a path")
     options = RunOptions(
         output=output, integrator=integrator, overwrite=overwrite, threads=threads,
-        progress=progress, reactions=reactions,
+        progress=progress, reactions=reactions, live=report,
     )  # fmt: skip
     return finish_run(record_run(scene, options, cells), report)
 
@@ -133,6 +163,8 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
         from multicell.scene.start_checks import check_start_table
 
         check_start_table(scene)  # before the folder is made
+    if options.output is not None and not isinstance(options.output, str | Path):
+        raise OutputError(f"the output folder is {shown(options.output)}, must be a path")
     check_population(scene)
     check_observables(scene)
     scene, own = integrated_by(scene, options.integrator)
@@ -148,6 +180,8 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
         stack.enter_context(failing_as_run())
         interrupt = stack.enter_context(WHOLE_STEP).deliver
         stack.callback(recorder.close)
+        if options.live:
+            stack.enter_context(recorder.shown_live())
         precompilation = None
         if own is None:
             precompilation = Precompilation(scene, threads)
@@ -223,16 +257,23 @@ def failing_as_run() -> Iterator[None]:
 def finish_run(recorder: Recorder, report: bool) -> Result:
     """Return the result of a run that has ended, with its report if there is a folder."""
     with failing_as_run():
-        result = recorder.result()
-        if report and result.folder is not None:
-            try:
-                result.report()
-            except OutputError as error:
-                raise OutputError(
-                    f"{error}. The run is complete; only its report is missing: "
-                    f"multicell.load_result({str(result.folder)!r}).report() writes it"
-                ) from error
+        try:
+            result = recorder.result()
+            if report and result.folder is not None:
+                _report(result)
+        finally:
+            recorder.end_live()  # what it shows is replaced by the report
     return result
+
+
+def _report(result: Result) -> None:
+    try:
+        result.report()
+    except OutputError as error:
+        raise OutputError(
+            f"{error}. The run is complete; only its report is missing: "
+            f"multicell.load_result({str(result.folder)!r}).report() writes it"
+        ) from error
 
 
 @final
@@ -250,6 +291,32 @@ class Recorder:
         self._summary: dict[str, Any] = {}
         self._memory = Returns()
         self._begin = self._startup = 0.0
+        self._live: LivePage | None = None
+
+    @contextmanager
+    def shown_live(self, simulation: Simulation | None = None) -> Iterator[None]:
+        """Show the tissue in the folder from now on, until :meth:`end_live` or an exception.
+
+        - ``simulation``: absent while it is not ready yet
+        """
+        if self._store is None:
+            yield
+            return
+        from multicell.report.live import LivePage
+
+        self._live = LivePage(self._store.folder, self._scene)
+        try:
+            self._live.open(simulation)
+            yield
+        except BaseException:
+            with suppress(OutputError):  # the first error is the one that counts
+                self.end_live()
+            raise
+
+    def end_live(self) -> None:
+        """Remove the page that shows the tissue, if there is one."""
+        if self._live is not None:
+            self._live.close()
 
     def note_startup(self, simulation: Simulation, begin: float) -> None:
         """Note that all is ready since a moment of the clock, for the account of wall time."""
@@ -268,6 +335,8 @@ class Recorder:
             if frame_due(simulation.time, self._next_frame) or simulation.finished:
                 self._frame(simulation)
             self._memory.now_and_then(len(simulation.state.cells))
+            if self._live is not None:
+                self._live.note(simulation)
 
     def skip(self, frame: Frame) -> None:
         """Go on after a frame that is recorded already."""
@@ -342,6 +411,7 @@ _MAY_CHANGE = ("duration", "stop_cells", "title", "output", "integrator")
 _OF_A_NUTRIENT = ("boundary", "media", "media_change", "sides", "perfusion")
 
 
+@_refusing_scene_keys
 def resume(
     folder: str | Path,
     frame: int = -1,
@@ -398,7 +468,7 @@ def resume(
     """
     options = RunOptions(
         output=output, integrator=integrator, overwrite=overwrite, threads=threads,
-        progress=progress, reactions=reactions,
+        progress=progress, reactions=reactions, live=report,
     )  # fmt: skip
     return finish_run(record_resumed(folder, options, frame, changes=changes), report)
 
@@ -457,6 +527,8 @@ def record_resumed(
         if not here:
             store.copy(contents, place, rows)
         recorder.skip(contents.frame(last))
+        if options.live:
+            stack.enter_context(recorder.shown_live(simulation))
         recorder.note_startup(simulation, begin)
         advance_run(simulation, recorder, interrupt, options.progress)
     return recorder

@@ -199,6 +199,14 @@ def plan_dose_response(
 
 def _axis(scene: Scene, name: str, values: Any) -> Axis:
     """Return the doses that a key takes, which must be a control and rising doses above it."""
+    field = name.removeprefix("nutrients.").partition(".")[0]
+    if "." not in name and field in scene.nutrients:
+        hint = f"For example nutrients.{field}.boundary."
+        raise SceneError(name, "is a field, not a value: name one of its keys", hint)
+    if field not in scene.nutrients and ("." not in name or name.startswith("nutrients.")):
+        problem = f"the scene has no field '{field}'; its fields: {', '.join(scene.nutrients)}"
+        hint = f"A drug is a field of its own: add [nutrients.{field}] to the scene."
+        raise SceneError(name, problem, hint)
     key = key_of(scene, name)
     first = key.name
     if key.spec.kind == "schedule":  # its numbers are as those of the medium at the start

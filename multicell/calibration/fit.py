@@ -167,7 +167,8 @@ def _points(problem: FitProblem, budget: int | None, fresh: int) -> int:
             f"is {budget} runs: what {fresh * conditions} fresh runs leave tries {points} sets "
             f"of parameters, {each} runs each"
         )
-        raise SceneError("budget", words, f"It takes at least {_LEAST} sets.")
+        least = fresh * conditions + _LEAST * each
+        raise SceneError("budget", words, f"Give at least {least} runs, for {_LEAST} sets.")
     return points
 
 

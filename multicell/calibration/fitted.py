@@ -241,7 +241,7 @@ class Fit:
 
     @cached_property
     def contradictions(self) -> list[str]:
-        """What in the result contradicts itself; empty if nothing does."""
+        """Contradictions within the result; empty if there are none."""
         found = []
         if self.fresh.missed:
             found.append(

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.studies.axes import Range
 
-LEAST_SIZE: Final = 8
+LEAST_SIZE: Final = 8  # places: of fewer no interval can be resampled
 COLUMNS_SOBOL: Final = ("S1", "S1_conf", "ST", "ST_conf", "noise")
 _SAMPLE: Final = 20262  # seed of the sequence
 _ROUNDING: Final = 1e-9  # of the size of an observable: smaller variation is rounding

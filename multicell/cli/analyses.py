@@ -79,7 +79,7 @@ def sensitivity_command(
 
 
 @click.command(name="dose-response")
-@click.argument("scene", required=False)
+@click.argument("scene", required=False, **shared.offering(shared.known_scenes))
 @shared.output_option("Folder of the analysis; its runs are kept there.")
 @shared.keyed(
     "--dose",

@@ -38,6 +38,7 @@ _comparing = shared.grouped(
         "--methods",
         metavar="NAMES",
         callback=_names,
+        **shared.listed_names(shared.known_methods),
         help="Methods to compare, separated by commas; by default all that can hold the scene. "
         "One of your own is named as mine.py:Midpoint.",
     ),
@@ -84,7 +85,7 @@ def compare_command(
     result = compared(
         scene, stepwise=stepwise or False, progress=None if quiet else complain, **options
     )
-    _show(result, options["output"], quiet, as_json)
+    _show(result, options["output"], quiet, as_json, result.verdict())
 
 
 @click.command("stability")
@@ -101,8 +102,16 @@ def stability_command(scene: Scene, quiet: bool, as_json: bool, **options: Any) 
     _show(result, options["output"], quiet, as_json)
 
 
-def _show(result: WorkPrecision | StabilityMap, output: Path, quiet: bool, as_json: bool) -> None:
+def _show(
+    result: WorkPrecision | StabilityMap,
+    output: Path,
+    quiet: bool,
+    as_json: bool,
+    verdict: str = "",
+) -> None:
     if as_json:
         print_json(result.table)
     elif not quiet:
+        if verdict:
+            shared.console().print(verdict, markup=False)
         shared.console().print(f"Results are in '{output}'.", markup=False)

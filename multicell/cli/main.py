@@ -50,10 +50,21 @@ _ELSEWHERE = {
 }
 """Commands of other modules, which are loaded with them."""
 
+_TASKS = {
+    "Run a scene": ("run", "resume", "play", "explain"),
+    "See and export a run": ("view", "plot", "movie", "export"),
+    "Find and make scenes": ("scenes", "init", "import", "coarsen", "schema"),
+    "Run studies and use data": ("study", "sensitivity", "dose-response", "fit"),
+    "Compare integrators": ("compare", "stability"),
+    "Get help": ("doctor",),
+}
+"""The commands as the help lists them, by what they are for."""
+
 
 @click.group(
     cls=Commands,
     elsewhere=_ELSEWHERE,
+    tasks=_TASKS,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(__version__, message="multicell %(version)s")
@@ -93,7 +104,7 @@ _run_options = shared.grouped(
 
 
 @main.command("run")
-@click.argument("scene")
+@click.argument("scene", **shared.offering(shared.known_scenes))
 @shared.output_option("Folder for the results; it must be empty or new.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of the random numbers.")
 @click.option(
@@ -169,6 +180,7 @@ def resume_command(
     "--format",
     metavar="NAME",
     default="csv",
+    **shared.offering(shared.known_formats),
     help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
     "netcdf, openvt, simularium, ro-crate for repositories.",
 )
@@ -235,9 +247,11 @@ def _simulate(
 ) -> None:
     """Run, with progress on stderr, and print what it came to."""
     from multicell.cli.progress import reporter
+    from multicell.results.folder import LIVE
 
+    page = None if no_report else output / LIVE[1]
     try:
-        with reporter(scene, show=not quiet) as progress:
+        with reporter(scene, show=not quiet, page=page) as progress:
             result = simulate(
                 overwrite=overwrite, threads=threads, progress=progress, report=not no_report
             )

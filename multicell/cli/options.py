@@ -25,6 +25,73 @@ Option = Callable[[Any], Any]  # a decorator of click
 valued = partial(click.option, show_default=True)
 
 
+def offering(names: Callable[[], Iterable[str]]) -> dict[str, Any]:
+    """Return how an argument or option is completed in a shell: by names, or by files."""
+
+    def complete(_: click.Context, __: click.Parameter, begun: str) -> list[Any]:
+        from click.shell_completion import CompletionItem
+
+        found = [CompletionItem(name) for name in names() if name.startswith(begun)]
+        return found or [CompletionItem(begun, type="file")]
+
+    return {"shell_complete": complete}
+
+
+def listed_names(names: Callable[[], Iterable[str]]) -> dict[str, Any]:
+    """Return how an option is completed that takes several names, separated by commas."""
+
+    def complete(_: click.Context, __: click.Parameter, begun: str) -> list[Any]:
+        from click.shell_completion import CompletionItem
+
+        before, comma, last = begun.rpartition(",")
+        return [CompletionItem(f"{before}{comma}{n}") for n in names() if n.startswith(last)]
+
+    return {"shell_complete": complete}
+
+
+def known_scenes() -> list[str]:
+    """Return the names of the built-in scenes."""
+    from multicell.scene.scene import scene_names
+
+    return scene_names()
+
+
+def known_methods() -> list[str]:
+    """Return the names of the methods of integration."""
+    from multicell.integrators.registry import METHODS
+
+    return list(METHODS)
+
+
+def known_quantities() -> list[str]:
+    """Return the names of the columns that every history can have."""
+    from multicell.results.measures import OBSERVABLES
+
+    return [observable.name for observable in OBSERVABLES if "*" not in observable.name]
+
+
+def known_formats() -> list[str]:
+    """Return the names of the formats of an export."""
+    from multicell.report.exports.files import FORMATS
+
+    return list(FORMATS)
+
+
+def complete_keys(context: click.Context, _: click.Parameter, begun: str) -> list[Any]:
+    """Return the keys of the scene that a command line names, each with ``=``."""
+    from click.shell_completion import CompletionItem
+
+    from multicell.scene.scene import load_scene
+    from multicell.schema import leaves
+
+    try:
+        scene = load_scene(context.params.get("scene") or "spheroid")
+    except SceneError:  # there is nothing to offer for a scene that cannot be read
+        return []
+    names = (".".join(path) for path, _, _ in leaves(scene))
+    return [CompletionItem(f"{name}=") for name in names if name.startswith(begun)]
+
+
 def grouped(*options: Option) -> Option:
     """Return a decorator that adds options, the first one first in the help."""
 
@@ -66,6 +133,7 @@ changes_option = keyed(
     "Change one value of the scene, for example --set duration='8 d' or "
     "--set nutrients.oxygen.boundary='0.07 mM'. An empty value removes an optional part "
     "(--set growth=). May be given several times.",
+    shell_complete=complete_keys,
 )
 threads_option = click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
@@ -218,7 +286,7 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
 def of_scene(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the scene that SCENE, ``--law`` and ``--set`` describe."""
 
-    @click.argument("scene")
+    @click.argument("scene", **offering(known_scenes))
     @law_option
     @changes_option
     @wraps(command)
@@ -245,6 +313,7 @@ def name_law(spec: str) -> dict[str, str]:
 integrator_option = click.option(
     "--integrator",
     metavar="NAME",
+    **offering(known_methods),
     help="Method, for example cvode or euler; or one of your own, as mine.py:Midpoint.",
 )
 

@@ -25,27 +25,31 @@ if TYPE_CHECKING:
     "keys",
     "KEY=LOW:HIGH",
     "A slider, as nutrients.oxygen.boundary='1:21 %' or drag.viscosity='log 0.1:10 kPa s'. "
-    "May be given several times.",
-    required=True,
+    "May be given several times.  [default: the keys that matter most]",
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="By default a free one.")
 @click.option("--no-browser", is_flag=True, help="Print the address, and do not open it.")
 def play(scene: Scene, keys: Sequence[str], port: int, no_browser: bool) -> None:
     """Open a page with sliders for keys of a SCENE, and the view of a run beside them.
 
-    Each move of a slider begins another run in the background, with coarse cells where the scene
-    allows that. The page is served to this machine alone, at an address with a secret; Ctrl-C ends
-    all of it.
+    The scene as it is runs at once. Each move of a slider begins another run in the background,
+    with coarse cells where the scene allows that. The page is served to this machine alone, at an
+    address with a secret; Ctrl-C ends all of it.
     """
     needs("tornado")
     from multicell.cli.playground import Playground, serve
+    from multicell.cli.slider_keys import asked_units, default_ranges
     from multicell.studies.axes import check_ranges, parse_ranges
 
-    ranges = parse_ranges(key_values(keys, "--key"), scene)
+    texts = key_values(keys, "--key") if keys else default_ranges(scene)
+    ranges = parse_ranges(texts, scene)
     check_ranges(scene, ranges)
     factor, note = _factor(scene)
     law = click.get_current_context().params["law"]
-    with Playground(scene, ranges, factor, note, law) as playground:
+    with Playground(
+        scene, ranges, factor, note, law, units=asked_units(texts, ranges)
+    ) as playground:
+        playground.begin()
 
         def ready(address: str) -> None:
             click.echo(f"{address}\nCtrl-C ends it.")
@@ -63,5 +67,5 @@ def _factor(scene: Scene) -> tuple[float, str]:
     try:
         made = coarsen(scene, 2.0)
     except SceneError as error:
-        return 1.0, f"Cells are as the scene has them ({error.path}: {error.problem})."
+        return 1.0, f"Cells have the size of the scene: {error.path} {error.problem}."
     return 2.0, f"Each cell stands for {made.cells.represents:g}."

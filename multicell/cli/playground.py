@@ -8,8 +8,6 @@ another origin reaches it. The secret is in no argument of a process and in no l
 from __future__ import annotations
 
 import asyncio
-import base64
-import hashlib
 import hmac
 import io
 import json
@@ -20,18 +18,20 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, final
 
+import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 from tornado.httpserver import HTTPServer
 from tornado.log import app_log
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
 
 from multicell.errors import MulticellError, OutputError
-from multicell.report.html import rendered
+from multicell.report.html import rendered, script
 from multicell.report.result import Result, load_result
 from multicell.report.wording import cell_count, time_unit
 from multicell.scene.coarsening import coarsen
@@ -52,6 +52,7 @@ class Playground:
 
     - ``factor``: by which cells are wider than those of the scene; ``note`` is on that
     - ``law``: FILE:NAME of a law of the user's own that the scene needs
+    - ``units``: key of a range -> unit of its labels, and how many base units that is
     """
 
     def __init__(
@@ -61,7 +62,10 @@ class Playground:
         factor: float,
         note: str,
         law: str | None = None,
+        *,
+        units: Mapping[str, tuple[str, float]] | None = None,
     ) -> None:
+        self._units = units or {}
         self.scene, self.ranges, self.factor, self.note = scene, ranges, factor, note
         self._law = [] if law is None else ["--law", law]
         self._folder = Path(tempfile.mkdtemp(prefix="multicell-play-"))
@@ -86,14 +90,10 @@ class Playground:
 
     def sliders(self) -> list[dict[str, Any]]:
         """Return the data of each slider for the page; places are from 0 to 1000."""
-        given = {".".join(path): value for path, value, _ in leaves(self.scene)}
         found = []
-        for item in self.ranges:
-            value = given.get(item.key)
-            place = 500
-            if isinstance(value, int | float) and item.low <= value <= item.high:
-                place = round(1000.0 * item.share(value))
-            unit, factor = (item.unit, 1.0) if item.unit != "s" else ("h", 3600.0)
+        for item, share in zip(self.ranges, self._shares(), strict=True):
+            place = round(1000.0 * share)
+            unit, factor = self._unit(item)
             found.append(
                 {
                     "key": item.key, "low": item.low / factor, "high": item.high / factor,
@@ -101,6 +101,29 @@ class Playground:
                 }
             )  # fmt: skip
         return found
+
+    def _shares(self) -> list[float]:
+        """Return where the scene's values lie in the ranges; in the middle where they do not."""
+        given = {".".join(path): value for path, value, _ in leaves(self.scene)}
+        values = [given.get(item.key) for item in self.ranges]
+        return [
+            item.share(value)
+            if isinstance(value, int | float) and item.low <= value <= item.high
+            else 0.5
+            for item, value in zip(self.ranges, values, strict=True)
+        ]
+
+    def _unit(self, item: Range) -> tuple[str, float]:
+        hours = ("h", 3600.0) if item.unit == "s" else (item.unit, 1.0)
+        return self._units.get(item.key, hours)
+
+    def _label(self, item: Range, value: float) -> str:
+        unit, factor = self._unit(item)
+        return f"{value / factor:.3g} {unit}".strip()
+
+    def begin(self) -> int:
+        """Begin a run of the scene as it is; return its number."""
+        return self.start([1000.0 * share for share in self._shares()])
 
     def start(self, places: Sequence[float]) -> int:
         """Begin a run where the sliders stand; return its number.
@@ -119,8 +142,7 @@ class Playground:
         self.number += 1
         self._duration = scene.duration
         self._labels[self.number] = f"{self.number}: " + ", ".join(
-            f"{v / 3600.0:.3g} h" if x.unit == "s" else f"{v:.3g} {x.unit}".strip()
-            for x, v in zip(self.ranges, values, strict=True)
+            self._label(item, value) for item, value in zip(self.ranges, values, strict=True)
         )
         for old in [number for number in self._labels if number <= self.number - KEPT]:
             del self._labels[old]
@@ -173,9 +195,10 @@ class Playground:
             return {**known, "text": "The run begins ..." if going else ""}
         last = result.frames[-1]
         unit = time_unit(self._duration)
-        words = [unit.text(last.time), cell_count(round(result.history["cells"][-1]))]
+        words = [unit.text(last.time), cell_count(len(last.cells))]
         if not going:
             words.append("done" if code == 0 else "stopped")
+        words.append(verdict(result.history))
         part = last.time / self._duration
         return {**known, "frames": len(result.frames), "part": part, "text": " · ".join(words)}
 
@@ -193,14 +216,10 @@ class Playground:
 
     def page(self) -> str:
         """Return the page."""
-        from importlib.resources import files
-
-        script = (files("multicell.report") / "templates" / "play.js").read_text("utf-8")
-        policy = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
         sliders = self.sliders()
         return rendered(
             "play.html", title=self.scene.title or "Untitled scene", subtitle=self.note, tiles={},
-            scene="", sliders=sliders, script=Markup(script), policy=policy,
+            scene="", sliders=sliders, **script("play.js"),
             about=Markup(json.dumps(sliders).replace("<", "\\u003c")),
         )  # fmt: skip
 
@@ -213,6 +232,27 @@ class Playground:
         if viewer is None:
             raise OutputError("there is no frame yet")
         return rendered("view.html", title="", subtitle="", tiles={}, scene="", viewer=viewer)
+
+
+def verdict(history: Mapping[str, NDArray[np.float64]]) -> str:
+    """Return in one sentence what a run has come to: rest and death, or else its growth."""
+    time = history["time"]
+    for state, onset in (("necrotic", "necrosis"), ("quiescent", "quiescence")):
+        if state in history and (some := np.flatnonzero(history[state] > 0)).size:
+            return f"{onset} begins {_when(time[some[0]], time[-1])}"
+    first, last = history["cells"][[0, -1]]
+    if last > first > 0:
+        return f"{last / first:.3g} times as many cells, none quiescent or necrotic"
+    return (
+        "no growth, no cell quiescent or necrotic" if first == last else "fewer cells than at first"
+    )
+
+
+def _when(time: float, end: float) -> str:
+    if time <= 0.0:
+        return "at the start"
+    unit = time_unit(end)
+    return f"on day {time // 86400.0 + 1:.0f}" if unit.name == "d" else f"after {unit.text(time)}"
 
 
 @final

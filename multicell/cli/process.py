@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -54,15 +55,36 @@ class Commands(click.Group):
     """The group of all commands, which ends the process in words.
 
     - ``elsewhere``, name -> ``module:function``: commands whose modules are loaded with them
+    - ``tasks``, heading -> names of commands, as the help lists them
     """
 
-    def __init__(self, *arguments: Any, elsewhere: Mapping[str, str], **options: Any) -> None:
+    def __init__(
+        self, *arguments: Any, elsewhere: Mapping[str, str], tasks: Mapping[str, Sequence[str]],
+        **options: Any,
+    ) -> None:  # fmt: skip
         super().__init__(*arguments, **options)
+        self._tasks = tasks
         self._elsewhere = elsewhere
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands."""
         return sorted({*self.commands, *self._elsewhere})
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands by what they are for, each with a whole sentence."""
+        left = self.list_commands(ctx)
+        for task, names in self._tasks.items():
+            rows = [
+                (name, _sentence(self.get_command(ctx, name))) for name in names if name in left
+            ]
+            left = [name for name in left if name not in names]
+            with formatter.section(task):
+                formatter.write_dl(rows)
+        if left:
+            with formatter.section("Other commands"):
+                formatter.write_dl(
+                    [(name, _sentence(self.get_command(ctx, name))) for name in left]
+                )
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command; None if there is no such one."""
@@ -89,6 +111,12 @@ class Commands(click.Group):
 
         with quiet_libraries() if {"--quiet", "-q"} & {*given} else nullcontext():
             leave(exit_code(command, "--json" in given))
+
+
+def _sentence(command: click.Command | None) -> str:
+    """Return the first sentence of a command's help."""
+    text = " ".join(((command and command.help) or "").partition("\n\n")[0].split())
+    return text.partition(". ")[0].rstrip(".") + "."
 
 
 @contextmanager
@@ -159,6 +187,7 @@ def _explain(error: Exception, as_json: bool) -> int:
     if isinstance(error, BrokenPipeError):
         return ExitCode.MACHINE  # without words: who reads has gone
     if isinstance(error, click.ClickException):
+        error = _with_hint(error)
         with quietly():
             error.show(file=sys.stderr)
         message, code = error.format_message(), error.exit_code
@@ -174,6 +203,42 @@ def _explain(error: Exception, as_json: bool) -> int:
         with quietly():
             print_json({"error": message, "kind": type(error).__name__})
     return code
+
+
+def _with_hint(error: click.ClickException) -> click.ClickException:
+    """Return a complaint about a further argument with what that was most likely meant to be."""
+    if isinstance(error, click.NoSuchOption):
+        return _with_key(error)
+    found = re.search(r"unexpected extra arguments? \((.*)\)", error.message)
+    if found is None or not isinstance(error, click.UsageError):
+        return error
+    option = next((text for text in reversed(sys.argv) if text.startswith("--")), "--set")
+    hint = f"a value with a space stands in quotes, as '… {found[1]}'"
+    if "=" in found[1]:
+        each = " ".join(f"{option} {text}" for text in found[1].split())
+        hint = f"each KEY=VALUE has an option of its own: {each}"
+    return click.UsageError(f"{error.message.rstrip('.')}: {hint}.", error.ctx)
+
+
+def _with_key(error: click.NoSuchOption) -> click.ClickException:
+    """Return a complaint about an option with the key of scenes that has its name."""
+    from multicell.schema import specs
+
+    word = error.option_name.lstrip("-").replace("-", "_")
+    takes_changes = error.ctx is not None and any(
+        parameter.name == "changes" for parameter in error.ctx.command.params
+    )
+    if not takes_changes:
+        return error
+    from multicell.scene.scene import Scene
+
+    tables = {name: spec.table for name, spec in specs(Scene).items() if spec.table is not None}
+    keys = [word] if word in specs(Scene) else []
+    keys += [f"{name}.{word}" for name, table in tables.items() if word in specs(table)]
+    if not keys:
+        return error
+    said = f"No such option: {error.option_name}. It is a key of the scene: --set {keys[0]}='…'"
+    return click.UsageError(said, error.ctx)
 
 
 def error_in_words(error: Exception) -> tuple[str, int]:

@@ -9,16 +9,19 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, Self, cast, final
 
 import numpy as np
 
 from multicell.report.wording import cell_count, time_unit
+from multicell.report.wording import clock as wall_time
 from multicell.units import time_text
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
     from multicell.cells import FloatArray
@@ -31,10 +34,24 @@ if TYPE_CHECKING:
 Progress = Callable[[Any], None]  # called after every coupling step with the simulation
 
 
-def reporter(scene: Scene, *, show: bool = True) -> AbstractContextManager[Progress | None]:
-    """Return a context with what a run calls after each coupling step."""
-    clock = _Clock(scene)
-    return display(clock.words, clock.note, lines=10, show=show)
+@contextmanager
+def reporter(
+    scene: Scene, *, show: bool = True, page: Path | None = None
+) -> Iterator[Progress | None]:
+    """Yield the callback of a run after each coupling step.
+
+    - ``page``: of the live picture, if the run has one; a report is drawn at its end
+    """
+    clock = _Clock(scene, report=page is not None)
+    if show:
+        from multicell.report.explain.compilation import missing_parts
+
+        opening = clock.foresee(missing_parts(scene))
+        seen = [] if page is None else [f"The tissue so far: {page}"]
+        for line in [*opening, *seen]:
+            on_stderr().print(line, markup=False, soft_wrap=True)
+    with display(clock.words, clock.note, lines=10, show=show) as progress:
+        yield progress
 
 
 @contextmanager
@@ -48,7 +65,7 @@ def display(
     """Yield a callback with the arguments of ``share``, or None if nothing shall be shown.
 
     - ``words``: returns what stands beside the bar, or in a line: what matters most comes first,
-      and what finds no room in a line of the terminal is cut off
+      and what finds no room in a line of the terminal is left out
     - ``share``: returns the part that is done; None where that has not changed
     - ``lines``: how many lines are printed in all where there is no terminal
     """
@@ -85,21 +102,25 @@ def display(
     from rich.table import Column
     from rich.text import Text
 
-    begin, width = time.perf_counter(), 24 if console.width >= 80 else 8
+    begin, width = (
+        time.perf_counter(),
+        24 if console.width >= 80 else 8 if console.width > 60 else 0,
+    )
+    utf = console.encoding.startswith("utf")
+    room = console.width - 6 - (width + 1 if width else 0)  # beside percentage, bar and gaps
 
     @final
     class Words(rich_progress.ProgressColumn):
         def render(self, task: Any) -> Text:
-            parts = words()
-            if task.total is None:  # nothing is done yet
-                parts = ["preparing", time_text(time.perf_counter() - begin, 2)]
-            return Text(" · ".join(parts), no_wrap=True, overflow="ellipsis")
+            parts = list(words())
+            if task.total is None and len(parts) == 1:  # nothing is done yet
+                parts.append(wall_time(time.perf_counter() - begin))
+            line = fitting(parts, room)
+            line = line if utf else line.replace("✓", "+")
+            return Text(line, no_wrap=True, overflow="ellipsis")
 
-    columns = (
-        rich_progress.TaskProgressColumn("{task.percentage:3.0f} %"),
-        rich_progress.BarColumn(width, table_column=Column(no_wrap=True)),
-        Words(),
-    )
+    bar_of = [rich_progress.BarColumn(width, table_column=Column(no_wrap=True))] if width else []
+    columns = (rich_progress.TaskProgressColumn("{task.percentage:3.0f} %"), *bar_of, Words())
     with rich_progress.Progress(*columns, console=console, refresh_per_second=4) as bar:
         task = bar.add_task("", total=None)
 
@@ -109,6 +130,16 @@ def display(
                 bar.update(task, completed=done, total=1.0)
 
         yield advance
+
+
+def fitting(parts: Sequence[str], width: int) -> str:
+    """Return as many of the first parts as fit into a width, and at least one."""
+    line = parts[0]
+    for part in parts[1:]:
+        if len(line) + len(part) + 3 > width:
+            break
+        line = f"{line} · {part}"
+    return line
 
 
 def on_stderr() -> Console:
@@ -132,16 +163,18 @@ def progress_line(simulation: Any, wall: float, left: float | None = None) -> li
     return [
         f"{simulation.time / size:.2f} of {simulation.scene.duration / size:.4g} {unit}",
         *([] if left is None else [f"{time_text(left, 2)} left"]),
-        cell_count(len(simulation.cells)),
+        cell_count(len(simulation.state.cells)),
         f"{speed:.3g} h simulated per s",
         f"step {simulation.step_index:,}",
     ]
 
 
 _SLOW: Final = 20.0  # wall time in a step from which on it is shown, s
-_LONG: Final = 60.0  # wall time without news after which a line says so where there is no bar, s
-_FORECAST_AFTER: Final = 10.0  # wall time of a run after which its end is predicted, s
+_LONG: Final = 30.0  # wall time without news after which a line says so where there is no bar, s
+_FORECAST_AFTER: Final = 2.0  # wall time of a run after which its end is predicted, s
 _PRIOR: Final = 5.0  # expected wall time, s, that counts as if it had been measured as expected
+_PICTURES: Final = 2.5  # wall time of the pictures and the report of a run, s
+_PICTURE_OF_CELL: Final = 1.5e-4  # and for each cell
 
 
 class Forecast(NamedTuple):
@@ -149,10 +182,12 @@ class Forecast(NamedTuple):
 
     - ``times``, (k,): simulated times from 0 to the end, s
     - ``cost``, (k,): wall time that is expected up to then, without compilation, s
+    - ``cells``: expected at the end
     """
 
     times: FloatArray
     cost: FloatArray
+    cells: float = 0.0
 
     @classmethod
     def of(cls, scene: Scene) -> Self:
@@ -163,7 +198,7 @@ class Forecast(NamedTuple):
         times = expected.course.times
         rate = constant + slope * expected.course.cells
         cost = np.cumsum(0.5 * np.diff(times, prepend=0.0) * (rate + np.roll(rate, 1)))
-        return cls(times, cost * (expected.seconds / cost[-1]))
+        return cls(times, cost * (expected.seconds / cost[-1]), float(expected.course.cells[-1]))
 
     def left(self, begin: float, now: float, wall: float) -> float:
         """Return the wall time that is left, s.
@@ -179,38 +214,140 @@ class Forecast(NamedTuple):
 
 @final
 class _Clock:
-    """Times a run and says where it stands; to be called after every step."""
+    """Times a run and says where it stands; to be called after every step.
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
+    - ``report``: whether pictures are drawn at its end
+    """
+
+    def __init__(self, scene: Scene, *, report: bool = False) -> None:
+        self._scene, self._report = scene, report
         self._start = time.perf_counter()
         self._forecast: Forecast | None = None
         self._since = 0.0, 0.0
         self._left: float | None = None
         self._simulation: Any = None
         self._last = self._start
+        self._missing: dict[str, float] = {}
+        self._stepped: set[str] = set()  # parts that a step has used
+
+    def foresee(self, missing: Mapping[str, float]) -> list[str]:
+        """Note what must be compiled, and return what a first run says before it starts.
+
+        - ``missing``: parts that have no code on disk, and the seconds that they are expected to
+          take. Without any the forecast waits until the run has taken a while.
+        """
+        if not missing:
+            return []
+        from multicell.report.explain.compilation import LISTS_FROM
+
+        self._forecast = Forecast.of(self._scene)
+        few = {"neighbour lists"} if self._forecast.cells < LISTS_FROM else set()
+        self._missing = {part: s for part, s in missing.items() if part not in few}
+        cells, run = self._forecast.cells, self._forecast.cost[-1]
+        seconds = sum(self._missing.values())
+        return [
+            f"About {cell_count(_rounded(cells))}: {time_text(_rounded(run), 2)} to compute, and "
+            f"some {_rounded(seconds):.0f} s to compile, once on this machine."
+        ]
 
     def words(self) -> list[str]:
-        """Return where the run stands in words."""
+        """Return where the run stands in words, the most important first."""
         now = time.perf_counter()
-        if self._simulation is None:
-            return ["preparing"]
-        known = progress_line(self._simulation, now - self._start, self._left)
+        done = self._simulation
+        if done is not None and done.finished:
+            return self._closing(now)
+        compiling = self._compiling(now)
+        if done is None:
+            return compiling or ["loading"]
+        left = self._remaining(now)
+        known = progress_line(done, now - self._start, left)
+        if compiling:
+            return [*compiling, *known[:1]]
         long = now - self._last
         return [*known, f"the next for {time_text(long, 2)}"] if long > _SLOW else known
 
+    def _compiling(self, now: float) -> list[str]:
+        """Return the part that numba compiles now, with those before; nothing where it does not."""
+        from multicell.compiling import COMPILATION
+
+        if not COMPILATION.part:
+            return []
+        left, part = self._remaining(now), COMPILATION.part
+        took = COMPILATION.parts.get(part, 0.0) + now - COMPILATION.begin
+        ticks = " ".join(f"✓ {done}" for done in COMPILATION.parts if done != part)
+        return [
+            f"compiling {part}, {wall_time(took)}",
+            *([] if left is None else [f"{wall_time(left)} left"]),
+            *([ticks] if ticks else []),
+        ]
+
+    def _remaining(self, now: float) -> float | None:
+        """Return the wall time that is left, s: of steps, of compiling and of pictures."""
+        if self._forecast is None:
+            return None
+        run = self._forecast.cost[-1] if self._left is None else self._left
+        passed = 0.0 if self._left is None else now - self._last
+        left = max(run - passed, 0.0) + self._compilation_left(now) + self._drawing()
+        return max(left, 1.0)
+
+    def _compilation_left(self, now: float) -> float:
+        """Return the wall time of compiling that is left, s, at the pace of what is compiled.
+
+        A part is over when another one has begun after it, or a step has been made since.
+        """
+        from multicell.compiling import COMPILATION
+
+        took, part = dict(COMPILATION.parts), COMPILATION.part
+        latest = part or next(reversed(took), "")
+        over = {name for name in took if name != latest} | (self._stepped - {part})
+        known = [name for name in over if name in self._missing]
+        foreseen = sum(self._missing[name] for name in known)
+        pace = (sum(took.get(name, 0.0) for name in known) + _PRIOR) / (foreseen + _PRIOR)
+        if part:
+            took[part] = took.get(part, 0.0) + now - COMPILATION.begin
+        return sum(
+            max(pace * seconds - took.get(name, 0.0), 0.0)
+            for name, seconds in self._missing.items()
+            if name not in over
+        )
+
+    def _drawing(self) -> float:
+        """Return the expected wall time of the pictures, s."""
+        if not self._report or self._forecast is None:
+            return 0.0
+        return _PICTURES + _PICTURE_OF_CELL * self._forecast.cells
+
+    def _closing(self, now: float) -> list[str]:
+        """Return the words of the time after the last step."""
+        passed = now - self._last
+        if not self._report:
+            return ["writing results", wall_time(passed)]
+        left = self._drawing() - passed
+        when = f"{wall_time(left)} left" if left > 1.0 else f"for {wall_time(passed)}"
+        return ["drawing pictures", when, cell_count(len(self._simulation.state.cells))]
+
     def note(self, simulation: Any) -> float:
         """Note a step, and return the part of the time that is simulated."""
+        from multicell.compiling import COMPILATION
+
         self._simulation, compiled = simulation, simulation.wall["compile"]
+        self._stepped = set(COMPILATION.parts)
         now = self._last = time.perf_counter()
         if self._forecast is None and now - self._start > _FORECAST_AFTER:
             self._forecast = Forecast.of(self._scene)
             now = time.perf_counter()
             self._since = simulation.time, now - compiled
+        elif self._forecast is not None and self._since == (0.0, 0.0):
+            self._since = simulation.time, now - compiled
         if self._forecast is not None:
             begin, before = self._since
             self._left = self._forecast.left(begin, simulation.time, now - compiled - before)
         return float(simulation.time / self._scene.duration)
+
+
+def _rounded(value: float) -> float:
+    """Return a forecast with the digits that it deserves: three, or two below a hundred."""
+    return float(f"{value:.{3 if value >= 100.0 else 2}g}")
 
 
 @final

@@ -42,16 +42,24 @@ def view_command(
 ) -> None:
     """Open the page of the run in FOLDER, also while it goes on: with all frames so far.
 
-    The page is written anew unless it is younger than the results.
+    The page is written anew unless it is younger than the results. A run that has no frame yet
+    shows a picture of its cells that renews itself.
     """
     shared.refuse_without_data(data, columns, where)
     page = folder / "report.html"
     if data is not None or not _up_to_date(page, folder):
         from multicell.report.result import load_result
+        from multicell.results.folder import LIVE, in_use
 
-        run = load_result(folder)
-        found = None if data is None else run.compare_with(data, columns=columns, where=where)
-        page = run.report(comparison=found)
+        result = load_result(folder)
+        begins = not len(result.frames) and (folder / LIVE[1]).is_file() and in_use(folder)
+        if begins:
+            page = folder / LIVE[1]
+        elif data is None:
+            page = result.report()
+        else:
+            found = result.compare_with(data, columns=columns, where=where)
+            page = result.report(comparison=found)
     if not no_browser and not webbrowser.open(page.resolve().as_uri()):
         complain("There is no browser to open it.")
     print_file(page, as_json)
@@ -113,6 +121,7 @@ def _up_to_date(page: Path, folder: Path) -> bool:
 @click.option(
     "--quantity",
     metavar="NAME",
+    **shared.offering(shared.known_quantities),
     help="Draw a column of the history against time, such as diameter; of several runs in one.",
 )
 @shared.data_options

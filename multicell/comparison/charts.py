@@ -33,12 +33,17 @@ _SHORTEST: Final = 0.8  # decades of an axis at least
 _FLOOR: Final = "#fbf1d9"  # colour of errors that a shift of the start makes
 _LABELS: Final = {
     "wall": "wall time (s)",
-    "cpu": "processor time (s)",
+    "cpu": "CPU time (s)",
     "cost": "evaluations, or equal work",
 }
+_DISTANCES: Final = {
+    "positions": "root mean square distance of the cells from the reference",
+    "worst cell": "distance of the worst cell from the reference",
+}
+"""What a norm measures of positions, in words for its axis."""
 _NOTE: Final[dict[str, Any]] = {"fontsize": 9, "color": QUIET, "ha": "center", "va": "center"}
 _SLIMMEST: Final = 0.42  # width of a panel over its height at least
-_LEFT, _GAP, _LEGEND, _BOTTOM, _STRIP = 0.95, 0.4, 2.1, 0.95, 0.5  # inches
+_LEFT, _GAP, _LEGEND, _BOTTOM, _STRIP = 1.25, 0.4, 2.1, 0.95, 0.5  # inches
 _WIDTH, _TALLEST, _DECADE = 10.0, 6.2, 1.7  # inches: figure, tallest panel, longest decade
 
 
@@ -75,7 +80,7 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
             axes.text(0.5, 0.5, "no error above zero", transform=axes.transAxes, **_NOTE)
         axes.set_xlabel(_LABELS[cost], fontsize=11)
         if cost != "cost":
-            axes.set_ylabel("error")
+            axes.set_ylabel(_error_words(result, norm), fontsize=10)
             if strip:
                 place = (left / _WIDTH, (base + height) / tall, width / _WIDTH, strip / tall)
                 _draw_failures(figure.add_axes(place, label="failures"), result, styles, span)
@@ -86,6 +91,14 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
     _draw_legend(figure, styles, corner, failures=bool(result.failures()))
     _footnote(figure, result, norm, errors)
     return figure
+
+
+def _error_words(result: WorkPrecision, norm: str) -> str:
+    """Return the label of the axis of the error, in lines."""
+    measure = result.measures()[norm]
+    words = _DISTANCES.get(measure.quantity, measure.quantity)
+    over = f" / {measure.scale}" if measure.scale else ""
+    return "\n".join(textwrap.wrap(f"error: {words}{over}", 36))
 
 
 def _costs(result: WorkPrecision, norm: str, cost: str) -> list[float]:

@@ -42,6 +42,7 @@ def comparison_context(result: WorkPrecision) -> dict[str, Any]:
         "title": f"{result.title}: work and precision",
         "subtitle": _subtitle(result),
         "tiles": _tiles(result),
+        "verdict": " ".join(result.verdict(error) for error in (0.01, 0.001)),
         "judge": CLOCKS[result.clock],
         "verdicts": {
             norm: {f"{target:.4g}": result.within(target, norm) for target in TARGETS}

@@ -16,6 +16,7 @@ from multicell.comparison.conditioning import Conditioning
 from multicell.comparison.norms import NORMS, Norm, described
 from multicell.errors import OutputError
 from multicell.host.extras import needs
+from multicell.integrators.registry import find
 from multicell.results.documents import read_document, write_table
 from multicell.results.folder import file_errors
 from multicell.scene.scene import Scene
@@ -202,6 +203,38 @@ class WorkPrecision(Comparison):
         """Return the row of least time that reaches an error, or None (:meth:`within`)."""
         return next(iter(self.within(error, norm).values()), None)
 
+    def verdict(self, error: float = 0.01, norm: str = "position") -> str:
+        """Return in a sentence which method reaches an error at the least cost, and by how much.
+
+        It is compared with the cheapest of the other kind, implicit or explicit, or else with the
+        next one. Methods of other packages that are drawn as references do not take part.
+
+        Parameters
+        ----------
+        error, norm
+            As for :meth:`within`.
+        """
+        known = {name: info for name in self.methods if (info := find(name)) is not None}
+        reached = {
+            method: row[self.clock]
+            for method, row in self.within(error, norm).items()
+            if not (method in known and known[method].outside)
+        }
+        at, (best, *others) = f"At {100.0 * error:g} %", list(reached) or [""]
+        if not best:
+            return f"{at}: no method reaches this error."
+        kinds = {method: info.implicit for method, info in known.items()}
+        other = [m for m in others if best in kinds and kinds.get(m, kinds[best]) != kinds[best]]
+        words = f"{at}: {best}"
+        for rival in (other or others)[:1]:
+            words += f", {_times(reached[rival] / reached[best])} than {rival}"
+        if not other and best in kinds and len(set(kinds.values())) > 1:
+            words += f"; no {'explicit' if kinds[best] else 'implicit'} method reaches this error"
+        if self.conditioning is not None and self.conditioning.floor[norm] > error:
+            shift = f"{self.conditioning.shift:g} µm"
+            words += f". A shift of all positions by {shift} moves the end further than that"
+        return f"{words}."
+
     def order(self, method: str, norm: str = "position_final", finest: int | None = None) -> float:
         """Return the slope of log error over log setting: the order, if the setting is a step.
 
@@ -280,3 +313,8 @@ class WorkPrecision(Comparison):
     def _check(self, norm: str) -> None:
         if norm not in self.uncertainty:
             raise ValueError(f"there is no norm {norm!r}: choose from {', '.join(self.norms)}")
+
+
+def _times(ratio: float) -> str:
+    """Return how much cheaper something is in words: nothing below a twentieth."""
+    return f"{ratio:.2g} times cheaper" if ratio >= 1.05 else "no cheaper"

@@ -1,13 +1,30 @@
-"""Listeners while numba compiles: garbage is not collected, signals wait, and time is counted."""
+"""Listeners while numba compiles: garbage is not collected, signals wait, time is counted."""
 
 from __future__ import annotations
 
 import gc
 import time as clock
-from typing import final
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final, final
 
 from multicell.compiling.numba_068 import event
 from multicell.host.interrupts import UNCUT
+
+PARTS: Final = {
+    "philox": "random numbers",
+    "nutrient": "fields",
+    "integrators": "motion",
+    "mechanics": "forces",
+    "mechanics.neighbours": "neighbour lists",
+}
+"""Rooms and files with kernels, and what their parts are called in progress and forecasts."""
+
+
+def part_of(module: str) -> str:
+    """Return the part that the functions of a module belong to, as progress names it."""
+    known = [name for name in PARTS if f"{module}.".startswith(f"multicell.{name}.")]
+    return PARTS[max(known, key=len)] if known else "other functions"
 
 
 @final
@@ -16,17 +33,23 @@ class _WithoutCollector(event.Listener):
 
     Numba makes millions of objects that live until it is done: to look through them again and
     again takes a sixth of the time.
+
+    - ``seconds``: wall time so far; ``parts``: and by the name of the part
+    - ``part``: what is compiled now, since ``begin``; empty when nothing is
     """
 
     def __init__(self) -> None:
         self.depth = 0
         self.enabled = False
         self.begin = self.seconds = 0.0
+        self.part = ""
+        self.parts: dict[str, float] = {}
 
     def on_start(self, event: event.Event) -> None:
         """Note whether the collector runs, and stop it."""
         if self.depth == 0:
             self.begin = clock.perf_counter()
+            self.part = part_of(event.data["dispatcher"].py_func.__module__)
             self.enabled = gc.isenabled()
             gc.disable()
         self.depth += 1
@@ -35,9 +58,24 @@ class _WithoutCollector(event.Listener):
         """Let it run again."""
         self.depth -= 1
         if self.depth == 0:
-            self.seconds += clock.perf_counter() - self.begin
+            took = clock.perf_counter() - self.begin
+            self.seconds += took
+            self._end(took)
             if self.enabled:
                 gc.enable()
+
+    @contextmanager
+    def awaited(self, part: str) -> Iterator[None]:
+        """Show a part as compiled now while the caller waits for a process that compiles it."""
+        self.begin, self.part = clock.perf_counter(), part
+        try:
+            yield
+        finally:
+            self._end(clock.perf_counter() - self.begin)
+
+    def _end(self, took: float) -> None:
+        self.parts[self.part] = self.parts.get(self.part, 0.0) + took
+        self.part = ""
 
 
 @final
@@ -56,6 +94,6 @@ class _Uncut(event.Listener):
         UNCUT.__exit__()
 
 
-COMPILATION = _WithoutCollector()  # what this process has compiled: ``seconds`` of wall time so far
+COMPILATION = _WithoutCollector()  # what this process has compiled so far
 event.register("numba:compile", COMPILATION)  # type: ignore[no-untyped-call]
 event.register("numba:compiler_lock", _Uncut())  # type: ignore[no-untyped-call]

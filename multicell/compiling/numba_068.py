@@ -61,7 +61,7 @@ from numba.np.numpy_support import as_dtype
 
 from multicell.host.closed import choose_cache, is_own
 
-__all__ = ["PieceCompiler", "cgutils", "change_numba", "event", "install_recorder"]
+__all__ = ["PieceCompiler", "cgutils", "change_numba", "event", "install_recorder", "is_on_disk"]
 
 _ensure_blas = linalg.ensure_blas
 
@@ -157,6 +157,11 @@ _plain_data = caching.IndexDataCacheFile._load_data
 def _data_of(cache: Any, name: str) -> Any:
     """Return a compiled function from disk, with the same care; None to compile it anew."""
     return _plain_data(cache, name) if is_own(cache._data_path(name)) else None  # type: ignore[no-untyped-call]
+
+
+def is_on_disk(dispatcher: Any) -> bool:
+    """Return whether numba's cache has code of a kernel, for any arguments, of today's files."""
+    return bool(dispatcher._cache._cache_file._load_index())
 
 
 def _constant(c: Any, value: Any) -> Any:

@@ -65,9 +65,11 @@ def thread_count(wanted: int | None) -> int:
     most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     if wanted is None:
         wanted = most
-    if not 1 <= wanted <= most:
+    if not hasattr(wanted, "__index__") or not 1 <= wanted <= most:
         raise SceneError(
-            "threads", f"is {wanted}, must be from 1 to {most}", "NUMBA_NUM_THREADS sets the limit."
+            "threads",
+            f"is {wanted!r}, must be a number from 1 to {most}",
+            "NUMBA_NUM_THREADS sets the limit.",
         )
     if _Numba.forked:
         return 1

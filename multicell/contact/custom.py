@@ -93,7 +93,13 @@ class UserLaw(OwnLaw, PairLaw):
             names = signature(part).parameters
             given = tuple(own if name == "p" else types.float64 for name in names)
             with own_code("contact.law", part):
-                njit(given)(part)
+                made = njit(given)(part)
+            kind = made.nopython_signatures[0].return_type
+            if not isinstance(kind, types.Number | types.Boolean):
+                code = part.__code__
+                problem = f"'{code.co_filename}', line {code.co_firstlineno}, returns {kind}"
+                hint = "NumPy's where gives an array: write 'a if condition else b' of numbers."
+                raise SceneError("contact.law", f"{problem}, must return a number", hint)
 
     def constants(self) -> Any:
         """Return the parameters as the law's function takes them."""

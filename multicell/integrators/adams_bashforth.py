@@ -44,7 +44,7 @@ class AdaptiveAdams(ErrorControl):
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "ab2-adaptive", "explicit Adams-Bashforth of order 2 under error control", "tolerance",
-        order=2, remembers=True, colour="#d4a8d6", marker="p",
+        order=2, remembers=True, colour="#d4a8d6", marker="p", meant=("adams", "adams-bashforth"),
     )  # fmt: skip
 
     patience: int = 0

@@ -196,6 +196,8 @@ class MethodInfo:
     variant : callable or None
         Number in a name such as ``"rkc2-5"`` -> what is known of that variant, None if there is
         none.
+    meant : tuple of str
+        Words by which others know it, for the hint of an error.
     """
 
     name: str
@@ -214,6 +216,7 @@ class MethodInfo:
     why_no_more: str = ""
     make: Callable[..., Integrator] | None = None
     variant: Callable[[int], MethodInfo | None] | None = None
+    meant: tuple[str, ...] = ()
 
     @property
     def settings(self) -> set[str]:

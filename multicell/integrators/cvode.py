@@ -35,6 +35,7 @@ class Cvode(ErrorControl):
     info: ClassVar[MethodInfo] = MethodInfo(
         "cvode", "implicit: SUNDIALS CVODE, BDF with Newton-Krylov", "tolerance", implicit=True,
         stable=math.inf, colour="#1f7f54", marker="o", atol=0.01,
+        meant=("bdf", "ode15s", "sundials"),
     )  # fmt: skip
 
     atol: float = info.atol

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator, MethodInfo, info_of
-from multicell.integrators.registry import METHODS, find, instantiate
+from multicell.integrators.registry import METHODS, find, instantiate, meant_by
 from multicell.plugins.named import load_object, origin
 from multicell.schema import near_miss
 
@@ -26,7 +26,8 @@ def method_info(method: Any, what: str = "integrator") -> MethodInfo:
     if isinstance(method, str):
         info = find(method)
         if info is None and ":" not in method:
-            raise SceneError(what, f"no method is called {method!r}", near_miss(method, METHODS))
+            hint = meant_by(method) or near_miss(method, METHODS)
+            raise SceneError(what, f"no method is called {method!r}", hint)
         return info or method_info(load_object(method, what), what)
     if not callable(getattr(method, "integrate", None)):
         name = getattr(method, "__name__", type(method).__name__)

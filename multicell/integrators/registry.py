@@ -32,6 +32,18 @@ METHODS: dict[str, MethodInfo] = {
 """Name of each method of integration -> what is known of it."""
 
 
+def meant_by(name: str) -> str:
+    """Return the method that a word of others stands for, or those of a kind, as a hint."""
+    word = name.lower()
+    for info in METHODS.values():
+        if word in (*info.meant, info.name.removeprefix("scipy-") if info.outside else ""):
+            return f"Did you mean '{info.name}'?"
+    if word in ("explicit", "implicit"):
+        kind = [info.name for info in METHODS.values() if info.implicit == (word == "implicit")]
+        return f"The {word} ones are {', '.join(kind)}."
+    return ""
+
+
 def find(name: str) -> MethodInfo | None:
     """Return the information on a method, or on a variant such as ``"rkc2-5"``."""
     whole, _, number = name.rpartition("-")

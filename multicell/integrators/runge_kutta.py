@@ -112,7 +112,7 @@ class Euler(_Fixed):
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "euler", "explicit Euler with a fixed step", "step", order=1, stable=2.0,
-        colour="#2f6fb0", marker="o",
+        colour="#2f6fb0", marker="o", meant=("forward-euler", "explicit-euler"),
     )  # fmt: skip
     tableau: ClassVar[Tableau] = EULER
 
@@ -184,6 +184,7 @@ class Dopri5(_Adaptive):
     info: ClassVar[MethodInfo] = MethodInfo(
         "dopri5", "explicit Runge-Kutta of Dormand and Prince, order 5, under error control",
         "tolerance", order=5, colour="#14919b", marker="P", atol=0.01,
+        meant=("ode45", "rk45", "dormand-prince"),
     )  # fmt: skip
     atol: float = info.atol
     tableau: ClassVar[Tableau] = DORMAND_PRINCE

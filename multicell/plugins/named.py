@@ -184,6 +184,15 @@ def _is_loaded(file: str) -> bool:
 def _message(error: BaseException, file: str) -> str:
     """Return the message of an error in one line, with the name that was likely meant."""
     missing = _missing_name(error)
+    kind, *declared = type(getattr(error, "obj", None)).__name__.split("__")
+    if isinstance(error, AttributeError) and kind.startswith("Constants_"):
+        # a class of ours, named after the parameters of the law
+        close = difflib.get_close_matches(missing, declared, 1, 0.4)
+        meant = f" (did you mean '{close[0]}'?)" if close else ""
+        known = ", ".join(declared) or "none"
+        return (
+            f"asks for the parameter '{missing}', which is not declared{meant}; declared: {known}"
+        )
     lines_said = [line.strip() for line in str(error).splitlines()]
     lines_said = [line for line in lines_said if line and not line.startswith("Failed in")]
     text = next((x for x in lines_said if f"'{missing}'" in x), next(iter(lines_said), ""))

@@ -5,11 +5,16 @@ A page holds its pictures and needs nothing else. Whatever a template is given i
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import math
 from collections.abc import Callable, Mapping
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from markupsafe import Markup
 
 from multicell.report.wording import clock, written
 from multicell.results.folder import file_errors, package_version, write_text
@@ -90,6 +95,14 @@ def _environment() -> Environment:
         "text": _text,
     }
     return environment
+
+
+def script(name: str) -> dict[str, Any]:
+    """Return a script of this room for a page, and the digest by which the page allows it."""
+    text = files("multicell.report").joinpath(f"templates/{name}").read_text("utf-8")
+    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
+    # the package's own, and allowed by its digest alone: nothing in it is escaped
+    return {"script": Markup(text), "policy": digest}
 
 
 def _inline(path: Path, figure: Figure, caption: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from multicell.errors import OutputError
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.run import PICTURES
 from multicell.report.wording import cell_count, diagnostics, measures
+from multicell.results.folder import LIVE, in_use, remove
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +37,7 @@ def write_report(
 
     summary = result.summary()
     phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}
-    return write_page(
+    page = write_page(
         place / "report.html",
         "run.html",
         scene=result.scene,
@@ -52,6 +53,9 @@ def write_report(
         longest=max(phases.values(), default=0.0) or 1.0,
         **_accounts(summary),
     )
+    if not in_use(place):  # of a run that was killed: the report takes their place
+        remove(place, LIVE)
+    return page
 
 
 def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure], str]]]:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, Final, final, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.errors import OutputError
+from multicell.errors import FrameError, OutputError
 from multicell.report.wording import cell_count, measures, time_unit
 from multicell.results.frame import Frame, Named
+from multicell.results.history import History
 from multicell.scene.bare import note_bare
-from multicell.units import to_base
+from multicell.units import shown, to_base
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,6 +60,13 @@ class DrawnFrames(Sequence["Frame"]):
     def __getitem__(self, place: int | slice) -> Frame | Sequence[Frame]:
         if isinstance(place, slice):
             return DrawnFrames(self._frames[place], self._scene, self._lineage)
+        count = len(self)
+        if not hasattr(place, "__index__"):
+            problem = f"frames have numbers, not {shown(place)}"
+            raise FrameError(problem, "frames[0] is the first, frames[-1] the last.")
+        if not -count <= place < count:
+            have = f"the frames 0 to {count - 1}" if count else "no frames"
+            raise FrameError(f"there is no frame {place}: the run has {have}")
         return replace(self._frames[place], draw=partial(_draw, self._scene, self._lineage))
 
     def __repr__(self) -> str:
@@ -103,7 +111,7 @@ class Result:
     lineage: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "history", Named(self.history, "column of the history"))
+        object.__setattr__(self, "history", History(self.history))
         object.__setattr__(self, "frames", DrawnFrames(self.frames, self.scene, self.lineage))
 
     def __repr__(self) -> str:

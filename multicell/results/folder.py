@@ -40,6 +40,10 @@ RUN_FILES: Final = (
 PASSING: Final = ("frames.journal", "scene.toml.next")
 """Files that are there only during a run, or after it was killed or met a full disk."""
 
+LIVE: Final = ("live.png", "live.html")
+"""Picture of the tissue during a run, and the page that shows it: no results, and gone at its end.
+"""
+
 LOCK: Final = ".multicell.lock"
 """A file that is locked while a run writes into its folder; it is not there at other times."""
 
@@ -150,7 +154,8 @@ def is_begun(folder: str | Path, content: Mapping[str, bytes | str]) -> bool:
     """
     folder = Path(folder)
     with suppress(OSError):  # whoever is going to write there will say what is wrong
-        held = {entry.name for entry in folder.iterdir()} - {LOCK}
+        held = {entry.name for entry in folder.iterdir()} - {LOCK, *LIVE}
+        held -= {f"{name}.part" for name in LIVE}
         known = {name: c.encode() if isinstance(c, str) else c for name, c in content.items()}
         parts = {f"{name}.part" for name in known}
         return bool(held) and all(

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 V = TypeVar("V")
 
 
-@final
 class Named(dict[str, V]):
     """A dictionary of what a result holds by name, such as the columns of its history."""
 

@@ -142,8 +142,8 @@ def _start_notes(states: Mapping[str, int]) -> list[str]:
     notes = []
     if states.get("necrotic"):
         notes.append(
-            f"At the start {states['quiescent']:,} cells rest and {states['necrotic']:,} are dead: "
-            "they find too little in the field that all cells make, as in tissue that has been "
+            f"Start states: {states['quiescent']:,} quiescent, {states['necrotic']:,} necrotic. "
+            "The field that all cells make leaves them too little, as in tissue that has been "
             "there for long."
         )
     if states.get("unfit"):

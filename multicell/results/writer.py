@@ -53,6 +53,7 @@ from multicell.errors import OutputError
 from multicell.host.interrupts import UNCUT
 from multicell.results import hdf5
 from multicell.results.folder import (
+    LIVE,
     PASSING,
     RUN_FILES,
     copy_of,
@@ -127,7 +128,7 @@ class Store:
             scene = with_copy(scene, folder)
             table = scene.initial.cells
             kept = "" if table is None else Path(table.file).name
-            remove(folder, (name for name in (*PASSING, *RUN_FILES) if name != kept))
+            remove(folder, (name for name in (*PASSING, *LIVE, *RUN_FILES) if name != kept))
             text = scene.to_toml(versions(), beside=folder)
             write_text(folder / "scene.toml", text)
             names = tuple(scene.nutrients)

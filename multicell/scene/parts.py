@@ -11,7 +11,7 @@ import numpy as np
 from multicell.behaviours.growth_laws.laws import GROWTH_LAWS, GrowthLaw
 from multicell.errors import SceneError
 from multicell.integrators.base import MethodInfo
-from multicell.integrators.registry import METHODS
+from multicell.integrators.registry import METHODS, meant_by
 from multicell.plugins.named import OWN_OBJECT, is_recorded_object
 from multicell.schema import (
     build_part,
@@ -317,6 +317,7 @@ class IntegratorOptions:
         doc="name of the method; of a method of the user's own where it came from",
         other=is_recorded_object,
         further=OWN_OBJECT,
+        hint=meant_by,
     )
     rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")
     atol: float | None = quantity(

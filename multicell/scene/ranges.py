@@ -90,6 +90,10 @@ def _check_overlap(scene: Scene) -> None:
         force = float(law.evaluate(deep, modulus, pair, rest=2.0 * radius, touching=True)[0])
         if force > math.pi * float(pair) * bonds * deep:
             continue
+        if force <= 0.0 and not law.is_sticky:
+            problem = f"gives a force of {force:.3g} nN to cells that overlap by {deep:.3g} um"
+            hint = "A force is positive where cells repel each other: change the sign of the law."
+            raise SceneError("contact.law", problem, hint)
         path = "adhesion.strength" if force > 0.0 else "contact.surface_energy"
         problem = f"draws cells of radius {radius:.3g} um into one another, centre upon centre"
         raise SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")

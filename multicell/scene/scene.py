@@ -15,7 +15,7 @@ from dataclasses import is_dataclass
 from difflib import get_close_matches
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import CONTACT_LAWS
@@ -229,7 +229,7 @@ class Scene:
             f"<summary>All keys</summary><pre>{escape(self.to_toml())}</pre></details></div>"
         )
 
-    def with_changes(self, changes: Mapping[str, Any]) -> Scene:
+    def with_changes(self, changes: Mapping[str, Any] | None = None, /, **keys: Any) -> Scene:
         """Return a scene with other values.
 
         Parameters
@@ -240,16 +240,23 @@ class Scene:
             a law made by :func:`multicell.pair_law`, replaces a whole table, None removes an
             optional part. ``"integrator": "euler"`` changes the method and keeps the rest. A new
             ``contact.law`` drops the parameters that it does not have.
+        **keys
+            Further changes as keywords: ``duration="8 d"``. A dict changes the keys of a table
+            that it has and keeps the others: ``nutrients={"oxygen": {"boundary": "5 %"}}``.
 
         Raises
         ------
         SceneError
             For a key that does not exist and for any value that is refused.
         """
+        changes = {**_as_changes(changes), **_nested(keys, self.to_dict() if keys else {})}
         changed = {str(key).partition(".")[0] for key in changes}
         # the other parts are checked already; an unknown key is looked for in all
         entries = part_as_dict(self, changed if changed <= specs(Scene).keys() else None)
         for key, value in changes.items():
+            check_dotted(key)
+            if "." not in key and key not in specs(Scene) and (hint := _meant(self, key)):
+                raise SceneError(key, "is not a key at the top of a scene", hint)
             _change(entries, key, value)
             if key.startswith("nutrients."):
                 _set_free(entries, key)
@@ -327,6 +334,28 @@ def load_scene(source: str | Path) -> Scene:
     return scene
 
 
+def _as_changes(changes: object) -> dict[str, Any]:
+    if changes is None:
+        return {}
+    if not isinstance(changes, Mapping):
+        hint = "For example with_changes(duration='8 d') or with_changes({'duration': '8 d'})."
+        raise SceneError("changes", f"are {shown(changes)}, must be keys with values", hint)
+    return dict(changes)
+
+
+def _nested(keys: Mapping[str, Any], entries: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return keywords as dotted keys; a dict goes into a table that is there and keeps the rest."""
+    found: dict[str, Any] = {}
+    for key, value in keys.items():
+        name = f"{path}{key}"
+        there = entries.get(key)
+        if isinstance(value, Mapping) and isinstance(there, Mapping):
+            found |= _nested(value, there, f"{name}.")
+        else:
+            found[name] = value
+    return found
+
+
 _BARE = re.compile(r"^[ \t]*[\w.]+[ \t]*=[ \t]*([\d.]+ *[A-Za-zµ%][^\s#]*)", re.MULTILINE)
 """A quantity without quotes in a scene file."""
 
@@ -335,6 +364,11 @@ def scene_text(source: str | Path) -> str:
     """Return a scene as its author wrote it: the TOML of a built-in scene or of a file."""
     from importlib.resources import files
 
+    if isinstance(source, Mapping):
+        hint = "A dict becomes one by mc.Scene.from_dict({...})."
+        raise SceneError("", "a table of values is no name and no path of a scene", hint)
+    if not isinstance(source, str | Path):
+        raise SceneError("", f"{shown(source)} is no name and no path of a scene")
     if isinstance(source, str) and source in (names := scene_names()):
         return (files("multicell.scenes") / f"{source}.toml").read_text(encoding="utf-8")
     path = Path(os.path.expanduser(source))
@@ -347,6 +381,12 @@ def scene_text(source: str | Path) -> str:
             raise SceneError("", f"there is no scene named {source!r}", hint) from None
         hint = f"The built-in scenes are {', '.join(scene_names())}."
         raise SceneError("", f"the scene file {str(source)!r} does not exist", hint) from None
+    except IsADirectoryError:
+        hint = "Name a file in it."
+        if (path / "scene.toml").is_file():
+            again = f"its scene is '{path / 'scene.toml'}'"
+            hint = f"It holds a run: {again}, and 'multicell resume {path}' continues it."
+        raise SceneError("", f"{str(source)!r} is a folder, not a scene", hint) from None
     except UnicodeDecodeError as error:
         problem = f"the scene file {str(source)!r} is not UTF-8 text (byte {error.start})"
         raise SceneError("", problem) from None
@@ -420,6 +460,26 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
     if key == "contact.law" and isinstance(value, str) and value in CONTACT_LAWS:
         allowed = {"law", *specs(CONTACT_LAWS[value])}
         entries["contact"] = {k: v for k, v in node.items() if k in allowed}
+
+
+def _meant(scene: Scene, key: str) -> str:
+    """Return the full key that a short one may mean in a scene, as a hint."""
+    from multicell.schema import leaves
+
+    word = _NAMES.get(key.lower(), key)
+    fields = {name.lower(): name for name in scene.nutrients}
+    if word.lower() in fields:
+        return f"Did you mean 'nutrients.{fields[word.lower()]}.boundary'?"
+    known = [".".join(path) for path, _, _ in leaves(scene)]
+    near = [name for name in known if name.rpartition(".")[2] == word]
+    tables = {name: spec.table for name, spec in specs(Scene).items() if spec.table is not None}
+    near += [f"{name}.{word}" for name, table in tables.items() if word in specs(table)]
+    near = list(dict.fromkeys(near))
+    return f"Did you mean {' or '.join(map(repr, near[:3]))}?" if near else ""
+
+
+_NAMES: Final = {"o2": "oxygen", "glc": "glucose", "gluc": "glucose", "glutamin": "glutamine"}
+"""Short names of nutrients."""
 
 
 def _refuse_unknown(entries: Mapping[str, Any], key: str) -> None:

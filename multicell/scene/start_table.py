@@ -11,6 +11,7 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 from weakref import WeakValueDictionary
@@ -34,7 +35,7 @@ from multicell.schema import (
 from multicell.tables.columns import PARQUET, Columns, from_bytes, from_h5ad, from_object, parsed
 from multicell.tables.text import read_bytes
 from multicell.tables.titles import Title, read_title, titled, unknown_title
-from multicell.units import RANGES
+from multicell.units import RANGES, shown
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -520,7 +521,7 @@ class Initial:
         at_least=1,
         at_most=10**8,
         doc="number of cells; absent: 1, or those of the table",
-        hint="A million is a lot.",
+        hint="For example 100.",
     )
     cells: StartTable | None = table(
         StartTable,
@@ -544,6 +545,12 @@ class Initial:
         default="birth",
         doc="of the cycle: all at birth, spread uniformly, or as in a growing population",
     )
+
+    def prepare(self) -> None:
+        """Refuse a number of cells in the place of their table."""
+        if isinstance(self.cells, Real) and not isinstance(self.cells, bool):
+            problem = f"is {shown(self.cells)}, must be a table of cells or the name of its file"
+            raise SceneError("cells", problem, "The number of cells is initial.count.")
 
     def check(self) -> None:
         """Let the table say how many cells there are."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Container, Iterable, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, FrozenInstanceError, dataclass, fields
 from itertools import pairwise
 from numbers import Integral
-from typing import Any, TypeVar, dataclass_transform
+from typing import Any, NoReturn, TypeVar, dataclass_transform
 
 from multicell.errors import SceneError
 from multicell.schema.bounds import Bounds, Curve, in_time, lists, read_points, reader
@@ -109,17 +109,19 @@ def choice(
     doc: str = "",
     other: Callable[[str], bool] = lambda _: False,
     further: str = "",
+    hint: Callable[[str], str] | None = None,
 ) -> Any:
     """Declare one name out of several.
 
     ``other`` returns whether another text is accepted; the pattern ``further`` describes them.
+    ``hint`` may know more about a name that is refused than how it is spelt.
     """
     known = tuple(options)
 
     def convert(value: object, path: str) -> str:
         if isinstance(value, str) and other(value):
             return value
-        return chosen(value, known, path)
+        return chosen(value, known, path, hint)
 
     return declare(
         "choice", convert, default, allowed=" or ".join(known), doc=doc, options=known,
@@ -395,6 +397,15 @@ def tables(
     )  # fmt: skip
 
 
+def _refuse_change(self: Any, name: str, value: object) -> NoReturn:
+    """Refuse to change a part in place, in words where dataclasses have only a name."""
+    what, key = type(self).__name__, name if type(self).__name__ == "Scene" else f"….{name}"
+    raise FrozenInstanceError(
+        f"{what} does not change in place: scene.with_changes({{'{key}': {shown(value)}}}) "
+        "returns a changed scene"
+    )
+
+
 @dataclass_transform(
     frozen_default=True,
     kw_only_default=True,
@@ -408,6 +419,7 @@ def parameters(cls: type[T]) -> type[T]:
     """Make a frozen dataclass, with keyword arguments only, that converts and checks its fields."""
     cls.__post_init__ = convert_fields  # type: ignore[attr-defined]
     made = dataclass(frozen=True, kw_only=True)(cls)
+    made.__setattr__ = _refuse_change  # type: ignore[method-assign]
     for spec in fields(made):  # type: ignore[arg-type]
         if "parameter" not in spec.metadata:
             raise TypeError(f"{cls.__name__}.{spec.name} must be declared by quantity(), ...")

@@ -14,9 +14,12 @@ from multicell.units import shown
 T = TypeVar("T")
 
 _MEANT: Final = {
+    "cells": ("count",),
     "consumption": ("uptake",),
     "diameter": ("division_radius",),
     "doubling_time": ("cycle_time",),
+    "n": ("count",),
+    "number": ("count",),
     "dt": ("coupling_step", "step"),
     "radius": ("count",),
     "rate": ("cycle_time",),
@@ -116,7 +119,7 @@ def build_part(part: type[T], value: object, path: str = "", also: tuple[str, ..
     - ``also``: keys that the caller has taken out already, for the list of allowed keys
     """
     known = specs(part)
-    entries = mapping(value, path)
+    entries = mapping(value, path, f"Its keys: {_listed([*also, *known])}.")
     for key in entries:
         if key not in known:
             hint = near_miss(key, [*also, *known])
@@ -240,10 +243,10 @@ def read_named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables
     return Tables({name: one(entry, f"{path}.{name}") for name, entry in entries})
 
 
-def mapping(value: object, path: str) -> dict[str, Any]:
+def mapping(value: object, path: str, hint: str = "") -> dict[str, Any]:
     """Return a copy of a table, or raise ``SceneError``."""
     if not isinstance(value, Mapping):
-        raise SceneError(path, f"is {shown(value)}, must be a table")
+        raise SceneError(path, f"is {shown(value)}, must be a table", hint)
     if not all(isinstance(key, str) for key in value):
         raise SceneError(path, "has keys that are not text, must be a table")
     return dict(value)

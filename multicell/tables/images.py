@@ -20,7 +20,7 @@ _LARGEST: Final = 8_000_000_000  # bytes of pixels
 _NEAREST: Final = 0.8
 """Distance of two centres over the sum of the radii from which on cells stay where they are: balls
 of the volume of cells that are not round overlap."""
-_ROUNDS: Final = 500
+_ROUNDS: Final = 500  # of moving overlapping balls apart: some 20 suffice for a tissue
 
 
 def cells_of_image(

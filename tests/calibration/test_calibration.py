@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 import pytest
-from cheap_fits import Growing, growing, through
+from cheap_fits import CASES, check, growing, through
 
 import multicell as mc
 from multicell.calibration.indices import sample, sensitivity_indices
@@ -24,13 +24,6 @@ from multicell.measured.data import read_data
 from multicell.measured.noise import Noise
 
 QUICK = 5
-CASES = {
-    "independent": Growing("independent"),
-    "shared over time": Growing("shared"),
-    "random walk": Growing("walk"),
-    "kink": Growing("walk", kink=True),
-    "chaotic": Growing("shared", common=False),
-}
 ALWAYS = ("kink",)
 """What every run of the tests repeats; scatter that is shared has its closed form below."""
 
@@ -46,14 +39,6 @@ def covered(problem, sample, truth):
     """Return whether 80 and 95 % intervals hold the truth, (2, parameters)."""
     found = [intervals(problem.ranges, sample, level) for level in (0.8, 0.95)]
     return [[x in f[r.name] for r, x in zip(problem.ranges, truth, strict=True)] for f in found]
-
-
-def check(hits):
-    """Check coverage, (repeats, 2, parameters), against what is said."""
-    print(np.mean(hits, axis=0).tolist())
-    for level, shares in zip((0.8, 0.95), np.mean(hits, axis=0), strict=True):
-        bound = 3.0 * math.sqrt(level * (1.0 - level) / len(hits))
-        assert np.abs(shares - level).max() <= bound, f"{level}: {shares}"
 
 
 @pytest.mark.harness

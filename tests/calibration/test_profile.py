@@ -7,10 +7,9 @@ import math
 
 import numpy as np
 import pytest
-from cheap_fits import Growing, growing
+from cheap_fits import CASES, Growing, check, growing
 from click.testing import CliRunner
 from scipy import stats
-from test_calibration import CASES, check
 
 import multicell as mc
 from multicell.calibration.likelihood import fresh

@@ -17,6 +17,7 @@ from multicell.cells import SPHERE
 from multicell.cli import progress
 from multicell.cli.main import main
 from multicell.cli.options import parse_changes
+from multicell.report.explain import compilation
 from multicell.report.explain.scene import explain
 from multicell.report.result import load_result
 from multicell.scene.pairs import daughters_stiffness, drag
@@ -237,8 +238,8 @@ def test_empty_value_removes_a_part():
 
 def moment(time, cells=120, step=3):
     scene = SimpleNamespace(duration=36000.0)
-    cells, wall = range(cells), {"compile": 0.0}
-    return SimpleNamespace(time=time, scene=scene, cells=cells, step_index=step, wall=wall)
+    known = {"state": SimpleNamespace(cells=range(cells)), "finished": time >= scene.duration}
+    return SimpleNamespace(time=time, scene=scene, step_index=step, wall={"compile": 0.0}, **known)
 
 
 def test_status_tells_time_cells_step_and_speed():
@@ -248,7 +249,8 @@ def test_status_tells_time_cells_step_and_speed():
     assert text[1] == "3.2 min left"
 
 
-def test_log_has_a_line_for_every_tenth(capsys):
+def test_log_has_a_line_for_every_tenth(capsys, monkeypatch):
+    monkeypatch.setattr(compilation, "missing_parts", lambda scene: {})
     scene = load_scene("settle").with_changes({"duration": "10 h"})
     with progress.reporter(scene) as report:
         for step in range(1, 101):
@@ -262,6 +264,7 @@ def test_log_has_a_line_for_every_tenth(capsys):
 
 @pytest.mark.parametrize("columns", [40, 80, 120])
 def test_bar_in_a_terminal_shows_the_status(capsys, monkeypatch, columns):
+    monkeypatch.setattr(compilation, "missing_parts", lambda scene: {})
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", str(columns))
     scene = SimpleNamespace(duration=36000.0, stop_cells=None, growth=None)
@@ -273,8 +276,8 @@ def test_bar_in_a_terminal_shows_the_status(capsys, monkeypatch, columns):
     plain = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.err)
     lines = [line.strip() for line in re.split(r"[\r\n]", plain)]
     assert max(map(len, lines)) <= columns
-    assert any("preparing · 0." in line for line in lines)
-    assert not any("0 %" in line and "preparing" in line for line in lines)
+    assert any("loading · 0." in line for line in lines)
+    assert not any("0 %" in line and "loading" in line for line in lines)
     last = [line for line in lines if line][-1]
     assert last.startswith("50 %")
     assert "5.00 of 10 h" in last

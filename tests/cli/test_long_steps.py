@@ -34,8 +34,10 @@ def test_steps_with_news_print_no_more_lines(capsys, monkeypatch):
 def test_the_words_have_the_time_of_the_step(monkeypatch):
     clock = _Clock(mc.load_scene("growth"))
     running = SimpleNamespace(
-        scene=mc.load_scene("growth"), time=600.0, step_index=1, cells=[1], wall={"compile": 0.0}
-    )
+        scene=mc.load_scene("growth"), time=600.0, step_index=1,
+        state=SimpleNamespace(cells=[1]), wall={"compile": 0.0},
+        finished=False,
+    )  # fmt: skip
     clock.note(running)
     assert not any("the next" in word for word in clock.words())
     now = time.perf_counter()

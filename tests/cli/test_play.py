@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import os
 import re
 import signal
@@ -14,14 +15,16 @@ from pathlib import Path
 from types import SimpleNamespace
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from signals import listening
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.cli.playground import Playground, _Handler
-from multicell.studies.axes import parse_ranges
+from multicell.cli.playground import Playground, _Handler, verdict
+from multicell.cli.slider_keys import asked_units, default_ranges
+from multicell.studies.axes import check_ranges, parse_ranges
 
 KEY = "nutrients.oxygen.boundary"
 SMALL = [
@@ -44,10 +47,10 @@ def asked(address, path="/", method="GET", body=None, **headers):
 
 
 @contextlib.contextmanager
-def served(place):
+def served(place, options=SMALL):
     """Return the process of the command and its address; temporary files are in ``place``."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "multicell", "play", "treatment", *SMALL],
+        [sys.executable, "-m", "multicell", "play", "treatment", *options, "--no-browser"],
         env={**os.environ, "TMPDIR": str(place)}, preexec_fn=listening,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
@@ -148,7 +151,7 @@ def test_a_slider_begins_a_run_that_can_be_seen(address):
     page = asked(address)[1].decode()
     slider = json.loads(re.search(r'id="about">(.*?)</script>', page, re.S)[1])[0]
     assert slider["key"] == KEY
-    assert slider["low"] == pytest.approx(0.0100, rel=0.01)  # 1 % of oxygen at 37 °C
+    assert (slider["low"], slider["unit"]) == (1.0, "%")  # as it was asked for
     assert asked(address, "/run", "POST", {"places": [0]})[0] == 200
     status = wait_for(address, lambda s: not s["going"])
     assert (status["part"], status["frames"]) == (1.0, 7)
@@ -205,7 +208,6 @@ def test_older_runs_go_and_another_run_ends_the_one_before(tmp_path, monkeypatch
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["settle"], "Missing option '--key'"),
         (["spheroid", "--key", "drag.viscosty=1:2"], "Did you mean 'drag.viscosity'"),
         (["spheroid", "--key", "drag.viscosity"], "write the value without a space"),
         (["spheroid", "--key", "drag.viscosity=2:1"], "must have the lower end first"),
@@ -215,3 +217,74 @@ def test_what_cannot_be_played_is_refused(arguments, words):
     answer = CliRunner().invoke(main, ["play", *arguments, "--no-browser"])
     assert answer.exit_code == 2
     assert words in " ".join(answer.output.split())
+
+
+@pytest.mark.parametrize("name", mc.scene_names())
+def test_every_built_in_scene_has_sliders_about_its_own_values(name):
+    scene = mc.load_scene(name)
+    texts = default_ranges(scene)
+    assert 0 < len(texts) <= 5
+    ranges = parse_ranges(texts, scene)
+    check_ranges(scene, ranges)
+    for item in ranges:
+        assert item.share(math.sqrt(item.low * item.high)) == pytest.approx(0.5)
+    with Playground(scene, ranges, 1.0, "") as ground:
+        assert ground._shares() == pytest.approx([0.5] * len(ranges))
+
+
+def test_the_spheroid_has_the_sliders_of_its_biology():
+    keys = [key.rpartition(".")[2] for key in default_ranges(mc.load_scene("spheroid"))]
+    assert keys == ["boundary", "uptake", "quiescence", "necrosis", "cycle_time"]
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "label"),
+    [
+        (KEY, "1:21 %", "21 %"),
+        (KEY, "10:160 mmHg", "160 mmHg"),
+        (KEY, "0.01:0.2", "0.2 mM"),
+        ("growth.cycle_time", "8:30 h", "30 h"),
+        ("growth.cycle_time", "1:2 d", "2 d"),
+        ("growth.cycle_time", "36000:72000", "20 h"),
+        ("drag.viscosity", "log 0.1:10 kPa s", "10 kPa s"),
+        ("drag.viscosity", "log 1e2:1e4 Pa s", "1e+04 Pa s"),
+    ],
+)
+def test_labels_have_the_unit_that_was_asked_for(key, text, label):
+    scene = mc.load_scene("spheroid")
+    ranges = parse_ranges({key: text}, scene)
+    with Playground(scene, ranges, 1.0, "", units=asked_units({key: text}, ranges)) as ground:
+        [slider] = ground.sliders()
+        assert ground._label(ranges[0], ranges[0].high) == label
+        number, _, unit = label.partition(" ")
+        assert (slider["high"], slider["unit"]) == (pytest.approx(float(number)), unit)
+
+
+HOUR, DAY = 3600.0, 86400.0
+
+
+@pytest.mark.parametrize(
+    ("times", "counts", "words"),
+    [
+        ([0, 7.5 * DAY, 9 * DAY], {"necrotic": [0, 3, 9], "quiescent": [1, 5, 9]},
+         "necrosis begins on day 8"),
+        ([0, 7.5 * DAY, 9 * DAY], {"necrotic": [0, 0, 0], "quiescent": [0, 0, 9]},
+         "quiescence begins on day 10"),
+        ([0, 2 * HOUR, 5 * HOUR], {"necrotic": [0, 1, 0]}, "necrosis begins after 2 h"),
+        ([0, DAY, 9 * DAY], {"necrotic": [2, 1, 0]}, "necrosis begins at the start"),
+        ([0, DAY], {"cells": [10, 25]}, "2.5 times as many cells, none quiescent or necrotic"),
+        ([0, DAY], {"cells": [10, 10]}, "no growth, no cell quiescent or necrotic"),
+        ([0, DAY], {"cells": [10, 4]}, "fewer cells than at first"),
+    ],
+)  # fmt: skip
+def test_a_run_has_a_verdict(times, counts, words):
+    history = {"time": times, "cells": [1] * len(times), **counts}
+    assert verdict({name: np.array(column, float) for name, column in history.items()}) == words
+
+
+@pytest.mark.slow
+def test_without_a_key_the_scene_as_it_is_begins_at_once(tmp_path):
+    with served(tmp_path, SMALL[:6]) as (_, found):
+        status = wait_for(found, lambda s: not s["going"])
+    assert (status["number"], status["part"]) == (1, 1.0)
+    assert "cells" in status["text"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from dataclasses import dataclass
@@ -200,3 +201,20 @@ def fitted(problem, points=30):
     facts = {"sd": 0.1, "seconds": 1.0, "sets_of_parameters": points}
     again = fresh(problem, search, Pool())
     return Fit(problem, SCENE, known, None, facts, again)
+
+
+CASES = {
+    "independent": Growing("independent"),
+    "shared over time": Growing("shared"),
+    "random walk": Growing("walk"),
+    "kink": Growing("walk", kink=True),
+    "chaotic": Growing("shared", common=False),
+}
+
+
+def check(hits):
+    """Check coverage, (repeats, 2, parameters), against what is said."""
+    print(np.mean(hits, axis=0).tolist())
+    for level, shares in zip((0.8, 0.95), np.mean(hits, axis=0), strict=True):
+        bound = 3.0 * math.sqrt(level * (1.0 - level) / len(hits))
+        assert np.abs(shares - level).max() <= bound, f"{level}: {shares}"

@@ -11,6 +11,7 @@ import pytest
 from stored import assert_same_bits
 
 import multicell as mc
+from multicell.results.folder import LIVE, PASSING
 from multicell.results.reader import Contents
 
 # cells grow, divide, starve, die and are removed; many frames, with a field each
@@ -90,7 +91,9 @@ def finish(forks, folder, whole):
         assert not list(folder.glob("*.part"))
     assert_same_bits(folder, whole)
     assert summary(folder) == summary(whole)
-    assert not {entry.name for entry in folder.iterdir()} & {"frames.journal", "scene.toml.next"}
+    if done["code"] == 2:
+        mc.load_result(folder).report()  # as the command ``view`` does
+    assert not {entry.name for entry in folder.iterdir()} & {*PASSING, *LIVE}
 
 
 @pytest.mark.harness
@@ -118,7 +121,10 @@ def test_killed_runs_go_on_to_the_same_bits(forks, undisturbed, tmp_path, pytest
 def _moment(rng, folder, seconds):
     """Return a moment to kill: any, or one at which a file is about to be replaced."""
     part = rng.choice(
-        [None, None, "frames.h5.part", "frames.journal", "summary.json", "growth.png.part"]
+        [
+            *(None, None, "frames.h5.part", "frames.journal", "summary.json", "growth.png.part"),
+            *("live.png.part", "live.png"),
+        ]
     )
     if part is None:
         return {"kill_after": rng.uniform(0.0, 1.1 * seconds)}

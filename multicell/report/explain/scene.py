@@ -13,9 +13,10 @@ from multicell.biology.draws import malthusian_rate
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
-from multicell.report.explain.cost import cost_notes, cost_numbers, predict
+from multicell.report.explain.cost import Prediction, cost_notes, cost_numbers, predict
 from multicell.report.explain.items import ExplainedPart, Number, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
+from multicell.report.explain.stiffness import place_of, stiffness_numbers
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.parts import CYCLE_PHASES
@@ -37,17 +38,17 @@ def explain(scene: Scene) -> dict[str, Any]:
     """
     check_population(scene)
     expected = predict(scene)
-    numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene)]
+    numbers = [*_run(scene), *contact_numbers(scene), *stiffness_numbers(scene), *_growth(scene)]
     numbers += [*cost_numbers(scene, expected), *nutrient_numbers(scene)]
     return {
         "title": scene.title,
-        "parts": [asdict(part) for part in _parts(scene)],
+        "parts": [asdict(part) for part in _parts(scene, expected)],
         "numbers": [asdict(number) for number in numbers],
         "notes": [*_notes(scene), *cost_notes(expected), *nutrient_notes(scene)],
     }
 
 
-def _parts(scene: Scene) -> list[ExplainedPart]:
+def _parts(scene: Scene, expected: Prediction) -> list[ExplainedPart]:
     told = effects(scene) if scene.responses else ()
     method = scene.integrator.method
     info = METHODS.get(method) or MethodInfo(method)
@@ -64,7 +65,7 @@ def _parts(scene: Scene) -> list[ExplainedPart]:
         *_taxis(scene),
         ExplainedPart("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
-        part("integrator", integrator),
+        part("integrator", integrator + place_of(scene, float(expected.course.cells[-1]))),
         part("output", f"a frame every {hours(scene.output.every)}"),
     ]
 

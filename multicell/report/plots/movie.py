@@ -14,6 +14,7 @@ import numpy as np
 from multicell.errors import OutputError
 from multicell.host.extras import needs
 from multicell.report.plots.colouring import GROUPS, cell_quantity, colouring, limits_of
+from multicell.report.plots.run import one_spelling
 from multicell.report.plots.section import Plane, section, window
 from multicell.report.plots.space import FILM_DPI, View, film_picture, room
 from multicell.results.folder import file_errors, write_bytes
@@ -38,6 +39,7 @@ def movie(
     *,
     plane: str | None = None,
     colour: str | None = None,
+    color: str | None = None,
     rate: float = 8.0,
     progress: Callable[[int, int], None] | None = None,
     space: bool = False,
@@ -49,7 +51,7 @@ def movie(
 
     - ``path``: file that ends in ``.gif`` or ``.webp``, or in ``.mp4`` where ``multicell[movie]``
       is installed
-    - ``plane``, ``colour``: as for ``result.plot.section``
+    - ``plane``, ``colour``, ``color``: as for ``result.plot.section``
     - ``rate``: frames in a second
     - ``progress``: called with the number of pictures drawn and of all
     - ``space``: show whole cells in space, of which a part is cut away, instead of a section
@@ -81,7 +83,7 @@ def movie(
     if not numbers:
         raise OutputError("no frame of the run has cells: there is nothing to show")
     hold = max(1, round(_REST * rate))
-    shades = _shades(result, numbers, colour)
+    shades = _shades(result, numbers, one_spelling(colour, color))
     frames, scene = result.frames, result.scene
     figures: Iterator[Figure]
     if space:  # the eye turns on while the last frame stays

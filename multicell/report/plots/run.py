@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Final, TypeVar, final
 
+from multicell.errors import OutputError
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
@@ -40,6 +42,13 @@ class PictureKind:
 
 PICTURES: Final[dict[str, PictureKind]] = {}
 """The pictures of a run by the names of the methods that draw them, in the order of the page."""
+
+
+def one_spelling(colour: str | None, color: str | None) -> str | None:
+    """Return the value of an option with a British and an American name."""
+    if colour is not None and color is not None:
+        raise OutputError("colour and color are two names of one option: give one of them")
+    return color if colour is None else colour
 
 
 def _picture(
@@ -101,7 +110,12 @@ class Plots:
         on_page=lambda run: run._crowd(1),
     )
     def section(
-        self, frame: int = -1, *, plane: str | None = None, colour: str | None = None
+        self,
+        frame: int = -1,
+        *,
+        plane: str | None = None,
+        colour: str | None = None,
+        color: str | None = None,
     ) -> Figure:
         """Show the cells that a plane cuts, at frame number ``frame``.
 
@@ -111,7 +125,7 @@ class Plots:
             Its number; negative ones count from the last.
         plane
             ``"x"``, ``"x=0"``, ``"z=12 um"``; absent: z through the centre of the cells.
-        colour
+        colour, color
             ``"state"``, ``"type"``, ``"phase"``, ``"clone"``, a quantity of the cells such as
             ``"pressure"``, or the name of a field; absent: the types or, where all cells are alike,
             the states.
@@ -124,11 +138,17 @@ class Plots:
         from multicell.report.plots.section import Plane, section
 
         where = None if plane is None else Plane.parse(plane)
-        return section(*self._shaded(frame, colour), where)
+        return section(*self._shaded(frame, one_spelling(colour, color)), where)
 
     @_picture()
     def space(
-        self, frame: int = -1, *, cut: str = "quarter", turn: float = 0.0, colour: str | None = None
+        self,
+        frame: int = -1,
+        *,
+        cut: str = "quarter",
+        turn: float = 0.0,
+        colour: str | None = None,
+        color: str | None = None,
     ) -> Figure:
         """Show the cells in space as shaded spheres, at frame number ``frame``.
 
@@ -140,7 +160,7 @@ class Plots:
             What is cut away through the centre: ``"none"``, ``"half"`` or ``"quarter"``.
         turn
             Degrees by which the eye goes round the z axis, from where cuts open to it.
-        colour
+        colour, color
             As for :meth:`section`.
 
         Raises
@@ -150,7 +170,7 @@ class Plots:
         """
         from multicell.report.plots.space import View, space
 
-        return space(*self._shaded(frame, colour), View(turn, cut))
+        return space(*self._shaded(frame, one_spelling(colour, color)), View(turn, cut))
 
     def quantity(self, name: str, others: Mapping[str, Result] | None = None) -> Figure:
         """Draw a column of the history against time, also those of other runs.

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import OutputError
+from multicell.report.colours import STATE_COLOURS as STATE_COLOURS
+from multicell.report.colours import TYPE_COLOURS
 from multicell.report.wording import TimeUnit, cell_count, time_unit
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
@@ -25,15 +27,7 @@ from multicell.scene.scene import Scene
 
 History = Mapping[str, NDArray[np.float64]]  # columns of a run's history by name, (m,) each
 
-STATE_COLOURS: Final = {
-    "proliferating": "#2a9d6a",
-    "quiescent": "#f2b63c",
-    "necrotic": "#4b3a5e",
-    "apoptotic": "#200008",
-}
 INK, QUIET, BLUE, RED = "#22303c", "#6b7a86", "#2f6fb0", "#b5432f"
-# blue and orange first: they differ in lightness and for any colour vision (Okabe & Ito)
-_TYPES: Final = ("#0072b2", "#e69f00", "#7fd0a8", "#cc79a7", "#56b4e9", "#a04000", "#b8b000")
 DPI: Final = 160  # dots per inch of pictures on pages and in files
 TITLE: Final = "title"
 SUBTITLE: Final = "subtitle"
@@ -217,8 +211,8 @@ def type_colours(names: Iterable[str]) -> dict[str, str]:
     from matplotlib.colors import to_hex
 
     names = list(names)
-    if len(names) <= len(_TYPES):
-        return dict(zip(names, _TYPES, strict=False))
+    if len(names) <= len(TYPE_COLOURS):
+        return dict(zip(names, TYPE_COLOURS, strict=False))
     # the darkest end is left to necrotic cells
     shades = mpl.colormaps["cividis"](0.15 + 0.85 * np.arange(len(names)) / (len(names) - 1))
     return {name: to_hex(shade) for name, shade in zip(names, shades, strict=True)}

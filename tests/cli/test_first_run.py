@@ -1,0 +1,227 @@
+"""What a first run says: what is expected, what is compiled, what is left, and what is drawn."""
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numba import njit
+
+import multicell as mc
+from multicell.cli import progress
+from multicell.cli.progress import _Clock, fitting, reporter
+from multicell.compiling import COMPILATION
+from multicell.compiling.listeners import PARTS, part_of
+from multicell.compiling.numba_068 import is_on_disk
+from multicell.mechanics import forces
+from multicell.report.explain import compilation
+from multicell.report.explain.cost import predict
+
+SPHEROID = mc.load_scene("spheroid")
+MISSING = {"fields": 20.0, "motion": 10.0}
+
+
+@pytest.fixture(autouse=True)
+def nothing_compiled(monkeypatch):
+    monkeypatch.setattr(COMPILATION, "parts", {})
+    monkeypatch.setattr(COMPILATION, "part", "")
+    monkeypatch.setattr(COMPILATION, "begin", 0.0)
+
+
+@pytest.fixture
+def now(monkeypatch):
+    """Return a clock that a test moves, as a list of one number."""
+    moment = [1000.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: moment[0])
+    return moment
+
+
+def running(time=86400.0, cells=500, finished=False):
+    return SimpleNamespace(
+        scene=SPHEROID, time=time, step_index=7, state=SimpleNamespace(cells=range(cells)),
+        wall={"compile": 0.0},
+        finished=finished,
+    )  # fmt: skip
+
+
+def compile_now(part, begin):
+    COMPILATION.part, COMPILATION.begin = part, begin
+
+
+def seconds_left(words):
+    [left] = [word for word in words if word.endswith(" left")]
+    numbers = left.removesuffix(" left").split()
+    units = {"s": 1.0, "min": 60.0}
+    return sum(float(n) * units[u] for n, u in zip(numbers[::2], numbers[1::2], strict=True))
+
+
+def test_a_first_run_says_what_it_is_going_to_be(capsys, monkeypatch):
+    monkeypatch.setattr(compilation, "missing_parts", lambda scene: dict(MISSING))
+    with reporter(SPHEROID, page="out/live.html"):
+        pass
+    first, second = capsys.readouterr().err.splitlines()[:2]
+    cells = predict(SPHEROID).course.cells[-1]
+    assert first.startswith("About ")
+    told = float(first.split()[1].replace(",", ""))
+    assert told == pytest.approx(cells, rel=0.01)
+    assert "some 30 s to compile, once on this machine" in first
+    assert second == "The tissue so far: out/live.html"
+
+
+def test_a_run_with_all_code_on_disk_does_not_wait_for_a_forecast(capsys, monkeypatch):
+    monkeypatch.setattr(compilation, "missing_parts", lambda scene: {})
+    monkeypatch.setattr(progress.Forecast, "of", lambda scene: pytest.fail("was made"))
+    with reporter(SPHEROID):
+        pass
+    assert capsys.readouterr().err == ""
+
+
+def test_lists_of_many_cells_are_not_expected_of_few():
+    missing = {"forces": 4.0, "neighbour lists": 6.0}
+    few = SPHEROID.with_changes({"stop_cells": 100})
+    assert "some 4 s to compile" in _Clock(few).foresee(missing)[0]
+    assert "some 10 s to compile" in _Clock(SPHEROID).foresee(missing)[0]
+
+
+@pytest.mark.parametrize(
+    ("module", "part"),
+    [
+        ("multicell.philox", "random numbers"),
+        ("multicell.nutrient.balls", "fields"),
+        ("multicell.integrators.loops.adams_bashforth", "motion"),
+        ("multicell.mechanics.forces", "forces"),
+        ("multicell.mechanics.neighbours", "neighbour lists"),
+        ("multicell.mechanics.neighbours_of_others", "forces"),
+        ("mine.fields", "other functions"),
+        ("multicell_more.nutrient", "other functions"),
+    ],
+)
+def test_parts_are_named_by_their_rooms(module, part):
+    assert part_of(module) == part
+
+
+def test_every_part_that_is_expected_can_be_counted():
+    assert set(compilation._LANDMARKS) <= set(PARTS.values())
+    everything = compilation.missing_parts(SPHEROID)
+    assert set(everything) <= set(compilation._LANDMARKS)
+    bare = compilation.missing_parts(mc.load_scene("settle"))
+    assert "fields" not in bare
+
+
+def test_what_is_compiled_is_counted_and_what_comes_from_disk_is_not(tmp_path, monkeypatch):
+    @njit
+    def twice(x):
+        return 2.0 * x
+
+    assert twice(2.0) == 4.0
+    assert COMPILATION.part == ""
+    assert set(COMPILATION.parts) == {"other functions"}
+    took = COMPILATION.parts["other functions"]
+    assert took > 0.0
+    assert twice(3.0) == 6.0
+    assert COMPILATION.parts == {"other functions": took}
+
+
+def test_code_of_forces_on_disk_is_found():
+    arguments = np.zeros(3)
+    assert isinstance(arguments, np.ndarray)
+    mc.run(mc.load_scene("settle").with_changes({"duration": "1 min"}), threads=1)
+    assert is_on_disk(forces.forces)
+
+
+def test_the_part_is_named_with_its_time_and_those_before_are_ticked(now):
+    clock = _Clock(SPHEROID)
+    clock.foresee(MISSING)
+    assert clock.words() == ["loading"]
+    COMPILATION.parts = {"random numbers": 1.0, "fields": 2.0}
+    compile_now("fields", now[0])
+    now[0] += 3.0
+    words = clock.words()
+    assert words[0] == "compiling fields, 5 s"
+    assert words[2] == "✓ random numbers"
+
+
+def test_time_left_has_steps_compiling_and_pictures_and_falls(now):
+    plain, drawing = _Clock(SPHEROID), _Clock(SPHEROID, report=True)
+    for clock in (plain, drawing):
+        clock.foresee(MISSING)
+    run = predict(SPHEROID).seconds
+    compile_now("fields", now[0])
+    assert seconds_left(plain.words()) == pytest.approx(run + 30.0, rel=0.1)
+    more = seconds_left(drawing.words()) - seconds_left(plain.words())
+    assert more == pytest.approx(4.3, abs=1.1)
+    seen = []
+    for _ in range(10):
+        now[0] += 1.0
+        seen.append(seconds_left(plain.words()))
+    assert sorted(seen, reverse=True) == seen
+    assert seen[0] - seen[-1] == pytest.approx(9.0, abs=1.1)
+
+
+def test_a_slower_machine_is_found_by_what_it_has_compiled(now):
+    clock = _Clock(SPHEROID)
+    clock.foresee({"fields": 20.0, "motion": 10.0, "forces": 10.0})
+    COMPILATION.parts = {"fields": 80.0}
+    compile_now("motion", now[0])
+    # (80 + 5) / (20 + 5) times as long
+    assert clock._compilation_left(now[0]) == pytest.approx(3.4 * 20.0)
+
+
+def test_a_part_that_a_step_has_used_is_over(now):
+    clock = _Clock(SPHEROID)
+    clock.foresee(MISSING)
+    COMPILATION.parts = {"fields": 12.0}
+    before = clock._compilation_left(now[0])
+    clock.note(running())
+    assert clock._compilation_left(now[0]) == pytest.approx(10.0 * 17.0 / 25.0)
+    assert before > clock._compilation_left(now[0])
+
+
+def test_pictures_are_named_after_the_last_step(now):
+    clock = _Clock(SPHEROID, report=True)
+    clock.foresee(MISSING)
+    clock.note(running(SPHEROID.duration, finished=True))
+    words = clock.words()
+    assert words[0] == "drawing pictures"
+    left = seconds_left(words)
+    now[0] += 2.0
+    assert seconds_left(clock.words()) == pytest.approx(left - 2.0, abs=0.2)
+    now[0] += 60.0
+    assert clock.words()[1] == "for 1 min 2 s"
+    bare = _Clock(SPHEROID)
+    bare.note(running(SPHEROID.duration, finished=True))
+    assert bare.words()[0] == "writing results"
+
+
+@pytest.mark.parametrize(("columns", "cells", "rate"), [(120, True, True), (80, True, False)])
+def test_the_rate_goes_before_the_cells(now, columns, cells, rate):
+    clock = _Clock(SPHEROID)
+    clock.foresee(MISSING)
+    now[0] += 30.0
+    clock.note(running())
+    line = fitting(clock.words(), columns - 32)
+    assert "left" in line
+    assert ("500 cells" in line) == cells
+    assert ("simulated per s" in line) == rate
+    assert len(line) <= columns - 32
+
+
+def test_in_a_narrow_terminal_there_is_no_bar_and_no_word_is_cut(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setattr(compilation, "missing_parts", lambda scene: dict(MISSING))
+    with reporter(SPHEROID) as note:
+        note(running())
+        time.sleep(0.3)
+    shown = capsys.readouterr().err
+    assert "━" not in shown
+    assert "…" not in shown
+    assert "1.00 of 12 d" in shown
+    assert "left" in shown
+    assert "500 cells" not in shown
+
+
+def test_at_least_one_part_is_shown_whatever_the_width():
+    assert fitting(["first", "second"], 3) == "first"
+    assert fitting(["first", "second"], 14) == "first · second"
+    assert fitting(["first", "second", "x"], 14) == "first · second"
