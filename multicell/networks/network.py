@@ -8,6 +8,7 @@ the same thing from here on.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
@@ -18,9 +19,10 @@ from typing import Any, final
 class Event:
     """A sudden change of states and parameters, where a condition turns true.
 
-    - ``trigger``: ``trigger(t, y, u, p) -> float``; it fires where this rises through zero, and
-      the time is found as a root
-    - ``assign``: ``assign(t, y, u, p)`` writes y and p in place, from the values before the event
+    - ``trigger``: ``trigger(t, y, u, p) -> float``; the condition holds where this is above zero,
+      nowhere else. It fires where it turns true, and the time is found as a root
+    - ``assign``: ``assign(t, y, u, p, y_then, p_then)`` writes y and p in place, from the values
+      at which the condition turned true: they are others where events of one time come before
     - ``persistent``: whether it is executed although an event of the same time made its condition
       false
     - ``initial``: whether the condition counts as true before the start; where it does not, a
@@ -53,6 +55,9 @@ class Network:
     - ``amounts``: states that are amounts and halve at a division; the others are concentrations
     - ``time_unit``: s per unit of its time, or None where the model states none
     - ``source``: text of all that is computed, which its fingerprint is made of
+    - ``initial``: ``initial(u, p, y)`` writes y at the start, and of p what follows from others;
+      None where ``start`` and ``values`` are all there is. They hold its result at ``defaults``
+    - ``computed``: parameters that ``initial`` writes, which nothing else can set
     """
 
     name: str
@@ -70,11 +75,13 @@ class Network:
     units: Mapping[str, str] = field(default_factory=dict)
     amounts: frozenset[str] = frozenset()
     time_unit: float | None = None
+    initial: Callable[..., None] | None = None
+    computed: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Refuse names that stand for two things, and numbers that are not as many as names."""
         names = [*self.states, *self.inputs, *self.parameters, *self.observed]
-        twice = sorted({name for name in names if names.count(name) > 1})
+        twice = sorted(name for name, count in Counter(names).items() if count > 1)
         if twice:
             raise ValueError(f"network {self.name!r} has two things named {twice[0]!r}")
         pairs: Any = (
