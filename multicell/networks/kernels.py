@@ -18,7 +18,9 @@ from multicell.networks.methods import Explicit, Rosenbrock
 
 _inner = typed(**INNER)
 call_rates = called_at(5, lambda *_: types.float64)
-call_event = called_at(4, lambda *_: types.float64)
+call_trigger = called_at(4, lambda *_: types.float64)
+call_assign = called_at(6, lambda *_: types.float64)
+call_initial = called_at(3, lambda *_: types.float64)
 
 _ROUNDING = 1.5e-8  # square root of the rounding of doubles: part of a state for a difference
 

@@ -176,13 +176,13 @@ def _locate(common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, con
 
 @_inner
 def _cut_at_event(
-    common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory, events
+    common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory
 ):  # fmt: skip
     """Return the length of a step up to the first event in it, and whether there is one."""
     conditions = memory[REMEMBERED:]
     # the rates at the end are not needed where nothing but the cubic would ask for them
     evaluate(common, here, t + h, s.trial, s.u, s.slope)
-    x = _rises_at(common, here, rules, t, h, y, s, conditions, events.new_y, s.slope)
+    x = _rises_at(common, here, rules, t, h, y, s, conditions, s.point, s.slope)
     if x > 1.0:
         return h, False
     if x < 1.0:
@@ -275,7 +275,7 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
         if eventful and not fixed:
             whole = h
             h, event = _cut_at_event(
-                common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory, events
+                common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory
             )
             last = last and h == whole
         elif eventful:

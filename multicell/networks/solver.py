@@ -15,7 +15,7 @@ from multicell.compiling import KERNEL, typed
 from multicell.compiling.threads import Team
 from multicell.networks.code import addresses
 from multicell.networks.events import event_rules, first_conditions
-from multicell.networks.kernels import Common, call_rates
+from multicell.networks.kernels import Common, call_initial, call_rates
 from multicell.networks.loop import (
     CASCADE,
     DONE,
@@ -120,11 +120,24 @@ class NetworkSolver:
         )
         self.work = np.zeros(4, dtype=np.int64)
 
-    def begin(self, count: int) -> Inside:
-        """Return the networks of so many cells at the start."""
+    def begin(
+        self, count: int, inputs: FloatArray | None = None, values: FloatArray | None = None
+    ) -> Inside:
+        """Return the networks of so many cells at the start.
+
+        - ``inputs``, (n, m): at the start, by default the network's own
+        - ``values``, (n, q): parameters of each cell, by default the network's own
+        """
         network = self.network
         y = np.tile(np.array(network.start, dtype=float), (count, 1))
         p = np.tile(np.array(network.values, dtype=float), (count, 1))
+        if values is not None:
+            p[:] = values
+        if self._at.initial:
+            u = np.tile(np.array(network.defaults, dtype=float), (count, 1))
+            if inputs is not None:
+                u[:] = inputs
+            _start_each(self._at.initial, u, p, y)
         memory = np.zeros((count, REMEMBERED + len(network.events)))
         memory[:, REMEMBERED:] = first_conditions(network)
         return Inside(y, p, memory)
@@ -214,6 +227,12 @@ class NetworkSolver:
 
 
 _DOUBLINGS: Final = 24
+
+
+@typed(**KERNEL)
+def _start_each(at: int, u: FloatArray, p: FloatArray, y: FloatArray) -> None:
+    for i in range(y.shape[0]):
+        call_initial(at, u[i], p[i], y[i])
 
 
 @typed(**KERNEL)
