@@ -18,6 +18,7 @@ from multicell.host.memory import physical_memory
 EXTRAS: Final = {
     "export": ("anndata", "h5netcdf", "pandas", "pyarrow", "pyvista", "xarray"),
     "movie": ("imageio_ffmpeg",),
+    "networks": ("antimony", "libsbml", "sbmlode"),
     "play": ("tornado",),
 }
 """What some of the optional sets of packages bring; all others are those of studies."""
