@@ -78,9 +78,9 @@ def event_memory(events, states, parameters):
 
 
 @_inner
-def any_rises(rules, common, here, t, y, u, was):
+def any_rises(rules, here, t, y, u, was):
     """Return whether a condition that was false is true in a state."""
-    set_inputs(common, here, t, u)
+    set_inputs(here, t, u)
     for k in range(rules.triggers.size):
         if was[k] == 0.0 and call_trigger(rules.triggers[k], t, y, u, here.p) > 0.0:
             return True
@@ -88,9 +88,9 @@ def any_rises(rules, common, here, t, y, u, was):
 
 
 @_inner
-def note_conditions(rules, common, here, t, y, u, was):
+def note_conditions(rules, here, t, y, u, was):
     """Write which conditions are true now."""
-    set_inputs(common, here, t, u)
+    set_inputs(here, t, u)
     for k in range(rules.triggers.size):
         was[k] = 1.0 if call_trigger(rules.triggers[k], t, y, u, here.p) > 0.0 else 0.0
 
@@ -112,9 +112,9 @@ def _notice(rules, here, t, y, u, memory):
 
 
 @_inner
-def fire(rules, common, here, t, y, u, memory):
+def fire(rules, here, t, y, u, memory):
     """Execute what is due at a time, and what that sets off; return whether it came to an end."""
-    set_inputs(common, here, t, u)
+    set_inputs(here, t, u)
     memory.due[:] = False
     _notice(rules, here, t, y, u, memory)
     for _ in range(MAX_CASCADE):

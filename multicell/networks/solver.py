@@ -147,13 +147,13 @@ class NetworkSolver:
         inside: Inside,
         before: FloatArray,
         after: FloatArray,
-        start: float,
-        span: float,
+        start: float | FloatArray,
+        span: float | FloatArray,
         *,
         growth: FloatArray | None = None,
         diluted: FloatArray | None = None,
     ) -> Inside:
-        """Return the networks a time ``span`` after ``start``, both in their own unit.
+        """Return the networks a time ``span`` after ``start``, for all cells or (n,), in its unit.
 
         - ``before``, ``after``, (n, m): inputs at both ends, between which they go linearly
         - ``growth``, (n,): d ln(volume)/dt, by which those of the states fall that ``diluted``,
@@ -169,11 +169,12 @@ class NetworkSolver:
             inside.y.copy(), inside.p.copy(),
             np.ascontiguousarray(before, dtype=float), np.ascontiguousarray(after, dtype=float),
             np.zeros(count) if growth is None else np.ascontiguousarray(growth, dtype=float),
+            np.full(count, start, dtype=float), np.full(count, span, dtype=float),
             inside.memory.copy(), np.zeros((count, 4), dtype=np.int64),
             np.zeros(count, dtype=np.int64), np.zeros(count),
         )  # fmt: skip
         fall = np.zeros(states) if diluted is None else np.ascontiguousarray(diluted, dtype=float)
-        common = Common(self._at.rates, start, span, self.relative, self.absolute, fall)
+        common = Common(self._at.rates, self.relative, self.absolute, fall)
         team = self._team.at_most(1 + count // _SHARED)
         team.share(
             advance_cells, count, common, self.method.rosenbrock, self.method.explicit,
