@@ -22,6 +22,8 @@ MAX_BYTES: Final = 20_000_000  # the largest curated model of BioModels has half
 _MAX_DEPTH: Final = 200  # elements in elements; annotations have up to 20, formulas 50
 _MAX_ELEMENTS: Final = 500_000
 _MAX_FORMULA: Final = 5_000  # characters of a formula of Level 1, which a library reads recursively
+_MAX_QUANTITIES: Final = 20_000  # libraries search lists of them for each
+_QUANTITIES: Final = ("compartment", "parameter", "localParameter", "reaction", "species")
 _SBML: Final = re.compile(r"http://www\.sbml\.org/sbml/level(\d)(?:/version\d+(?:/core)?)?")
 _PACKAGE: Final = re.compile(r"http://www\.sbml\.org/sbml/level3/version\d+/(\w+)/version\d+")
 _MATHML: Final = "http://www.w3.org/1998/Math/MathML"
@@ -68,6 +70,7 @@ class _Search:
     lacking: dict[str, tuple[int, str]] = field(default_factory=dict)
     packages: dict[str, int] = field(default_factory=dict)
     elements: int = 0
+    quantities: int = 0
     hidden: int = 0
     line: int = 0
 
@@ -107,6 +110,11 @@ class _Search:
         package = _PACKAGE.fullmatch(space)
         if package and package[1] not in _HARMLESS:
             self.note(package[1], who)
+        self.quantities += local in _QUANTITIES
+        if self.quantities > _MAX_QUANTITIES:
+            raise self.refuse(
+                f"has more than {_MAX_QUANTITIES:,} parameters, species and reactions"
+            )
         if local == "reaction" and about.get("fast") in _YES:
             self.note("fast", who)
         elif local in ("algebraicRule", "priority") or (local == "delay" and space != _MATHML):

@@ -81,7 +81,7 @@ class Equations:
         system = self.system
         known = {q.symbol.sid: q for q in system.quantities}
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
+            near = difflib.get_close_matches(name, known, 1, 0.5)
             hint = f"Did you mean '{near[0]}'?" if near else ""
             raise SceneError("", f"has no '{name[:80]}' that could be an input", hint)
         ruled = {ode.variable for ode in system.odes if ode.origin != "reactions"}

@@ -85,7 +85,8 @@ def _is_allowed(node: ast.AST) -> bool:
     if isinstance(node, ast.Constant):
         return type(node.value) in (int, float)
     if isinstance(node, ast.Attribute):
-        return ast.unparse(node) in (*_CALLED, *_VALUES)
+        loaded = isinstance(node.ctx, ast.Load)
+        return loaded and ast.unparse(node) in (*_CALLED, *_VALUES)
     if isinstance(node, ast.Call):
         return not node.keywords and ast.unparse(node.func) in _CALLED
     if isinstance(node, ast.Subscript):

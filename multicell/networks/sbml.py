@@ -56,6 +56,8 @@ def network_from_sbml(
         if system.size_rates or "rateOf" in text:
             _check_moving(system, inputs)
         return _network(system, model.getId() or name, inputs, given, units, second)
+    except RecursionError:
+        raise SceneError(name, "has a formula that is nested too deeply") from None
     except SceneError as error:
         raise SceneError(name if not error.path else f"{name}: {error.path}", error.problem,
                          error.hint) from None  # fmt: skip
@@ -77,7 +79,7 @@ def _parsed(text: str) -> Any:
 def _system(document: Any) -> Any:
     try:
         system = OdeSystem.from_sbml(document)
-    except (ValueError, NotImplementedError, RecursionError) as error:
+    except (ValueError, NotImplementedError) as error:
         words = " ".join(str(error).split())[:300].rstrip(".")
         raise SceneError("", f"is no system of equations: {words}") from None
     if system.unsupported:
@@ -219,7 +221,7 @@ def _numbers(
     text = plan.text()
     try:
         functions = functions_of(text)
-    except (ValueError, SyntaxError, RecursionError) as error:
+    except (ValueError, SyntaxError) as error:
         raise SceneError("", f"gives code that is not run: {str(error)[:200]}") from None
     stated = {q.symbol.sid: q.value for q in plan.system.quantities if q.value is not None}
     y = np.full(len(plan.states), np.nan)

@@ -32,6 +32,8 @@ from multicell.networks.network import Network
 LEVELS = ("l3v2", "l3v1", "l2v5", "l2v4", "l2v3", "l2v2", "l2v1", "l1v2")
 EVENTS = {"EventNoDelay", "EventWithDelay", "EventPriority"}
 UNREAD = {"AlgebraicRule", "CSymbolDelay", "FastReaction", "EventWithDelay", "EventPriority"}
+UNSAID = ("01399-sbml-l2v5",)
+"""Documents that leave out what their case is about (here that the reaction is fast)."""
 POINTS = 10
 """Points of a step at which conditions are looked at."""
 
@@ -59,7 +61,7 @@ class Case:
 
     def documents(self, levels: str) -> list[Path]:
         found = [self.folder / f"{self.number}-sbml-{level}.xml" for level in LEVELS]
-        found = [path for path in found if path.exists()]
+        found = [path for path in found if path.exists() and path.stem not in UNSAID]
         return found if levels == "all" else found[:1]
 
     def names(self, key: str) -> list[str]:
