@@ -100,6 +100,8 @@ def _check_sizes(model: Any) -> None:
         name = element.getIdAttribute()
         if name and not _IDENTIFIER.fullmatch(name):
             raise SceneError("", f"has {name[:60]!r}, which is no identifier")
+    if (model.getLevel(), model.getVersion()) < (3, 2):  # from then on no formula means no effect
+        _check_formulas(model)
     definitions = {f.getId(): f.getBody() for f in model.getListOfFunctionDefinitions()}
     calls = _grown({name: nodes_of(body) for name, body in definitions.items() if body}, _called)
     rules = {r.getVariable(): r for r in model.getListOfRules() if r.isSetMath()}
@@ -111,6 +113,15 @@ def _check_sizes(model: Any) -> None:
     for one in model.getListOfCompartments():  # sbmlode differentiates their rules along all paths
         if sizes.get(one.getId(), 0.0) > _MAX_EXPANDED:
             raise _too_large(one.getId())
+
+
+def _check_formulas(model: Any) -> None:
+    """Refuse rules and laws whose formula is absent, or could not be read."""
+    laws = [r.getKineticLaw() for r in model.getListOfReactions() if r.getKineticLaw()]
+    for one in (*model.getListOfRules(), *model.getListOfInitialAssignments(), *laws):
+        if not one.isSetMath():
+            line = f"line {one.getLine()}"
+            raise SceneError(line, f"'{one.getElementName()}' has no formula that can be read")
 
 
 def _law(reaction: Any) -> list[Any]:

@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from itertools import pairwise
 
 import pytest
 
@@ -75,6 +76,7 @@ OLD_FAST = (
         (ruled('<csymbol definitionURL="http://x.org/normal" encoding="text">n</csymbol>'),
          "symbol normal"),
         (ruled("1", events=event("e", "x == 2", {"x": "0"})), r"event trigger \('e'\)"),
+        (L1 % "x +", r"line 2: 'rateRule|parameterRule' has no formula that can be read"),
         (ruled("nothing"), "has a formula of 'nothing'"),
         (ruled("f(x)"), "calls 'f'"),
         (ruled("f(x)", functions=function("f", "a, b", "a + b")), "calls 'f' with 1 arguments"),
@@ -152,7 +154,7 @@ def entities(count):
 
 def rates_of_rates(count):
     names = [f"x{k}" for k in range(count)]
-    rates = {b: f"rateOf({a}) + rateOf({a})" for a, b in zip(names, names[1:], strict=False)}
+    rates = {b: f"rateOf({a}) + rateOf({a})" for a, b in pairwise(names)}
     return document(parameters=dict.fromkeys(names, "1"), rates={"x0": "1", **rates})
 
 
