@@ -36,6 +36,7 @@ class Addresses(NamedTuple):
 
     rates: int
     observe: int
+    initial: int
     triggers: IntArray
     assigns: IntArray
 
@@ -55,17 +56,47 @@ def _five(code, t, y, u, p, out):
     return call
 
 
-def event_part(code, t, y, u, p):
-    """Stand for a function of an event, which is selected by the type of ``code``."""
+def trigger_part(code, t, y, u, p):
+    """Stand for the condition of an event, which is selected by the type of ``code``."""
     raise NotImplementedError
 
 
-@overload(event_part, jit_options={"error_model": "numpy"})
+@overload(trigger_part, jit_options={"error_model": "numpy"})
 def _four(code, t, y, u, p):
     function = _jitable(code)
 
     def call(code, t, y, u, p):
         return function(t, y, u, p)
+
+    return call
+
+
+def assign_part(code, t, y, u, p, y_then, p_then):
+    """Stand for what an event does, which is selected by the type of ``code``."""
+    raise NotImplementedError
+
+
+@overload(assign_part, jit_options={"error_model": "numpy"})
+def _six(code, t, y, u, p, y_then, p_then):
+    function = _jitable(code)
+
+    def call(code, t, y, u, p, y_then, p_then):
+        function(t, y, u, p, y_then, p_then)
+
+    return call
+
+
+def initial_part(code, u, p, y):
+    """Stand for what computes a start, which is selected by the type of ``code``."""
+    raise NotImplementedError
+
+
+@overload(initial_part, jit_options={"error_model": "numpy"})
+def _three(code, u, p, y):
+    function = _jitable(code)
+
+    def call(code, u, p, y):
+        function(u, p, y)
 
     return call
 
@@ -88,13 +119,19 @@ def _write(code, t, y, u, p, out):
 
 @njit(**ADDRESSED)
 def _trigger(code, t, y, u, p):
-    return float(event_part(code, t, y, u, p))
+    return float(trigger_part(code, t, y, u, p))
 
 
 @njit(**ADDRESSED)
-def _assign(code, t, y, u, p):
-    event_part(code, t, y, u, p)
+def _assign(code, t, y, u, p, y_then, p_then):
+    assign_part(code, t, y, u, p, y_then, p_then)
     return t
+
+
+@njit(**ADDRESSED)
+def _initial(code, u, p, y):
+    initial_part(code, u, p, y)
+    return 0.0
 
 
 def addresses(network: Network) -> Addresses:
@@ -117,12 +154,13 @@ def addresses(network: Network) -> Addresses:
                 raise
             raise SceneError(f"networks.{network.name}", *_refusal(function, error)) from None
 
-    observe = network.observe
+    observe, initial = network.observe, network.initial
     return Addresses(
         at(_write, network.rates, 0.0, (*four, row)),
         0 if observe is None else at(_write, observe, 0.0, (*four, row)),
+        0 if initial is None else at(_initial, initial, 0.0, (row, row, row)),
         np.array([at(_trigger, e.trigger, 0.0, four) for e in events], dtype=np.int64),
-        np.array([at(_assign, e.assign, 0.0, four) for e in events], dtype=np.int64),
+        np.array([at(_assign, e.assign, 0.0, (*four, row, row)) for e in events], dtype=np.int64),
     )
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray, IntArray
 from multicell.compiling import INNER, typed
-from multicell.networks.kernels import call_event, set_inputs
+from multicell.networks.kernels import call_assign, call_trigger, set_inputs
 from multicell.networks.network import Network
 
 _inner = typed(**INNER)
@@ -37,18 +37,13 @@ class EventMemory(NamedTuple):
     """Memory of one thread.
 
     - ``was``, ``due``, (k,): conditions as they were last, and which events are to be executed
-    - ``y``, ``p``: the state in which they have fired; ``new_y``, ``new_p``: after one of them;
-      ``probe_y``, ``probe_p``: one that is tried
+    - ``y``, (k, s); ``p``, (k, q): in which state each of them has become due
     """
 
     was: FloatArray
     due: NDArray[np.bool_]
     y: FloatArray
     p: FloatArray
-    new_y: FloatArray
-    new_p: FloatArray
-    probe_y: FloatArray
-    probe_p: FloatArray
 
 
 def event_rules(network: Network, triggers: IntArray, assigns: IntArray) -> EventRules:
@@ -77,108 +72,59 @@ def event_memory(events, states, parameters):
     return EventMemory(
         np.empty(events),
         np.zeros(events, np.bool_),
-        np.empty(states),
-        np.empty(parameters),
-        np.empty(states),
-        np.empty(parameters),
-        np.empty(states),
-        np.empty(parameters),
+        np.empty((events, states)),
+        np.empty((events, parameters)),
     )
 
 
 @_inner
-def any_rises(rules, common, here, t, y, u, was):
+def any_rises(rules, here, t, y, u, was):
     """Return whether a condition that was false is true in a state."""
-    set_inputs(common, here, t, u)
+    set_inputs(here, t, u)
     for k in range(rules.triggers.size):
-        if was[k] == 0.0 and call_event(rules.triggers[k], t, y, u, here.p) > 0.0:
+        if was[k] == 0.0 and call_trigger(rules.triggers[k], t, y, u, here.p) > 0.0:
             return True
     return False
 
 
 @_inner
-def note_conditions(rules, common, here, t, y, u, was):
+def note_conditions(rules, here, t, y, u, was):
     """Write which conditions are true now."""
-    set_inputs(common, here, t, u)
+    set_inputs(here, t, u)
     for k in range(rules.triggers.size):
-        was[k] = 1.0 if call_event(rules.triggers[k], t, y, u, here.p) > 0.0 else 0.0
+        was[k] = 1.0 if call_trigger(rules.triggers[k], t, y, u, here.p) > 0.0 else 0.0
 
 
 @_inner
 def _notice(rules, here, t, y, u, memory):
-    """Mark what has become due, with the state of that moment; return whether anything has."""
-    found = False
+    """Mark what has become due, with the state of that moment."""
     for k in range(rules.triggers.size):
-        now = 1.0 if call_event(rules.triggers[k], t, y, u, here.p) > 0.0 else 0.0
+        now = 1.0 if call_trigger(rules.triggers[k], t, y, u, here.p) > 0.0 else 0.0
         if now == 1.0 and memory.was[k] == 0.0:
-            memory.due[k] = found = True
+            memory.due[k] = True
+            for i in range(y.size):
+                memory.y[k, i] = y[i]
+            for i in range(here.p.size):
+                memory.p[k, i] = here.p[i]
         if now == 0.0 and not rules.persistent[k]:
             memory.due[k] = False
         memory.was[k] = now
-    return found
 
 
 @_inner
-def _copy(a, b):
-    for k in range(a.size):
-        b[k] = a[k]
-
-
-@_inner
-def _is_assigned(rules, event, t, u, memory, place, of_parameter):
-    """Return whether an event writes a state (or parameter), tried from another value of it."""
-    _copy(memory.y, memory.probe_y)
-    _copy(memory.p, memory.probe_p)
-    probe = memory.probe_p if of_parameter else memory.probe_y
-    other = probe[place] + max(1.0, abs(probe[place]))
-    probe[place] = other
-    call_event(rules.assigns[event], t, memory.probe_y, u, memory.probe_p)
-    return probe[place] != other
-
-
-@_inner
-def _execute(rules, event, here, t, y, u, memory):
-    """Execute one event: all values are computed from the state in which it fired.
-
-    An entry that it leaves at its value may have been assigned that very value; this matters where
-    another event of the same time has changed the entry since.
-    """
-    _copy(memory.y, memory.new_y)
-    _copy(memory.p, memory.new_p)
-    call_event(rules.assigns[event], t, memory.new_y, u, memory.new_p)
-    for k in range(y.size):
-        new, old = memory.new_y[k], memory.y[k]
-        if new != old or (y[k] != old and _is_assigned(rules, event, t, u, memory, k, False)):
-            y[k] = new
-    for k in range(here.p.size):
-        new, old, now = memory.new_p[k], memory.p[k], here.p[k]
-        if new != old or (now != old and _is_assigned(rules, event, t, u, memory, k, True)):
-            here.p[k] = new
-
-
-@_inner
-def fire(rules, common, here, t, y, u, memory):
+def fire(rules, here, t, y, u, memory):
     """Execute what is due at a time, and what that sets off; return whether it came to an end."""
-    set_inputs(common, here, t, u)
+    set_inputs(here, t, u)
     memory.due[:] = False
-    _copy(y, memory.y)
-    _copy(here.p, memory.p)
     _notice(rules, here, t, y, u, memory)
     for _ in range(MAX_CASCADE):
         event = -1
-        for k in range(memory.due.size):
+        for k in range(memory.due.size - 1, -1, -1):
             if memory.due[k]:
                 event = k
-                break
         if event < 0:
             return True
         memory.due[event] = False
-        _execute(rules, event, here, t, y, u, memory)
-        waiting = False
-        for k in range(memory.due.size):
-            waiting = waiting or memory.due[k]
-        if not waiting:  # what is set off now fires in this state
-            _copy(y, memory.y)
-            _copy(here.p, memory.p)
+        call_assign(rules.assigns[event], t, y, u, here.p, memory.y[event], memory.p[event])
         _notice(rules, here, t, y, u, memory)
     return False

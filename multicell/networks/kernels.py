@@ -18,7 +18,9 @@ from multicell.networks.methods import Explicit, Rosenbrock
 
 _inner = typed(**INNER)
 call_rates = called_at(5, lambda *_: types.float64)
-call_event = called_at(4, lambda *_: types.float64)
+call_trigger = called_at(4, lambda *_: types.float64)
+call_assign = called_at(6, lambda *_: types.float64)
+call_initial = called_at(3, lambda *_: types.float64)
 
 _ROUNDING = 1.5e-8  # square root of the rounding of doubles: part of a state for a difference
 
@@ -28,14 +30,11 @@ class Common(NamedTuple):
     """What all cells of a network share in a coupling step.
 
     - ``rates``: address of the rates
-    - ``start``, ``span``: of the coupling step, in the network's own unit of time
     - ``relative``, ``absolute``, (s,): tolerances of the error of a step
     - ``diluted``, (s,): 1 for states that fall as the cell grows, else 0
     """
 
     rates: int
-    start: float
-    span: float
     relative: float
     absolute: FloatArray
     diluted: FloatArray
@@ -43,12 +42,19 @@ class Common(NamedTuple):
 
 @final
 class Surrounding(NamedTuple):
-    """What one cell finds: inputs at both ends, (m,), its parameters, (q,), growth per time."""
+    """What one cell finds in a step.
+
+    - ``before``, ``after``, (m,): inputs at both ends; ``p``, (q,): its parameters
+    - ``growth``: d ln(volume)/dt
+    - ``start``, ``span``: of the step, in the network's own unit of time
+    """
 
     before: FloatArray
     after: FloatArray
     p: FloatArray
     growth: float
+    start: float
+    span: float
 
 
 @final
@@ -83,9 +89,9 @@ def scratch_of(states, inputs, stages):
 
 
 @_inner
-def set_inputs(common, here, t, u):
+def set_inputs(here, t, u):
     """Write the inputs at a time to ``u``."""
-    part = (t - common.start) / common.span if common.span > 0.0 else 0.0
+    part = (t - here.start) / here.span if here.span > 0.0 else 0.0
     for k in range(u.size):
         u[k] = here.before[k] + part * (here.after[k] - here.before[k])
 
@@ -93,7 +99,7 @@ def set_inputs(common, here, t, u):
 @_inner
 def evaluate(common, here, t, y, u, out):
     """Write dy/dt to ``out``: the network's rates, less what growth dilutes."""
-    set_inputs(common, here, t, u)
+    set_inputs(here, t, u)
     call_rates(common.rates, t, y, u, here.p, out)
     if here.growth != 0.0:
         for k in range(y.size):

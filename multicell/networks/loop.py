@@ -59,6 +59,7 @@ class Batch(NamedTuple):
     - ``y`` (n, s), ``p`` (n, q), ``before`` and ``after`` (n, m): states, parameters and inputs at
       both ends
     - ``growth`` (n,): d ln(volume)/dt over the step
+    - ``start``, ``span`` (n,): when the step of each cell begins, and its length
     - ``memory`` (n, 3 + k), ``work`` (n, 4), ``status`` (n,), ``reached`` (n,): where it ended
     """
 
@@ -67,6 +68,8 @@ class Batch(NamedTuple):
     before: FloatArray
     after: FloatArray
     growth: FloatArray
+    start: FloatArray
+    span: FloatArray
     memory: FloatArray
     work: NDArray[np.int64]
     status: NDArray[np.int64]
@@ -96,9 +99,9 @@ def _finite(y):
 
 
 @_inner
-def _first_step(common, y, f):
+def _first_step(common, here, y, f):
     """Return a careful first step: a hundredth of the time in which the fastest state changes."""
-    least = common.span
+    least = here.span
     for k in range(y.size):
         scale = abs(y[k]) + common.absolute[k] / common.relative
         if abs(f[k]) * least > scale:
@@ -146,9 +149,9 @@ def _rises_at(common, here, rules, t, h, y, s, conditions, state, slopes):
             a, b = h * s.f[k], h * slopes[k]
             d = s.trial[k] - y[k]
             state[k] = y[k] + x * (a + x * (3.0 * d - 2.0 * a - b + x * (a + b - 2.0 * d)))
-        if any_rises(rules, common, here, t + x * h, state, s.u, conditions):
+        if any_rises(rules, here, t + x * h, state, s.u, conditions):
             return x
-    if any_rises(rules, common, here, t + h, s.trial, s.u, conditions):
+    if any_rises(rules, here, t + h, s.trial, s.u, conditions):
         return 1.0
     return 2.0
 
@@ -160,13 +163,13 @@ def _locate(common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, con
     Each try is a step of its own from the beginning, and so as exact as any. Returns its length.
     """
     low, high = 0.0, h
-    exact = _EXACT * (abs(t) + common.span)
+    exact = _EXACT * (abs(t) + here.span)
     while high - low > exact:
         middle = 0.5 * (low + high)
         if not low < middle < high:
             break
         _attempt(common, here, rosenbrock, explicit, implicit, t, middle, y, s, False)
-        if any_rises(rules, common, here, t + middle, s.trial, s.u, conditions):
+        if any_rises(rules, here, t + middle, s.trial, s.u, conditions):
             high = middle
         else:
             low = middle
@@ -176,18 +179,18 @@ def _locate(common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, con
 
 @_inner
 def _cut_at_event(
-    common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory, events
+    common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory
 ):  # fmt: skip
     """Return the length of a step up to the first event in it, and whether there is one."""
     conditions = memory[REMEMBERED:]
     # the rates at the end are not needed where nothing but the cubic would ask for them
     evaluate(common, here, t + h, s.trial, s.u, s.slope)
-    x = _rises_at(common, here, rules, t, h, y, s, conditions, events.new_y, s.slope)
+    x = _rises_at(common, here, rules, t, h, y, s, conditions, s.point, s.slope)
     if x > 1.0:
         return h, False
     if x < 1.0:
         _attempt(common, here, rosenbrock, explicit, implicit, t, x * h, y, s, False)
-        if not any_rises(rules, common, here, t + x * h, s.trial, s.u, conditions):
+        if not any_rises(rules, here, t + x * h, s.trial, s.u, conditions):
             return x * h, False  # the cubic was wrong: the step is taken up to there
         h = x * h
     return _locate(
@@ -201,7 +204,7 @@ def _fire_now(common, here, rules, t, y, memory, work, s, events):
     conditions = memory[REMEMBERED:]
     for k in range(conditions.size):
         events.was[k] = conditions[k]
-    settled = fire(rules, common, here, t, y, s.u, events)
+    settled = fire(rules, here, t, y, s.u, events)
     for k in range(conditions.size):
         conditions[k] = events.was[k]
     work[FIRED] += 1
@@ -213,11 +216,11 @@ def _fire_now(common, here, rules, t, y, memory, work, s, events):
 def _begin_events(common, here, rules, t, y, memory, work, s, events):
     """Fire what has become true between two coupling steps, and at the start."""
     conditions = memory[REMEMBERED:]
-    note_conditions(rules, common, here, t, y, s.u, events.was)
+    note_conditions(rules, here, t, y, s.u, events.was)
     for k in range(conditions.size):
         if conditions[k] < 0.0:  # it counts as what it is
             conditions[k] = events.was[k]
-    if any_rises(rules, common, here, t, y, s.u, conditions):
+    if any_rises(rules, here, t, y, s.u, conditions):
         return _fire_now(common, here, rules, t, y, memory, work, s, events)
     for k in range(conditions.size):
         conditions[k] = events.was[k]
@@ -227,9 +230,9 @@ def _begin_events(common, here, rules, t, y, memory, work, s, events):
 @_inner
 def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work, s, events):
     """Bring a cell through a coupling step; return how that ended, and when."""
-    t, end, eventful = common.start, common.start + common.span, rules.triggers.size > 0
+    t, end, eventful = here.start, here.start + here.span, rules.triggers.size > 0
     fixed = control.length > 0.0
-    count = math.ceil(common.span / control.length * (1.0 - 1e-12)) if fixed else 0.0
+    count = math.ceil(here.span / control.length * (1.0 - 1e-12)) if fixed else 0.0
     known = fresh = refused = False
     tried = 0
     if control.mode != AUTO:
@@ -247,9 +250,9 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
             if not _finite(s.f):
                 return NOT_FINITE, t
         if memory[STEP] <= 0.0:
-            memory[STEP] = _first_step(common, y, s.f)
+            memory[STEP] = _first_step(common, here, y, s.f)
         left = end - t
-        h = common.span / count if fixed else memory[STEP]
+        h = here.span / count if fixed else memory[STEP]
         last = h >= left * (1.0 - 1e-10)
         if last:
             h = left
@@ -266,7 +269,7 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
             memory[STEP] = h * (min(0.9, _factor(size, order)) if size < math.inf else 0.1)
             _weigh(control.mode, memory, implicit, not implicit and stiffness > _STIFF)
             fresh = fresh or (memory[IMPLICITLY] == 1.0 and not implicit)
-            if memory[STEP] < _SHORTEST * (abs(t) + common.span):
+            if memory[STEP] < _SHORTEST * (abs(t) + here.span):
                 return STALLED, t
             continue
         longer = _factor(size, order)
@@ -275,11 +278,11 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
         if eventful and not fixed:
             whole = h
             h, event = _cut_at_event(
-                common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory, events
+                common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory
             )
             last = last and h == whole
         elif eventful:
-            event = any_rises(rules, common, here, t + h, s.trial, s.u, memory[REMEMBERED:])
+            event = any_rises(rules, here, t + h, s.trial, s.u, memory[REMEMBERED:])
         for k in range(y.size):
             y[k] = s.trial[k]
         t = end if last else t + h
@@ -290,7 +293,7 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
             # a step that only the end has cut keeps its length
             new = h * longer
             memory[STEP] = min(max(new, memory[STEP]) if longer >= 1.0 else new,
-                               _LONGEST * common.span)  # fmt: skip
+                               _LONGEST * here.span)  # fmt: skip
             speaks = stiffness < 0.5 * _STIFF if implicit else stiffness > _STIFF
             _weigh(control.mode, memory, implicit, speaks)
         if eventful:
@@ -298,7 +301,7 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
                 if not _fire_now(common, here, rules, t, y, memory, work, s, events):
                     return CASCADE, t
             else:
-                note_conditions(rules, common, here, t, y, s.u, memory[REMEMBERED:])
+                note_conditions(rules, here, t, y, s.u, memory[REMEMBERED:])
     return DONE, t
 
 
@@ -312,7 +315,10 @@ def advance_cells(
     s = scratch_of(states, inputs, max(rosenbrock.m.size, explicit.b.size))
     events = event_memory(rules.triggers.size, states, batch.p.shape[1])
     for i in range(begin, end):
-        here = Surrounding(batch.before[i], batch.after[i], batch.p[i], batch.growth[i])
+        here = Surrounding(
+            batch.before[i], batch.after[i], batch.p[i], batch.growth[i], batch.start[i],
+            batch.span[i],
+        )  # fmt: skip
         status, t = _through(
             common, here, rosenbrock, explicit, rules, control, batch.y[i], batch.memory[i],
             batch.work[i], s, events,

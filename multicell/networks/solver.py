@@ -15,7 +15,7 @@ from multicell.compiling import KERNEL, typed
 from multicell.compiling.threads import Team
 from multicell.networks.code import addresses
 from multicell.networks.events import event_rules, first_conditions
-from multicell.networks.kernels import Common, call_rates
+from multicell.networks.kernels import Common, call_initial, call_rates
 from multicell.networks.loop import (
     CASCADE,
     DONE,
@@ -120,11 +120,24 @@ class NetworkSolver:
         )
         self.work = np.zeros(4, dtype=np.int64)
 
-    def begin(self, count: int) -> Inside:
-        """Return the networks of so many cells at the start."""
+    def begin(
+        self, count: int, inputs: FloatArray | None = None, values: FloatArray | None = None
+    ) -> Inside:
+        """Return the networks of so many cells at the start.
+
+        - ``inputs``, (n, m): at the start, by default the network's own
+        - ``values``, (n, q): parameters of each cell, by default the network's own
+        """
         network = self.network
         y = np.tile(np.array(network.start, dtype=float), (count, 1))
         p = np.tile(np.array(network.values, dtype=float), (count, 1))
+        if values is not None:
+            p[:] = values
+        if self._at.initial:
+            u = np.tile(np.array(network.defaults, dtype=float), (count, 1))
+            if inputs is not None:
+                u[:] = inputs
+            _start_each(self._at.initial, u, p, y)
         memory = np.zeros((count, REMEMBERED + len(network.events)))
         memory[:, REMEMBERED:] = first_conditions(network)
         return Inside(y, p, memory)
@@ -134,13 +147,13 @@ class NetworkSolver:
         inside: Inside,
         before: FloatArray,
         after: FloatArray,
-        start: float,
-        span: float,
+        start: float | FloatArray,
+        span: float | FloatArray,
         *,
         growth: FloatArray | None = None,
         diluted: FloatArray | None = None,
     ) -> Inside:
-        """Return the networks a time ``span`` after ``start``, both in their own unit.
+        """Return the networks a time ``span`` after ``start``, for all cells or (n,), in its unit.
 
         - ``before``, ``after``, (n, m): inputs at both ends, between which they go linearly
         - ``growth``, (n,): d ln(volume)/dt, by which those of the states fall that ``diluted``,
@@ -156,11 +169,12 @@ class NetworkSolver:
             inside.y.copy(), inside.p.copy(),
             np.ascontiguousarray(before, dtype=float), np.ascontiguousarray(after, dtype=float),
             np.zeros(count) if growth is None else np.ascontiguousarray(growth, dtype=float),
+            np.full(count, start, dtype=float), np.full(count, span, dtype=float),
             inside.memory.copy(), np.zeros((count, 4), dtype=np.int64),
             np.zeros(count, dtype=np.int64), np.zeros(count),
         )  # fmt: skip
         fall = np.zeros(states) if diluted is None else np.ascontiguousarray(diluted, dtype=float)
-        common = Common(self._at.rates, start, span, self.relative, self.absolute, fall)
+        common = Common(self._at.rates, self.relative, self.absolute, fall)
         team = self._team.at_most(1 + count // _SHARED)
         team.share(
             advance_cells, count, common, self.method.rosenbrock, self.method.explicit,
@@ -214,6 +228,12 @@ class NetworkSolver:
 
 
 _DOUBLINGS: Final = 24
+
+
+@typed(**KERNEL)
+def _start_each(at: int, u: FloatArray, p: FloatArray, y: FloatArray) -> None:
+    for i in range(y.shape[0]):
+        call_initial(at, u[i], p[i], y[i])
 
 
 @typed(**KERNEL)

@@ -71,9 +71,9 @@ def high(t, y, u, p):
     return y[0] - p[1]
 
 
-def reset(t, y, u, p):
+def reset(t, y, u, p, y_then, p_then):
     y[0] = 0.0
-    y[1] += 1.0
+    y[1] = y_then[1] + 1.0
 
 
 CLOCK = network(

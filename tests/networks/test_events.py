@@ -36,9 +36,9 @@ def test_the_time_of_an_event_is_a_root():
     def ground(t, y, u, p):
         return -y[0]
 
-    def bounce(t, y, u, p):
+    def bounce(t, y, u, p, y_then, p_then):
         y[0] = 0.0
-        y[1] = -0.5 * y[1]
+        y[1] = -0.5 * y_then[1]
 
     ball = network(fall, {"height": 1.0, "speed": 0.0}, events=(Event("bounce", ground, bounce),))
     first = math.sqrt(2.0 / 9.81)
@@ -64,8 +64,8 @@ def test_a_pulse_within_a_long_step_is_seen():
     def on(t, y, u, p):
         return 1.0 if 4.2 < t < 6.9 else -1.0
 
-    def count(t, y, u, p):
-        y[0] += 1.0
+    def count(t, y, u, p, y_then, p_then):
+        y[0] = y_then[0] + 1.0
 
     inside, _ = _run(network(_idle, {"n": 0.0}, events=(Event("on", on, count),)), 10.0)
     assert inside.y[0, 0] == 1.0
@@ -80,21 +80,21 @@ def _pair(first, second, **options):
 
 
 def test_simultaneous_events_take_values_from_before_both():
-    def first(t, y, u, p):
-        y[0] = y[1]
+    def first(t, y, u, p, y_then, p_then):
+        y[0] = y_then[1]
 
-    def second(t, y, u, p):
-        y[1] = y[0]
+    def second(t, y, u, p, y_then, p_then):
+        y[1] = y_then[0]
 
     inside, _ = _run(_pair(first, second), 2.0)
     assert inside.y[0].tolist() == [2.0, 1.0]  # they are swapped
 
 
 def test_the_event_with_priority_is_first_and_the_last_one_stays():
-    def first(t, y, u, p):
+    def first(t, y, u, p, y_then, p_then):
         y[0] = 5.0
 
-    def second(t, y, u, p):
+    def second(t, y, u, p, y_then, p_then):
         y[0] = 1.0  # what it has been before both
 
     assert _run(_pair(first, second), 2.0)[0].y[0, 0] == 1.0
@@ -112,10 +112,10 @@ def test_an_event_whose_condition_another_one_undoes(persistent, want):
     def once(t, y, u, p):
         return min(t - 1.0, 0.5 - y[0])
 
-    def shut(t, y, u, p):
+    def shut(t, y, u, p, y_then, p_then):
         y[0] = 1.0
 
-    def write(t, y, u, p):
+    def write(t, y, u, p, y_then, p_then):
         y[1] = 7.0
 
     model = network(
@@ -134,22 +134,22 @@ def test_a_condition_that_holds_at_the_start(initial, want):
     def always(t, y, u, p):
         return 1.0
 
-    def count(t, y, u, p):
-        y[0] += 1.0
+    def count(t, y, u, p, y_then, p_then):
+        y[0] = y_then[0] + 1.0
 
     model = network(_idle, {"n": 0.0}, events=(Event("start", always, count, initial=initial),))
     assert _run(model, 2.0, steps=4)[0].y[0, 0] == want
 
 
 def test_one_event_sets_off_another_and_parameters_stay_changed():
-    def first(t, y, u, p):
+    def first(t, y, u, p, y_then, p_then):
         p[0] = 3.0
 
     def high(t, y, u, p):
         return p[0] - 2.0
 
-    def second(t, y, u, p):
-        y[0] = 10.0 * p[0]
+    def second(t, y, u, p, y_then, p_then):
+        y[0] = 10.0 * p_then[0]
 
     model = network(
         _idle,
@@ -165,8 +165,8 @@ def test_an_input_that_jumps_between_steps_fires():
     def high(t, y, u, p):
         return u[0] - 0.5
 
-    def count(t, y, u, p):
-        y[0] += 1.0
+    def count(t, y, u, p, y_then, p_then):
+        y[0] = y_then[0] + 1.0
 
     model = network(_idle, {"n": 0.0}, inputs={"x": 0.0}, events=(Event("high", high, count),))
     solver = NetworkSolver(model)
@@ -182,10 +182,10 @@ def test_events_that_set_off_each_other_are_an_error_in_words():
     def high(t, y, u, p):
         return min(t - 1.0, y[0] - 0.5)
 
-    def up(t, y, u, p):
+    def up(t, y, u, p, y_then, p_then):
         y[0] = 1.0
 
-    def down(t, y, u, p):
+    def down(t, y, u, p, y_then, p_then):
         y[0] = 0.0
 
     model = network(_idle, {"x": 0.0}, events=(Event("up", low, up), Event("down", high, down)))

@@ -195,3 +195,13 @@ def test_observed_values_follow_states_and_inputs():
     model = replace(DECAY, observed=("flux",), observe=observe)
     solver = NetworkSolver(model)
     assert solver.observe(solver.begin(2), rows(2, 0.5), 1.0).tolist() == [[3.5], [3.5]]
+
+
+def test_a_computed_start_follows_the_parameters_of_each_cell():
+    def initial(u, p, y):
+        y[0] = 10.0 * p[0] + u[0]
+
+    model = replace(DECAY, initial=initial)
+    solver = NetworkSolver(model)
+    inside = solver.begin(2, rows(2, 0.5), np.array([[1.0], [2.0]]))
+    assert inside.y[:, 0].tolist() == [10.5, 20.5]
