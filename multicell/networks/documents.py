@@ -62,6 +62,7 @@ class _Search:
 
     - ``above``: local names of the elements that are open
     - ``lacking``: what is not read -> where it stands first, and the name of the element
+    - ``event``: the last one's name
     - ``hidden``: how many of the open elements are notes or annotations, which mean nothing here
     """
 
@@ -73,6 +74,8 @@ class _Search:
     quantities: int = 0
     hidden: int = 0
     line: int = 0
+    event: str = ""
+    delay: list[str] | None = None  # what an open delay of an event holds
 
     def refuse(self, problem: str, hint: str = "") -> SceneError:
         return SceneError(f"{self.name}, line {self.line}", problem, hint)
@@ -94,8 +97,17 @@ class _Search:
         self.above.append(local)
 
     def end(self) -> None:
-        if self.above.pop() in ("annotation", "notes"):
+        local = self.above.pop()
+        if local in ("annotation", "notes"):
             self.hidden -= 1
+        elif local == "delay" and self.delay is not None and not self.hidden:
+            if not _is_nothing(self.delay):
+                self.note("delay", self.event)
+            self.delay = None
+
+    def text(self, characters: str) -> None:
+        if self.delay is not None and not self.hidden:
+            self.delay.append(characters)
 
     def _root(self, space: str, local: str, about: dict[str, str]) -> None:
         if local != "sbml" or not _SBML.fullmatch(space):
@@ -117,14 +129,27 @@ class _Search:
             )
         if local == "reaction" and about.get("fast") in _YES:
             self.note("fast", who)
-        elif local in ("algebraicRule", "priority") or (local == "delay" and space != _MATHML):
-            self.note(local, who)
-        elif space == _MATHML and local == "csymbol":
+        elif local == "event":
+            self.event = who
+        elif local in ("algebraicRule", "priority"):
+            self.note(local, who or self.event)
+        elif local == "delay" and space != _MATHML:
+            self.delay = []
+        elif self.delay is not None:
+            self.delay.append(f"<{local}>")
+        if space == _MATHML and local == "csymbol":
             symbol = about.get("definitionURL", "").rpartition("/")[2]
             if symbol not in _SYMBOLS:
                 self.note("delay" if symbol == "delay" else f"symbol {symbol[:60]}")
         if len(about.get("formula", "")) > _MAX_FORMULA:
             raise self.refuse(f"has a formula of more than {_MAX_FORMULA} characters")
+
+
+def _is_nothing(delay: list[str]) -> bool:
+    """Return whether the content of a delay is the number 0, as some programs write none."""
+    text = "".join("".join(delay).split())
+    number = text.removeprefix("<math><cn>") if text.startswith("<math><cn>") else ""
+    return bool(re.fullmatch(r"0+\.?0*", number))
 
 
 def check_document(text: str, name: str) -> None:
@@ -148,6 +173,7 @@ def check_document(text: str, name: str) -> None:
 
     parser.StartElementHandler, parser.EndElementHandler = begin, lambda _: search.end()
     parser.StartDoctypeDeclHandler = document_type
+    parser.CharacterDataHandler = search.text
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:

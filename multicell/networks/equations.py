@@ -12,6 +12,7 @@ from functools import cached_property, partial
 from itertools import chain
 from typing import Any, Final, final
 
+from sbmlode.astutil import is_number
 from sbmlode.astutil import name as named
 
 from multicell.errors import SceneError
@@ -183,7 +184,8 @@ class Equations:
                 writer.lines.append(f"{array}[{place}] = i{k}")
 
     def _check_event(self, event: Any) -> None:
-        if event.delay is not None or event.priority is not None or event.root is None:
+        late = event.delay is not None and not is_number(event.delay, 0.0)
+        if late or event.priority is not None or event.root is None:
             raise SceneError("", f"has the event '{event.symbol.sid}', which is not read")
 
     def _trigger(self, event: Any, writer: Writer) -> None:
