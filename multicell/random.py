@@ -51,6 +51,8 @@ class Purpose(IntEnum):
     RADIATION = 19
     DRIFT = 20
     TOLERANCE = 21
+    NETWORK = 22
+    NETWORK_DIVISION = 23
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:

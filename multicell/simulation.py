@@ -133,6 +133,8 @@ class Simulation(RunState):
         check_start(self.scene, cells)
         self.named = driven.named_at_start(self.plan, cells)
         self.cells = cells
+        if self.plan.networks is not None:
+            self.plan.networks.begin(cells)
         bind(self.plan, cells, cells, {}, self.time)
         self.next_id = int(cells.id.max(initial=-1)) + 1
         first = cells.take(np.argsort(cells.id))
@@ -146,10 +148,12 @@ class Simulation(RunState):
         with self.phase("nutrient"):
             try:
                 self.field_system.begin(self.cells, self.time)
+                self._begin_networks()
                 if self.scene.nutrients and not given_states:
                     self._find_states()
             except NutrientFailed as failure:
                 raise StepFailed(self.time, failure.problem, failure.hint) from failure
+            self._begin_networks()
             if self.scene.nutrients:
                 bind(self.plan, self.cells, self.cells, self.signals, self.time)
         if given_states or not self.scene.nutrients:
@@ -157,6 +161,11 @@ class Simulation(RunState):
                 dead, _ = self._decide()
                 self.lineage.died(self.cells, dead, self.time)
         self._irradiate(-math.inf)
+
+    def _begin_networks(self) -> None:
+        """Set the networks inside cells by what these find at the start."""
+        if self.plan.networks is not None:
+            self.plan.networks.begin(self.cells, self._signals_at, self.time)
 
     def _find_states(self) -> None:
         """Find states of the cells that fit the fields which they make."""
@@ -393,6 +402,10 @@ class Simulation(RunState):
         with self.phase("biology"):
             self.cells = self.cells.shared()  # what they were is needed once more
             held = fields.steady if self.timeline.plan.jumps_at(end) else ()
+            if plan.networks is not None:
+                plan.networks.advance(
+                    self.cells, began, self._signals_at, begin, end, held, self.mechanics.threads
+                )
             exposure = Exposure(
                 self.cells,
                 self.signals,

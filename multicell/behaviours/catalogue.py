@@ -101,6 +101,12 @@ CONTACTS: Final = "contacts with "
 """Signals that begin so count the neighbours of a type."""
 
 
+OF_NEIGHBOURS: Final = "neighbours."
+"""Signals that begin so are the mean of a network's value over the neighbours that touch."""
+SUM_OF: Final = "sum of "
+"""Before such a signal: the sum in place of the mean."""
+
+
 def behaviour_named(name: str, path: str) -> tuple[Behaviour, str]:
     """Return a behaviour and the name of the field, type or phase that it concerns, if any."""
     name = _ALSO.get(name, name)
@@ -120,7 +126,12 @@ def behaviour_names() -> list[str]:
 
 
 def signal_unit(name: str, fields: Iterable[str], path: str) -> str:
-    """Return the base unit of a signal; its caller checks the types of counted contacts."""
+    """Return the base unit of a signal; its caller checks types of contacts, and networks.
+
+    Values of networks have no base unit: they are in the network's own.
+    """
+    if "." in name:
+        return ""
     if name in SIGNALS:
         return SIGNALS[name]
     if name.startswith(CONTACTS):
@@ -133,4 +144,5 @@ def signal_unit(name: str, fields: Iterable[str], path: str) -> str:
 
 def needs_contacts(signal: str) -> bool:
     """Return whether a signal is made from the neighbours."""
-    return signal in ("neighbours", "dead neighbours", "crowding") or signal.startswith(CONTACTS)
+    counted = signal in ("neighbours", "dead neighbours", "crowding")
+    return counted or signal.startswith(CONTACTS) or OF_NEIGHBOURS in signal

@@ -143,6 +143,7 @@ class RunState(ABC):
             driven={path: ids.tolist() for path, ids in self.named.items()},
             replays={} if self.replays is None else self.replays._asdict(),
             stability=self.stability._asdict() if self.mover.limit > 0.0 else {},
+            inside=() if self.plan.networks is None else self.plan.networks.columns,
         )
 
     def _count(self, work: Mapping[str, int]) -> None:
