@@ -114,9 +114,7 @@ def main():
     absolute = options.absolute or 1e-2 * options.tolerance
     mine, taken, held = ours(network, starts, times, options.tolerance, absolute)
     some = starts[: options.compared]
-    found, calls, instance, memory = theirs(
-        text, network, some, times, options.tolerance, absolute
-    )
+    found, calls, instance, memory = theirs(text, network, some, times, options.tolerance, absolute)
     scale = np.maximum(np.abs(found).max(axis=0), 1e-300)
     off = np.abs(mine[: len(some)] - found) / scale
     often = 0.01 * 60.0 / second
@@ -136,7 +134,9 @@ def main():
     print(f"| ms to make a cell | | {instance * 1e3:.2g} | |")
     print(f"\nLargest difference over the largest value of a state: {off.max():.2e}")
     worst = np.unravel_index(np.argmax(off), off.shape)
-    print(f"in '{network.states[worst[1]]}' of cell {worst[0]}: {mine[worst]:.9g}, {found[worst]:.9g}")
+    print(
+        f"in '{network.states[worst[1]]}' of cell {worst[0]}: {mine[worst]:.9g}, {found[worst]:.9g}"
+    )
     sys.exit(0 if off.max() <= 1e-5 else 1)
 
 
