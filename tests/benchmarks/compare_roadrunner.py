@@ -19,6 +19,7 @@ import argparse
 import resource
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ def ours(network, starts, times, tolerance, absolute):
         inside = solver.begin(len(starts))
         inside.y[:] = starts
         taken.clear()
-        for begin, end in zip(times, times[1:], strict=False):
+        for begin, end in pairwise(times):
             before = time.process_time()
             inside = solver.advance(inside, none, none, begin, end - begin)
             taken.append(time.process_time() - before)
@@ -73,7 +74,7 @@ def theirs(text, network, starts, times, tolerance, absolute):
         for name, value in zip(names, start, strict=True):
             cell[name] = value
     taken = 0.0
-    for begin, end in zip(times, times[1:], strict=False):
+    for begin, end in pairwise(times):
         before = time.process_time()
         for cell in cells:
             cell.simulate(begin, end, 2)

@@ -62,8 +62,14 @@ def test_anything_else_is_refused(line):
 
 
 @pytest.mark.parametrize(
-    "text", ["@abs\ndef rates(t): return t", "class A: pass", "def f_g(t): return t", "async def a(): pass"]
-)  # fmt: skip
+    "text",
+    [
+        "@abs\ndef rates(t): return t",
+        "class A: pass",
+        "def f_g(t): return t",
+        "async def a(): pass",
+    ],
+)
 def test_functions_are_bare_and_have_names_of_ours(text):
     with pytest.raises(ValueError, match="generated code has"):
         check_code(text)

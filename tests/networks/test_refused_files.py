@@ -21,7 +21,8 @@ DELAY = (
 X = {"x": "1"}
 L1 = (
     '<sbml xmlns="http://www.sbml.org/sbml/level1" level="1" version="2"><model name="m">'
-    '<listOfCompartments><compartment name="c"/></listOfCompartments><listOfParameters><parameter name="x" value="1"/></listOfParameters><listOfRules>'
+    '<listOfCompartments><compartment name="c"/></listOfCompartments><listOfParameters>'
+    '<parameter name="x" value="1"/></listOfParameters><listOfRules>'
     '<parameterRule name="x" type="rate" formula="%s"/></listOfRules></model></sbml>'
 )
 
