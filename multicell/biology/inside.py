@@ -219,17 +219,19 @@ class Networks:
 
         - ``find``: returns what cells find; absent while there are no fields
         """
-        cells.inside = np.full((len(cells), len(self.columns)), np.nan)
         for part in self.parts.values():
             rows = np.flatnonzero(part.has(cells))
-            found: Found = {} if find is None else find(cells)
-            u = part.inputs(cells, found)[rows] if find else None
+            u = None if find is None else part.inputs(cells, find(cells))[rows]
             inside = self._new(part, cells.id[rows], u)
             if u is None:
                 u = np.tile(np.array(part.model.defaults, dtype=float), (len(rows), 1))
             elif part.part.start == "steady":
                 inside = self._settled(part, inside, u, cells.id[rows], time)
-            part.write(cells.inside, rows, inside, u)
+            # what comes later finds it: other networks, and those of neighbours
+            known = cells.inside
+            whole = np.full((len(cells), len(self.columns)), np.nan) if known is None else known
+            part.write(whole, rows, inside, u)
+            cells.inside = whole
 
     def _new(self, part: PlacedNetwork, ids: IntArray, u: FloatArray | None) -> Inside:
         return part.solver.begin(len(ids), u, part.values(ids))
