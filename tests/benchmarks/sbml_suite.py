@@ -175,16 +175,16 @@ class Run:
 
 
 class OwnRun(Run):
-    """A network that the package's own solver solves, in one cell."""
+    """A network that the package's own solver solves, in one cell, with its events.
+
+    What those of the start change is shown as :class:`Run` finds it; the solver executes them too.
+    """
 
     def __init__(self, network: Network) -> None:
         super().__init__(network, 0.0)
         self._solver = NetworkSolver(network, relative=1e-8, absolute=1e-13)
         self._inside = self._solver.begin(1)
         self._none = np.zeros((1, 0))
-
-    def execute(self) -> None:
-        """Execute nothing: the solver does, also at the start."""
 
     def advance(self, end: float, absolute: float, longest: float) -> None:
         parts = max(1, round((end - self.t) / longest))
