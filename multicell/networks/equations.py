@@ -34,6 +34,7 @@ class Equations:
     """A system of equations with some of its quantities as inputs.
 
     - ``states``, ``inputs``, ``parameters``, ``observed``: names in the order of the arrays
+    - ``events``: those that change anything
     - ``computed``: parameters whose values follow from others at the start
     - ``used``: parameters that any of the functions reads, once :meth:`text` has been called
     """
@@ -45,6 +46,7 @@ class Equations:
             self._check_input(name)
         self.states = tuple(name for name in system.states if name not in self.inputs)
         self.observed = tuple(system.assigned)
+        self.events = [event for event in system.events if self._changes(event)]
         first = {one.variable for one in system.initial}
         known = [q for q in system.quantities if q.role == "constant"]
         self.parameters = tuple(
@@ -119,8 +121,9 @@ class Equations:
         if self.observed:
             parts.append(self._function("observe", self._observed))
         parts.append(self._function("initial", self._initial))
-        for k, event in enumerate(system.events):
+        for event in system.events:
             self._check_event(event)
+        for k, event in enumerate(self.events):
             parts.append(self._function(f"trigger{k}", partial(self._trigger, event)))
             parts.append(self._function(f"assign{k}", partial(self._assign, event)))
         return "\n\n".join(parts)
@@ -183,6 +186,9 @@ class Equations:
             if array:
                 writer.lines.append(f"{array}[{place}] = i{k}")
 
+    def _changes(self, event: Any) -> list[Any]:
+        return [a for a in event.assignments if a.variable not in self.inputs]
+
     def _check_event(self, event: Any) -> None:
         late = event.delay is not None and not is_number(event.delay, 0.0)
         if late or event.priority is not None or event.root is None:
@@ -197,7 +203,7 @@ class Equations:
 
     def _assign(self, event: Any, writer: Writer) -> None:
         """Write new values; a concentration whose compartment changes keeps its amount."""
-        changes = [a for a in event.assignments if a.variable not in self.inputs]
+        changes = self._changes(event)
         suffix = "_then" if event.use_values_from_trigger_time else ""
         names = self._scope(writer, [a.math for a in changes if a.math is not None], suffix)
         new = {

@@ -213,7 +213,7 @@ def _network(
         rates=functions["rates"],
         observe=functions.get("observe"),
         source=text,
-        events=tuple(_events(system, functions)),
+        events=tuple(_events(plan, functions)),
         units={one: units[one] for one in known if one in units},
         amounts=frozenset(_extensive(system) & set(plan.states)),
         time_unit=second,
@@ -247,8 +247,8 @@ def _numbers(
     return text, dict(zip(names, map(float, (*y, *p, *u)), strict=True)), functions
 
 
-def _events(system: Any, functions: Mapping[str, Any]) -> Iterable[Event]:
-    for k, event in enumerate(system.events):
+def _events(plan: Equations, functions: Mapping[str, Any]) -> Iterable[Event]:
+    for k, event in enumerate(plan.events):
         yield Event(
             name=event.symbol.sid,
             trigger=functions[f"trigger{k}"],

@@ -253,6 +253,15 @@ def test_an_event_takes_values_of_its_time_or_of_its_execution(tmp_path):
         assert (y[0], p[0]) == (7.0, wanted)
 
 
+def test_an_event_that_changes_nothing_is_left_out(tmp_path):
+    events = event("none", "x > 1", {}) + event("e", "x > 2", {"x": "0"})
+    text = document(parameters={"x": "0"}, rates={"x": "1"}, events=events)
+    text = text.replace("<listOfEventAssignments></listOfEventAssignments>", "")
+    network = read(tmp_path, text)
+    assert [one.name for one in network.events] == ["e"]
+    assert network.events[0].trigger(0.0, np.array([3.0]), np.empty(0), np.empty(0)) == 1.0
+
+
 def test_an_event_that_resizes_a_compartment_keeps_the_amounts_in_it(tmp_path):
     events = event("e", "time >= 1", {"cell": "2 * cell"}, initial=False, persistent=False)
     text = document(species={"A": "6", "B": "1"}, sizes={"cell": "3"},
@@ -305,7 +314,7 @@ def test_compiled_functions_give_what_python_gives(tmp_path):
     for function_, count in ((network.rates, 2), (network.observe, 2)):
         plain, compiled = np.empty(count), np.empty(count)
         function_(0.5, y, u, p, plain)
-        njit(error_model="numpy", cache=True)(function_)(0.5, y, u, p, compiled)
+        njit(error_model="numpy")(function_)(0.5, y, u, p, compiled)
         assert plain == pytest.approx(compiled, rel=1e-14)
     change = network.events[0]
     assert njit(error_model="numpy")(change.trigger)(0.5, y, u, p) == change.trigger(0.5, y, u, p)
