@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from typing import Any, Final
@@ -51,6 +52,7 @@ def network_from_sbml(
         document = _parsed(text)
         model = document.getModel()
         _check_sizes(model)
+        _check_references(model)
         system = _system(document)
         units, second = units_of(model), second_of(model)
         if system.size_rates or "rateOf" in text:
@@ -113,6 +115,36 @@ def _check_sizes(model: Any) -> None:
     for one in model.getListOfCompartments():  # sbmlode differentiates their rules along all paths
         if sizes.get(one.getId(), 0.0) > _MAX_EXPANDED:
             raise _too_large(one.getId())
+
+
+def _check_references(model: Any) -> None:
+    """Refuse names that stand for two things, or for none: libraries leave out what they miss."""
+    reactions = list(model.getListOfReactions())
+    sides = [(*r.getListOfReactants(), *r.getListOfProducts()) for r in reactions]
+    counted = [one for side in sides for one in side]
+    sized = (*model.getListOfCompartments(), *model.getListOfSpecies())
+    quantities = [*sized, *model.getListOfParameters(), *(one for one in counted if one.getId())]
+    others = (*reactions, *model.getListOfFunctionDefinitions(), *model.getListOfEvents())
+    names = Counter(one.getId() for one in (*quantities, *others) if one.getId())
+    twice = next((name for name, count in names.items() if count > 1), None)
+    if twice is not None:
+        raise SceneError("", f"has two things called '{twice[:80]}'")
+    species = {one.getId() for one in model.getListOfSpecies()}
+    compartments = {one.getId() for one in model.getListOfCompartments()}
+    # Level 1 calls nothing constant
+    fixed = {one.getId() for one in quantities if model.getLevel() > 1 and one.getConstant()}
+    known = {one.getId() for one in quantities}
+    rules = {r.getVariable() for r in model.getListOfRules()}
+    first = {one.getSymbol() for one in model.getListOfInitialAssignments()}
+    used = {one.getSpecies() for one in counted}
+    used |= {one.getSpecies() for r in reactions for one in r.getListOfModifiers()}
+    places = {one.getCompartment() for one in model.getListOfSpecies()} - {""}
+    wanted = ((rules | first, known), (used, species), (places, compartments))
+    for needed, there in wanted:
+        for name in sorted(needed - there):
+            raise SceneError("", f"names '{name[:80]}', which it does not define")
+    for name in sorted(rules & fixed):
+        raise SceneError("", f"has a rule for '{name[:80]}', which it calls constant")
 
 
 def _check_formulas(model: Any) -> None:
