@@ -22,6 +22,8 @@ MAX_BYTES: Final = 20_000_000  # the largest curated model of BioModels has half
 _MAX_DEPTH: Final = 200  # elements in elements; annotations have up to 20, formulas 50
 _MAX_ELEMENTS: Final = 500_000
 _MAX_FORMULA: Final = 5_000  # characters of a formula of Level 1, which a library reads recursively
+_MAX_QUANTITIES: Final = 20_000  # libraries search lists of them for each
+_QUANTITIES: Final = ("compartment", "parameter", "localParameter", "reaction", "species")
 _SBML: Final = re.compile(r"http://www\.sbml\.org/sbml/level(\d)(?:/version\d+(?:/core)?)?")
 _PACKAGE: Final = re.compile(r"http://www\.sbml\.org/sbml/level3/version\d+/(\w+)/version\d+")
 _MATHML: Final = "http://www.w3.org/1998/Math/MathML"
@@ -60,6 +62,7 @@ class _Search:
 
     - ``above``: local names of the elements that are open
     - ``lacking``: what is not read -> where it stands first, and the name of the element
+    - ``event``: the last one's name
     - ``hidden``: how many of the open elements are notes or annotations, which mean nothing here
     """
 
@@ -68,8 +71,11 @@ class _Search:
     lacking: dict[str, tuple[int, str]] = field(default_factory=dict)
     packages: dict[str, int] = field(default_factory=dict)
     elements: int = 0
+    quantities: int = 0
     hidden: int = 0
     line: int = 0
+    event: str = ""
+    delay: list[str] | None = None  # what an open delay of an event holds
 
     def refuse(self, problem: str, hint: str = "") -> SceneError:
         return SceneError(f"{self.name}, line {self.line}", problem, hint)
@@ -91,8 +97,17 @@ class _Search:
         self.above.append(local)
 
     def end(self) -> None:
-        if self.above.pop() in ("annotation", "notes"):
+        local = self.above.pop()
+        if local in ("annotation", "notes"):
             self.hidden -= 1
+        elif local == "delay" and self.delay is not None and not self.hidden:
+            if not _is_nothing(self.delay):
+                self.note("delay", self.event)
+            self.delay = None
+
+    def text(self, characters: str) -> None:
+        if self.delay is not None and not self.hidden:
+            self.delay.append(characters)
 
     def _root(self, space: str, local: str, about: dict[str, str]) -> None:
         if local != "sbml" or not _SBML.fullmatch(space):
@@ -107,16 +122,34 @@ class _Search:
         package = _PACKAGE.fullmatch(space)
         if package and package[1] not in _HARMLESS:
             self.note(package[1], who)
+        self.quantities += local in _QUANTITIES
+        if self.quantities > _MAX_QUANTITIES:
+            raise self.refuse(
+                f"has more than {_MAX_QUANTITIES:,} parameters, species and reactions"
+            )
         if local == "reaction" and about.get("fast") in _YES:
             self.note("fast", who)
-        elif local in ("algebraicRule", "priority") or (local == "delay" and space != _MATHML):
-            self.note(local, who)
-        elif space == _MATHML and local == "csymbol":
+        elif local == "event":
+            self.event = who
+        elif local in ("algebraicRule", "priority"):
+            self.note(local, who or self.event)
+        elif local == "delay" and space != _MATHML:
+            self.delay = []
+        elif self.delay is not None:
+            self.delay.append(f"<{local}>")
+        if space == _MATHML and local == "csymbol":
             symbol = about.get("definitionURL", "").rpartition("/")[2]
             if symbol not in _SYMBOLS:
                 self.note("delay" if symbol == "delay" else f"symbol {symbol[:60]}")
         if len(about.get("formula", "")) > _MAX_FORMULA:
             raise self.refuse(f"has a formula of more than {_MAX_FORMULA} characters")
+
+
+def _is_nothing(delay: list[str]) -> bool:
+    """Return whether the content of a delay is the number 0, as some programs write none."""
+    text = "".join("".join(delay).split())
+    number = text.removeprefix("<math><cn>") if text.startswith("<math><cn>") else ""
+    return bool(re.fullmatch(r"0+\.?0*", number))
 
 
 def check_document(text: str, name: str) -> None:
@@ -140,6 +173,7 @@ def check_document(text: str, name: str) -> None:
 
     parser.StartElementHandler, parser.EndElementHandler = begin, lambda _: search.end()
     parser.StartDoctypeDeclHandler = document_type
+    parser.CharacterDataHandler = search.text
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:

@@ -12,6 +12,7 @@ from functools import cached_property, partial
 from itertools import chain
 from typing import Any, Final, final
 
+from sbmlode.astutil import is_number
 from sbmlode.astutil import name as named
 
 from multicell.errors import SceneError
@@ -33,6 +34,7 @@ class Equations:
     """A system of equations with some of its quantities as inputs.
 
     - ``states``, ``inputs``, ``parameters``, ``observed``: names in the order of the arrays
+    - ``events``: those that change anything
     - ``computed``: parameters whose values follow from others at the start
     - ``used``: parameters that any of the functions reads, once :meth:`text` has been called
     """
@@ -44,6 +46,7 @@ class Equations:
             self._check_input(name)
         self.states = tuple(name for name in system.states if name not in self.inputs)
         self.observed = tuple(system.assigned)
+        self.events = [event for event in system.events if self._changes(event)]
         first = {one.variable for one in system.initial}
         known = [q for q in system.quantities if q.role == "constant"]
         self.parameters = tuple(
@@ -81,7 +84,7 @@ class Equations:
         system = self.system
         known = {q.symbol.sid: q for q in system.quantities}
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
+            near = difflib.get_close_matches(name, known, 1, 0.5)
             hint = f"Did you mean '{near[0]}'?" if near else ""
             raise SceneError("", f"has no '{name[:80]}' that could be an input", hint)
         ruled = {ode.variable for ode in system.odes if ode.origin != "reactions"}
@@ -118,8 +121,9 @@ class Equations:
         if self.observed:
             parts.append(self._function("observe", self._observed))
         parts.append(self._function("initial", self._initial))
-        for k, event in enumerate(system.events):
+        for event in system.events:
             self._check_event(event)
+        for k, event in enumerate(self.events):
             parts.append(self._function(f"trigger{k}", partial(self._trigger, event)))
             parts.append(self._function(f"assign{k}", partial(self._assign, event)))
         return "\n\n".join(parts)
@@ -182,8 +186,12 @@ class Equations:
             if array:
                 writer.lines.append(f"{array}[{place}] = i{k}")
 
+    def _changes(self, event: Any) -> list[Any]:
+        return [a for a in event.assignments if a.variable not in self.inputs]
+
     def _check_event(self, event: Any) -> None:
-        if event.delay is not None or event.priority is not None or event.root is None:
+        late = event.delay is not None and not is_number(event.delay, 0.0)
+        if late or event.priority is not None or event.root is None:
             raise SceneError("", f"has the event '{event.symbol.sid}', which is not read")
 
     def _trigger(self, event: Any, writer: Writer) -> None:
@@ -195,7 +203,7 @@ class Equations:
 
     def _assign(self, event: Any, writer: Writer) -> None:
         """Write new values; a concentration whose compartment changes keeps its amount."""
-        changes = [a for a in event.assignments if a.variable not in self.inputs]
+        changes = self._changes(event)
         suffix = "_then" if event.use_values_from_trigger_time else ""
         names = self._scope(writer, [a.math for a in changes if a.math is not None], suffix)
         new = {

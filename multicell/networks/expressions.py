@@ -66,6 +66,12 @@ _OF_MANY: Final = {
     libsbml.AST_FUNCTION_MIN: ("min({})", ", ", ""),
 }
 """How operands are joined, by what, and what none of them are."""
+_FROM_LEFT: Final = (
+    libsbml.AST_PLUS,
+    libsbml.AST_MINUS,
+    libsbml.AST_TIMES,
+    libsbml.AST_DIVIDE,
+)
 _POWERS: Final = (libsbml.AST_POWER, libsbml.AST_FUNCTION_POWER)
 _NUMBERS: Final = (
     libsbml.AST_INTEGER,
@@ -173,8 +179,26 @@ class Writer:
             return f"(1.0 if {self._truth(tree, names)} else 0.0)"
         if kind == libsbml.AST_FUNCTION_PIECEWISE:
             return self._piecewise(tree, names)
+        if kind in _FROM_LEFT:
+            return self._chain(tree, names)
         given = [self.value(child, names) for child in children_of(tree)]
         return self._operation(tree, kind, given)
+
+    def _chain(self, tree: Any, names: Mapping[str, str]) -> str:
+        """Return operations whose first operand is one again, as in a + b - c, without recursion.
+
+        Level 1 and some programs write long sums so.
+        """
+        chain = [tree]
+        while chain[-1].getNumChildren() > 1 and chain[-1].getChild(0).getType() in _FROM_LEFT:
+            chain.append(chain[-1].getChild(0))
+            self._counted(chain[-1])
+        first = children_of(chain[-1])[:1]
+        given = [self.value(one, names) for one in first]
+        for node in reversed(chain):
+            given += [self.value(one, names) for one in children_of(node)[1:]]
+            given = [self._short(self._operation(node, int(node.getType()), given))]
+        return given[0]
 
     def _operation(self, tree: Any, kind: int, given: list[str]) -> str:
         count = len(given)

@@ -1,10 +1,10 @@
-"""Functions made of generated code: checked against a list, and compiled code kept on disk.
+"""Functions made of generated code, which is checked against a list before it is run.
 
 Code is checked as Python reads it, node by node: it consists of functions of assignments and
 arithmetic, with names and calls of the tables below. A second lock: the code was written from
-tables already (:mod:`multicell.networks.expressions`). It is run as it was checked, from memory.
-The file beside numba's compiled code only gives it a place: its name is a digest of its text, so
-that compiled code of another text is never found.
+tables already (:mod:`multicell.networks.expressions`). It is run as it was checked, from memory, in
+a module called by a digest of its text. Compiled code on disk is known by the functions themselves
+(:mod:`multicell.networks.code`), and asks for that module when it is loaded.
 """
 
 from __future__ import annotations
@@ -12,12 +12,10 @@ from __future__ import annotations
 import ast
 import hashlib
 import math
-import os
 import re
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache
-from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
@@ -54,12 +52,10 @@ def functions_of(text: str) -> Mapping[str, Callable[..., Any]]:
 def _module(text: str) -> ModuleType:
     check_code(text)
     name = f"network_{hashlib.sha256(text.encode()).hexdigest()[:32]}"
-    path = _placed(name, text)
     module = ModuleType(name)
-    module.__file__ = str(path)
     vars(module).update(np=np, math=math)
-    exec(compile(text, str(path), "exec"), vars(module))
-    sys.modules[name] = module  # where numba looks for what compiled code names
+    exec(compile(text, f"<{name}>", "exec"), vars(module))
+    sys.modules[name] = module
     return module
 
 
@@ -85,7 +81,8 @@ def _is_allowed(node: ast.AST) -> bool:
     if isinstance(node, ast.Constant):
         return type(node.value) in (int, float)
     if isinstance(node, ast.Attribute):
-        return ast.unparse(node) in (*_CALLED, *_VALUES)
+        loaded = isinstance(node.ctx, ast.Load)
+        return loaded and ast.unparse(node) in (*_CALLED, *_VALUES)
     if isinstance(node, ast.Call):
         return not node.keywords and ast.unparse(node.func) in _CALLED
     if isinstance(node, ast.Subscript):
@@ -93,24 +90,3 @@ def _is_allowed(node: ast.AST) -> bool:
         whole = isinstance(place, ast.Constant) and isinstance(place.value, int)
         return isinstance(array, ast.Name) and array.id in _ARRAYS and whole
     return isinstance(node, _NODES)
-
-
-def _placed(name: str, text: str) -> Path:
-    """Return the file of a module beside compiled code, written if it is not there."""
-    import numba
-
-    from multicell.host.closed import cache_folder, choose_cache
-
-    settings: Any = numba.config
-    choose_cache(vars(settings))
-    path = Path(cache_folder(settings), "networks", f"{name}.py")
-    content = text.encode()
-    try:
-        if path.read_bytes() == content:
-            return path
-    except OSError:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{name}.{os.getpid()}.part")
-    part.write_bytes(content)
-    os.replace(part, path)
-    return path

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from typing import Any, Final
@@ -51,11 +52,14 @@ def network_from_sbml(
         document = _parsed(text)
         model = document.getModel()
         _check_sizes(model)
+        _check_references(model)
         system = _system(document)
         units, second = units_of(model), second_of(model)
         if system.size_rates or "rateOf" in text:
             _check_moving(system, inputs)
         return _network(system, model.getId() or name, inputs, given, units, second)
+    except RecursionError:
+        raise SceneError(name, "has a formula that is nested too deeply") from None
     except SceneError as error:
         raise SceneError(name if not error.path else f"{name}: {error.path}", error.problem,
                          error.hint) from None  # fmt: skip
@@ -77,7 +81,7 @@ def _parsed(text: str) -> Any:
 def _system(document: Any) -> Any:
     try:
         system = OdeSystem.from_sbml(document)
-    except (ValueError, NotImplementedError, RecursionError) as error:
+    except (ValueError, NotImplementedError) as error:
         words = " ".join(str(error).split())[:300].rstrip(".")
         raise SceneError("", f"is no system of equations: {words}") from None
     if system.unsupported:
@@ -98,6 +102,8 @@ def _check_sizes(model: Any) -> None:
         name = element.getIdAttribute()
         if name and not _IDENTIFIER.fullmatch(name):
             raise SceneError("", f"has {name[:60]!r}, which is no identifier")
+    if (model.getLevel(), model.getVersion()) < (3, 2):  # from then on no formula means no effect
+        _check_formulas(model)
     definitions = {f.getId(): f.getBody() for f in model.getListOfFunctionDefinitions()}
     calls = _grown({name: nodes_of(body) for name, body in definitions.items() if body}, _called)
     rules = {r.getVariable(): r for r in model.getListOfRules() if r.isSetMath()}
@@ -109,6 +115,45 @@ def _check_sizes(model: Any) -> None:
     for one in model.getListOfCompartments():  # sbmlode differentiates their rules along all paths
         if sizes.get(one.getId(), 0.0) > _MAX_EXPANDED:
             raise _too_large(one.getId())
+
+
+def _check_references(model: Any) -> None:
+    """Refuse names that stand for two things, or for none: libraries leave out what they miss."""
+    reactions = list(model.getListOfReactions())
+    sides = [(*r.getListOfReactants(), *r.getListOfProducts()) for r in reactions]
+    counted = [one for side in sides for one in side]
+    sized = (*model.getListOfCompartments(), *model.getListOfSpecies())
+    quantities = [*sized, *model.getListOfParameters(), *(one for one in counted if one.getId())]
+    others = (*reactions, *model.getListOfFunctionDefinitions(), *model.getListOfEvents())
+    names = Counter(one.getId() for one in (*quantities, *others) if one.getId())
+    twice = next((name for name, count in names.items() if count > 1), None)
+    if twice is not None:
+        raise SceneError("", f"has two things called '{twice[:80]}'")
+    species = {one.getId() for one in model.getListOfSpecies()}
+    compartments = {one.getId() for one in model.getListOfCompartments()}
+    # Level 1 calls nothing constant
+    fixed = {one.getId() for one in quantities if model.getLevel() > 1 and one.getConstant()}
+    known = {one.getId() for one in quantities}
+    rules = {r.getVariable() for r in model.getListOfRules()}
+    first = {one.getSymbol() for one in model.getListOfInitialAssignments()}
+    used = {one.getSpecies() for one in counted}
+    used |= {one.getSpecies() for r in reactions for one in r.getListOfModifiers()}
+    places = {one.getCompartment() for one in model.getListOfSpecies()} - {""}
+    wanted = ((rules | first, known), (used, species), (places, compartments))
+    for needed, there in wanted:
+        for name in sorted(needed - there):
+            raise SceneError("", f"names '{name[:80]}', which it does not define")
+    for name in sorted(rules & fixed):
+        raise SceneError("", f"has a rule for '{name[:80]}', which it calls constant")
+
+
+def _check_formulas(model: Any) -> None:
+    """Refuse rules and laws whose formula is absent, or could not be read."""
+    laws = [r.getKineticLaw() for r in model.getListOfReactions() if r.getKineticLaw()]
+    for one in (*model.getListOfRules(), *model.getListOfInitialAssignments(), *laws):
+        if not one.isSetMath():
+            line = f"line {one.getLine()}"
+            raise SceneError(line, f"'{one.getElementName()}' has no formula that can be read")
 
 
 def _law(reaction: Any) -> list[Any]:
@@ -200,7 +245,7 @@ def _network(
         rates=functions["rates"],
         observe=functions.get("observe"),
         source=text,
-        events=tuple(_events(system, functions)),
+        events=tuple(_events(plan, functions)),
         units={one: units[one] for one in known if one in units},
         amounts=frozenset(_extensive(system) & set(plan.states)),
         time_unit=second,
@@ -219,7 +264,7 @@ def _numbers(
     text = plan.text()
     try:
         functions = functions_of(text)
-    except (ValueError, SyntaxError, RecursionError) as error:
+    except (ValueError, SyntaxError) as error:
         raise SceneError("", f"gives code that is not run: {str(error)[:200]}") from None
     stated = {q.symbol.sid: q.value for q in plan.system.quantities if q.value is not None}
     y = np.full(len(plan.states), np.nan)
@@ -234,8 +279,8 @@ def _numbers(
     return text, dict(zip(names, map(float, (*y, *p, *u)), strict=True)), functions
 
 
-def _events(system: Any, functions: Mapping[str, Any]) -> Iterable[Event]:
-    for k, event in enumerate(system.events):
+def _events(plan: Equations, functions: Mapping[str, Any]) -> Iterable[Event]:
+    for k, event in enumerate(plan.events):
         yield Event(
             name=event.symbol.sid,
             trigger=functions[f"trigger{k}"],

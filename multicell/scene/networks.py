@@ -26,6 +26,7 @@ from multicell.schema import (
     near_miss,
     number,
     parameters,
+    quantities,
     quantity,
     separated,
     text,
@@ -61,6 +62,10 @@ class CellNetwork:
     inputs: Mapping[str, str] | None = texts(doc="input of the network -> signal of the cell")
     start: str = choice(["given", "steady"], default="given", doc="as stated, or at rest")
     units: Mapping[str, str] | None = texts(doc="of what the network leaves open")
+    scales: Mapping[str, float] | None = quantities(
+        "", above=0, doc="input -> how many of its unit one base unit of the signal is, in place "
+        "of what the units say",
+    )  # fmt: skip
     time_unit: float | None = quantity(
         "s", default=None, above=0, doc="of the network's time, where it states none; absent: 1 s"
     )
@@ -247,6 +252,7 @@ def _check_one(
     model = part.model
     check_kinds(scene, "cells", part.cells)
     check_names(part.inputs, model.inputs, "inputs", "an input of the network")
+    check_names(part.scales, model.inputs, "scales", "an input of the network")
     check_names(part.parameters, model.parameters, "parameters", "a parameter of the network")
     everything = [*model.states, *model.inputs, *model.parameters, *model.observed]
     check_names(part.units, everything, "units", "of the network")
@@ -313,6 +319,9 @@ def input_factor(scene: Scene, part: CellNetwork, name: str) -> float:
     """Return what a signal in base units is multiplied by to be an input in the network's unit."""
     from multicell.behaviours.catalogue import signal_unit
 
+    if name in (part.scales or {}):
+        assert part.scales is not None
+        return part.scales[name]
     unit = part.unit_of(name)
     assert part.inputs is not None
     base = signal_unit(part.inputs[name], scene.nutrients, f"inputs.{name}")
