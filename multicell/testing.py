@@ -221,7 +221,8 @@ def check_network(
     from multicell.networks.conformance import faults_of
 
     faults = list(faults_of(network, invariants, duration))
-    _require(not faults, f"{network.name}: {'; '.join(faults)}")
+    if faults:
+        raise AssertionError(f"{network.name}: {'; '.join(faults)}")
 
 
 def check_integrator(method: Any) -> None:
