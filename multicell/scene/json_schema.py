@@ -31,12 +31,9 @@ _TEXT: Final = {"$ref": "#/$defs/quantity"}
 _MEASURE: Final = {"anyOf": [{"type": "number"}, _TEXT]}
 _DRAW: Final = {
     "type": "object",
-    "properties": {
-        "mean": {"type": "number", "exclusiveMinimum": 0},
-        "variation": {"type": "number", "minimum": 0, "maximum": 2},
-    },
     "required": ["mean"],
-    "additionalProperties": False,
+    "propertyNames": {"enum": ["mean", "variation"]},
+    "additionalProperties": {"type": "number", "minimum": 0},
 }
 _IDENTIFIER: Final = "^[A-Za-z_][A-Za-z0-9_]*$"
 _LIMITS: Final[Mapping[str, str]] = {

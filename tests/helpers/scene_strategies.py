@@ -45,6 +45,7 @@ NAMES = {
     "phases": PHASES,
     "reactions": ("binding", "breakdown"),
     "networks": ("relax",),
+    "scales": ("source",),
     "consumes": FIELDS,
     "produces": FIELDS,
     "motions": ("base", "tip"),
