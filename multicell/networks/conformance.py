@@ -26,7 +26,11 @@ def faults_of(
     factors = np.array(_AROUND)[:, None]
     inside = Inside(begin.y * factors, begin.p, begin.memory)
     u = np.tile(np.array(network.defaults, dtype=float), (len(_AROUND), 1))
+    before = [x.copy() for x in (inside.y, u, inside.p)]
     found = solver.rates(inside, u, 0.0)
+    if not all(map(np.array_equal, before, (inside.y, u, inside.p))):
+        yield "it writes into its states, inputs or parameters"
+        return
     if not np.isfinite(found).all():
         bad = network.states[int(np.argwhere(~np.isfinite(found))[0, 1])]
         yield f"the rate of {bad} is no finite number near the start"
@@ -49,9 +53,6 @@ def _plain(network: Network, inside: Inside, u: FloatArray, found: FloatArray) -
         rates(0.0, *given, out)
         if not np.allclose(out, found[row], rtol=1e-9, atol=1e-300):
             yield "compiled, its rates are not those of plain Python"
-        before = inside.y[row], u[row], inside.p[row]
-        if not all(map(np.array_equal, given, before)):
-            yield "it writes into its states, inputs or parameters"
         return
 
 

@@ -36,7 +36,7 @@ def network(
     events: Iterable[Event] = (),
     units: Mapping[str, str] | None = None,
     amounts: Iterable[str] = (),
-    time_unit: float = 1.0,
+    time_unit: float | None = 1.0,
 ) -> Callable[[Callable[..., None]], Network]:
     """Make a network inside cells of a function that writes the rates of its states.
 
@@ -62,7 +62,7 @@ def network(
     amounts
         States that are amounts, and halve at a division; the others are concentrations.
     time_unit
-        Seconds for each unit of ``t``.
+        Seconds for each unit of ``t``; None: a scene states it.
 
     Returns
     -------

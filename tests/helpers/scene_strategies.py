@@ -63,7 +63,7 @@ def _lost(t, y, u, p, out):
 
 
 @mc.network(states={"A": 1.0}, inputs={"source": 0.0}, parameters={"k": 2e-4},
-            observed=("lost",), observe=_lost)  # fmt: skip
+            observed=("lost",), observe=_lost, time_unit=None)  # fmt: skip
 def relax(t, y, u, p, out):
     """Relax towards an input."""
     out[0] = p[0] * (u[0] - y[0])

@@ -31,7 +31,6 @@ def test_faults_are_named():
 
     @mc.network(states={"A": 1.0})
     def writes(t, y, u, p, out):
-        y[0] = y[0] + 0.0 * out[0]
         out[0] = -y[0]
         y[0] = 2.0
 
