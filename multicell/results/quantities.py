@@ -71,6 +71,7 @@ UNITS: Final[Mapping[str, str]] = {
 
 ABSENT: Final[Mapping[str, str]] = {
     **{o.name: o.absent for o in OBSERVABLES if o.absent},
+    **{o.entry: o.absent for o in OBSERVABLES if o.absent and o.entry and "*" in o.entry},
     "shift_effect": "before the first coupling step that is taken twice",
     "stability_ratio": "with methods whose step has no limit of stability",
 }
@@ -106,6 +107,8 @@ def unit_of(name: str) -> str:
         schema = Cells.schema()
         if column in schema:
             return str(schema[column]["unit"])
+        if "." in column:  # a state of a network, in the network's own unit
+            return ""
     unit = _unit_with_star(name)
     if unit is not None:
         return unit
