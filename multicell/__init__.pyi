@@ -30,6 +30,10 @@ from multicell.integrators.base import Integrator as Integrator
 from multicell.integrators.base import MethodInfo as MethodInfo
 from multicell.integrators.base import Outcome as Outcome
 from multicell.mechanics.motion import StateRejected as StateRejected
+from multicell.networks.custom import network as network
+from multicell.networks.files import read_network as read_network
+from multicell.networks.network import Event as Event
+from multicell.networks.network import Network as Network
 from multicell.nutrient.equations.equation import FieldEquation as FieldEquation
 from multicell.nutrient.equations.solvers import ImplicitFieldSolver as ImplicitFieldSolver
 from multicell.nutrient.equations.solvers import SteadyFieldSolver as SteadyFieldSolver

@@ -66,6 +66,9 @@ def _column(dtype: type, unit: str, *, width: int | None = None, optional: bool 
 HAZARDS = ("necrosis_hazard", "apoptosis_hazard", "change_hazard", "type_changes")
 """Columns that are None, and cost nothing, until a rate has acted on cells."""
 
+ANY_WIDTH = -1  # of a column whose entries a cell are as many as a scene needs
+_ABSENT = (*HAZARDS, "inside")
+
 
 @final
 @dataclass
@@ -119,6 +122,9 @@ class Cells:
         cell's own threshold the cell dies, or changes its type (:mod:`multicell.biology.exposure`).
     type_changes : (n,) int64, or None
         How often the cell has changed its type since its birth.
+    inside : (n, k) float64, or None
+        States of the networks in each cell and what solvers know of them, NaN in cells without; the
+        order is that of :class:`multicell.biology.inside.Networks`.
     """
 
     id: IntArray = _column(np.int64, "")
@@ -144,17 +150,20 @@ class Cells:
     apoptosis_hazard: FloatArray | None = _column(np.float64, "", optional=True)
     change_hazard: FloatArray | None = _column(np.float64, "", optional=True)
     type_changes: IntArray | None = _column(np.int64, "", optional=True)
+    inside: FloatArray | None = _column(np.float64, "", width=ANY_WIDTH, optional=True)
 
     def __post_init__(self) -> None:
         n = len(self.id)
         for name, (dtype, width) in _layout().items():
             column = getattr(self, name)
-            if column is None and name in HAZARDS:
+            if column is None and name in _ABSENT:
                 del vars(self)[name]  # what is left is that of the class, None
                 continue
             shape = (n,) if width is None else (n, width)
             column = np.zeros(shape) if column is None else column
             array = np.ascontiguousarray(column, dtype=dtype)
+            if width == ANY_WIDTH and array.ndim == 2:
+                shape = (n, array.shape[1])
             if array.shape != shape:
                 raise ValueError(f"cells.{name} has shape {array.shape}, expected {shape}")
             setattr(self, name, array)
@@ -238,7 +247,7 @@ class Cells:
             **{
                 name: np.empty((0,) if s["width"] is None else (0, s["width"]), dtype=s["dtype"])
                 for name, s in cls.schema().items()
-                if name not in HAZARDS
+                if name not in _ABSENT
             }
         )
 

@@ -88,7 +88,7 @@ def begins_alone(scene: Scene) -> bool:
     if scene.initial.count > 1 or scene.initial.cells is not None or scene.growth is None:
         return False
     moved = (scene.motility, scene.surface, scene.pull, scene.domain)
-    if moved != (None,) * len(moved) or scene.chemotaxis or scene.motions:
+    if moved != (None,) * len(moved) or scene.chemotaxis or scene.motions or scene.networks:
         return False
     return ":" not in scene.to_dict()["contact"]["law"]
 

@@ -53,6 +53,8 @@ class Purpose(IntEnum):
     DRIFT = 20
     TOLERANCE = 21
     ASYMMETRY = 22
+    NETWORK = 23
+    NETWORK_DIVISION = 24
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:

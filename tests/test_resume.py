@@ -30,6 +30,31 @@ GROWING = {
     "output.every": "5 h",
     "growth.cycle_time": "8 h",
 }
+
+
+def _late(t, y, u, p):
+    return y[0] - p[0]
+
+
+def _reset(t, y, u, p, y_then, p_then):
+    y[0] = 0.0
+    y[1] = y_then[1] + 1.0
+
+
+@mc.network(
+    states={"phase": 0.0, "rounds": 0.0}, inputs={"pace": 0.0}, parameters={"limit": 4000.0},
+    events=[mc.Event("reset", _late, _reset)], amounts=("phase",),
+)  # fmt: skip
+def clock(t, y, u, p, out):
+    out[0] = 1.0 + 0.1 * u[0]
+    out[1] = 0.0
+
+
+@mc.network(states={"M": 20.0}, parameters={"made": 0.002}, amounts=("M",))
+def store(t, y, u, p, out):
+    out[0] = p[0]
+
+
 CASES = {
     "growth, nutrient and death": ("spheroid", SPHEROID),
     "shells": ("spheroid", {**SPHEROID, "nutrients.oxygen.geometry": "radial"}),
@@ -69,6 +94,16 @@ CASES = {
         **GROWING,
         "growth.phases": {name: {"duration": "2 h"} for name in ("G1", "S", "G2", "M")},
         "motions": {"held": {"cells": [0, 2]}, "x": {"cells": [1], "velocity": [0, 1e-5, 0]}},
+    }),
+    "networks inside cells": ("growth", {
+        **GROWING, "duration": "10 h", "output.every": "2 h", "networks": {
+            "cycle": {"network": clock, "inputs": {"pace": "neighbours.store.M"},
+                      "parameters": {"limit": {"mean": 4000.0, "variation": 0.3}}},
+            "store": {"network": store, "divide": {"M": "binomial"},
+                      "parameters": {"made": {"mean": 0.002, "variation": 0.5}}},
+        },
+        "responses": [{"behaviour": "growth rate", "signal": "cycle.rounds", "law": "monod",
+                       "half": 1.0}],
     }),
     "a gradient in a box": ("growth", {
         **GROWING, "domain": {axis: [-20.0, 20.0] for axis in "xyz"}, "chemotaxis": {"oxygen": {}},

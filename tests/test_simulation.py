@@ -141,7 +141,8 @@ def test_more_threads_than_there_are_is_refused():
 
 def test_public_names():
     assert set(mc.__all__) == {
-        "JKR", "Cells", "Hertz", "MulticellError", "OutputError", "Result", "Scene",
+        "JKR", "Cells", "Event", "Hertz", "Network", "network", "read_network", "MulticellError",
+        "OutputError", "Result", "Scene",
         "SceneError", "Simulation", "StabilityMap", "State", "StepFailed", "WorkPrecision",
         "compare", "export", "load_result", "load_scene", "resume", "run", "scene_names",
         "stability", "Integrator", "MethodInfo", "OdeProblem", "Outcome", "StateRejected",

@@ -109,6 +109,10 @@ CONTACTS: Final = "contacts with "
 
 PHASE: Final = "phase "
 """Signals that begin so are 1 for cells in a phase of the cycle, and 0 for others."""
+OF_NEIGHBOURS: Final = "neighbours."
+"""Signals that begin so are the mean of a network's value over the neighbours that touch."""
+SUM_OF: Final = "sum of "
+"""Before such a signal: the sum in place of the mean."""
 
 
 def behaviour_named(name: str, path: str) -> tuple[Behaviour, str]:
@@ -130,7 +134,12 @@ def behaviour_names() -> list[str]:
 
 
 def signal_unit(name: str, fields: Iterable[str], path: str) -> str:
-    """Return the base unit of a signal; its caller checks the types of counted contacts."""
+    """Return the base unit of a signal; its caller checks types of contacts, and networks.
+
+    Values of networks have no base unit: they are in the network's own.
+    """
+    if "." in name:
+        return ""
     if name in SIGNALS:
         return SIGNALS[name]
     if name.startswith((CONTACTS, PHASE)):
@@ -143,4 +152,5 @@ def signal_unit(name: str, fields: Iterable[str], path: str) -> str:
 
 def needs_contacts(signal: str) -> bool:
     """Return whether a signal is made from the neighbours."""
-    return signal in ("neighbours", "dead neighbours", "crowding") or signal.startswith(CONTACTS)
+    counted = signal in ("neighbours", "dead neighbours", "crowding")
+    return counted or signal.startswith(CONTACTS) or OF_NEIGHBOURS in signal

@@ -8,13 +8,20 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
-from multicell.biology.responding import acting, bind_responses, exposed, missing_signals
+from multicell.biology.responding import (
+    acting,
+    bind_responses,
+    exposed,
+    missing_signals,
+    one_level,
+)
 from multicell.cells import Mask, Phase
 from multicell.scene.sizes import birth_volume, division_volume
 from multicell.units import oxygen_solubility
 
 if TYPE_CHECKING:
     from multicell.behaviours.growth_laws.laws import GrowthLaw
+    from multicell.biology.inside import Networks
     from multicell.biology.responding import BoundResponse
     from multicell.cells import FloatArray
     from multicell.contact.law import PairLaw
@@ -57,6 +64,7 @@ class BiologyPlan:
     - ``growth_follows_state``: whether growth depends on more than fields and pressure at a cell of
       a type
     - ``elsewhere``: signals that neither fields nor cells carry: time, and numbers of neighbours
+    - ``networks``: inside cells; None without any
     - ``inflow``: viscosity of the medium that flows in to what is lost, kPa·s; 0: it is at rest
     - ``surface_tension``: of the tissue, nN/µm; 0: none
     - ``types``: by name; empty where all cells are alike
@@ -89,6 +97,7 @@ class BiologyPlan:
     exposed: frozenset[str]
     growth_follows_state: bool
     elsewhere: frozenset[str]
+    networks: Networks | None
     inflow: float
     surface_tension: float
     types: Mapping[str, CellType]
@@ -123,6 +132,11 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     phases = {} if growth is None else growth.phases
     own = [kind.young for kind in kinds]
     known = bind_responses(scene)
+    networks = None
+    if scene.networks:
+        from multicell.biology.inside import Networks
+
+        networks = Networks(scene, one_level)
     growth_signals = {name for part in known.get("growth rate", ()) for name in part.needs}
     rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
     ratio = [1.0 if young is None else young / cells.young for young in own]
@@ -145,7 +159,8 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         acting=acting(known),
         exposed=exposed(known),
         growth_follows_state=not growth_signals <= {"pressure", *scene.nutrients},
-        elsewhere=missing_signals(known),
+        elsewhere=missing_signals(known, frozenset() if networks is None else networks.needs),
+        networks=networks,
         inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,
         surface_tension=0.0 if scene.surface is None else scene.surface.tension,
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,

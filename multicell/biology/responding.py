@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
 import numpy as np
@@ -123,13 +123,14 @@ def _level(scene: Scene, signals: tuple[str, ...]) -> tuple[Level, set[str]]:
     """Return a function that reads signals, and the names of all that they are made from."""
     if not signals:
         return _count, set()
-    levels, names = zip(*(_one_level(scene, name) for name in signals), strict=True)
+    levels, names = zip(*(one_level(scene, name) for name in signals), strict=True)
     if len(levels) == 1:
         return levels[0], names[0]
     return lambda *at: tuple(level(*at) for level in levels), set().union(*names)
 
 
-def _one_level(scene: Scene, name: str) -> tuple[Level, set[str]]:
+def one_level(scene: Scene, name: str) -> tuple[Level, set[str]]:
+    """Return what finds a signal, and the names of all that it is made from."""
     if name == "ATP":
         energy, fields = scene.energy, scene.nutrients
         assert energy is not None
@@ -306,14 +307,20 @@ def exposed(responses: Mapping[str, Known]) -> frozenset[str]:
     return frozenset(signal for name in names for part in responses[name] for signal in part.needs)
 
 
-def missing_signals(responses: Mapping[str, tuple[BoundResponse, ...]]) -> frozenset[str]:
-    """Return the signals that neither fields nor cells carry: time, phases, what is counted."""
+def missing_signals(
+    responses: Mapping[str, tuple[BoundResponse, ...]], inputs: frozenset[str] = frozenset()
+) -> frozenset[str]:
+    """Return the signals that neither fields nor cells carry: time, phases, networks, neighbours.
+
+    - ``inputs``: signals that networks need
+    """
     named = {name for known in responses.values() for part in known for name in part.needs}
-    return frozenset(filter(_is_elsewhere, named))
+    return frozenset(filter(_is_elsewhere, named | inputs))
 
 
 def _is_elsewhere(name: str) -> bool:
-    return name == "time" or name.startswith(PHASE) or needs_contacts(name)
+    elsewhere = name == "time" or "." in name or name.startswith(PHASE)
+    return elsewhere or needs_contacts(name)
 
 
 def other_signals(
@@ -334,7 +341,13 @@ def other_signals(
     counted = plan.elsewhere - {"time", *out}
     if not counted:
         return out
-    pairs = np.concatenate([contact_rows(cells, contacts), _of_newborn(cells)])
+    if plan.networks is not None:
+        near = partial(_touching, cells, contacts)
+        out |= plan.networks.signals(counted, cells, time, near)
+        counted = frozenset(name for name in counted if "." not in name)
+        if not counted:
+            return out
+    pairs = _touching(cells, contacts)
     first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
     names = list(plan.types)
     for name in sorted(counted):
@@ -350,6 +363,11 @@ def other_signals(
             who = (cells.kind[second] == kind) & ~cells.dead[second]
         out[name] = np.bincount(first[who], weight, minlength=len(cells)).astype(float)
     return out
+
+
+def _touching(cells: Cells, contacts: IntArray) -> IntArray:
+    """Return the rows of the cells that touch, (m, 2), those that were born since too."""
+    return np.concatenate([contact_rows(cells, contacts), _of_newborn(cells)])
 
 
 def _overlap(cells: Cells, first: IntArray, second: IntArray) -> FloatArray:

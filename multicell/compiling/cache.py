@@ -16,7 +16,7 @@ from functools import cache
 from typing import Final
 
 PACKAGE_FOLDER: Final = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-ROOMS: Final = ("compiling", "contact", "integrators", "mechanics", "nutrient")
+ROOMS: Final = ("compiling", "contact", "integrators", "mechanics", "networks", "nutrient")
 """Folders whose files kernels are made of."""
 
 

@@ -19,6 +19,7 @@ EXTRAS: Final = {
     "export": ("anndata", "h5netcdf", "pandas", "pyarrow", "pyvista", "xarray"),
     "images": ("skimage", "tifffile"),
     "movie": ("imageio_ffmpeg",),
+    "networks": ("antimony", "libsbml", "sbmlode"),
     "play": ("tornado",),
     "simularium": ("simulariumio",),
     "tables": ("charset_normalizer", "openpyxl"),

@@ -213,7 +213,7 @@ _CONFIG = "config"
 """Name of PhysiCell's folder of settings; the model's folder is the one above it."""
 
 
-def found_file(element: Element, home: Path) -> Path:
+def found_file(element: Element, home: Path, tag: str = "filename") -> Path:
     """Return the file that ``folder`` and ``filename`` in an element name.
 
     PhysiCell runs in the folder above that of its settings, and names count from there. Settings
@@ -222,8 +222,9 @@ def found_file(element: Element, home: Path) -> Path:
     another machine the end counts: what is there by it below the model's folder.
 
     - ``home``: folder of the settings
+    - ``tag``: what names the file
     """
-    folder, name = (element.find(tag) for tag in ("folder", "filename"))
+    folder, name = (element.find(each) for each in ("folder", tag))
     if name is None or not name.word():
         raise element.error("names no file")
     under = Path("." if folder is None else folder.word() or ".") / name.word()

@@ -136,13 +136,17 @@ class Imported:
     def write(self, folder: str | Path, *, overwrite: bool = False) -> list[Path]:
         """Write ``scene.toml``, ``cells.csv`` and ``account.md`` to a folder; return their paths.
 
+        Files of networks are copied beside them.
+
         Raises
         ------
         OutputError
             If one of them exists and ``overwrite`` is not set, or the folder cannot be written.
         """
         place = Path(folder)
-        paths = [place / name for name in IMPORT_FILES]
+        networks = {key: Path(table["file"]) for key, table in self._networks().items()}
+        copies = [place / f"{key}{file.suffix}" for key, file in networks.items()]
+        paths = [*(place / name for name in IMPORT_FILES), *copies]
         with file_errors("use", place):
             place.mkdir(parents=True, exist_ok=True)
             there = [path for path in paths if path.exists() or path.is_symlink()]
@@ -150,9 +154,15 @@ class Imported:
             raise OutputError(f"'{there[0]}' exists already: name another folder or overwrite it")
         assert self.scene.initial.cells is not None
         cells = self.scene.initial.cells.given.content().decode()
-        for path, text in zip(paths, (self._toml(), cells, self.account()), strict=True):
+        with file_errors("read", place):
+            models = [file.read_text(encoding="utf-8-sig") for file in networks.values()]
+        for path, text in zip(paths, (self._toml(), cells, self.account(), *models), strict=True):
             write_text(path, text)
         return paths
+
+    def _networks(self) -> Mapping[str, Any]:
+        found: Mapping[str, Any] = self.keys.get("networks", {})
+        return found
 
     def _toml(self) -> str:
         """Return the scene with what the model says, and the table of cells beside it."""
@@ -160,6 +170,9 @@ class Imported:
 
         head = f"# A scene of multicell\n# units: {BASE_UNITS}\n"
         given = {**self.keys, "initial": {**self.keys.get("initial", {}), "cells": "cells.csv"}}
+        if networks := self._networks():
+            beside = {key: f"{key}{Path(table['file']).suffix}" for key, table in networks.items()}
+            given["networks"] = {k: {**table, "file": beside[k]} for k, table in networks.items()}
         ordered = {name: given[name] for name in self.scene.to_dict() if name in given}
         return head + with_units(self.scene, tomli_w.dumps(ordered))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, final
 
@@ -120,6 +120,7 @@ class Progress:
     replays: Mapping[str, float] = field(default_factory=dict)
     stability: Mapping[str, float] = field(default_factory=dict)
     cavity: float | None = None  # radius to which cells have widened a gel, µm
+    inside: Sequence[str] = ()  # names of the columns of Cells.inside
 
 
 @final
@@ -161,6 +162,14 @@ class Frame:
         concentrations = Named(self.concentrations, "concentration")
         object.__setattr__(self, "concentrations", concentrations)
         object.__setattr__(self, "fields", Named(self.fields, "field"))
+
+    @property
+    def inside(self) -> dict[str, FloatArray]:
+        """What networks in the cells hold, ``NETWORK.NAME`` -> (n,), NaN in cells without it."""
+        if self.cells.inside is None or self.progress is None:
+            return {}
+        pairs = zip(self.progress.inside, self.cells.inside.T, strict=True)
+        return {name: values for name, values in pairs if "~" not in name}
 
     def __repr__(self) -> str:
         fields = f", fields: {', '.join(self.fields)}" if self.fields else ""

@@ -38,7 +38,7 @@ from multicell.results.layout import (
 )
 from multicell.results.lineage import LINEAGE_COLUMNS
 from multicell.results.quantities import known_unit
-from multicell.results.records import SPARSE, Arrays
+from multicell.results.records import INSIDE, SPARSE, Arrays
 
 
 @final
@@ -292,9 +292,11 @@ class _Log:
         rows["frames/digest"] = np.array(check)
         for path, kind in self._sparse.items():
             if path in rows and path not in self._sets:  # a frame is the first to have it
+                kind = kind._replace(width=(*kind.shape(rows[path]), None)[0])
                 self._sets[path] = kind
                 self._pieces[path] = [_zeros(kind, self._ends[kind.pool])]
-            rows.setdefault(path, np.zeros(len(rows["cells/id"]), kind.dtype))
+            if path != INSIDE:
+                rows.setdefault(path, np.zeros(len(rows["cells/id"]), kind.dtype))
         for path, kind in self._sets.items():
             if kind.pool == "frames":
                 self._put(path, np.asarray(rows[path], kind.dtype)[None])
@@ -333,7 +335,7 @@ class _Log:
 
 
 def _zeros(kind: DatasetKind, rows: int) -> NDArray[Any]:
-    return np.zeros((rows,) if kind.width is None else (rows, kind.width), kind.dtype)
+    return np.zeros((rows, *kind.shape(np.empty((0, 0)))), kind.dtype)
 
 
 def _shared(sets: Mapping[str, DatasetKind]) -> list[str]:
@@ -516,9 +518,9 @@ def _check_sets(path: Path, file: Any, sets: Mapping[str, DatasetKind]) -> dict[
         column = file.get(name)
         if column is None and name in SPARSE:
             continue
-        width = () if kind.width is None else (kind.width,)
         if not isinstance(column, h5py.Dataset) or column.dtype != np.dtype(kind.dtype):
             raise _damage(path, f"{name} is not what it should be")
+        width = kind.shape(column)
         if column.shape[:1] + width != column.shape:
             raise _damage(path, f"{name} has the shape {column.shape}")
         storage = column.id.get_create_plist()

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, State
+from multicell.cells import ANY_WIDTH, Cells, FloatArray, State
 from multicell.errors import OutputError
 from multicell.results.coding import decode, encode
 from multicell.results.lineage import LINEAGE_COLUMNS
@@ -37,6 +37,12 @@ class DatasetKind(NamedTuple):
     pool: str
     unit: str = ""
     chunk: int = _SHORT
+
+    def shape(self, array: Any) -> tuple[int, ...]:
+        """Return the shape of a row of an array of this kind; a width may be left open."""
+        if self.width == ANY_WIDTH:
+            return tuple(array.shape[1:2])
+        return () if self.width is None else (self.width,)
 
 
 def layout(nutrients: Iterable[str]) -> dict[str, DatasetKind]:
@@ -123,7 +129,7 @@ def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) ->
         )
         axes = {"frames": 0, "values": 3}.get(kind.pool, 1)
         rows = count if path.startswith("cells/") else array.shape[:axes]
-        width = () if kind.width is None else (kind.width,)
+        width = kind.shape(array)
         right = kind.pool and len(rows) == axes and array.shape == (*rows, *width)
         if not right or array.dtype.str != kind.dtype:
             problem = f"{path} has the type {array.dtype.str} and shape {array.shape}"

@@ -18,6 +18,7 @@ from multicell.results import observables as of
 from multicell.results.observable import Observable, TissueState, find_own
 from multicell.results.observables import counts_contacts
 from multicell.scene.domain import walls
+from multicell.scene.networks import network_states
 from multicell.scene.oxygen import hypoxia_of
 from multicell.scene.pairs import compression
 
@@ -76,6 +77,17 @@ def _ki67_positive(state: TissueState) -> float:
     scale = np.array([kind.cycle_scale for kind in types] or [1.0])[cells.kind]
     early = (cells.phase == Phase.G1) & (cells.progress < growth.ki67_decay * scale)
     return _mean((early | (cells.phase > Phase.G1))[~cells.dead])
+
+
+def _inside(share: float | None, state: TissueState, name: str) -> float:
+    """Return a quantile of a state of a network over living cells, or its mean."""
+    cells, place = state.cells, network_states(state.scene)[name]
+    assert cells.inside is not None
+    values = cells.inside[~cells.dead, place]
+    values = values[~np.isnan(values)]
+    if share is None or not len(values):
+        return _mean(values)
+    return float(np.quantile(values, share))
 
 
 def _over_radius(state: TissueState, length: float) -> float:
@@ -255,6 +267,22 @@ OBSERVABLES: Final = (
         unit="nN",
         exists=lambda scene: scene.pull,
         entry=None,
+    ),
+    *(
+        Observable(
+            f"network_{name}_*",
+            partial(_inside, share),
+            exists=lambda scene: network_states(scene) if scene.networks else (),
+            entry=f"networks.*.{name}",
+            absent="without living cells that have the network",
+            doc=f"{words} of a state of a network over the living cells that have it, in the "
+            "network's own unit; `*` is NETWORK_STATE",
+        )
+        for name, share, words in (
+            ("mean", None, "mean"),
+            ("low", 0.05, "quantile 0.05"),
+            ("high", 0.95, "quantile 0.95"),
+        )
     ),
     # found by the coupling step
     Observable(

@@ -325,6 +325,7 @@ def counts_contacts(scene: Scene) -> bool:
     if scene.contact.remembers or len(scene.types) > 1 or scene.pull is not None:
         return True
     named = {name for part in scene.responses.values() for name in part.signals}
+    named |= {name for part in scene.networks.values() for name in (part.inputs or {}).values()}
     return any(map(needs_contacts, named))
 
 

@@ -29,8 +29,10 @@ _COUNTS: Final = (
 
 _RATIOS: Final = (
     "step", "steps", "seed", "threads", "stability_ratio", "splitting_volume_error",
-    "splitting_worst_cell_error", "splitting_events_error", "splitting.relative_volume_error",
-    "splitting.worst_cell_error", "splitting.events_error", "integrator.replays",
+    "splitting_worst_cell_error", "splitting_events_error", "splitting_networks_error",
+    "splitting.relative_volume_error",
+    "splitting.worst_cell_error", "splitting.events_error", "splitting.networks_error",
+    "integrator.replays",
     "integrator.stability_checks",
     "integrator.checks_beyond_stability", "integrator.largest_stability_ratio",
     "ledger.*.relative_remainder", "ledger.relative_remainder", "fields.*.departure_from_a_ball",
@@ -69,6 +71,7 @@ QUANTITY_UNITS: Final[Mapping[str, str]] = {
 
 ABSENT_WORDS: Final[Mapping[str, str]] = {
     **{o.name: o.absent for o in OBSERVABLES if o.absent},
+    **{o.entry: o.absent for o in OBSERVABLES if o.absent and o.entry and "*" in o.entry},
     "shift_effect": "before the first coupling step that is taken twice",
     "stability_ratio": "with methods whose step has no limit of stability",
 }
@@ -104,6 +107,8 @@ def unit_of(name: str) -> str:
         schema = Cells.schema()
         if column in schema:
             return str(schema[column]["unit"])
+        if "." in column:  # a state of a network, in the network's own unit
+            return ""
     unit = _unit_with_star(name)
     if unit is not None:
         return unit

@@ -40,10 +40,16 @@ FIELD_ARRAYS: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
-SPARSE: Final = frozenset(f"cells/{name}" for name in ("doomed", "damage", "lag", *HAZARDS))
+INSIDE: Final = "cells/inside"
+"""What networks in cells have; as wide as a scene needs, and in all frames of a run or in none."""
+SPARSE: Final = frozenset(
+    [*(f"cells/{name}" for name in ("doomed", "damage", "lag", *HAZARDS)), INSIDE]
+)
 """Arrays that a frame has only where they are not all zero, and a file only if a frame has them."""
 
-_OF_PARTS: Final = ("cavity", "driven", "exposures", "first_states", "replays", "stability")
+_OF_PARTS: Final = (
+    "cavity", "driven", "exposures", "first_states", "inside", "replays", "stability",
+)  # fmt: skip
 """Entries of a progress that only some runs have."""
 
 
@@ -68,7 +74,9 @@ def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
 
 def without_zeros(arrays: Arrays) -> Arrays:
     """Return arrays without the sparse ones that are all zero."""
-    return {path: a for path, a in arrays.items() if path not in SPARSE or a.any()}
+    return {
+        path: a for path, a in arrays.items() if path not in SPARSE or path == INSIDE or a.any()
+    }
 
 
 def _of_field(field: Field) -> Arrays:

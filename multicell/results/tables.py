@@ -34,8 +34,10 @@ def cell_columns(frame: Frame) -> Iterator[tuple[str, NDArray[Any], str]]:
     Without the integrals of rates, which say nothing without the draws that they are compared with.
     """
     for name, values in frame.cells.columns():
-        if name not in HAZARDS:
+        if name not in (*HAZARDS, "inside"):
             yield name, values, unit_of(f"cells.{name}")
+    for name, values in frame.inside.items():
+        yield name, values, ""
     for name, values in frame.concentrations.items():
         title = f"concentration_{name}"
         yield title, values, unit_of(f"cells.{title}")

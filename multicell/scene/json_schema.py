@@ -29,6 +29,12 @@ _QUANTITY: Final = (
 """A number and names of units that are listed, each of which may have a power."""
 _TEXT: Final = {"$ref": "#/$defs/quantity"}
 _MEASURE: Final = {"anyOf": [{"type": "number"}, _TEXT]}
+_DRAW: Final = {
+    "type": "object",
+    "required": ["mean"],
+    "propertyNames": {"enum": ["mean", "variation"]},
+    "additionalProperties": {"type": "number", "minimum": 0},
+}
 _IDENTIFIER: Final = "^[A-Za-z_][A-Za-z0-9_]*$"
 _LIMITS: Final[Mapping[str, str]] = {
     "above": "exclusiveMinimum",
@@ -187,6 +193,10 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
     "schedule": lambda spec, _: _curve(_amount("s"), _amount(spec.unit, spec.bounds)),
     "quantities": lambda spec, _: {
         "type": "object", "additionalProperties": _amount(spec.unit, spec.bounds),
+    },
+    "texts": lambda spec, _: {"type": "object", "additionalProperties": {"type": "string"}},
+    "draws": lambda spec, _: {
+        "type": "object", "additionalProperties": {"anyOf": [_number(None), _DRAW]},
     },
     "table": _one_table,
     "variant": _variant,

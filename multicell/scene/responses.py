@@ -35,6 +35,7 @@ from multicell.errors import SceneError
 from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.checks import check_kinds
 from multicell.scene.dependences import followed
+from multicell.scene.networks import check_network_signal
 from multicell.scene.oxygen import concentration
 from multicell.scene.parts import loaded_in
 from multicell.scene.reactions import group_of
@@ -162,6 +163,7 @@ def relevant_fields(scene: Scene) -> set[str]:
     """Return the fields that matter to cells, fields and reactions of a scene."""
     read = {*followed(scene), *(part.oxygen for part in scene.radiation.values())}
     read |= {signal for effect in effects(scene) for signal in effect.signals}
+    read |= {signal for part in scene.networks.values() for signal in (part.inputs or {}).values()}
     for field in scene.nutrients.values():
         read |= {*field.uptake_on, *(field.secretion_from or ())}
     for reaction in scene.reactions.values():
@@ -365,6 +367,8 @@ def _bounds(behaviour: Behaviour) -> Bounds:
 def check_signal(scene: Scene, name: str, path: str) -> None:
     """Raise ``SceneError`` for a signal that the scene does not have."""
     signal_unit(name, scene.nutrients, path)
+    if "." in name:
+        check_network_signal(scene, name, path)
     if name == "ATP" and scene.energy is None:
         raise SceneError(
             path, "is 'ATP', but the scene has no energy", "[energy] says who makes it."

@@ -35,6 +35,7 @@ from multicell.scene.checks import (
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
+from multicell.scene.networks import CellNetwork, check_networks, place_networks
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
@@ -57,7 +58,7 @@ from multicell.scene.parts import (
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.responses import Response, check_responses, relevant_fields
+from multicell.scene.responses import Response, check_responses, check_signal, relevant_fields
 from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
     build_part,
@@ -109,6 +110,7 @@ class Scene:
     nutrients : mapping of name to Nutrient, read-only
     reactions : mapping of name to Reaction, read-only
     responses : mapping of name to Response, read-only
+    networks : mapping of name to CellNetwork, read-only
     radiation : mapping of name to Radiation, read-only
 
     Raises
@@ -155,6 +157,9 @@ class Scene:
         Response, listed="response",
         doc="of what cells do to what they find; absent: none but those of single keys"
     )  # fmt: skip
+    networks: Mapping[str, CellNetwork] = tables(
+        CellNetwork, doc="networks of reactions inside cells; absent: none"
+    )
     radiation: Mapping[str, Radiation] = tables(
         Radiation, doc="courses of irradiation; absent: none"
     )
@@ -182,6 +187,8 @@ class Scene:
         check_types(self)
         check_method(self)
         check_towards(self)
+        if self.networks:
+            check_networks(self, check_signal)
         if self.responses:
             check_responses(self)
         self.contact.check_scene(self)
@@ -328,7 +335,7 @@ def load_scene(source: str | Path) -> Scene:
         bare = _BARE.search(content)
         hint = f"A value with a unit stands in quotes: '{bare[1]}'." if bare else ""
         raise SceneError("", f"{str(source)!r} is not valid TOML: {error}", hint) from None
-    scene = Scene.from_dict(place_table(entries, source))
+    scene = Scene.from_dict(place_networks(place_table(entries, source), source))
     if not content.startswith(_WRITTEN):  # whose numbers are those of its author
         note_written(scene, entries, typed=True)
     return scene

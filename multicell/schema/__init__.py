@@ -14,9 +14,11 @@ A part is declared once and the declaration says everything: unit, default, what
 
 from multicell.schema.bounds import Bounds
 from multicell.schema.declarations import (
+    Draw,
     choice,
     count,
     course,
+    draws,
     file_path,
     flag,
     interval,
@@ -32,6 +34,7 @@ from multicell.schema.declarations import (
     table,
     tables,
     text,
+    texts,
     variant,
     vector,
     whole_numbers,
@@ -49,9 +52,9 @@ from multicell.schema.part import (
 )
 
 __all__ = [
-    "Bounds", "Parameter", "Tables", "build_part", "choice", "chosen", "count", "course",
-    "file_path", "flag", "interval", "leaves", "measure", "measure_points", "moments", "names",
-    "near_miss", "number", "parameters", "part_as_dict",
-    "quantities", "quantity", "schedule",
-    "separated", "specs", "table", "tables", "text", "variant", "vector", "whole_numbers",
+    "Bounds", "Draw", "Parameter", "Tables", "build_part", "choice", "chosen", "count", "course",
+    "draws", "file_path", "flag", "interval", "leaves", "measure", "measure_points", "moments",
+    "names", "near_miss", "number", "parameters", "part_as_dict", "quantities", "quantity",
+    "schedule", "separated", "specs", "table", "tables", "text", "texts", "variant", "vector",
+    "whole_numbers",
 ]  # fmt: skip

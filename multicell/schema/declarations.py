@@ -7,7 +7,7 @@ from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import MISSING, FrozenInstanceError, dataclass, fields
 from itertools import pairwise
 from numbers import Integral
-from typing import Any, NoReturn, TypeVar, dataclass_transform
+from typing import Any, NamedTuple, NoReturn, TypeVar, dataclass_transform, final
 
 from multicell.errors import SceneError
 from multicell.schema.bounds import Bounds, Curve, in_time, lists, read_points, reader
@@ -300,6 +300,62 @@ def quantities(unit: str, *, doc: str = "", **ends: float) -> Any:
     )  # fmt: skip
 
 
+def texts(*, doc: str = "") -> Any:
+    """Declare an optional table of names to lines of text."""
+
+    def one(value: object, path: str) -> str:
+        if not isinstance(value, str) or not value.isprintable():
+            raise SceneError(path, f"is {shown(value)}, must be one line of text")
+        return value
+
+    return declare(
+        "texts", lambda value, path: read_named(value, path, one) or None, None,
+        plain=dict, doc=doc,
+    )  # fmt: skip
+
+
+@final
+class Draw(NamedTuple):
+    """A number that each cell draws: its mean, and its standard deviation over the mean."""
+
+    mean: float
+    variation: float
+
+
+def draws(*, doc: str = "") -> Any:
+    """Declare an optional table of names to numbers, or to what each cell draws.
+
+    A draw is written ``{ mean = 1.0, variation = 0.2 }`` and stored as a :class:`Draw`.
+    """
+    wanted = "a number, or a table of mean and variation"
+
+    def one(value: object, path: str) -> float | Draw:
+        if isinstance(value, Draw):
+            return value
+        if not isinstance(value, Mapping):
+            return finite(value, path, wanted)
+        entries = mapping(value, path)
+        for key in entries:
+            if key not in ("mean", "variation"):
+                hint = near_miss(key, ["mean", "variation"])
+                raise SceneError(f"{path}.{key}", "is not a known key here", hint)
+        if "mean" not in entries:
+            raise SceneError(f"{path}.mean", "is missing")
+        mean = finite(entries["mean"], f"{path}.mean", "a number above 0")
+        variation = finite(entries.get("variation", 0.0), f"{path}.variation", "a number")
+        Bounds(above=0.0).require(mean, mean, f"{path}.mean", "", "")
+        Bounds(at_least=0.0, at_most=2.0).require(variation, variation, f"{path}.variation", "", "")
+        return Draw(mean, variation) if variation else mean
+
+    def to_plain(value: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: x._asdict() if isinstance(x, Draw) else x for name, x in value.items()}
+
+    return declare(
+        "draws", lambda value, path: read_named(value, path, one) or None, None,
+        plain=to_plain, doc=doc,
+    )  # fmt: skip
+
+
 def table(
     part: type[Any],
     *,
@@ -411,7 +467,7 @@ def _refuse_change(self: Any, name: str, value: object) -> NoReturn:
     kw_only_default=True,
     field_specifiers=(
         quantity, measure, measure_points, number, count, choice, text, file_path, flag,
-        names, interval, vector, whole_numbers, moments, course, schedule, quantities,
+        names, interval, vector, whole_numbers, moments, course, schedule, quantities, texts, draws,
         table, variant, tables,
     ),
 )  # fmt: skip

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast, final
 
 import numpy as np
@@ -90,6 +91,7 @@ def next_state(run: Machinery, state: RunState) -> RunState:
         stability=moved.stability,
         work=run.work(),
         cavity=run.mover.cavity,
+        inside=state.inside,
         growth=growth,
     )
 
@@ -217,11 +219,11 @@ def _exposed(
     marches, until = fields.marches, cast(Any, 1.0)
     again = marches and (plan.acting or jumped)
     attempt = run, state, people, found, timeline, fields.steady if jumps else (), followed, lap
-    exposure, decided = _attempt(*attempt, until)
+    exposure, decided, correction = _attempt(*attempt, until)
     if again and np.count_nonzero(decided.died):
         until = np.where(decided.died, 1.0 - decided.cells.age / (end - begin), 1.0)
         fields.state = state.fields
-        exposure, decided = _attempt(*attempt, until)
+        exposure, decided, correction = _attempt(*attempt, until)
     cells, dead, released = decided
     lineage, exposures = people.lineage, state.exposures
     if np.count_nonzero(dead):
@@ -232,6 +234,8 @@ def _exposed(
         fields.give_back(before, cells, late)
     if plan.acting:
         exposures = remainders(plan, exposure, exposures, jumped=jumped)
+    if correction is not None:
+        exposures = {**exposures, "networks": correction}
     cells, rows = mutate_as_found(plan, cells, exposure, people.next_id)
     if rows.size:
         lineage = lineage.retyped(cells.id[rows], cells.kind[rows])
@@ -252,12 +256,33 @@ def _attempt(
     followed: Collection[str],
     lap: Laps,
     until: Any,
-) -> tuple[Exposure, Decided]:
-    """Bring the fields through a step with cells until a part of it, (n,), and let some die."""
+) -> tuple[Exposure, Decided, float | None]:
+    """Bring fields and networks through a step, these until a part of it, (n,), and let some die.
+
+    Also returns by what part the fields at the end have changed the networks that change them, and
+    None where no network does.
+    """
     plan, fields, cells = run.plan, run.field_system, people.cells
-    begin, end = state.timeline.time, timeline.time
-    fields.advance(cells, begin, end, before=state.cells, follow=followed, until=until)
+    begin, end, networks = state.timeline.time, timeline.time, run.plan.networks
+    predicted, ahead, correction = cells, None, None
+    threads, exchanges = run.mover.system.threads, networks is not None and networks.exchanges
+    if networks is not None and exchanges:
+        # the fields need what networks do at the end of the step
+        predicted = cells.shared()
+        ahead = networks.shares_ahead(predicted, end - begin)
+        networks.advance(predicted, state.cells, None, begin, end, held, threads)
+        lap("biology")
+    fields.advance(
+        predicted, begin, end, before=state.cells, follow=followed, until=until, ahead=ahead
+    )
     lap("nutrient")
+    if networks is not None:
+        cells = cells.shared()
+        find = partial(run.signals, contacts=people.contacts, time=end)
+        networks.advance(cells, state.cells, find, begin, end, held, threads)
+        if exchanges:
+            networks.note_shares(cells, fields.shares(cells), end - begin)
+            correction = networks.correction(predicted, cells)
     exposure = Exposure(
         cells,
         run.signals(cells, people.contacts, end),
@@ -270,4 +295,4 @@ def _attempt(
     decided = decide(plan, cells, exposure.signals, exposure, ahead=timeline.ahead, time=end)
     exposure.cells = decided.cells
     lap("biology")
-    return exposure, decided
+    return exposure, decided, correction

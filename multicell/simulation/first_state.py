@@ -22,10 +22,13 @@ from multicell.simulation.run_state import RunState
 from multicell.simulation.timeline import Laps, Timeline
 
 if TYPE_CHECKING:
-    from multicell.cells import Cells, FloatArray
+    from multicell.cells import Cells, FloatArray, Signals
     from multicell.results.frame import Frame
     from multicell.results.lineage import Lineage
     from multicell.simulation.machinery import Machinery
+
+_MOST_TURNS, _SETTLED = 100, 1e-8
+"""In which networks and fields that they change settle, and the change that ends them."""
 
 
 def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool) -> RunState:
@@ -37,6 +40,10 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
     timeline, fields = Timeline(step_plan(run.scene)), run.scene.nutrients
     time, first = timeline.time, cells.take(np.argsort(cells.id))
     first.parent = np.full(len(first), -1)  # nothing is known of mothers before the start
+    networks = run.plan.networks
+    if networks is not None:
+        cells = cells.shared()
+        networks.begin(cells)
     cells, unsorted = sorted_in_space(bind(run.plan, cells, cells, {}, time), len(cells))
     state = RunState(
         cells=cells, timeline=timeline, fields=run.field_system.state,
@@ -45,6 +52,7 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
         released=0.0, separation=None, first_states={}, exposures={},
         named=driven.named_at_start(run.plan, first), replays=Replays(),
         stability=Stability() if run.mover.limit > 0.0 else None, work={}, cavity=None,
+        inside=() if networks is None else networks.columns,
     )  # fmt: skip
     lap = Laps(run.wall)
     motion = run.motion(state, run.signals_of(state), time, time, cells.radius)
@@ -54,8 +62,9 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
     lap("mechanics")
     try:
         run.field_system.begin(cells, time)
+        state = _with_networks(run, state)
         if fields and not given_states:
-            state = _with_states(run, state)
+            state = _with_networks(run, _with_states(run, state))
     except NutrientFailed as failure:
         raise StepFailed(time, failure.problem, failure.hint) from failure
     if fields:
@@ -75,6 +84,38 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
     return replace(
         state, cells=cells, lineage=lineage, fields=fields_now, work=run.work(), cavity=cavity
     )
+
+
+def _with_networks(run: Machinery, state: RunState) -> RunState:
+    """Return a state whose cells have networks that are set by what these find at the start.
+
+    Raises NutrientFailed where networks and the fields that they change do not settle.
+    """
+    networks, fields = run.plan.networks, run.field_system
+    if networks is None:
+        return state
+    cells, time = state.cells.shared(), state.timeline.time
+
+    def find(some: Cells) -> Signals:
+        return run.signals(some, state.contacts, time)
+
+    networks.begin(cells, find, time)
+    for _ in range(_MOST_TURNS if networks.exchanges else 0):
+        before = dict(fields.concentrations)
+        fields.begin(cells, time, again=True)
+        networks.begin(cells, find, time)
+        networks.note_shares(cells, fields.shares(cells))
+        if all(
+            np.abs(fields.concentrations[name] - known).max(initial=0.0)
+            <= _SETTLED * run.scene.nutrients[name].highest
+            for name, known in before.items()
+        ):
+            break
+    else:
+        if networks.exchanges:
+            problem = "networks and the fields that they change do not settle at the start"
+            raise NutrientFailed(problem, "Let the fields begin with the medium (initial).")
+    return replace(state, cells=cells)
 
 
 def _with_states(run: Machinery, state: RunState) -> RunState:

@@ -7,7 +7,7 @@ that is resumed from a frame has all of it; what follows from the rest is declar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -97,6 +97,7 @@ class RunState:
     - ``work``: counts of what the integration has cost
     - ``cavity``, µm: radius to which cells have widened a gel, where its next one is looked for;
       None without a gel
+    - ``inside``: names of the columns of ``cells.inside``, of the networks in cells
     - ``growth``, (n,) or None: how fast cells would grow where they are, once it is known
     """
 
@@ -118,6 +119,7 @@ class RunState:
     stability: Stability | None = field(metadata=_entry(None, _entries, _stability))
     work: Mapping[str, int] = field(metadata=_entry(None, dict, dict))
     cavity: float | None = field(metadata=_entry())
+    inside: Sequence[str] = field(metadata=_entry(None, list, tuple))
     growth: FloatArray | None = field(default=None, metadata=_DERIVED)
 
     @classmethod

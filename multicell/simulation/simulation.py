@@ -55,7 +55,7 @@ class Simulation:
     cells
         Cells to start from instead of the scene's initial ones: as they are, or as a table (path
         of a file, entries of ``initial.cells`` by name, a ``DataFrame``, columns by title) whose
-        with ``initial.cells``.
+        cells the scene takes as with ``initial.cells``.
     frame
         State to go on from, of a run of this scene; what comes is what would have come.
     lineage
@@ -171,6 +171,8 @@ class Simulation:
         extra |= run.field_system.columns(state.cells)
         if run.plan.acting:
             extra["splitting_events_error"] = abs(state.exposures.get("error", 0.0))
+        if run.plan.networks is not None and run.plan.networks.exchanges:
+            extra["splitting_networks_error"] = state.exposures.get("networks", 0.0)
         if self.scene.motions:
             now = self._motion(self.time, self.time, state.cells.radius)
             extra |= driven.columns(run.plan, state.cells, state.named, self.mechanics, now)

@@ -14,6 +14,7 @@ from multicell.importing.physicell import run
 from multicell.importing.physicell.cycle import read_cycle
 from multicell.importing.physicell.death import read_death
 from multicell.importing.physicell.fields import name_fields, read_microenvironment, read_secretion
+from multicell.importing.physicell.inside import read_inside
 from multicell.importing.physicell.mechanics import read_mechanics
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model, read_kinds
 from multicell.importing.physicell.motility import read_motility
@@ -28,7 +29,8 @@ from multicell.scene.scene import Scene
 from multicell.scene.start_table import with_cells
 
 _CODE = "read by C++ code of the model only"
-_INSIDE = "there are no models inside cells"
+_INSIDE = "only networks with rates (roadrunner) are read"
+_SOLVED = "networks take their own steps, by tolerances"
 _SATURATES = "uptake saturates, a thousand times above the largest concentration that is named"
 _FALLS = "volumes of the dead fall exponentially, after necrosis from the volume of bursting"
 _MAPPED, _NEAR, _LEFT, _OFF = Fate.MAPPED, Fate.APPROXIMATED, Fate.LEFT_OUT, Fate.OFF
@@ -40,7 +42,7 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"overall/(time|space)_units", _MAPPED, "", "numbers are taken in min and um, as there"),
     (r"overall/dt_phenotype", _MAPPED, "coupling_step", ""),
     (r"overall/dt_(diffusion|mechanics)", _LEFT, "", "tolerances choose the steps here"),
-    (r"overall/dt_intracellular", _LEFT, "", _INSIDE),
+    (r"(overall/dt_intracellular|intracellular/intracellular_dt)", _LEFT, "", _SOLVED),
     (r"parallel", _LEFT, "", "of this machine, not of the model: multicell run --threads"),
     (r"save/full_data", _MAPPED, "output.every", ""),
     (r"save/folder", _LEFT, "", "multicell run -o names the folder"),
@@ -236,6 +238,7 @@ def _read(root: Element, source: Path) -> Model:
             model.part("types", kind.key)["fraction"] = kind.count / len(model.cells.kinds)
     name_fields(model)
     read_rules(model, folder)
+    read_inside(model, folder)
     read_cycle(model)
     read_microenvironment(model)
     read_death(model)
@@ -244,6 +247,6 @@ def _read(root: Element, source: Path) -> Model:
     run.account_for_steps(model)
     read_secretion(model)
     _read_changes(model)
-    _account_for_rest(model)
     account_for_rules(model)
+    _account_for_rest(model)
     return model

@@ -23,6 +23,8 @@ from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from multicell.importing.files import Element
+
 _STEEPEST = 32.0
 """Largest Hill power of a scene."""
 _TOUCHING = "neighbours that touch and live; PhysiCell counts all within the range of adhesion"
@@ -49,7 +51,9 @@ _SYNONYMS: Final = {
 class Rule:
     """A line of a file of rules, and what became of it; names are the grammar's first ones.
 
-    ``signal`` and ``half`` are those of the scene.
+    ``signal`` and ``half`` are those of the scene. An ``element`` that lets a network decide stands
+    for a straight line from nothing at zero to ``end`` at a signal of ``end``; its text is empty
+    for a type that has it from another one.
     """
 
     place: str
@@ -63,6 +67,7 @@ class Rule:
     note: str
     fate: Fate = Fate.LEFT_OUT
     key: str = ""
+    element: Element | None = None
 
 
 def read_rules(model: Model, folder: Path) -> None:
@@ -169,6 +174,8 @@ def set_behaviour(
     """
     known, most = list(rules), behaviour_named(behaviour, "")[0].at_most
     combine = {"combine": "physicell"} if known else {}
+    ruled = {rule.kind: _at_nothing(rule, end) for rule in known if rule.element is not None}
+    own = {**own, **ruled}
     for kind, number in own.items():
         if not math.isclose(min(number, most), usual, rel_tol=1e-12):
             said = {"law": "constant", "largest": min(number, most), **combine}
@@ -179,10 +186,11 @@ def set_behaviour(
             if not rule.key:
                 rule.fate, rule.note = Fate.OFF, "ends at the type's own value"
             continue
+        law = {"law": "hill", "half": rule.half, "power": min(rule.power, _STEEPEST)}
+        if rule.element is not None:
+            law = {"law": "linear", "begin": 0.0, "end": rule.end * min(1.0, most / wanted)}
         rule.key = _respond(model, rule.kind, behaviour, rule.signal, {
-            "signal": rule.signal, "law": "hill", "half": rule.half,
-            "power": min(rule.power, _STEEPEST), "base": base, "largest": min(wanted, most),
-            **combine,
+            "signal": rule.signal, **law, "base": base, "largest": min(wanted, most), **combine,
         })  # fmt: skip
         notes = [*rule.note.split("; "), note]
         if rule.power > _STEEPEST:
@@ -191,6 +199,15 @@ def set_behaviour(
             notes.append(f"at most {most:g} {behaviour_named(behaviour, '')[0].unit}".rstrip())
         rule.note = "; ".join(dict.fromkeys(filter(None, notes)))
         rule.fate = Fate.APPROXIMATED if rule.note else Fate.MAPPED
+
+
+def _at_nothing(rule: Rule, end: Callable[[Rule], float]) -> float:
+    """Return what a rule's behaviour is where its network makes nothing."""
+    top, rule.end = rule.end, 0.0
+    try:
+        return end(rule)
+    finally:
+        rule.end = top
 
 
 def _respond(
@@ -212,4 +229,7 @@ def account_for_rules(model: Model) -> None:
     for rule in model.rules:
         if rule.fate is Fate.LEFT_OUT and not rule.note.startswith("fields"):
             rule.note = f"'{rule.behaviour}' of this type has no counterpart here"
-        model.account.add(rule.place, rule.text, rule.fate, rule.key, rule.note)
+        if rule.element is not None and rule.text:
+            model.account.take(rule.element, rule.fate, rule.key, rule.note, rule.text)
+        elif rule.element is None:
+            model.account.add(rule.place, rule.text, rule.fate, rule.key, rule.note)

@@ -15,6 +15,7 @@ from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
 from multicell.report.explain.cost import Prediction, cost_notes, cost_numbers, predict
 from multicell.report.explain.items import ExplainedPart, Number, hours, part
+from multicell.report.explain.networks import network_words
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.report.explain.stiffness import place_of, stiffness_numbers
 from multicell.scene.domain import sides
@@ -62,6 +63,10 @@ def _parts(scene: Scene, expected: Prediction) -> list[ExplainedPart]:
         part("death", _death_words(scene)),
         *(ExplainedPart(e.key, True, _sentence(scene, e)) for e in told if not e.short),
         part("radiation", "; ".join(_radiation_words(scene))),
+        *(
+            ExplainedPart(f"networks.{name}", True, network_words(scene, name))
+            for name in scene.networks
+        ),
         *_taxis(scene),
         ExplainedPart("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),

@@ -24,7 +24,17 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 GROUPS: Final = ("state", "type", "phase", "clone", "doomed")
-_NO_COLOUR: Final = ("id", "parent", "position", "kind", "state", "phase", "doomed", *HAZARDS)
+_NO_COLOUR: Final = (
+    "id",
+    "parent",
+    "position",
+    "kind",
+    "state",
+    "phase",
+    "doomed",
+    *HAZARDS,
+    "inside",
+)
 _MIN_FOUNDERS: Final = 8  # clones into which the descendants of a single cell are parted
 _MAX_NAMED_CLONES: Final = 12  # more than these are coloured, not listed
 _NO_VALUE: Final = "#d5dbe0"  # of a cell without a value
@@ -49,7 +59,7 @@ SCALE: Final = "viridis"  # of quantities: even in lightness and for any colour 
 def colourings(frame: Frame) -> list[str]:
     """Return the names of all that cells of a frame can be coloured by."""
     columns = [name for name in Cells.schema() if name not in _NO_COLOUR]
-    return [*GROUPS, *columns, "volume", *frame.concentrations]
+    return [*GROUPS, *columns, "volume", *frame.concentrations, *frame.inside]
 
 
 def colouring(
@@ -164,6 +174,8 @@ def cell_quantity(frame: Frame, name: str) -> tuple[FloatArray, str]:
         return frame.concentrations[name], unit_of(f"cells.concentration_{name}")
     if name == "volume":
         return frame.cells.volume, "um^3"
+    if name in frame.inside:
+        return frame.inside[name], ""
     if name not in Cells.schema() or name in _NO_COLOUR:
         raise OutputError(f"cells have no quantity {name!r}. {near_miss(name, colourings(frame))}")
     return getattr(frame.cells, name).astype(float), unit_of(f"cells.{name}")

@@ -1,0 +1,1 @@
+"""What is inside a cell: networks of reactions as systems of ordinary differential equations."""

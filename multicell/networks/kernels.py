@@ -1,0 +1,273 @@
+"""One step of one cell: what the loop over cells is made of.
+
+The inputs of a cell go linearly from their values at the beginning of the coupling step to those at
+its end. All that a step writes stands in the :class:`Scratch` of the thread that takes it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, final
+
+import numpy as np
+from numba import types
+
+from multicell.cells import FloatArray, IntArray
+from multicell.compiling import INNER, called_at, typed
+from multicell.networks.methods import Explicit, Rosenbrock
+
+_inner = typed(**INNER)
+call_rates = called_at(5, lambda *_: types.float64)
+call_trigger = called_at(4, lambda *_: types.float64)
+call_assign = called_at(6, lambda *_: types.float64)
+call_initial = called_at(3, lambda *_: types.float64)
+
+_ROUNDING = 1.5e-8  # square root of the rounding of doubles: part of a state for a difference
+
+
+@final
+class Common(NamedTuple):
+    """What all cells of a network share in a coupling step.
+
+    - ``rates``: address of the rates
+    - ``relative``, ``absolute``, (s,): tolerances of the error of a step
+    - ``diluted``, (s,): 1 for states that fall as the cell grows, else 0
+    """
+
+    rates: int
+    relative: float
+    absolute: FloatArray
+    diluted: FloatArray
+
+
+@final
+class Surrounding(NamedTuple):
+    """What one cell finds in a step.
+
+    - ``before``, ``after``, (m,): inputs at both ends; ``p``, (q,): its parameters
+    - ``growth``: d ln(volume)/dt
+    - ``start``, ``span``: of the step, in the network's own unit of time
+    """
+
+    before: FloatArray
+    after: FloatArray
+    p: FloatArray
+    growth: float
+    start: float
+    span: float
+
+
+@final
+class Scratch(NamedTuple):
+    """Memory of one thread for s states, m inputs and k stages."""
+
+    u: FloatArray
+    f: FloatArray
+    point: FloatArray
+    trial: FloatArray
+    slope: FloatArray
+    stages: FloatArray
+    jacobian: FloatArray
+    matrix: FloatArray
+    pivot: IntArray
+
+
+@_inner
+def scratch_of(states, inputs, stages):
+    """Return memory for a thread."""
+    return Scratch(
+        np.empty(inputs),
+        np.empty(states),
+        np.empty(states),
+        np.empty(states),
+        np.empty(states),
+        np.empty((stages, states)),
+        np.empty((states, states)),
+        np.empty((states, states)),
+        np.empty(states, np.int64),
+    )
+
+
+@_inner
+def set_inputs(here, t, u):
+    """Write the inputs at a time to ``u``."""
+    part = (t - here.start) / here.span if here.span > 0.0 else 0.0
+    for k in range(u.size):
+        u[k] = here.before[k] + part * (here.after[k] - here.before[k])
+
+
+@_inner
+def evaluate(common, here, t, y, u, out):
+    """Write dy/dt to ``out``: the network's rates, less what growth dilutes."""
+    set_inputs(here, t, u)
+    call_rates(common.rates, t, y, u, here.p, out)
+    if here.growth != 0.0:
+        for k in range(y.size):
+            out[k] -= here.growth * common.diluted[k] * y[k]
+
+
+@_inner
+def set_jacobian(common, here, t, y, s):
+    """Write df/dy by differences to ``s.jacobian``; ``s.f`` has the rates at ``y``."""
+    n = y.size
+    for j in range(n):
+        s.point[j] = y[j]
+    for j in range(n):
+        typical = max(abs(y[j]), common.absolute[j] / common.relative)
+        s.point[j] = y[j] + _ROUNDING * typical
+        width = s.point[j] - y[j]
+        evaluate(common, here, t, s.point, s.u, s.slope)
+        for i in range(n):
+            s.jacobian[i, j] = (s.slope[i] - s.f[i]) / width
+        s.point[j] = y[j]
+
+
+@_inner
+def factorise(a, pivot):
+    """Replace a matrix by its factors L and U with row pivots; return whether it is regular."""
+    n = pivot.size
+    for k in range(n):
+        best, place = abs(a[k, k]), k
+        for i in range(k + 1, n):
+            if abs(a[i, k]) > best:
+                best, place = abs(a[i, k]), i
+        pivot[k] = place
+        if not best > 0.0:
+            return False
+        if place != k:
+            for j in range(n):
+                a[k, j], a[place, j] = a[place, j], a[k, j]
+        inverse = 1.0 / a[k, k]
+        for i in range(k + 1, n):
+            share = a[i, k] * inverse
+            a[i, k] = share
+            if share != 0.0:
+                for j in range(k + 1, n):
+                    a[i, j] -= share * a[k, j]
+    return True
+
+
+@_inner
+def solve(a, pivot, b):
+    """Overwrite ``b`` with the solution of A x = b, A as :func:`factorise` leaves it."""
+    n = pivot.size
+    for k in range(n):
+        b[k], b[pivot[k]] = b[pivot[k]], b[k]
+    for i in range(1, n):
+        for j in range(i):
+            b[i] -= a[i, j] * b[j]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            b[i] -= a[i, j] * b[j]
+        b[i] /= a[i, i]
+
+
+@_inner
+def size_of_error(common, y, trial, error):
+    """Return the largest error over its tolerance; infinite where something is not finite."""
+    worst = 0.0
+    for k in range(y.size):
+        allowed = common.absolute[k] + common.relative * max(abs(y[k]), abs(trial[k]))
+        size = abs(error[k]) / allowed
+        if not (size <= math.inf and abs(trial[k]) < math.inf):
+            return math.inf
+        worst = max(worst, size)
+    return worst
+
+
+@_inner
+def take_implicit(common, here, table: Rosenbrock, t, h, y, s, fresh):
+    """Write the state after a Rosenbrock step to ``s.trial``; return the size of its error.
+
+    ``s.f`` has the rates at ``y``, ``s.jacobian`` their derivative unless it is to be made afresh.
+    """
+    n, gamma = y.size, table.gamma[0]
+    if fresh:
+        set_jacobian(common, here, t, y, s)
+    for i in range(n):
+        for j in range(n):
+            s.matrix[i, j] = -s.jacobian[i, j]
+        s.matrix[i, i] += 1.0 / (gamma * h)
+    if not factorise(s.matrix, s.pivot):
+        return math.inf
+    # by difference: time is in the inputs, and may be in the rates
+    width = max(1e-6 * h, 1e-12 * abs(t))
+    late = t + width
+    evaluate(common, here, late, y, s.u, s.slope)
+    for i in range(n):
+        s.slope[i] = (s.slope[i] - s.f[i]) / (late - t)
+    for stage in range(table.m.size):
+        k = s.stages[stage]
+        for i in range(n):
+            s.point[i] = y[i]
+        moved = stage == 0
+        for other in range(stage):
+            a = table.a[stage, other]
+            if a != 0.0:
+                moved = True
+                for i in range(n):
+                    s.point[i] += a * s.stages[other, i]
+        if stage == 0 or (not moved and table.alpha[stage] == 0.0):
+            for i in range(n):
+                k[i] = s.f[i]
+        else:
+            evaluate(common, here, t + table.alpha[stage] * h, s.point, s.u, k)
+        for other in range(stage):
+            c = table.c[stage, other] / h
+            for i in range(n):
+                k[i] += c * s.stages[other, i]
+        for i in range(n):
+            k[i] += table.gamma[stage] * h * s.slope[i]
+        solve(s.matrix, s.pivot, k)
+    for i in range(n):
+        s.trial[i], s.point[i] = y[i], 0.0
+        for stage in range(table.m.size):
+            s.trial[i] += table.m[stage] * s.stages[stage, i]
+            s.point[i] += table.e[stage] * s.stages[stage, i]
+    return size_of_error(common, y, s.trial, s.point)
+
+
+@_inner
+def take_explicit(common, here, table: Explicit, t, h, y, s):
+    """Write the state after an explicit step to ``s.trial``.
+
+    ``s.f`` has the rates at ``y``. Returns the size of the error, and h |λ| of the fastest rate λ
+    as the last two stages see it.
+    """
+    n, count = y.size, table.b.size
+    for i in range(n):
+        s.stages[0, i] = s.f[i]
+    for stage in range(1, count):
+        for i in range(n):
+            before = s.point[i]
+            s.point[i] = y[i]
+            for other in range(stage):
+                s.point[i] += h * table.a[stage, other] * s.stages[other, i]
+            s.slope[i] = s.point[i] - before
+        evaluate(common, here, t + table.c[stage] * h, s.point, s.u, s.stages[stage])
+    faster, moved = 0.0, 0.0
+    if count > 2:
+        for i in range(n):
+            scale = common.absolute[i] + common.relative * abs(y[i])
+            faster = max(faster, abs(s.stages[count - 1, i] - s.stages[count - 2, i]) / scale)
+            moved = max(moved, abs(s.slope[i]) / scale)
+    for i in range(n):
+        s.trial[i], s.point[i] = y[i], 0.0
+        for stage in range(count):
+            s.trial[i] += h * table.b[stage] * s.stages[stage, i]
+            s.point[i] += h * table.e[stage] * s.stages[stage, i]
+    stiffness = h * faster / moved if moved > 0.0 else 0.0
+    return size_of_error(common, y, s.trial, s.point), stiffness
+
+
+@_inner
+def fastest(s, n):
+    """Return a bound on the largest |λ| of the Jacobian: the lesser of two norms."""
+    rows, columns = 0.0, 0.0
+    for i in range(n):
+        row, column = 0.0, 0.0
+        for j in range(n):
+            row += abs(s.jacobian[i, j])
+            column += abs(s.jacobian[j, i])
+        rows, columns = max(rows, row), max(columns, column)
+    return min(rows, columns)
