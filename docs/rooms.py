@@ -27,7 +27,7 @@ WHAT = {
     "testing": "conformance",
     "ode": "for outside solvers", "runner": "run, resume", "report": "result, pages, pictures",
     "simulation": "the coupling step", "coupling": "its parts",
-    "behaviours": "growth, responses",
+    "behaviours": "growth, responses", "networks": "inside cells",
     "host": "files, signals, memory",
     "nutrient": "fields", "biology": "what cells do",
     "results": "frames, history, journal", "scene": "what there is", "integrators": "methods",

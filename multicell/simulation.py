@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, cast, final
 
 import numpy as np
@@ -58,6 +58,8 @@ if TYPE_CHECKING:
 
 
 _GRAIN = 1e-3  # of a coupling step, to which the time of a separation is known
+_MOST_TURNS, _SETTLED = 100, 1e-8
+"""In which networks and fields that they change settle, and the change that ends them."""
 _STALE_ORDER = 0.05  # part of the cells that may be new before all are sorted in space again
 
 
@@ -164,8 +166,24 @@ class Simulation(RunState):
 
     def _begin_networks(self) -> None:
         """Set the networks inside cells by what these find at the start."""
-        if self.plan.networks is not None:
-            self.plan.networks.begin(self.cells, self._signals_at, self.time)
+        networks, fields = self.plan.networks, self.field_system
+        if networks is None:
+            return
+        networks.begin(self.cells, self._signals_at, self.time)
+        for _ in range(_MOST_TURNS if networks.exchanges else 0):
+            before = dict(self.concentrations)
+            fields.begin(self.cells, self.time, again=True)
+            networks.begin(self.cells, self._signals_at, self.time)
+            networks.note_shares(self.cells, fields.shares(self.cells))
+            if all(
+                np.abs(self.concentrations[name] - known).max(initial=0.0)
+                <= _SETTLED * self.scene.nutrients[name].highest
+                for name, known in before.items()
+            ):
+                return
+        if networks.exchanges:
+            problem = "networks and the fields that they change do not settle at the start"
+            raise NutrientFailed(problem, "Let the fields begin with the medium (initial).")
 
     def _find_states(self) -> None:
         """Find states of the cells that fit the fields which they make."""
@@ -256,6 +274,8 @@ class Simulation(RunState):
         extra |= self.field_system.columns(self.cells)
         if self.plan.acting:
             extra["splitting_events_error"] = abs(self.exposures.get("error", 0.0))
+        if self.plan.networks is not None and self.plan.networks.exchanges:
+            extra["splitting_networks_error"] = self.exposures.get("networks", 0.0)
         if self.scene.motions:
             now = self._motion(self.time, self.time, self.cells.radius)
             extra |= driven.columns(self.plan, self.cells, self.named, self.mechanics, now)
@@ -375,7 +395,8 @@ class Simulation(RunState):
                 fields.give_back(cells, self.cells, late)
             if plan.acting:
                 jumped = self.timeline.plan.changes_at(begin)
-                self.exposures = remainders(plan, exposure, self.exposures, jumped=jumped)
+                found = remainders(plan, exposure, self.exposures, jumped=jumped)
+                self.exposures = {**self.exposures, **found}
             typed = self.cells
             self.cells, rows = mutate_as_found(plan, self.cells, exposure)
             self.lineage.retype(self.cells.id[rows], self.cells.kind[rows])
@@ -396,16 +417,27 @@ class Simulation(RunState):
         Returns what cells were exposed to, which have died, and the volume that these have lost.
         """
         plan, fields = self.plan, self.field_system
+        held = fields.steady if self.timeline.plan.jumps_at(end) else ()
+        networks, sources, ahead = plan.networks, self.cells, None
+        if networks is not None and networks.exchanges:
+            # the fields need what networks do at the end of the step
+            with self.phase("biology"):
+                sources = self.cells.shared()
+                ahead = networks.shares_ahead(sources, end - begin)
+                self._advance_networks(sources, began, None, begin, end, held)
         with self.phase("nutrient"):
             followed = plan.exposed if self._follows(begin) else ()
-            fields.advance(self.cells, begin, end, before=began, follow=followed, until=until)
+            fields.advance(
+                sources, begin, end, before=began, follow=followed, until=until, ahead=ahead
+            )
         with self.phase("biology"):
             self.cells = self.cells.shared()  # what they were is needed once more
-            held = fields.steady if self.timeline.plan.jumps_at(end) else ()
-            if plan.networks is not None:
-                plan.networks.advance(
-                    self.cells, began, self._signals_at, begin, end, held, self.mechanics.threads
-                )
+            if networks is not None:
+                self._advance_networks(self.cells, began, self._signals_at, begin, end, held)
+                if networks.exchanges:
+                    networks.note_shares(self.cells, fields.shares(self.cells), end - begin)
+                    error = networks.correction(sources, self.cells)
+                    self.exposures = {**self.exposures, "networks": error}
             exposure = Exposure(
                 self.cells,
                 self.signals,
@@ -417,6 +449,15 @@ class Simulation(RunState):
             )
             dead, lost = self._decide(exposure)
         return exposure, dead, lost
+
+    def _advance_networks(
+        self, cells: Cells, began: Cells, find: Any, begin: float, end: float,
+        held: Collection[str],
+    ) -> None:  # fmt: skip
+        """Bring the networks in cells through a step; see :class:`multicell.biology.inside`."""
+        assert self.plan.networks is not None
+        threads = self.mechanics.threads
+        self.plan.networks.advance(cells, began, find, begin, end, held, threads)
 
     def _decide(self, exposure: Exposure | None = None) -> tuple[Mask, float]:
         """Let cells turn to another state; return which have died, and the volume lost, µm³.

@@ -10,6 +10,7 @@ on (:class:`multicell.Integrator`). It fits into any test suite:
 :func:`check_pair_law` does the same for a pair law (:func:`multicell.pair_law`),
 :func:`check_growth_law` for a law of growth (:func:`multicell.growth_law`),
 :func:`check_response` for a law of response (:func:`multicell.response`),
+:func:`check_network` for a network inside cells (:func:`multicell.network`),
 :func:`check_reaction` for a reaction between fields (:func:`multicell.reaction`), and
 :func:`check_observable` for an observable (:func:`multicell.observable`).
 """
@@ -37,6 +38,7 @@ from multicell.mechanics.system import Mechanics
 from multicell.results.observable import Observable, TissueState
 
 if TYPE_CHECKING:
+    from multicell.networks.network import Network
     from multicell.results.frame import Frame
     from multicell.scene.scene import Scene
 
@@ -191,6 +193,35 @@ def _check_shares(law: ResponseLaw) -> None:
     _require(np.array_equal(before, signal), "it writes into its signals")
     back = share(signal[::-1].copy())[::-1]
     _require(np.array_equal(back, found), "a share depends on the other cells")
+
+
+def check_network(
+    network: Network, *, invariants: Iterable[Mapping[str, float]] = (), duration: float = 1.0
+) -> None:
+    """Raise ``AssertionError``, with what is wrong, unless a network keeps its promises.
+
+    At its start and at states around it, and over a time from there:
+
+    - numba compiles it; rates and observed values are finite numbers, the same if asked twice, and
+      states, inputs and parameters are left as they were;
+    - compiled it gives what the function gives as plain Python;
+    - rates have a derivative: differences of two lengths agree;
+    - a Rosenbrock and an explicit method agree on the state after ``duration``;
+    - sums that are stated not to change do not.
+
+    Parameters
+    ----------
+    network
+        Made by :func:`multicell.network`, or read from a file.
+    invariants
+        Name of a state -> its factor, for each sum over states that reactions leave as it is.
+    duration
+        Time over which it is solved, in its own unit.
+    """
+    from multicell.networks.conformance import faults_of
+
+    faults = list(faults_of(network, invariants, duration))
+    _require(not faults, f"{network.name}: {'; '.join(faults)}")
 
 
 def check_integrator(method: Any) -> None:

@@ -27,7 +27,13 @@ from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF
 from multicell.cells import HALF, Cells, FloatArray, Found, IntArray, Mask
 from multicell.errors import StepFailed
 from multicell.random import Purpose
-from multicell.scene.networks import columns_of, input_factor, network_order
+from multicell.scene.networks import (
+    columns_of,
+    flux_factor,
+    flux_of,
+    input_factor,
+    network_order,
+)
 from multicell.schema import Draw
 
 if TYPE_CHECKING:
@@ -51,7 +57,7 @@ class PlacedNetwork:
     - ``kinds``, (types,) bool, or None: which types have it; None for all
     - ``levels``, input -> what finds its signal, names of what that is made of, and the factor to
       the network's unit
-    - ``begin``: first of its columns
+    - ``begin``: first of its columns; ``columns``: their names
     """
 
     name: str
@@ -61,11 +67,7 @@ class PlacedNetwork:
     kinds: Mask | None
     levels: Mapping[str, tuple[Level, frozenset[str], float]]
     begin: int
-
-    @cached_property
-    def columns(self) -> tuple[str, ...]:
-        """The names of its columns."""
-        return columns_of(self.name, self.model)
+    columns: tuple[str, ...]
 
     @cached_property
     def edges(self) -> tuple[int, int, int, int]:
@@ -73,7 +75,21 @@ class PlacedNetwork:
         model = self.model
         states = len(model.states)
         values = states + (len(model.parameters) if model.events else 0)
-        return states, values, values + len(model.inputs), len(self.columns)
+        inputs = values + len(model.inputs)
+        return states, values, inputs, inputs + 3 + len(model.events)
+
+    @cached_property
+    def slopes(self) -> slice:
+        """The places of the slopes of its inputs; none where nothing is extrapolated."""
+        first = self.begin + self.edges[3]
+        more = len(self.columns) > self.edges[3]
+        return slice(first, first + more * len(self.model.inputs))
+
+    def share_of(self, field: str) -> tuple[int, int]:
+        """Return the places of the share of a field's uptake, and of its slope."""
+        fields = list(self.part.fluxes or ())
+        place = self.slopes.stop + fields.index(field)
+        return place, place + len(fields)
 
     @cached_property
     def seconds(self) -> float:
@@ -132,14 +148,14 @@ class PlacedNetwork:
         from multicell.networks.solver import Inside
 
         own = inside[:, self.begin : self.begin + len(self.columns)]
-        y, p, u, memory = np.split(own, self.edges[:3], axis=1)
+        y, p, u, memory, _ = np.split(own, self.edges, axis=1)
         values = p if self.model.events else self.values(ids)
         return Inside(*map(np.ascontiguousarray, (y, values, memory))), np.ascontiguousarray(u)
 
     def write(self, inside: FloatArray, rows: IntArray, found: Inside, u: FloatArray) -> None:
         """Write networks and inputs to some rows of ``Cells.inside``."""
         p = found.p if self.model.events else found.p[:, :0]
-        inside[rows, self.begin : self.begin + len(self.columns)] = np.concatenate(
+        inside[rows, self.begin : self.begin + self.edges[3]] = np.concatenate(
             [found.y, p, u, found.memory], axis=1
         )
 
@@ -173,6 +189,8 @@ class Networks:
     - ``parts``, name -> PlacedNetwork
     - ``columns``: names of all columns of ``Cells.inside``
     - ``needs``: signals that their inputs are made of
+    - ``exchanges``, (network, field) -> ``"uptake"`` or ``"secretion"``, the name of the rate, and
+      the factor to amol/s
     """
 
     def __init__(self, scene: Scene, find: Callable[[Scene, str], tuple[Level, set[str]]]) -> None:
@@ -185,12 +203,18 @@ class Networks:
                 level, needs = find(scene, signal)
                 levels[x] = level, frozenset(needs), input_factor(scene, part, x)
             mask = np.array([kind in part.types for kind in kinds]) if part.types else None
-            made = PlacedNetwork(name, part, part.model, scene.seed, mask, levels, begin)
+            names = columns_of(scene, name)
+            made = PlacedNetwork(name, part, part.model, scene.seed, mask, levels, begin, names)
             self.parts[name] = made
             begin += len(made.columns)
         self.columns = tuple(x for part in self.parts.values() for x in part.columns)
         needed = (needs for part in self.parts.values() for _, needs, _ in part.levels.values())
         self.needs = frozenset().union(*needed)
+        self.exchanges = {
+            (name, field): (*flux_of(part, field), flux_factor(part, field))
+            for name, part in scene.networks.items()
+            for field in part.fluxes or ()
+        }
         self._twice = any(OF_NEIGHBOURS in name for name in self.needs)
 
     def signals(
@@ -230,8 +254,28 @@ class Networks:
             # what comes later finds it: other networks, and those of neighbours
             known = cells.inside
             whole = np.full((len(cells), len(self.columns)), np.nan) if known is None else known
+            own = slice(part.begin + part.edges[3], part.begin + len(part.columns))
+            whole[rows, own] = 0.0  # nothing has changed yet
             part.write(whole, rows, inside, u)
             cells.inside = whole
+
+    def fluxes(
+        self, field: str, cells: Cells, time: float
+    ) -> tuple[FloatArray | None, FloatArray | None]:
+        """Return what cells take up and secrete of a field at a time in s, (n,) amol/s.
+
+        NaN in cells without a network that does, zero in dead ones, None where none does.
+        """
+        found: dict[str, FloatArray] = {}
+        for (network, of), (what, name, factor) in self.exchanges.items():
+            if of != field:
+                continue
+            own = factor * self.parts[network].value(name, cells, time)
+            own = np.where(cells.dead & ~np.isnan(own), 0.0, own)
+            before = found.get(what, np.full(len(cells), np.nan))
+            both = np.where(np.isnan(before), 0.0, before) + np.where(np.isnan(own), 0.0, own)
+            found[what] = np.where(np.isnan(before) & np.isnan(own), np.nan, both)
+        return found.get("uptake"), found.get("secretion")
 
     def _new(self, part: PlacedNetwork, ids: IntArray, u: FloatArray | None) -> Inside:
         return part.solver.begin(len(ids), u, part.values(ids))
@@ -246,25 +290,71 @@ class Networks:
         except NetworkFailed as failure:
             raise _failed(part, failure, ids) from None
 
+    def note_shares(
+        self, cells: Cells, shares: Mapping[str, FloatArray], length: float = 0.0
+    ) -> None:
+        """Note uptakes of fields over the largest ones at cells, field -> (n,), and their slopes.
+
+        - ``length``: of the step since they were noted last, s; 0: there was none
+        """
+        assert cells.inside is not None
+        inside = cells.inside.copy()
+        for name, field in self.exchanges:
+            share, slope = self.parts[name].share_of(field)
+            if length > 0.0:
+                change = (shares[field] - inside[:, share]) / length
+                inside[:, slope] = np.where(inside[:, share] > 0.0, change, 0.0)
+            inside[:, share] = np.where(np.isnan(inside[:, share]), np.nan, shares[field])
+        cells.inside = inside
+
+    def shares_ahead(self, cells: Cells, length: float) -> dict[str, FloatArray]:
+        """Return these uptakes a time in s later, field -> (n,), as their slopes have it."""
+        assert cells.inside is not None
+        out: dict[str, FloatArray] = {}
+        for name, field in self.exchanges:
+            share, slope = (cells.inside[:, x] for x in self.parts[name].share_of(field))
+            own = _ahead(share, length * slope)
+            out[field] = np.where(np.isnan(own), out.get(field, np.ones(len(cells))), own)
+        return out
+
+    def correction(self, predicted: Cells, cells: Cells) -> float:
+        """Return by what part of a state the fields of a step's end have changed it at most."""
+        worst = 0.0
+        assert predicted.inside is not None
+        assert cells.inside is not None
+        for part in self.parts.values():
+            states = slice(part.begin, part.begin + part.edges[0])
+            one, other = predicted.inside[:, states], cells.inside[:, states]
+            scale = np.abs(other) + part.solver.absolute / part.solver.relative
+            change = (np.abs(one - other) / scale)[~np.isnan(other)]
+            worst = max(worst, float(change.max(initial=0.0)))
+        return worst
+
     def advance(
-        self, cells: Cells, began: Cells, find: FindSignals, begin: float, end: float,
+        self, cells: Cells, began: Cells, find: FindSignals | None, begin: float, end: float,
         held: Collection[str] = (), threads: int = 1,
     ) -> None:  # fmt: skip
         """Bring the networks of cells through a step from ``begin`` to ``end`` (s).
 
         - ``cells``: at its end; ``inside`` is that of its beginning, or of their mothers
         - ``began``: at its beginning
-        - ``find``: returns what cells find at its end
+        - ``find``: returns what cells find at its end; None: inputs are extrapolated
         - ``held``: signals that jump at the end, before which they were as at the beginning
         """
         assert cells.inside is not None
         first = cells.inside
         step = _Step(cells, began, begin, end)
-        for _ in range(1 + self._twice):
+        for _ in range(1 + (self._twice and find is not None)):
             known = cells.inside
             for part in self.parts.values():
-                found = find(cells)
-                u = part.inputs(cells, found)
+                if find is not None:
+                    u = part.inputs(cells, find(cells))
+                else:
+                    place = part.begin + part.edges[1]
+                    u = first[:, place : place + len(part.model.inputs)]
+                    u = _ahead(u, (end - begin) * first[:, part.slopes])
+                    # a cell that has just become one of its type has no slopes
+                    u = np.where(np.isnan(u), np.array(part.model.defaults), u)
                 known = known.copy()
                 self._advance(part, step, first, known, u, held, threads)
                 cells.inside = known
@@ -282,12 +372,14 @@ class Networks:
         fresh = has & np.isnan(first[:, part.begin + part.edges[2]])
         rows = np.flatnonzero(fresh)
         if rows.size:
+            out[rows, own] = 0.0
             part.write(out, rows, self._new(part, cells.id[rows], u[rows]), u[rows])
         rows = np.flatnonzero(has & ~fresh & ~cells.dead)
         if not rows.size:
             return
         born = step.born[rows]
         inside, before = part.read(first[rows], step.mother[rows])
+        start_u = before.copy()
         after = u[rows].copy()
         for place, name in enumerate(part.model.inputs):
             if name in part.levels and part.levels[name][1] & set(held):
@@ -322,6 +414,8 @@ class Networks:
         except NetworkFailed as failure:
             raise _failed(part, failure, ids) from None
         part.write(out, rows, inside, u[rows])
+        if part.slopes.stop > part.slopes.start:
+            out[rows, part.slopes] = (after - start_u) / (step.end - step.begin)
 
     def _inherited(
         self, part: PlacedNetwork, inside: Inside, step: _Step, rows: IntArray
@@ -385,6 +479,12 @@ class _Step:
 
 def _arrays(inside: Inside) -> tuple[FloatArray, FloatArray, FloatArray]:
     return inside.y, inside.p, inside.memory
+
+
+def _ahead(value: FloatArray, change: FloatArray) -> FloatArray:
+    """Return values that change, but those that would come near to zero or beyond as they are."""
+    ahead = value + change
+    return np.asarray(np.where(ahead * value >= 0.1 * value * value, ahead, value))
 
 
 def _some(inside: Inside, rows: IntArray) -> Inside:

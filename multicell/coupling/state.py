@@ -54,7 +54,9 @@ def fields_of(
     def respond(behaviour: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray | None:
         return value_of(plan, behaviour, 1.0, found, cells, early=True)
 
-    return FieldSystem(scene, reactions, threads, respond)
+    networks = plan.networks
+    fluxes = None if networks is None or not networks.exchanges else networks.fluxes
+    return FieldSystem(scene, reactions, threads, respond, fluxes)
 
 
 class RunState(ABC):

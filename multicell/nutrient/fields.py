@@ -40,6 +40,12 @@ _CHANGED = ("concentrations", "reports", "_uptake", "_changes")  # by a step, be
 Demand = tuple[FloatArray, FloatArray | None]
 """Largest uptake of each cell, and its secretion, (n,) amol/s."""
 
+Fluxes = Callable[[str, Cells, float], tuple[FloatArray | None, FloatArray | None]]
+"""Returns what networks in cells take up and secrete of a field at a time in s, (n,) amol/s; NaN
+in cells that have none, None where no network does."""
+
+_LEAST_SHARE = 1e-6  # of the largest uptake, where a cell finds next to nothing
+
 Respond = Callable[[str, Cells, Mapping[str, FloatArray]], FloatArray | None]
 """Returns the factor that responses give a behaviour of each cell, (n,), or None for one."""
 
@@ -51,6 +57,7 @@ class FieldSystem:
     - ``reactions``: between its fields, of the user's own (:func:`multicell.reaction`)
     - ``threads``: how many may share the loops over many nodes; it changes no result
     - ``respond``: absent: cells do not respond
+    - ``fluxes``: absent: no network takes up or secretes anything
 
     - ``fields``, name -> NutrientField
     - ``groups``, list of FieldGroup: the same in the groups that are solved for together, in the
@@ -70,7 +77,10 @@ class FieldSystem:
         reactions: Mapping[str, Any] | None = None,
         threads: int = 1,
         respond: Respond | None = None,
+        fluxes: Fluxes | None = None,
     ) -> None:
+        self._fluxes, self._time = fluxes, 0.0
+        self._ahead: Mapping[str, FloatArray] = {}
         known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
         self._scene, self._nutrients, self._respond = scene, scene.nutrients, respond
         self._followed = followed(scene)
@@ -191,6 +201,7 @@ class FieldSystem:
         before: Cells | None = None,
         follow: Collection[str] = (),
         until: Any = 1.0,
+        ahead: Mapping[str, FloatArray] | None = None,
     ) -> None:
         """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
 
@@ -202,8 +213,10 @@ class FieldSystem:
           find on the way
         - ``until``, (n,) or a number: part of the step after which cells exchange nothing with
           transient fields
+        - ``ahead``: :meth:`shares` at the end as an earlier try has them; absent: those of the
+          beginning
         """
-        self.courses = {}
+        self.courses, self._time = {}, begin
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
         if before is not None and self._marched:
@@ -219,6 +232,7 @@ class FieldSystem:
             for name in self._marched:
                 one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
+        self._time, self._ahead = end, ahead or {}
         tissue = Tissue(cells.position, cells.radius)
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample(cells.position, cells.radius) for x in names}
@@ -233,6 +247,16 @@ class FieldSystem:
                 times = np.array([(time - begin) / (end - begin) for time, _ in seen])
                 values = np.stack([found[group.names.index(name)] for _, found in seen])
                 self.courses[name] = times, values
+        self._ahead = {}
+
+    def shares(self, cells: Cells) -> dict[str, FloatArray]:
+        """Return the uptake of each field over the largest one where cells are, name -> (n,)."""
+        one = np.ones(len(cells))
+        return {
+            name: field.uptake(cells.position, one, cells.radius)
+            for name, field in self.fields.items()
+            if field.laid
+        }
 
     def _follow(
         self,
@@ -426,11 +450,17 @@ class FieldSystem:
         found = self.concentrations if concentrations is None else concentrations
         taken = self._uptake if taken is None else taken
         nutrient, capacity = self._nutrients[name], self._capacity(name, cells, found)
-        if nutrient.secretion == 0.0 and not nutrient.secretion_from:
+        given, made = (None, None) if self._fluxes is None else self._fluxes(
+            name, cells, self._time)  # fmt: skip
+        if nutrient.secretion == 0.0 and not nutrient.secretion_from and given is made is None:
             return capacity, None
         production = nutrient.secretion * self._active("secretion", name, cells, found)
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * taken[other]
+        if made is not None:
+            production = np.where(np.isnan(made), production, made)
+        if given is not None:  # what is taken up at a rate below zero is given away
+            production = production + np.where(given < 0.0, -given, 0.0)
         return capacity, production
 
     def _active(
@@ -456,7 +486,23 @@ class FieldSystem:
         for other, law in nutrient.uptake_on.items():
             if other in found:  # at the start one of a circle is not there yet
                 factor = factor * law.factor(found[other])
+        given = None if self._fluxes is None else self._fluxes(name, cells, self._time)[0]
+        if given is not None:
+            # the largest uptake whose part at what the cell finds is the given one
+            own = np.maximum(given, 0.0) / np.maximum(self._share(name, cells), _LEAST_SHARE)
+            return np.where(np.isnan(given), capacity * factor, own)
         return np.asarray(capacity * factor)
+
+    def _share(self, name: str, cells: Cells) -> FloatArray:
+        """Return the uptake of a field over the largest one where cells are, (n,)."""
+        if name in self._ahead:
+            return self._ahead[name]
+        field, one = self.fields[name], np.ones(len(cells))
+        if field.laid:
+            return field.uptake(cells.position, one, cells.radius)
+        nutrient = self._nutrients[name]
+        level = nutrient.medium(self._time)
+        return one * (level / (level + nutrient.half_saturation))
 
     def _sample(self, name: str, group: FieldGroup, cells: Cells, capacity: FloatArray) -> None:
         """Keep what the cells find and take up of a field that its group has just solved for."""

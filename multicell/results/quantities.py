@@ -29,8 +29,10 @@ _COUNTS: Final = (
 
 _RATIOS: Final = (
     "step", "steps", "seed", "threads", "stability_ratio", "splitting_volume_error",
-    "splitting_worst_cell_error", "splitting_events_error", "splitting.relative_volume_error",
-    "splitting.worst_cell_error", "splitting.events_error", "integrator.replays",
+    "splitting_worst_cell_error", "splitting_events_error", "splitting_networks_error",
+    "splitting.relative_volume_error",
+    "splitting.worst_cell_error", "splitting.events_error", "splitting.networks_error",
+    "integrator.replays",
     "integrator.stability_checks",
     "integrator.checks_beyond_stability", "integrator.largest_stability_ratio",
     "ledger.*.relative_remainder", "ledger.relative_remainder", "fields.*.departure_from_a_ball",

@@ -99,8 +99,10 @@ def run_summary(
         ],
     }
     splitting = _splitting(scene, frame.cells)
-    if progress.exposures:
+    if "error" in progress.exposures:
         splitting["events_error"] = abs(progress.exposures["error"])
+    if "networks" in progress.exposures:
+        splitting["networks_error"] = progress.exposures["networks"]
     summary = {
         **own,
         **({"splitting": splitting} if splitting else {}),

@@ -179,22 +179,29 @@ HIDDEN: Final = "~"
 """In the names of columns of ``Cells.inside`` that are no values of a network."""
 
 
-def columns_of(name: str, model: Network) -> tuple[str, ...]:
+def columns_of(scene: Scene, name: str) -> tuple[str, ...]:
     """Return the names of the columns of ``Cells.inside`` that a network has.
 
     First its states, then parameters where events may change them; hidden ones are its inputs at
-    the end of the last step, and what the solver remembers.
+    the end of the last step, and what the solver remembers. Where networks change fields, also what
+    is needed to extrapolate: slopes of the inputs, the uptake of each of its fields over the
+    largest one, and slopes of that.
     """
+    part, model = scene.networks[name], scene.networks[name].model
     own = [*model.states, *(model.parameters if model.events else ())]
-    memory = ["step", "kind", "evidence", *(f"event {event.name}" for event in model.events)]
-    hidden = [f"{HIDDEN}{x}" for x in (*(f"input {name}" for name in model.inputs), *memory)]
-    return tuple(f"{name}.{x}" for x in (*own, *hidden))
+    hidden = [f"input {x}" for x in model.inputs]
+    hidden += ["step", "kind", "evidence", *(f"event {event.name}" for event in model.events)]
+    if any(other.fluxes for other in scene.networks.values()):
+        hidden += [f"slope of {x}" for x in model.inputs]
+        hidden += [f"share of {x}" for x in part.fluxes or ()]
+        hidden += [f"slope of share of {x}" for x in part.fluxes or ()]
+    return tuple(f"{name}.{x}" for x in (*own, *(f"{HIDDEN}{x}" for x in hidden)))
 
 
 def network_columns(scene: Scene) -> tuple[str, ...]:
     """Return the names of all columns of ``Cells.inside`` of a scene."""
     order = network_order(scene)
-    return tuple(x for name in order for x in columns_of(name, scene.networks[name].model))
+    return tuple(x for name in order for x in columns_of(scene, name))
 
 
 def network_states(scene: Scene) -> dict[str, int]:
@@ -269,7 +276,12 @@ def _check_one(
             problem = "is 'binomial', but it is a concentration, whose molecules are not counted"
             raise SceneError(f"divide.{name}", problem)
     for field in part.fluxes or {}:
-        flux_of(part, field)
+        flux_factor(part, field)
+        what = flux_of(part, field)[0]
+        for name, response in scene.responses.items():
+            if response.behaviour == f"{what} of {field}":
+                problem = f"replaces the {what} that responses.{name} changes"
+                raise SceneError(f"fluxes.{field}", problem, "Leave one of the two out.")
 
 
 def flux_of(part: CellNetwork, field: str) -> tuple[str, str]:
@@ -285,6 +297,22 @@ def flux_of(part: CellNetwork, field: str) -> tuple[str, str]:
         problem = f"names {name!r}, which is nothing of the network"
         raise SceneError(path, problem, near_miss(name, known))
     return what, name
+
+
+def flux_factor(part: CellNetwork, field: str) -> float:
+    """Return what a rate of the network is multiplied by to be in amol/s.
+
+    One without a unit is in amol over the network's own unit of time.
+    """
+    name = flux_of(part, field)[1]
+    unit = part.unit_of(name)
+    if not unit:
+        return 1.0 / part.seconds()
+    try:
+        return to_base(f"1 {unit}", "amol/s", f"fluxes.{field}")
+    except SceneError as error:
+        problem = f"is {name!r} in {unit}, but must be an amount per time"
+        raise SceneError(f"fluxes.{field}", problem, error.hint) from None
 
 
 def input_factor(scene: Scene, part: CellNetwork, name: str) -> float:

@@ -18,6 +18,7 @@ import hypothesis
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import multicell as mc
 from multicell.cells import Phase
 from multicell.coupling.start_check import check_population
 from multicell.errors import DataError, SceneError
@@ -43,6 +44,7 @@ NAMES = {
     "sides": FACES,
     "phases": PHASES,
     "reactions": ("binding", "breakdown"),
+    "networks": ("relax",),
     "consumes": FIELDS,
     "produces": FIELDS,
     "motions": ("base", "tip"),
@@ -54,6 +56,18 @@ NAMES = {
 }
 """Names of the entries of the tables that have named entries."""
 
+
+def _lost(t, y, u, p, out):
+    out[0] = 1e-3 * y[0]
+
+
+@mc.network(states={"A": 1.0}, inputs={"source": 0.0}, parameters={"k": 2e-4},
+            observed=("lost",), observe=_lost)  # fmt: skip
+def relax(t, y, u, p, out):
+    """Relax towards an input."""
+    out[0] = p[0] * (u[0] - y[0])
+
+
 TEXTS = {
     "behaviour": ("growth rate", "rest", "apoptosis rate", "necrosis rate", "damage rate",
                   "entry into S", "speed", "receptors", "Young's modulus",
@@ -64,10 +78,20 @@ TEXTS = {
     "type": TYPES,
     "towards": FIELDS,
     "oxygen": FIELDS,
+    "network": (relax.name,),
 }  # fmt: skip
 """Texts that name something, by their keys."""
 
+OF_A_NETWORK = {
+    "inputs": ({"source": "oxygen"}, {"source": "time"}, {"source": "neighbours"}),
+    "units": ({"A": "mM"},),
+    "fluxes": ({"oxygen": "uptake: lost"}, {"oxygen": "secretion: lost"}),
+    "divide": ({"A": "reset"}, {"A": "share"}),
+}
+"""Tables of texts of the network that is drawn, by their keys."""
+
 TOGETHER = {
+    "CellNetwork": ("network",),
     "Energy": ("yields quiescence", "yields necrosis", "yields growth_half_saturation"),
     "Response": ("signal law=hill half", "signal law=monod half", "signal law=threshold half",
                  "signal law=monod half falls", "signal law=linear begin end",
@@ -140,7 +164,8 @@ WILD = (
 
 
 OF_OWN_CODE = {
-    "growth.parameters", "output.observables", "output.observables.*.function",
+    "growth.parameters", "networks.*.file", "networks.*.sha256",
+    "output.observables", "output.observables.*.function",
     "output.observables.*.unit", "responses.*.parameters", "growth.phases.*.target_scale",
 }  # fmt: skip
 """Keys that need a user's own Python code, or the parameters of a law of growth: none is drawn."""
@@ -272,6 +297,12 @@ class Drawer:
         if spec.bounds.at_least == 1:  # of reactions, which take whole numbers
             return dict.fromkeys(names, 1)
         return {name: self.written(self.size(spec, spec.unit), spec.unit) for name in names}
+
+    def _texts(self, spec, field, path):
+        return dict(self.one_of(OF_A_NETWORK[path.split(".")[-1]]))
+
+    def _draws(self, spec, field, path):
+        return {"k": self.one_of([1e-4, {"mean": 1e-4, "variation": 0.3}])}
 
     def _interval(self, spec, field, path):
         if self.chance(self.extreme):

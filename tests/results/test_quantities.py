@@ -20,6 +20,18 @@ from multicell.cells import State
 from multicell.results.quantities import ABSENT, UNITS, unit_of, units_of
 from multicell.units import to_base
 
+
+def _eaten(t, y, u, p, out):
+    out[0] = p[0] * u[0] * y[0]
+
+
+@mc.network(states={"E": 1.0}, inputs={"food": 0.0}, parameters={"k": 40.0},
+            observed=("eaten",), observe=_eaten)  # fmt: skip
+def eater(t, y, u, p, out):
+    """A species that food makes."""
+    out[0] = 1e-3 * (u[0] - y[0])
+
+
 PHASES = {"G1": {"duration": "3 h"}, "S": {"duration": "3 h"}, "G2": {"duration": "2 h"},
           "M": {"duration": "1 h", "grows": False}}  # fmt: skip
 SHORT = {"duration": "30 min", "output": {"every": "10 min"}}
@@ -50,6 +62,12 @@ SCENES = {
             "drug": {"boundary": 0.01, "uptake": 1.0, "height": 10.0},
         },
         "integrator": {"method": "auto"},
+    },
+    "networks that exchange": {
+        **SHORT, "initial": {"count": 8}, "growth": {},
+        "nutrients": {"oxygen": {"boundary": 0.2, "spacing": 20.0}},
+        "networks": {"eater": {"network": eater.name, "inputs": {"food": "oxygen"},
+                               "fluxes": {"oxygen": "uptake: eaten"}}},
     },
     "a pull with memory": {
         "duration": "3 min", "coupling_step": "10 s", "initial": {"count": 2, "spacing": 0.95},

@@ -17,6 +17,7 @@ from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
 from multicell.report.explain.cost import cost_notes, cost_numbers, predict
 from multicell.report.explain.items import Number, Part, hours, part
+from multicell.report.explain.networks import network_words
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
@@ -62,6 +63,7 @@ def _parts(scene: Scene) -> list[Part]:
         part("death", _death_words(scene)),
         *(Part(e.key, True, _sentence(scene, e)) for e in told if not e.short),
         part("radiation", "; ".join(_radiation_words(scene))),
+        *(Part(f"networks.{name}", True, network_words(scene, name)) for name in scene.networks),
         *_taxis(scene),
         Part("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),

@@ -1,0 +1,51 @@
+"""What a scene's networks inside cells are, in words."""
+
+from __future__ import annotations
+
+from multicell.scene.networks import flux_of
+from multicell.scene.scene import Scene
+
+
+def network_words(scene: Scene, name: str) -> str:
+    """Return the states, inputs and outputs of a network, its units, and its fastest rate."""
+    part = scene.networks[name]
+    model, whom = part.model, f"cells of type {part.cells}" if part.cells else "all cells"
+    words = [f"in {whom}", f"states {_listed(model.states)}"]
+    if part.inputs:
+        words.append("inputs " + ", ".join(f"{x} = {y}" for x, y in part.inputs.items()))
+    fixed = [x for x in model.inputs if x not in (part.inputs or {})]
+    if fixed:
+        words.append(f"inputs that stay as they are: {_listed(fixed)}")
+    for field in part.fluxes or ():
+        what, rate = flux_of(part, field)
+        words.append(f"{what} of {field} at the rate {rate}")
+    signals = {y for response in scene.responses.values() for y in response.signals}
+    used = sorted(x for x in signals if x.removeprefix("sum of ").removeprefix("neighbours.")
+                  .startswith(f"{name}."))  # fmt: skip
+    words.append(f"read as {', '.join(used)}" if used else "no response reads it")
+    if model.events:
+        words.append(f"events {_listed([event.name for event in model.events])}")
+    if model.time_unit is None and part.time_unit is None:
+        words.append("it states no unit of time: seconds are taken")
+    bare = [x for x in part.inputs or () if not part.unit_of(x)]
+    if bare:
+        words.append(f"no unit of {_listed(bare)} is stated: base units of the scene are taken")
+    words.append(_stiffness(scene, name))
+    control = f"tolerance {part.tolerance:g}" if part.step is None else f"steps of {part.step:g} s"
+    return "; ".join([*words, f"solved by {part.method}, {control}"])
+
+
+def _listed(names: tuple[str, ...] | list[str], most: int = 12) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def _stiffness(scene: Scene, name: str) -> str:
+    """Return the shortest time scale at the start beside the coupling step, in words."""
+    from multicell.networks.conformance import fastest_rate
+
+    part = scene.networks[name]
+    rate = fastest_rate(part.model) / part.seconds()
+    if not rate > 0.0:
+        return "nothing changes at the start"
+    return f"fastest time scale at the start {1.0 / rate:.3g} s of {scene.coupling_step:g} s a step"
